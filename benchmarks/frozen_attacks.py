@@ -100,7 +100,9 @@ def layers(count: int, share: float, rounds: int, now: Clock) -> dict[str, Any]:
         views = [View(camera, render(painted, camera).clamp(0, 1)) for camera in cameras]
     height = scene.means[:, 2]
     trained = height >= height.quantile(1 - share)
-    config = FitConfig(iterations=3000, trainable=("sh",), strategy=FixedConfig(), sh_degree_interval=0, lr_sh=0.04)
+    config = FitConfig(
+        iterations=3000, trainable=("sh",), strategy=FixedConfig(), sh_degree_interval=0, lr_sh=0.04, lr_sh_divisor=20
+    )
     layering = Layering(scene=scene, trained=trained, views=views, iterations=config.iterations)
     without, frozen = (training(layering, config, renderer) for renderer in (other(render), render))
     begun = now()

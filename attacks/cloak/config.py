@@ -268,9 +268,6 @@ class SurrogateConfig(Checked):
     seed: Seed = 1000
 
 
-_PUBLISHED = FitConfig()
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneConfig:
     """What is photographed: an object on a square of ground in daylight, in front of one colour.
@@ -392,11 +389,11 @@ class TrainingConfig:
         near: Near plane of trainings and of all pictures of splats, world units; None follows the object's size.
     """
 
-    iterations: Steps = _PUBLISHED.iterations
+    iterations: Steps = 7000
     strategy: str = "classic"
     max_gaussians: Annotated[int, at_least(1)] | None = 40_000
-    sh_degree: Degree = _PUBLISHED.sh_degree
-    sh_degree_interval: Annotated[int, at_least(0, "steps")] = _PUBLISHED.sh_degree_interval
+    sh_degree: Degree = 3
+    sh_degree_interval: Annotated[int, at_least(0, "steps")] = 1000
     outliers: Count = 0
     point_deviations: Annotated[float, at_least(0)] | None = None
     near: Length | None = None
@@ -548,11 +545,12 @@ def check_once(what: str, values: tuple[object, ...], do: str) -> None:
 
 def fit_config(training: TrainingConfig) -> FitConfig:
     """The trainer's settings."""
-    return FitConfig(
+    return FitConfig(  # with the schedule of SH that results were published with
         iterations=training.iterations,
         strategy=strategy_config(training.strategy, max_gaussians=training.max_gaussians),
         sh_degree=training.sh_degree,
         sh_degree_interval=training.sh_degree_interval,
+        lr_sh_divisor=20,
         eval_interval=0,
     )
 

@@ -62,6 +62,7 @@ def layered_fit_config(layers: LayersConfig) -> FitConfig:
         sh_degree=layers.making.degree,
         sh_degree_interval=0,
         lr_sh=layers.lr_sh,
+        lr_sh_divisor=20,
         lr_sh_final=layers.lr_sh_final,
         eval_interval=0,
     )

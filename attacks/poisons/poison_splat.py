@@ -98,6 +98,7 @@ class Decoy:
             sh_degree_interval=0,
             lr_means_final=self.victim.lr_means,  # the public implementation lowers none
             lr_sh_final=None,
+            lr_sh_divisor=20,
         )
         check_start(self.start, fit)
         if not any(_is_seen(self.start, camera, self.near) for camera in cameras_of(views)):

@@ -64,9 +64,8 @@ def quick_surface(views: Dataset, *, steps: int = LIMITS.surface_steps, on_step:
     else:
         cloud = thinned(views.points, LIMITS.surface_gaussians)
         start = from_points(cloud.points, cloud.colours)
-    config = FitConfig(
-        iterations=steps, strategy=FixedConfig(), sh_degree_interval=steps // 6, lambda_dssim=0.0, eval_interval=0
-    )
+    schedule = FitConfig(iterations=steps, sh_degree_interval=steps // 6, lr_sh_divisor=20, eval_interval=0)
+    config = dataclasses.replace(schedule, strategy=FixedConfig(), lambda_dssim=0.0)
     render = Renderer(RenderSettings(background=views.background, near=near_plane(start, views.cameras)))
     report = None if on_step is None else (lambda line: on_step(line.iteration, steps))
     return fit(views, start, render=render, config=config, on_step=report).scene

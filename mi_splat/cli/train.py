@@ -250,9 +250,10 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
     from mi_splat.io import load_splat
     from mi_splat.training.initialization import from_points, random_points, thinned, with_outliers
 
-    if options.outliers and not (options.start is None and options.random is None):
-        do = "leave out --start and --random"
-        raise InvalidValueError.of("--outliers", "a start on the points of the set", "another", do)
+    alone = options.start is None and options.random is None
+    if options.outliers and not (alone and views.points is not None and len(views.points)):
+        got = "a set without any" if alone else "--start or --random"
+        raise InvalidValueError.of("--outliers", "a start on the points of the set", got, "leave one out")
     limit = options.fit.strategy.max_gaussians if options.fit.strategy.adds_gaussians else None
     if options.start is not None and options.random is not None:
         raise InvalidValueError.of("--random", "no other start", f"--start {options.start}", "leave one out")
@@ -261,9 +262,6 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
     if options.random is not None:
         return random_points(views, options.random, seed=options.seed)
     if views.points is None or not len(views.points):
-        if options.outliers:
-            do = "leave out --outliers"
-            raise InvalidValueError.of("--outliers", "a start on the points of the set", "a set without any", do)
         count = RANDOM_START if limit is None else min(limit, RANDOM_START)
         warn(f"the set has no points: starting on {count:,} Gaussians anywhere (see --random, --start)")
         return random_points(views, count, seed=options.seed)

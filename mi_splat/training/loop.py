@@ -4,6 +4,7 @@ A run is a value (`TrainState`) that is advanced a step at a time, so that it ca
 bit. The order of the views, the children of splits and the noise of MCMC all come from one seeded generator.
 """
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ import torch
 from torch import Tensor
 
 from mi_splat._lazy import Previewed
-from mi_splat.cameras import RenderFn, View, cameras_of
+from mi_splat.cameras import Camera, RenderFn, View, cameras_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene
@@ -42,6 +43,7 @@ class Fit(Previewed):
 __all__ = ["Fit", "FitConfig", "Progress", "TrainState", "TrainingError", "advance", "fit", "scene_extent"]
 
 OnStep = Callable[[Progress], None]
+Target = tuple[Camera, Tensor, Tensor | None, Tensor | None]
 
 
 @runtime_checkable
@@ -114,8 +116,9 @@ def advance(
         do = "use Renderer(screen_gradients=ScreenGradients())"
         expected = f"a renderer that keeps screen gradients, for {type(config.strategy).__name__}"
         raise InvalidValueError.of("render", expected, type(render).__name__, do)
+    target_of = targets_of(views, state.parameters["means"].device, files=config.masks)
     while state.iteration < config.iterations:
-        loss = _step(state, views, state.next_view(len(views)), render)
+        loss = _step(state, target_of, len(views), render)
         if state.iteration < config.iterations:  # what is changed last is trained no more
             densify(state, screen_gradients)
         scored = None
@@ -131,28 +134,35 @@ def advance(
 
 
 def _keep_freed_memory() -> None:
-    """Make the C library of Linux keep up to 64 MiB of what is freed: a step frees so much and takes it again.
-
-    It keeps twice the size of the largest block that was freed, if that had at most 32 MiB. Otherwise each step would
-    return its memory and get it back in thousands of page faults, which cost as much as its loss. Nothing else changes.
-    """
+    """Make glibc keep 64 MiB of what is freed, twice the largest freed block; page faults cost as much as the loss."""
     torch.empty(31 << 20, dtype=torch.uint8)
 
 
-def _step(state: TrainState, views: Sequence[View], index: int, render: RenderFn) -> float:
-    """One picture, its loss, its gradient, and a step of Adam."""
-    scene = state.scene()
-    view = views[index]
-    image = render(scene, view.camera)
-    target = view.image.to(image.device)
+def targets_of(views: Sequence[View], device: torch.device, *, files: bool) -> Callable[[int], Target]:
+    """Camera, image, alpha and mask by number, on a device; a GPU keeps as many as fill a quarter of its memory."""
+
+    def load(index: int) -> Target:
+        view, masks = views[index], views if isinstance(views, HasMasks) else None
+        planes = (masks.alpha(index), masks.loss_mask(index, files=files)) if masks else (None, None)
+        alpha, mask = (None if plane is None else plane.to(device) for plane in planes)
+        return view.camera, view.image.to(device), alpha, mask
+
+    if device.type == "cpu":
+        return load
+    pixels = max(camera.width * camera.height for camera in cameras_of(views))
+    return functools.lru_cache(max(1, torch.cuda.mem_get_info()[0] // 4 // (20 * pixels)))(load)
+
+
+def _step(state: TrainState, target_of: Callable[[int], Target], count: int, render: RenderFn) -> float:
+    """One image, its loss, its gradient, and a step of Adam."""
+    index, scene = state.next_view(count), state.scene()
+    camera, target, alpha, mask = target_of(index)
+    image = render(scene, camera)
     if state.config.random_background:
         colour = torch.rand(3, generator=state.generator).to(image.device)
         image = over_background(image, colour)
-        alpha = views.alpha(index) if isinstance(views, HasMasks) else None
-        target = target if alpha is None else target + (1 - alpha.to(image.device)[..., None]) * colour
-    image = state.exposed(image, index, len(views))
-    if isinstance(views, HasMasks):
-        image = masked(image, target, views.loss_mask(index, files=state.config.masks))
+        target = target if alpha is None else target + (1 - alpha[..., None]) * colour
+    image = masked(state.exposed(image, index, count), target, mask)
     loss = photometric_loss(image, target, lambda_dssim=state.config.lambda_dssim)
     state.optimiser.zero_grad()
     value = differentiate(state, loss, scene)

@@ -29,13 +29,7 @@ from mi_splat.training.loop import Fit, OnStep, advance, scene_extent
 from mi_splat.training.state import MOMENTS, Exposures, Progress, TrainState, check_start
 from mi_splat.training.strategies import strategy_config, strategy_name
 
-# A training run on disk: everything the rest of it depends on, in one safetensors file that is whole or not there.
-#
-# A run that is taken up again makes the bits that it would have made without the break, on the same number of threads.
-
-FORMAT = 3
-"""Of a checkpoint: 2 named its tensors as gsplat does (`sh0`, `shN`), and held the state of any strategy; 3 knows the
-pictures of a set by their bytes, and no longer by names and sizes."""
+FORMAT = 4  # of a checkpoint
 _STRATEGY, _EXPOSURES = "strategy/", "exposures/"
 _MOST_VIEWS = 1 << 31
 
@@ -101,9 +95,8 @@ def load_state(path: Path) -> tuple[TrainState, int]:
     notes, tensors = read_noted_tensors(path, _READER)
     version = notes.values.get("format", 1)
     if version != FORMAT:
-        expected = f"format {FORMAT}, which knows its pictures by their bytes"
         do = "end it with the version that began it, or train anew in another folder"
-        raise CheckpointError.of(f"checkpoint {path}", expected, f"format {version!r:.40}", do)
+        raise CheckpointError.of(f"checkpoint {path}", f"format {FORMAT}", f"format {version!r:.40}", do)
     try:
         return _assemble(notes, tensors), notes.whole("threads", 1, 1 << 20)
     except InvalidValueError as error:

@@ -171,6 +171,7 @@ class TrainState:
     def active_sh_degree(self) -> int:
         """SH degree that is trained now."""
         every = self.config.sh_degree_interval
+        every = self.config.iterations // 30 if every is None else every
         return self.config.sh_degree if every == 0 else min(self.config.sh_degree, self.iteration // every)
 
     def scene(self) -> GaussianScene:
@@ -206,7 +207,7 @@ class TrainState:
             "rotations": config.lr_rotations,
             "opacities": config.lr_opacities,
             "sh0": sh,
-            "shN": sh / 20,
+            "shN": sh / config.lr_sh_divisor,
         }
 
     def descend(self) -> None:

@@ -163,7 +163,9 @@ def fit_config(steps: int, limit: int) -> FitConfig:
     Nothing floats that a reset of the opacities would remove, and the sky, which is far and large, has to stay.
     """
     strategy = ClassicConfig(max_gaussians=limit, opacity_reset_interval=0, prune_scale=1e9)
-    return FitConfig(iterations=steps, strategy=strategy, sh_degree=1, sh_degree_interval=0, eval_interval=0)
+    return FitConfig(
+        iterations=steps, strategy=strategy, sh_degree=1, sh_degree_interval=0, lr_sh_divisor=20, eval_interval=0
+    )
 
 
 def belongs(scene: GaussianScene, target: GaussianScene, others: GaussianScene) -> Tensor:

@@ -9,7 +9,7 @@ from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
-from mi_splat.training.loop import FitConfig, TrainingError, TrainState, advance, fit
+from mi_splat.training.loop import FitConfig, TrainingError, TrainState, advance, fit, targets_of
 from mi_splat.training.state import MOMENTS, Adam
 from mi_splat.training.strategies import ClassicConfig, Edit, FixedConfig
 from tests.training.sets import SHORT, scene_and_views, watching
@@ -85,13 +85,25 @@ def state_of(config: FitConfig, *, start: GaussianScene | None = None, seed: int
 
 
 def test_the_degree_rises_by_one_each_interval() -> None:
-    state = state_of(FitConfig(sh_degree=3, sh_degree_interval=10))
-    degrees = []
-    for state.iteration in (0, 9, 10, 19, 20, 30, 99):
-        degrees.append(state.active_sh_degree)
-        assert state.scene().degree == degrees[-1]
-    assert degrees == [0, 0, 1, 1, 2, 3, 3]
-    assert state_of(FitConfig(sh_degree=3, sh_degree_interval=0)).active_sh_degree == 3
+    for interval, iterations in ((10, 7000), (None, 300)):  # a thirtieth of the steps
+        state = state_of(FitConfig(iterations=iterations, sh_degree_interval=interval))
+        degrees = [state.scene().degree for state.iteration in (0, 9, 10, 19, 20, 30, 99)]
+        assert degrees == [0, 0, 1, 1, 2, 3, 3]
+    for config in (FitConfig(sh_degree_interval=0), FitConfig(iterations=29)):
+        assert state_of(config).scene().degree == 3
+
+
+def test_a_gpu_keeps_images(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, views, _ = scene_and_views(8)
+    room = 4 * 2 * 20 * 36 * 32  # of which a quarter holds two images
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (room, room))
+    target_of = targets_of(views, torch.device("meta"), files=False)
+    first = target_of(0)
+    assert first[1].is_meta
+    assert target_of(1) is target_of(1)
+    assert target_of(0) is first
+    target_of(1), target_of(2)
+    assert target_of(0) is not first
 
 
 def trained() -> TrainState:

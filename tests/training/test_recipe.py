@@ -18,7 +18,7 @@ def state_of(config: FitConfig, *, extent: float = 1.0) -> TrainState:
 
 
 def test_learning_rates_at_both_ends_and_in_the_middle() -> None:
-    state = state_of(FitConfig(iterations=1000), extent=3.0)
+    state = state_of(FitConfig(iterations=1000, lr_sh_divisor=20), extent=3.0)
     others = {"scales": 5e-3, "rotations": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 2.5e-3 / 20}
     for iteration, rate in ((0, 1.6e-4), (500, 1.6e-5), (1000, 1.6e-6)):
         state.iteration = iteration

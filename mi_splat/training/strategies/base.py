@@ -22,10 +22,13 @@ if TYPE_CHECKING:  # not at run time, so that options can be parsed without torc
 
 
 def normal(like: Tensor, generator: Generator) -> Tensor:
-    """Standard normal numbers in the shape of a tensor and where it lies; drawn on the CPU, so the same anywhere."""
+    """Standard normal numbers in the shape of a tensor, drawn where it lies; a GPU's follow from a draw on the CPU."""
     import torch
 
-    return torch.randn(like.shape, generator=generator).to(like.device)
+    if not like.is_cpu:
+        seed = int(torch.randint(1 << 62, (), generator=generator))
+        generator = torch.Generator(like.device).manual_seed(seed)
+    return torch.randn(like.shape, generator=generator, device=like.device)
 
 
 class ScreenGradients(Protocol):
