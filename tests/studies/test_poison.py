@@ -159,13 +159,13 @@ defence = { filter = { name = "blur" } }
         for (splat, condition, _, view), direction in directions.items()
     )
     whole = table.with_columns(pl.col("azimuth").round() % 360, pl.col("elevation").round())
-    for where, *directions in (
+    for where, *angles in (
         ("training cameras", (330, 30), (0, 20)),
         ("held-out cameras", (0,), (0, 20)),
         ("higher cameras", (330, 30), (10, 30)),
     ):
         seen_from = whole.filter(condition=where, detector="toy").select("azimuth", "elevation")
-        assert set(seen_from.iter_rows()) == set(itertools.product(*directions))
+        assert set(seen_from.iter_rows()) == set(itertools.product(*angles))
     table = table.filter(detector="redness")
     counts = Counter(table.select("splat", "condition").iter_rows())
     assert counts == {
