@@ -32,8 +32,7 @@ class FitConfig:
         lr_rotations: Learning rate of the quaternions.
         lr_opacities: Learning rate of the logit opacities.
         lr_sh: Learning rate of the first SH coefficient.
-        lr_sh_divisor: By how much that of the other coefficients is smaller. It is 20 in the published recipe, whose
-            30,000 steps leave more time.
+        lr_sh_divisor: By how much that of the other coefficients is smaller; 20 in the published recipe.
         lr_sh_final: Last one; between them it decays exponentially. None is as at first.
         masks: Leave out of the loss what is black in the masks of the set, people who walk by for instance.
         random_background: Put another colour behind splat and pictures in every step, so that what is transparent in
