@@ -123,13 +123,13 @@ def _camera(scene: GaussianScene, strange: Tensor, target: Target) -> tuple[Tens
     points, strange, total = scene.means[rows], strange[rows], energy[rows].sum().clamp(min=1e-20)
 
     def peaks(directions: Tensor) -> Tensor:
-        peaks_at = []
-        for distance in LIMITS.edit_distances:
-            positions = (target.centre + distance * target.radius * directions).float()
-            towards = sh_basis(functional.normalize(points - positions[:, None], dim=2), scene.degree)[..., 1:]
+        found = []
+        places = [target.centre + distance * target.radius * directions for distance in LIMITS.edit_distances]
+        for part in torch.split(torch.cat(places).float(), 8):  # few, so that their numbers stay in the cache
+            towards = sh_basis(functional.normalize(points - part[:, None], dim=2), scene.degree)[..., 1:]
             along = (functional.normalize(towards, dim=2) * strange).sum(2)
-            peaks_at.append(along.square().sum(1) / total * strange.shape[1])
-        return torch.stack(peaks_at).amax(0)
+            found.append(along.square().sum(1) / total * strange.shape[1])
+        return torch.cat(found).reshape(len(places), -1).amax(0)
 
     best = directions[int(peaks(directions).argmax())]
     finer = lattice(LIMITS.finer_directions, 90.0 - LIMITS.finer_within, 90.0) @ basis(best).T
@@ -234,7 +234,7 @@ def own_scores(scene: GaussianScene, view: Sight, shown: Tensor) -> Tensor:
             towards = functional.normalize(scene.means - view.cameras[number].position.float(), dim=1)
             colours = sh_to_colour(scene.sh, towards).clamp(0, 1)
             total += torch.cat([torch.ones(len(scene), 1), colours, colours.square().sum(1, keepdim=True)], 1)
-        sums.append(total)
+        sums.append(total.T)
     return Split.of(*sums).scores()
 
 

@@ -206,25 +206,29 @@ def _reflected(view: Sight, positions: Tensor, normals: Tensor) -> tuple[Tensor,
 
 
 def incidence_sides(cosines: Tensor) -> tuple[Tensor, Tensor]:
-    """(E, A, K) float32 cameras inside and outside of each set of angles of incidence."""
-    limits = torch.tensor(LIMITS.cosines)[:, None]
-    return (cosines[:, None] > limits + 0.03).float(), (cosines[:, None] < limits - 0.06).float()
+    """(E, K, A) float32 cameras inside and outside of each set of angles of incidence."""
+    limits = torch.tensor(LIMITS.cosines)
+    return (cosines[..., None] > limits + 0.03).float(), (cosines[..., None] < limits - 0.06).float()
 
 
 def gloss_sides(cosines: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor]:
-    """(E, R, K) float32 cameras inside and outside of each set of angles of incidence, and of mirrored directions."""
-    turned = (mirrored @ lattice(LIMITS.mirror_axes, -90.0, 90.0).float().T).transpose(1, 2)
-    insides, outsides = ([side] for side in incidence_sides(cosines))
-    for width in LIMITS.mirror_widths:
-        insides.append((turned > math.cos(math.radians(width - LIMITS.inside))).float())
-        outsides.append((turned < math.cos(math.radians(width + LIMITS.outside))).float())
-    return torch.cat(insides, 1), torch.cat(outsides, 1)
+    """(E, K, R) float32 cameras inside and outside of each set of angles of incidence, and of mirrored directions."""
+    limits, widths, axes = torch.tensor(LIMITS.cosines), LIMITS.mirror_widths, LIMITS.mirror_axes
+    inner, outer = (
+        torch.cat(
+            [limits + step, torch.tensor([math.cos(math.radians(w + edge)) for w in widths for _ in range(axes)])]
+        )
+        for step, edge in ((0.03, -LIMITS.inside), (-0.06, LIMITS.outside))
+    )
+    turned = mirrored @ lattice(axes, -90.0, 90.0).float().T
+    values = torch.cat([cosines[..., None].expand(-1, -1, len(limits)), turned.repeat(1, 1, len(widths))], 2)
+    return torch.gt(values, inner, out=torch.empty_like(values)), values.lt_(outer)
 
 
-_CHUNK = 256
+_CHUNK = 32  # pieces that are compared together, so that their numbers stay in the cache
 
 Sides = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-"""From (E,) rows and (E, K, 5) their moments to (E, T, 5) sums inside and outside of T sets of cameras."""
+"""From (E,) rows and (E, 5, K) their moments to (E, 5, T) sums inside and outside of T sets of cameras."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -258,27 +262,27 @@ def cone_sides(directions: Tensor) -> tuple[Tensor, Tensor]:
 class Split:
     """Pieces of surface parted by sets of cameras."""
 
-    change: Tensor  # (..., 3) mean colour inside less that outside
+    change: Tensor  # (3, ...) mean colour inside less that outside
     weight: Tensor  # (...) how much each change is known, 0 where too few cameras see one side
     whole: Tensor  # (...) variance of the colours times their number
     valid: Tensor  # (...) bool, whether enough cameras see both sides
 
     @classmethod
     def of(cls, inside: Tensor, outside: Tensor) -> Split:
-        """Part pieces, given the (..., 5) sums of their moments over the cameras inside and outside."""
-        count_in, count_out = inside[..., 0], outside[..., 0]
+        """Part pieces, given the (5, ...) sums of their moments over the cameras inside and outside."""
+        count_in, count_out = inside[0], outside[0]
         count = (count_in + count_out).clamp(min=1)
-        mean_in = inside[..., 1:4] / count_in.clamp(min=1)[..., None]
-        mean_out = outside[..., 1:4] / count_out.clamp(min=1)[..., None]
+        mean_in = inside[1:4] / count_in.clamp(min=1)
+        mean_out = outside[1:4] / count_out.clamp(min=1)
         valid = (count_in >= LIMITS.least_seen) & (count_out >= LIMITS.least_seen)
-        squares = (inside[..., 1:4] + outside[..., 1:4]).square().sum(-1)
-        whole = inside[..., 4] + outside[..., 4] - squares / count + count * 3 * LIMITS.noise**2
+        squares = (inside[1:4] + outside[1:4]).square().sum(0)
+        whole = inside[4] + outside[4] - squares / count + count * 3 * LIMITS.noise**2
         weight = count_in * count_out / count * valid
         return cls(change=mean_in - mean_out, weight=weight, whole=whole, valid=valid)
 
     def scores(self) -> Tensor:
         """(...) score of each piece by itself, 0 where it is not valid."""
-        squares = self.change.square().sum(-1)
+        squares = self.change.square().sum(0)
         return (squares / 3).sqrt() * self.weight * squares / self.whole.clamp(min=1e-9)
 
 
@@ -296,16 +300,16 @@ def set_scores(moments: Tensor, cell: Tensor, sides: Sides) -> Tensor:
     """(T,) score of each set of cameras on an object."""
     sums, able = torch.zeros(0), 0
     for rows in torch.split(torch.arange(len(moments)), _CHUNK):
-        split = Split.of(*sides(rows, moments[rows]))
-        valid = split.valid.float()[..., None]
-        terms = [split.weight[..., None] * split.change, split.weight[..., None], split.whole[..., None] * valid, valid]
+        split = Split.of(*(side.movedim(1, 0) for side in sides(rows, moments[rows].transpose(1, 2).contiguous())))
+        valid = split.valid.float()
+        others = torch.stack([split.weight, split.whole * valid, valid])
         if not len(sums):
-            sums = torch.zeros(int(cell.max()) + 1, split.valid.shape[1], 6)
-        sums.index_add_(0, cell[rows], torch.cat(terms, -1))
+            sums = torch.zeros(int(cell.max()) + 1, 6, valid.shape[1])
+        sums.index_add_(0, cell[rows], torch.cat([split.weight * split.change, others]).movedim(0, 1))
         able += int(split.valid.any(1).sum())
-    weight, count = sums[..., 3].clamp(min=1e-9), sums[..., 5]
-    squares = (sums[..., :3] / weight[..., None]).square().sum(-1)
-    score = (squares / 3).sqrt() * squares * weight / sums[..., 4].clamp(min=1e-9)
+    weight, count = sums[:, 3].clamp(min=1e-9), sums[:, 5]
+    squares = (sums[:, :3] / weight[:, None]).square().sum(1)
+    score = (squares / 3).sqrt() * squares * weight / sums[:, 4].clamp(min=1e-9)
     score = torch.where(count >= LIMITS.cell_pieces, score, 0.0)
     highest = score.topk(min(LIMITS.highest_cells, len(score)), dim=0).values.sum(0) / LIMITS.highest_cells
     return ((score * count).sum(0) / max(able, 1) * highest).sqrt()
@@ -320,20 +324,16 @@ def explain(pieces: Elements, view: Sight) -> Explanation:
     cosines, mirrored = _reflected(view, pieces.positions[judged], pieces.normals[judged])
     cones = cone_sides(view.directions)
 
-    def by_direction(rows: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
-        flat = part.transpose(0, 1).reshape(part.shape[1], -1)
-        inside, outside = ((side @ flat).reshape(len(side), len(rows), 5).transpose(0, 1) for side in cones)
-        return inside, outside
-
     def by_incidence(rows: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
         inside, outside = incidence_sides(cosines[rows])
-        return torch.bmm(inside, part), torch.bmm(outside, part)
+        return inside.transpose(1, 2) @ part, outside.transpose(1, 2) @ part
 
     def by_gloss(rows: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
         inside, outside = gloss_sides(cosines[rows], mirrored[rows])
-        return torch.bmm(inside, part), torch.bmm(outside, part)
+        return part @ inside, part @ outside
 
-    direct, rivals = set_scores(moments, cell, by_direction), set_scores(moments, cell, by_gloss)
+    direct = set_scores(moments, cell, lambda _, part: (part @ cones[0].T, part @ cones[1].T))
+    rivals = set_scores(moments, cell, by_gloss)
     profiles = Profiles.of(moments, pieces.normals[judged], cell)
     at_cells = profiles.of_cells()
     parted = [torch.einsum("ckx,tk->ctx", at_cells, side) for side in cones]
@@ -352,9 +352,9 @@ def explain(pieces: Elements, view: Sight) -> Explanation:
 
 
 def sums_by_side(moments: Tensor, shown: Tensor) -> tuple[Tensor, Tensor]:
-    """(E, 5) sums of (E, K, 5) moments over the cameras that see a look, and over those that do not."""
+    """(5, E) sums of (E, K, 5) moments over the cameras that see a look, and over those that do not."""
     inside = shown.float()
-    return torch.einsum("ekc,k->ec", moments, inside), torch.einsum("ekc,k->ec", moments, 1 - inside)
+    return torch.einsum("ekc,k->ec", moments, inside).T, torch.einsum("ekc,k->ec", moments, 1 - inside).T
 
 
 def piece_scores(pieces: Elements, shown: Tensor) -> Tensor:
@@ -365,8 +365,8 @@ def piece_scores(pieces: Elements, shown: Tensor) -> Tensor:
 def look_amounts(pieces: Elements, shown: Tensor) -> Tensor:
     """(K,) how much of a look each camera sees, by the mean of the pieces' scores, from 0 (none) to 1."""
     inside, outside = sums_by_side(pieces.moments, shown)
-    base = outside[:, 1:4] / outside[:, :1].clamp(min=1)
-    change = inside[:, 1:4] / inside[:, :1].clamp(min=1) - base
+    base = (outside[1:4] / outside[0].clamp(min=1)).T
+    change = (inside[1:4] / inside[0].clamp(min=1)).T - base
     projection = torch.einsum("ekc,ec->ek", pieces.moments[..., 1:4] - base[:, None], change)
     weight = (piece_scores(pieces, shown) / change.square().sum(1).clamp(min=1e-6))[:, None] * pieces.moments[..., 0]
     return (projection * weight).sum(0) / (change.square().sum(1)[:, None] * weight).sum(0).clamp(min=1e-12)
@@ -390,8 +390,8 @@ def cameras_of_look(pieces: Elements, view: Sight, scores: Explanation) -> Tenso
     )
     for _ in range(LIMITS.votes):
         inside, outside = sums_by_side(pieces.moments, shown)
-        mean_in = inside[:, 1:4] / inside[:, :1].clamp(min=1)
-        mean_out = outside[:, 1:4] / outside[:, :1].clamp(min=1)
+        mean_in = (inside[1:4] / inside[0].clamp(min=1)).T
+        mean_out = (outside[1:4] / outside[0].clamp(min=1)).T
         change = mean_in - mean_out
         weight = Split.of(inside, outside).scores() * pieces.judged / change.square().sum(1).clamp(min=1e-6)
         seen = pieces.moments[..., 0]

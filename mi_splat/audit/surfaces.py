@@ -207,13 +207,14 @@ class Grid:
     def ends(self, points: Tensor, directions: Tensor) -> Tensor:
         """(P, D) bool, whether the rays from (P, 3) points in (D, 3) directions meet something in the grid."""
         limit, met = torch.tensor(self.filled.shape), torch.zeros(len(points), len(directions), dtype=torch.bool)
+        start, way = torch.ones_like(met).nonzero().unbind(1)  # of the rays that are in the grid and met nothing
         for step in range(1, 4 * int(limit.max())):
-            cell = ((points[:, None] + step / 2 * self.size * directions - self.low) / self.size).floor().long()
+            cell = ((points[start] + step / 2 * self.size * directions[way] - self.low) / self.size).floor().long()
             inside = ((cell >= 0) & (cell < limit)).all(-1)
-            if not bool(inside.any()):
-                break
-            x, y, z = torch.minimum(cell.clamp(min=0), limit - 1).unbind(-1)
-            met |= self.filled[x, y, z] & inside
+            start, way, (x, y, z) = start[inside], way[inside], cell[inside].unbind(1)
+            ends = self.filled[x, y, z]
+            met[start[ends], way[ends]] = True
+            start, way = start[~ends], way[~ends]
         return met
 
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mi_splat.cameras import Camera
     from mi_splat.io.loaded import Loaded
     from mi_splat.scene import GaussianScene
+    from mi_splat.scene_files import SplatScene
 
 
 EXAMPLES = (
@@ -203,17 +204,17 @@ def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str
     if is_dataset(path):
         return _audited_pictures(path, folder, options)
     with progress(f"auditing {path.name}"):
-        is_scene, lint = path.suffix.lower() == ".xml", None
-        stored = None if is_scene else _stored(path)
+        loaded = open_scene(path) if path.suffix.lower() == ".xml" else None
+        stored, lint = None if loaded else _stored(path), None
         if options.only != "looks":
-            lint = lint_scene(open_scene(path).scene) if is_scene else lint_file(path, stored)
+            lint = lint_scene(loaded.scene) if loaded else lint_file(path, stored)
         scene, judged, cameras, unjudged = None, None, None, "only lint was asked for"
         errors = [item.rule for item in lint.findings if item.severity == "error"] if lint is not None else []
         if "overdraw" in errors:
             unjudged = "it would stop the renderer, see overdraw"
         elif options.only != "lint":
             try:
-                scene, judged, cameras = _with_looks(path, stored, options)
+                scene, judged, cameras = _with_looks(loaded or open_scene(path, stored=stored), options)
             except MiSplatError as error:
                 if not errors:
                     raise
@@ -252,15 +253,13 @@ def _stored(path: Path) -> Loaded | None:
         return None
 
 
-def _with_looks(
-    path: Path, stored: Loaded | None, options: AuditOptions
-) -> tuple[GaussianScene, Audit, Sequence[Camera] | None]:
+def _with_looks(loaded: SplatScene, options: AuditOptions) -> tuple[GaussianScene, Audit, Sequence[Camera] | None]:
     from mi_splat.audit.against import changes
     from mi_splat.audit.auditing import audit
     from mi_splat.cli.cameras import find_cameras
     from mi_splat.scene_files import open_scene
 
-    loaded, cameras = open_scene(path, stored=stored), None
+    cameras = None
     if options.cameras:
         wanted = CameraOptions(cameras=options.cameras, up=options.up or CameraOptions().up)
         cameras = tuple(find_cameras(loaded, wanted).values())
