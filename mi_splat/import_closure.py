@@ -11,7 +11,6 @@ import hashlib
 import importlib.metadata
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -60,40 +59,76 @@ def _file(name: str) -> Path | None:
     return next(files, None)
 
 
-@dataclass(frozen=True, slots=True)
-class _Module:
-    """What is kept of a module's text, which is large as a tree."""
+@functools.cache
+def _fields(kind: type[ast.AST]) -> tuple[str, ...]:
+    """Fields of a kind of node that are code: annotations are none, and contexts follow from where a node stands."""
+    return tuple(name for name in kind._fields if name not in ("annotation", "returns", "type_comment", "kind", "ctx"))
 
-    code: str  # a digest
-    modules: tuple[str, ...]  # what `import` names
-    names: tuple[tuple[str, str], ...]  # module and name of each `from module import name`
-    texts: tuple[str, ...]  # strings that may name a module
-    tables: tuple[tuple[str, tuple[object, ...]], ...]  # dictionaries that name modules, and what each of these has
+
+class _Module:
+    """What is kept of a module's text, which is large as a tree and is read once, without what no result depends on."""
+
+    def __init__(self, text: bytes) -> None:
+        self.modules = list[str]()  # what `import` names
+        self.names = list[tuple[str, str]]()  # module and name of each `from module import name`
+        self.texts = list[str]()  # strings that may name a module
+        self.tables = list[tuple[str, list[object]]]()  # dictionaries that name modules, and what each of these has
+        # A package may import its names when they are asked for; who asks for one is followed by `_imported`.
+        self._when_asked, self._code = set[ast.AST](), list[str]()
+        self._read(ast.parse(text))
+        self.code = hashlib.sha256("\n".join(self._code).encode("utf-8", "surrogatepass")).hexdigest()
+        del self._when_asked, self._code
+
+    def _read(self, value: Any) -> None:
+        """A node and all that is below it, or values of one of its fields."""
+        if isinstance(value, ast.AST):
+            kind: Any = type(value)
+            if kind in _NOTED and self._note(value):
+                return
+            self._code.append(kind.__name__)
+            for name in _fields(kind):
+                self._read(getattr(value, name))
+        elif isinstance(value, list):
+            for item in value:
+                self._read(item)
+            self._code.append("]")
+        else:
+            self._code.append(repr(value))
+
+    def _note(self, node: ast.AST) -> bool:
+        """Note what a node imports or names; whether nothing more of it is code."""
+        if isinstance(node, ast.Expr):  # a docstring, of a value too, is a constant that nobody uses
+            return isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+        if isinstance(node, ast.If):  # a block for type checkers never runs
+            return "TYPE_CHECKING" in (getattr(node.test, "id", ""), getattr(node.test, "attr", ""))
+        is_left_out = isinstance(node, ast.Raise)  # no result comes of an error
+        if isinstance(node, ast.Import):
+            self.modules += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            self.names += [(node.module, alias.name) for alias in node.names]
+            if is_left_out := _file(node.module) is not None:  # wherever a module of ours lies
+                self._read(node.names)
+        elif isinstance(node, ast.Dict):
+            for key, value in zip(node.keys, node.values, strict=True):
+                if isinstance(key, ast.Constant) and isinstance(value, ast.Tuple):
+                    self._when_asked.add(key)
+                    found: list[object] = [element.value for element in value.elts if isinstance(element, ast.Constant)]
+                    self.tables.append((str(key.value), found))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and "." in node.value:
+            self.texts += [node.value] if node not in self._when_asked else []
+            is_left_out = _file(node.value) is not None  # likewise
+        self._code += ["left out"] if is_left_out else []
+        return is_left_out
+
+
+_NOTED = {ast.Expr, ast.If, ast.Import, ast.ImportFrom, ast.Dict, ast.Constant, ast.Raise}
 
 
 @functools.cache
 def _module(name: str) -> _Module:
     file = _file(name)
     assert file is not None
-    tree = _Stripped().visit(ast.parse(file.read_text("utf-8")))
-    modules, names, texts, tables = list[str](), list[tuple[str, str]](), list[str](), list[tuple[str, Any]]()
-    # A package may import its names when they are asked for; who asks for one is followed by `_imported`.
-    when_asked = set[ast.AST]()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            modules += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module is not None:
-            names += [(node.module, alias.name) for alias in node.names]
-        elif isinstance(node, ast.Dict):
-            for key, value in zip(node.keys, node.values, strict=True):
-                if isinstance(key, ast.Constant) and isinstance(value, ast.Tuple):
-                    when_asked.add(key)
-                    constants = (element for element in value.elts if isinstance(element, ast.Constant))
-                    tables.append((str(key.value), tuple(element.value for element in constants)))
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in when_asked:
-            texts += [node.value] if "." in node.value else []
-    code = hashlib.sha256(ast.dump(_Nameless().visit(tree)).encode()).hexdigest()
-    return _Module(code, tuple(modules), tuple(names), tuple(texts), tuple(tables))
+    return _Module(file.read_bytes())
 
 
 @functools.cache
@@ -124,46 +159,3 @@ def _versions(names: tuple[str, ...]) -> Iterator[tuple[str, str]]:
                 yield package, importlib.metadata.version(_DISTRIBUTIONS.get(package, package))
             except importlib.metadata.PackageNotFoundError:
                 yield package, "none"
-
-
-class _Nameless(ast.NodeTransformer):
-    """Takes out errors and where our own modules lie, on which no result depends."""
-
-    def visit_ImportFrom(self, node: ast.ImportFrom) -> ast.ImportFrom:
-        """What is imported from a module of ours, wherever that lies."""
-        return ast.ImportFrom(module="", names=node.names, level=0) if _file(str(node.module)) is not None else node
-
-    def visit_Constant(self, node: ast.Constant) -> ast.Constant:
-        """The name of a module in a table, likewise."""
-        is_module = isinstance(node.value, str) and "." in node.value and _file(node.value) is not None
-        return ast.Constant(None) if is_module else node
-
-    def visit_Raise(self, node: ast.Raise) -> ast.Raise:
-        """No result comes of an error."""
-        return ast.Raise()
-
-
-class _Stripped(ast.NodeTransformer):
-    """Takes out what no result depends on: docstrings, annotations, and imports for type checkers alone."""
-
-    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
-        """A docstring, of a value too, is a constant that nobody uses."""
-        return None if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str) else node
-
-    def visit_If(self, node: ast.If) -> ast.AST | None:
-        """A block for type checkers never runs."""
-        return None if ast.unparse(node.test).endswith("TYPE_CHECKING") else self.generic_visit(node)
-
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
-        """A function without the annotation of what it returns."""
-        node.returns = None
-        return self.generic_visit(node)
-
-    def visit_arg(self, node: ast.arg) -> ast.arg:
-        """A parameter without its annotation."""
-        return ast.arg(arg=node.arg)
-
-    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST:
-        """A variable or a field without its annotation."""
-        node.annotation = ast.Constant(None)
-        return self.generic_visit(node)
