@@ -110,12 +110,12 @@ def morton_order(means: Array) -> NDArray[np.int64]:
         return np.empty(0, np.int64)
     low = means.min(axis=0)
     extent = np.maximum(means.max(axis=0) - low, np.finfo(np.float64).tiny)
-    cells = np.minimum((means - low) / extent * 1024, 1023).astype(np.int64)
-    code = np.zeros(len(means), np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            code |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(code, kind="stable")
+    x, y, z = np.minimum((means - low) / extent * 1024, 1023).astype(np.int64).T
+    bits = np.arange(10)
+    spread = (((np.arange(1024)[:, None] >> bits) & 1) << 3 * bits).sum(1)
+    code = spread[x] | spread[y] << 1 | spread[z] << 2
+    order = np.argsort((code & 0x7FFF).astype(np.uint16), kind="stable")  # numbers of 16 bits are sorted by radix
+    return order[np.argsort((code[order] >> 15).astype(np.uint16), kind="stable")]
 
 
 def _columns(
