@@ -225,8 +225,8 @@ def looks_of(pieces: Elements, view: Sight) -> list[SurfaceLook]:
         kept = kept & (angles_between(view.directions, view.directions[small]).amin(1) > LIMITS.look_edge)
         if int(kept.sum()) < LIMITS.cameras_left * len(kept):
             break
-        moments = pieces.moments * kept.float()[None, :, None]
-        judged = pieces.judged & (moments[..., 0].sum(1) >= LIMITS.least_views)
+        moments = pieces.moments * kept.float()[:, None, None]
+        judged = pieces.judged & (moments[..., 0].sum(0) >= LIMITS.least_views)
         if not bool(judged.any()):
             break
         pieces = dataclasses.replace(pieces, moments=moments, judged=judged)

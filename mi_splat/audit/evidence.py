@@ -9,7 +9,7 @@ from torch.nn import functional
 
 from mi_splat.audit.explanations import Split, angles_between
 from mi_splat.audit.results import Edit, Look, Occluder, vector
-from mi_splat.audit.surfaces import Elements, Frame, Sight, Target, basis, lattice, near_of, rays
+from mi_splat.audit.surfaces import Elements, Frame, Sight, Target, basis, lattice, lengths, near_of, rays
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, project_points
 from mi_splat.rendering import Renderer, RenderSettings
@@ -145,14 +145,15 @@ def cover_of(scene: GaussianScene, view: Sight, target: Target) -> tuple[Occlude
     blocked, points, shown = torch.zeros(len(view.cameras)), list[Tensor](), dict[int, Tensor]()
     for number, (camera, depth) in enumerate(zip(view.cameras, view.depths, strict=True)):
         eye, directions = camera.position.float(), rays(camera)
-        unit = functional.normalize(directions, dim=-1)
-        along = unit @ (centre - eye)
+        offset = (eye - centre)[:, None, None]
+        along = -(directions * offset).sum(0) / lengths(directions)
         miss = ((centre - eye).square().sum() - along.square()).clamp(min=0).sqrt()
         core = miss < LIMITS.core * target.radius
         ends = depth.isfinite()
-        surface = eye + directions * depth.masked_fill(~ends, 0)[..., None]
-        air = core & ends & ((surface - centre).norm(dim=-1) > LIMITS.air * target.radius)
-        air &= (surface - eye).norm(dim=-1) < along
+        way = directions * depth.masked_fill(~ends, 0)
+        air = core & ends & (lengths(way + offset) > LIMITS.air * target.radius)
+        air &= lengths(way) < along
+        surface = (way + eye[:, None, None]).movedim(0, -1)
         if target.up is not None:
             air &= surface @ target.up.float() > floor + LIMITS.floor * target.radius
         blocked[number] = air.sum() / max(int(core.sum()), 1)
@@ -185,15 +186,17 @@ def pair_of(pieces: Elements, view: Sight, score: Tensor, shown: Tensor) -> tupl
     """The two cameras between which the surface that both see changes most, near each other if possible."""
     rows = score.argsort(descending=True)[: LIMITS.pair_pieces]
     rows = rows[score[rows] > 0]
-    seen, colours = pieces.moments[rows, :, 0] * score[rows, None], pieces.moments[rows, :, 1:4]
+    moments = pieces.moments[:, rows].movedim(-1, 0).contiguous()
+    seen, colours = moments[0] * score[rows], moments[1:4]
     inside, outside = shown.nonzero()[:, 0], (~shown).nonzero()[:, 0]
     if not len(rows) or not len(inside) or not len(outside):
         return None
     weight, change = torch.zeros(len(inside), len(outside)), torch.zeros(len(inside), len(outside))
+    seen_outside, colours_outside = seen[outside], colours[:, outside]
     for number, camera in enumerate(inside.tolist()):
-        both = (seen[:, camera, None] > 0) * seen[:, outside]
-        gap = (colours[:, outside] - colours[:, camera, None]).abs().mean(-1)
-        weight[number], change[number] = both.sum(0), (both * gap).sum(0)
+        both = (seen[camera] > 0) * seen_outside
+        gap = (colours_outside - colours[:, camera, None]).abs().mean(0)
+        weight[number], change[number] = both.sum(1), (both * gap).sum(1)
     near = (angles_between(view.directions[inside], view.directions[outside]) / 2).deg2rad().cos()
     value = change * near
     best = int(value.argmax())

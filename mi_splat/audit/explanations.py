@@ -320,7 +320,7 @@ def explain(pieces: Elements, view: Sight) -> Explanation:
     judged = pieces.judged.nonzero()[:, 0]
     judged = judged[torch.linspace(0, len(judged) - 1, min(len(judged), LIMITS.most_pieces)).round().long()]
     cell = torch.unique(cells_of(pieces)[judged], return_inverse=True)[1]
-    moments = pieces.moments[judged]
+    moments = pieces.moments[:, judged].permute(1, 2, 0).contiguous().transpose(1, 2)
     cosines, mirrored = _reflected(view, pieces.positions[judged], pieces.normals[judged])
     cones = cone_sides(view.directions)
 
@@ -352,9 +352,16 @@ def explain(pieces: Elements, view: Sight) -> Explanation:
 
 
 def sums_by_side(moments: Tensor, shown: Tensor) -> tuple[Tensor, Tensor]:
-    """(5, E) sums of (E, K, 5) moments over the cameras that see a look, and over those that do not."""
-    inside = shown.float()
-    return torch.einsum("ekc,k->ec", moments, inside).T, torch.einsum("ekc,k->ec", moments, 1 - inside).T
+    """(5, E) sums of (K, E, 5) moments over the cameras that see a look, and over those that do not."""
+    sums = torch.stack([shown, ~shown]).float() @ moments.flatten(1)
+    inside, outside = sums.reshape(2, -1, 5).mT.contiguous()
+    return inside, outside
+
+
+def _along(moments: Tensor, origin: Tensor, way: Tensor) -> Tensor:
+    """(K,) sums over the pieces that each camera sees of (E, 3) ways times their colours less (E, 3) others."""
+    factors = torch.cat([-(origin * way).sum(1, keepdim=True), way, torch.zeros(len(way), 1)], 1)
+    return moments.flatten(1) @ factors.flatten()
 
 
 def piece_scores(pieces: Elements, shown: Tensor) -> Tensor:
@@ -367,15 +374,15 @@ def look_amounts(pieces: Elements, shown: Tensor) -> Tensor:
     inside, outside = sums_by_side(pieces.moments, shown)
     base = (outside[1:4] / outside[0].clamp(min=1)).T
     change = (inside[1:4] / inside[0].clamp(min=1)).T - base
-    projection = torch.einsum("ekc,ec->ek", pieces.moments[..., 1:4] - base[:, None], change)
-    weight = (piece_scores(pieces, shown) / change.square().sum(1).clamp(min=1e-6))[:, None] * pieces.moments[..., 0]
-    return (projection * weight).sum(0) / (change.square().sum(1)[:, None] * weight).sum(0).clamp(min=1e-12)
+    weight = piece_scores(pieces, shown) / change.square().sum(1).clamp(min=1e-6)
+    most = pieces.moments[..., 0] @ (change.square().sum(1) * weight)
+    return _along(pieces.moments, base, change * weight[:, None]) / most.clamp(min=1e-12)
 
 
 def reachable(pieces: Elements, view: Sight) -> Tensor:
     """(E,) bool, whether some cone has enough of the cameras that see a piece inside and outside."""
     inside, outside = cone_sides(view.directions)
-    seen = pieces.moments[..., 0]
+    seen = pieces.moments[..., 0].T.contiguous()
     able = torch.zeros(len(seen), dtype=torch.bool)
     for rows in torch.split(torch.arange(len(seen)), _CHUNK):
         counts = [seen[rows] @ side.T >= LIMITS.least_seen for side in (inside, outside)]
@@ -394,10 +401,7 @@ def cameras_of_look(pieces: Elements, view: Sight, scores: Explanation) -> Tenso
         mean_out = (outside[1:4] / outside[0].clamp(min=1)).T
         change = mean_in - mean_out
         weight = Split.of(inside, outside).scores() * pieces.judged / change.square().sum(1).clamp(min=1e-6)
-        seen = pieces.moments[..., 0]
-        colours = pieces.moments[..., 1:4]
-        votes = ((colours - ((mean_in + mean_out) / 2)[:, None]) * change[:, None]).sum(-1) * seen
-        voted = torch.einsum("ek,e->k", votes, weight) > 0
+        voted = _along(pieces.moments, (mean_in + mean_out) / 2, change * weight[:, None]) > 0
         if not LIMITS.least_seen <= int(voted.sum()) <= len(voted) - LIMITS.least_seen:
             break
         shown = voted

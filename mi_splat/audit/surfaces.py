@@ -313,7 +313,7 @@ class Sight:
 class Elements:
     """Pieces of surface: what lies in one voxel and faces along the same axis."""
 
-    moments: Tensor  # (E, K, 5) of each piece and camera: whether it is seen, mean colour, sum of its squares
+    moments: Tensor  # (K, E, 5) of each camera and piece: whether it is seen, mean colour, sum of its squares
     positions: Tensor  # (E, 3)
     normals: Tensor  # (E, 3) unit vectors
     judged: Tensor  # (E,) bool, no edge, no rim and near the object
@@ -379,7 +379,8 @@ def sight(
             points, normals, shown = _surface(outputs.median_depth, outputs.alpha, camera, target)
             pixels = shown.flatten().nonzero()[:, 0]
             image = outputs.image if pictures is None else pictures[number]
-            values = torch.cat([points, normals, image.clamp(0, 1)], -1).reshape(-1, 9)[pixels]
+            colours = image.flatten(0, 1)[pixels].clamp(0, 1)
+            values = torch.cat([torch.cat([points, normals]).flatten(1)[:, pixels].T, colours], 1)
             keys, seen = torch.unique(_keys(values, target), return_inverse=True)
             sums = _sums(torch.cat([torch.ones(len(pixels), 1), values], 1), seen, len(keys))
             parts.append((keys, torch.full_like(keys, number), sums))
@@ -413,34 +414,41 @@ def _size(target: Target) -> float:
 
 
 def rays(camera: Camera) -> Tensor:
-    """(H, W, 3) float32 rays through the pixels in the world, of length 1 along the optical axis."""
+    """(3, H, W) float32 rays through the pixels in the world, of length 1 along the optical axis."""
     x = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (torch.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-    local = torch.stack([x.expand(camera.height, -1), y[:, None].expand(-1, camera.width)], -1)
-    local = torch.cat([local, torch.ones_like(local[..., :1])], -1)
-    return local @ camera.to_world[:3, :3].float().T
+    local = torch.stack([x.expand(len(y), -1), y[:, None].expand(-1, len(x)), torch.ones(len(y), len(x))])
+    return (camera.to_world[:3, :3].float() @ local.flatten(1)).reshape(local.shape)
+
+
+def lengths(vectors: Tensor) -> Tensor:
+    """(H, W) lengths of (3, H, W) vectors; in less time than `norm` takes along the first axis."""
+    return vectors.square().sum(0).sqrt()
 
 
 def _surface(depth: Tensor, alpha: Tensor, camera: Camera, target: Target) -> tuple[Tensor, Tensor, Tensor]:
-    """(H, W, 3) points and normals of a picture, and (H, W) bool which pixels show surface."""
-    eye, centre = camera.position.float(), target.centre.float()
-    points = rays(camera) * depth[..., None] + eye
+    """(3, H, W) points and normals of a picture, and (H, W) bool which pixels show surface."""
+    eye, centre = camera.position.float()[:, None, None], target.centre.float()[:, None, None]
+    ahead = rays(camera)
+    points = ahead * depth + eye
     along, down = torch.zeros_like(points), torch.zeros_like(points)
-    along[:, 2:-2] = points[:, 4:] - points[:, :-4]
-    down[2:-2] = points[4:] - points[:-4]
-    normals = torch.linalg.cross(along, down)
-    length = normals.norm(dim=-1)
-    normals = normals / length.clamp(min=1e-20)[..., None]
-    facing = (normals * functional.normalize(eye - points, dim=-1)).sum(-1)
-    normals = normals * facing.sign()[..., None]
+    along[..., 2:-2] = points[..., 4:] - points[..., :-4]
+    down[:, 2:-2] = points[:, 4:] - points[:, :-4]
+    normals = torch.linalg.cross(along, down, dim=0)
+    length = lengths(normals)
+    normals /= length.clamp(min=1e-20)
+    facing = -(normals * ahead).sum(0) / lengths(ahead)
+    normals *= facing.sign()
     shown = (alpha > LIMITS.opaque) & (depth > 0) & (length > 0) & (facing.abs() > LIMITS.facing)
-    shown &= (points - centre).norm(dim=-1) < LIMITS.reach * target.radius
-    edge = torch.zeros_like(shown)
-    for axis in (0, 1):
-        for step in (1, 2):
-            jump = (depth.roll(step, axis) - depth).abs() > LIMITS.depth_edge * target.radius
-            edge |= jump | jump.roll(-step, axis)
-    shown &= ~edge
+    shown &= lengths(points - centre) < LIMITS.reach * target.radius
+    for step in (1, 2):
+        for near, far, kept, beyond in (
+            (depth[step:], depth[:-step], shown[step:], shown[:-step]),
+            (depth[:, step:], depth[:, :-step], shown[:, step:], shown[:, :-step]),
+        ):
+            level = (near - far).abs() <= LIMITS.depth_edge * target.radius
+            kept &= level
+            beyond &= level
     shown[:2] = shown[-2:] = False
     shown[:, :2] = shown[:, -2:] = False
     return points, normals, shown
@@ -457,15 +465,15 @@ def elements(view: Sight, target: Target) -> Elements:
     number = torch.where(kept, kept.cumsum(0) - 1, -1)[of_seen]
     kept_pixels = number >= 0
     colours = view.sums[kept_pixels, 7:] / view.sums[kept_pixels, :1]
-    moments = torch.zeros(int(kept.sum()) * count, 5)
-    moments[number[kept_pixels] * count + view.seen_by[kept_pixels]] = torch.cat(
+    moments = torch.zeros(count, int(kept.sum()), 5)
+    moments[view.seen_by[kept_pixels], number[kept_pixels]] = torch.cat(
         [torch.ones(len(colours), 1), colours, colours.square().sum(1, keepdim=True)], 1
     )
     length, kept_normals = normals.norm(dim=1), functional.normalize(normals[kept], dim=1)
     voxels, voxel_of = torch.unique(pieces[near] // 8, return_inverse=True)
     shown = _sums(torch.stack([pixels[near, 0], kept[near].float()], 1), voxel_of, len(voxels))
     return Elements(
-        moments=moments.reshape(-1, count, 5),
+        moments=moments,
         positions=positions[kept],
         normals=kept_normals,
         judged=((length > LIMITS.agreed) & near)[kept] & ~_rims(pieces[kept], kept_normals),
