@@ -52,10 +52,10 @@ def colour_range(scene: GaussianScene) -> float:
     for target in targets(frame.scene):
         view = sight(frame.scene, target, cameras_around(target))
         pieces = elements(view, target)
-        moments = pieces.moments[pieces.judged]
-        if len(moments):
+        moments = pieces.moments[:, pieces.judged]
+        if moments.shape[1]:
             colours = moments[..., 1:4].masked_fill(moments[..., :1] == 0, torch.nan)
-            low, high = (colours.nanquantile(end, dim=1) for end in _ENDS)
+            low, high = (colours.nanquantile(end, dim=0) for end in _ENDS)
             highest = max(highest, float((high - low).mean()))
     return highest
 

@@ -16,7 +16,7 @@ from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.clusters import nearest_neighbours
-from mi_splat.sh import colour_to_dc, dc_to_colour, sh_basis, sh_to_colour
+from mi_splat.sh import colour_to_dc, dc_to_colour, sh_basis
 
 # What an optimiser leaves in the colours of a finished file: shades that neither paint nor light explains.
 #
@@ -230,14 +230,14 @@ def heat_of(
 
 def own_scores(scene: GaussianScene, view: Sight, shown: Tensor) -> Tensor:
     """(N,) score of each Gaussian by itself: how far its colour switches with a look."""
-    sums = []
-    for side in (shown, ~shown):
-        total = torch.zeros(len(scene), 5)
-        for number in _evenly(side.nonzero()[:, 0], LIMITS.heat_cameras):
-            towards = functional.normalize(scene.means - view.cameras[number].position.float(), dim=1)
-            colours = sh_to_colour(scene.sh, towards).clamp(0, 1)
-            total += torch.cat([torch.ones(len(scene), 1), colours, colours.square().sum(1, keepdim=True)], 1)
-        sums.append(total.T)
+    sums, positions = torch.zeros(2, 5, len(scene)), torch.stack([camera.position for camera in view.cameras]).float()
+    for side, total in zip((shown, ~shown), sums, strict=True):
+        eyes = positions[_evenly(side.nonzero()[:, 0], LIMITS.heat_cameras)]
+        total[0] = len(eyes)
+        for rows in torch.split(torch.arange(len(scene)), 1024):  # few, so that their numbers stay in the cache
+            towards = functional.normalize(scene.means[rows, None] - eyes, dim=2)
+            colours = (sh_basis(towards, scene.degree) @ scene.sh[rows] + 0.5).clamp(0, 1)
+            total[1:4, rows], total[4, rows] = colours.sum(1).T, colours.square().sum((1, 2))
     return Split.of(*sums).scores()
 
 
