@@ -434,7 +434,7 @@ def _surface(depth: Tensor, alpha: Tensor, camera: Camera, target: Target) -> tu
     along, down = torch.zeros_like(points), torch.zeros_like(points)
     along[..., 2:-2] = points[..., 4:] - points[..., :-4]
     down[:, 2:-2] = points[:, 4:] - points[:, :-4]
-    normals = torch.linalg.cross(along, down, dim=0)
+    normals = along.roll(-1, 0) * down.roll(-2, 0) - along.roll(-2, 0) * down.roll(-1, 0)  # the cross product
     length = lengths(normals)
     normals /= length.clamp(min=1e-20)
     facing = -(normals * ahead).sum(0) / lengths(ahead)
