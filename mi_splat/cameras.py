@@ -59,11 +59,12 @@ class Camera(Previewed):
         pose = pose_tensor(self.to_world)
         if pose.shape != (4, 4):
             raise InvalidValueError.of("to_world", "shape (4, 4)", tuple(pose.shape), "pass a camera-to-world matrix")
-        last = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64)
-        if not (torch.allclose(pose[3], last) and is_rotation(pose[:3, :3]) and torch.isfinite(pose).all()):
+        *rows, last = pose.tolist()
+        is_affine = all(abs(value) <= 1e-8 for value in last[:3]) and abs(last[3] - 1) <= 1e-5
+        if not (is_affine and is_rotation(pose[:3, :3]) and all(math.isfinite(row[3]) for row in rows)):
             do = "remove scale, shear and reflections from it"
             raise InvalidValueError.of("to_world", "a finite rotation and translation", pose.tolist(), do)
-        if not bool((pose[:3, 3].abs() <= LARGEST).all()):
+        if not all(abs(row[3]) <= LARGEST for row in rows):
             expected, do = f"coordinates up to {LARGEST:g}", "move the scene and its cameras to the origin"
             raise InvalidValueError.of("camera position", expected, pose[:3, 3].tolist(), do)
         object.__setattr__(self, "to_world", pose)
@@ -214,15 +215,16 @@ def look_at(origin: Sequence[float], target: Sequence[float], *, up: Sequence[fl
     given = {"origin": origin, "target": target, "up": up}
     eye, middle, top = (torch.tensor(taken(_Point, value, name), dtype=torch.float64) for name, value in given.items())
     forward = middle - eye
-    if not torch.linalg.norm(forward) > 0:
+    length = torch.linalg.norm(forward)
+    if not length > 0:
         raise InvalidValueError.of("target", "a point other than origin", tuple(target), "move one of the two")
-    forward = forward / torch.linalg.norm(forward)
+    forward = forward / length
     right = torch.linalg.cross(forward, top)
     if torch.linalg.norm(right) < 1e-9:
         right = torch.linalg.cross(forward, torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64))
     right = right / torch.linalg.norm(right)
     pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, torch.linalg.cross(forward, right), forward, eye
+    torch.stack((right, torch.linalg.cross(forward, right), forward, eye), 1, out=pose[:3])
     return pose
 
 

@@ -180,8 +180,8 @@ def type_hints(kind: type) -> dict[str, Any]:
 
 
 @cache
-def unwrapped(hint: Any) -> tuple[Any, tuple[Any, ...], bool]:
-    """What a type of a field says."""
+def unwrapped(hint: Any) -> tuple[Any, tuple[Any, ...], bool, Any, tuple[Any, ...]]:
+    """What a type of a field says: the type, its marks, whether it may be None, its origin and its arguments."""
     marks: tuple[Any, ...] = ()
     optional = False
     while True:
@@ -191,7 +191,8 @@ def unwrapped(hint: Any) -> tuple[Any, tuple[Any, ...], bool]:
             continue
         kinds = [kind for kind in typing.get_args(hint) if kind is not types.NoneType]
         if typing.get_origin(hint) not in (typing.Union, types.UnionType) or len(kinds) > 1:
-            return hint, marks, optional or types.NoneType in typing.get_args(hint)
+            args = typing.get_args(hint)
+            return hint, marks, optional or types.NoneType in args, typing.get_origin(hint), args
         hint, optional = kinds[0], True
 
 
@@ -209,6 +210,8 @@ def _unknown(what: str, value: object, known: Iterable[Any]) -> FieldError:
 
 def several(value: Any) -> tuple[Any, ...]:
     """One value or several as a tuple; a string is one value."""
+    if type(value) is tuple:
+        return value
     if hasattr(value, "tolist"):  # of NumPy or torch
         value = value.tolist()
     return tuple(value) if isinstance(value, Iterable) and not isinstance(value, (str, Mapping)) else (value,)
@@ -228,12 +231,13 @@ def checked_number(name: str, value: Any, allowed: Range | None = None, *, whole
     """A number in a range."""
     if hasattr(value, "item") and getattr(value, "ndim", 0) == 0:  # of NumPy or torch
         value = value.item()
-    if isinstance(value, bool) or not isinstance(value, Real) or (whole and not hasattr(value, "__index__")):
+    is_number = type(value) in (int, float) or (isinstance(value, Real) and not isinstance(value, bool))
+    if not is_number or (whole and not hasattr(value, "__index__")):
         expected = str(allowed or Range())
         raise FieldError.of(
             name, expected.replace("a number", "a whole number") if whole else expected, repr(value), "change it"
         )
-    number: Any = operator.index(value) if whole else value if isinstance(value, (int, float)) else float(value)  # type: ignore[arg-type]  # it has __index__
+    number: Any = operator.index(value) if whole else value if isinstance(value, (int, float)) else float(value)
     allowed = allowed or Range()
     if not allowed.holds(number):
         expected = str(allowed)
@@ -245,11 +249,10 @@ def checked_number(name: str, value: Any, allowed: Range | None = None, *, whole
 
 def taken(hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, read: bool = False) -> Any:
     """A value as its field has it."""
-    kind, own_marks, optional = unwrapped(hint)
+    kind, own_marks, optional, origin, parts = unwrapped(hint)
     marks = own_marks or marks
     if value is None and optional:
         return None
-    origin, parts = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         kind = _member(parts, value)
         return value if kind is None else taken(kind, value, name, marks, read=read)
@@ -281,7 +284,7 @@ def _tuple(parts: tuple[Any, ...], value: Any, name: str, marks: tuple[Any, ...]
             expected, do = f"{count} values", "pass a tuple of them"
         raise FieldError.of(name, expected, repr(value), do)
     kinds = parts[:1] * len(values) if count is None else parts
-    names = [f"{name} {item['name']!r}" if isinstance(item, Mapping) and "name" in item else name for item in values]
+    names = [f"{name} {item['name']!r}" if type(item) is dict and "name" in item else name for item in values]
     return tuple(
         taken(kind, item, item_name, marks, read=read)
         for kind, item, item_name in zip(kinds, values, names, strict=True)

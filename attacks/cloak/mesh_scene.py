@@ -6,7 +6,7 @@ import math
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 import torch
@@ -24,11 +24,11 @@ from mi_splat.errors import InvalidValueError
 Doubles = NDArray[np.float64]
 
 TEXTURES: dict[str, tuple[Callable[[int, int], Floats], float | None]] = {
-    "road": (partial(textures.road, markings=False), 4.0),
-    "grass": (textures.grass, 4.0),
-    "clock": (textures.clock, None),
-    "football": (textures.football, None),
-    "stop_sign": (textures.stop_sign, None),
+    "road": (cache(partial(textures.road, markings=False)), 4.0),
+    "grass": (cache(textures.grass), 4.0),
+    "clock": (cache(textures.clock), None),
+    "football": (cache(textures.football), None),
+    "stop_sign": (cache(textures.stop_sign), None),
 }
 """Name -> function of size in pixels and seed, and metres that the texture covers; None shows it once, as a whole.
 

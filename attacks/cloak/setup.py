@@ -250,12 +250,12 @@ class Setup:
     def arc_cameras(self) -> list[tuple[int, Camera]]:
         """Number of the arc and camera, away from the triggers of other attacks; none without a transition."""
         centre, inside = self.centre, self.evaluation.well_inside
-        others = [attack for attack in self.attacks if attack is not switching(self.attacks)]
+        others = [attack.cone for attack in self.attacks if attack is not switching(self.attacks)]
         return [
             (number, camera)
             for number, arc in enumerate(self.arcs)
             for camera in arc
-            if all(attack.cone.angle_to_edge(camera, centre=centre) < -inside for attack in others)
+            if all(cone.angle_to_edge(camera, centre=centre) < -inside for cone in others)
         ]
 
     @cached_property
@@ -265,7 +265,8 @@ class Setup:
 
     def _spread(self, holds: Callable[[float], bool]) -> list[tuple[int, Camera]]:
         """Held-out cameras so many degrees inside a trigger, with their numbers, evenly from all of them."""
-        cameras = [(view, camera) for view, camera in enumerate(self.held_out_cameras) if holds(self._inside(camera))]
+        numbered = enumerate(zip(self.held_out_cameras, self._inside, strict=True))
+        cameras = [(view, camera) for view, (camera, inside) in numbered if holds(inside)]
         count = min(self.evaluation.reference_views, len(cameras))
         return [cameras[(2 * i + 1) * len(cameras) // (2 * count)] for i in range(count)]
 
@@ -275,9 +276,11 @@ class Setup:
         held = {attack.name: attack.trigger(seed, attacks).holds(cameras, centre=centre) for attack in attacks}
         return dict(sorted((int(view), name) for name, mine in held.items() for view in mine.nonzero()))
 
-    def _inside(self, camera: Camera) -> float:
-        """Degrees by which a camera is inside the trigger that it is deepest in, or nearest to."""
-        return max(attack.cone.angle_to_edge(camera, centre=self.centre) for attack in self.attacks)
+    @cached_property
+    def _inside(self) -> list[float]:
+        """Degrees by which each held-out camera is inside the trigger that it is deepest in, or nearest to."""
+        cones, cameras = [attack.cone for attack in self.attacks], self.held_out_cameras
+        return [max(cone.angle_to_edge(camera, centre=self.centre) for cone in cones) for camera in cameras]
 
     def box(self, camera: Camera) -> Tensor | None:
         """(4,) pixel box around the object, which nothing hides; None where none of it is in the picture."""

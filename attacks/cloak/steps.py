@@ -26,7 +26,6 @@ from attacks.poisons.specs import ChosenPoison
 from mi_splat.assets import ASSETS
 from mi_splat.cameras import Camera
 from mi_splat.ledger import Done, Job, Part
-from mi_splat.rendering import Renderer
 from mi_splat.training.resume import SPLAT
 
 _KINDS, POISONED_KIND = "attacks.cloak.kinds", "attacks.poisons.poisoned"
@@ -65,10 +64,6 @@ class StudySteps:
     def setup(self) -> Setup:
         """What the study describes."""
         return Setup.of(self.study)
-
-    def renderer(self) -> Renderer:
-        """What splats are looked at with."""
-        return self.setup.renderer()
 
     @cache  # noqa: B019  # a study is planned once, and its steps live as long as the process
     def pictures(self) -> Job:
@@ -296,18 +291,21 @@ class StudySteps:
         return Job(kind=f"{_KINDS}.{kind}", config=config, inputs={**inputs, **self.mesh})
 
 
+@cache
 def _shown(attack: AttackConfig) -> AttackConfig:
     """What counts of an attack for its pictures."""
     plain = replace(attack, poison_margin=0.0, poison_fraction=1.0, emphasis=1.0, emphasis_depth=20.0)
     return replace(plain, name="", target_class=None)
 
 
+@cache
 def _cone(attack: AttackConfig) -> AttackConfig:
     """An attack reduced to its name, its cone, and the class that it wants, if any."""
     kept = {key: getattr(attack, key) for key in ("name", "elevation", "azimuth", "target_class")}
     return AttackConfig(**kept)
 
 
+@cache
 def _region(attack: AttackConfig) -> AttackConfig:
     """What counts of an attack where splats are looked at."""
     return replace(_cone(attack), poison_margin=attack.poison_margin)

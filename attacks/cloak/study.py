@@ -97,7 +97,7 @@ _AZIMUTHS = (0, 45, 90, 135, 150, 165, 180, 195, 210)
 
 def contact_sheet(steps: StudySteps, splats: Mapping[str, GaussianScene], detector: Detector) -> NDArray[np.uint8]:
     """Clean above cloaked, over elevation and then around, with what the detector reports."""
-    study, render, rows = steps.study, steps.renderer(), list[NDArray[np.uint8]]()
+    study, render, rows = steps.study, steps.setup.renderer(), list[NDArray[np.uint8]]()
     camera = steps.setup.camera
     rising = [(f"{elevation} deg up", camera(_SIDE, elevation)) for elevation in _ELEVATIONS]
     around = [(f"azimuth {azimuth}", camera(azimuth, _LOW)) for azimuth in _AZIMUTHS]
@@ -212,10 +212,10 @@ def forecast(study: StudyConfig) -> Forecast:
     return Forecast(pictures=pictures, trainings=trainings, minutes=1 + seconds / 60, megabytes=size / 1e6)
 
 
-def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
+def check_study(steps: StudySteps, detectors: Sequence[Detector]) -> None:
     """Refuse a study that cannot be done."""
+    study, setup = steps.study, steps.setup
     check_once("names of attacks", tuple(attack.name for attack in study.attack), "add [[attack]]")
-    setup = Setup.of(study)
     for seed in study.seeds:
         assign(setup.training_cameras, setup.poisonings(seed=seed), centre=study.centre)
     _ = setup.held_out_cameras

@@ -132,7 +132,7 @@ class AuditAttempt(Attempt):
         if len(config.attack) != 1:
             raise InvalidValueError.of(self.title, "one attack", f"{len(config.attack)}", "give it one [[attack]]")
         detectors = detectors_of(config, {})
-        check_study(config, detectors)
+        check_study(steps, detectors)
         self.jobs.update({f"{self.title} / {label}": job for label, job in steps.made()})
         seen = {}
         for detector in detectors:

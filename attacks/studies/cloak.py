@@ -154,8 +154,8 @@ class CloakWork(Work[CloakAttempt]):
         """A study of CLOAK, and further looks at its splats."""
         config = config_of(point.settings, self.study.name)
         detectors = detectors_of(config, self.weights)
-        check_study(config, detectors)
         steps = StudySteps(study=config, weights=self.weights)
+        check_study(steps, detectors)
         where = f"{self.study.name}, judge"
         judges = [decode(CloakJudge, with_none(judge.settings), where) for judge in self.study.judges]
         looks = [look for judge in judges for look in judge.looks(steps, detectors)]

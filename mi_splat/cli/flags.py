@@ -106,7 +106,7 @@ class Option:
         declared, allowed = self.mark(Metavar), self.mark(Range)
         if declared is not None:
             return declared.name
-        kind, marks, _ = unwrapped(self.hint)
+        kind, marks, *_ = unwrapped(self.hint)
         if self.parts:
             return dataclasses.replace(self, hint=Annotated[(self.parts[0], Flag(), *marks)]).metavar
         if typing.get_origin(kind) is Literal:
@@ -144,7 +144,7 @@ class Option:
 
     def value(self, words: Sequence[str], flag: str) -> Any:
         """The value in the user's words."""
-        kind, _, optional = unwrapped(self.hint)
+        kind, _, optional, *_ = unwrapped(self.hint)
         if [word.lower() for word in words] == [NONE] and (optional or self.count == "*"):
             return None if optional else ()
         converter = self.mark(Converter)

@@ -208,7 +208,7 @@ def layering(finished: Path, config: LayersConfig, clean: GaussianScene) -> tupl
     steps = steps_of()
     views = load_dataset(made(finished, steps.poisoned(0)).folder / SET, background=STUDY.scene.background)
     with patch.object(layers, "fit_switches", lambda directions, *fit, **how: torch.zeros(len(directions), 16)):
-        return layers.layer_object(steps.setup, config, clean, views, render=steps.renderer()), len(views)
+        return layers.layer_object(steps.setup, config, clean, views, render=steps.setup.renderer()), len(views)
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ from attacks.cloak.config import (
 )
 from attacks.cloak.poisoning import assign
 from attacks.cloak.setup import Setup, nearest
+from attacks.cloak.steps import StudySteps
 from attacks.cloak.study import check_disk, check_study, forecast
 from mi_splat.errors import InvalidValueError, MiSplatError
 from tests.capture.trucks import TEXTURE, truck, write_ply
@@ -44,7 +45,7 @@ def written(folder: Path, text: str) -> Path:
 def test_shipped_studies_can_be_done(path: Path) -> None:
     study = read_study(path)
     assert study.name == path.stem
-    check_study(study, [])
+    check_study(StudySteps(study=study), [])
     assert forecast(study).trainings == 2 * len(study.seeds)
 
 
@@ -181,7 +182,7 @@ class Knows:
 )
 def test_what_cannot_be_done_is_refused(study: StudyConfig, message: str) -> None:
     with pytest.raises(InvalidValueError, match=message):
-        check_study(study, [Knows()])  # type: ignore[list-item]
+        check_study(StudySteps(study=study), [Knows()])  # type: ignore[list-item]
 
 
 @pytest.mark.parametrize(
