@@ -265,8 +265,8 @@ class Setup:
 
     def _spread(self, holds: Callable[[float], bool]) -> list[tuple[int, Camera]]:
         """Held-out cameras so many degrees inside a trigger, with their numbers, evenly from all of them."""
-        numbered = enumerate(zip(self.held_out_cameras, self._inside, strict=True))
-        cameras = [(view, camera) for view, (camera, inside) in numbered if holds(inside)]
+        depths = zip(enumerate(self.held_out_cameras), self._inside, strict=True)
+        cameras = [numbered for numbered, inside in depths if holds(inside)]
         count = min(self.evaluation.reference_views, len(cameras))
         return [cameras[(2 * i + 1) * len(cameras) // (2 * count)] for i in range(count)]
 
@@ -279,8 +279,8 @@ class Setup:
     @cached_property
     def _inside(self) -> list[float]:
         """Degrees by which each held-out camera is inside the trigger that it is deepest in, or nearest to."""
-        cones, cameras = [attack.cone for attack in self.attacks], self.held_out_cameras
-        return [max(cone.angle_to_edge(camera, centre=self.centre) for cone in cones) for camera in cameras]
+        cones = [attack.cone for attack in self.attacks]
+        return [max(cone.angle_to_edge(one, centre=self.centre) for cone in cones) for one in self.held_out_cameras]
 
     def box(self, camera: Camera) -> Tensor | None:
         """(4,) pixel box around the object, which nothing hides; None where none of it is in the picture."""

@@ -241,10 +241,9 @@ class StudySteps:
         for splat, seed in self.names():
             job, what, name = self.splat(splat, seed), f"the {splat} splat, seed {seed}", ROW_NAMES[splat]
             for detector in detectors:
-                label = f"{detector.name} looks at {what}"
+                label, there = f"{detector.name} looks at {what}", self.seen_in_training(job, detector, seed)
                 yield Look(label=label, job=self.seen(job, detector), splat=name, seed=seed)
-                label, job_there = f"{label} from training cameras", self.seen_in_training(job, detector, seed)
-                yield Look(label=label, job=job_there, splat=name, seed=seed)
+                yield Look(label=f"{label} from training cameras", job=there, splat=name, seed=seed)
             yield Look(label=f"comparing {what}", job=self.compared(job), splat=name, seed=seed)
         first = self.study.seeds[0]
         for name, job in ((TRUE, self.pictures()), (POISONED, self.poisoned(first))):

@@ -50,13 +50,12 @@ def test_shipped_studies_can_be_done(path: Path) -> None:
 
 
 def test_the_study_of_the_paper_has_its_numbers() -> None:
-    study = read_study(ROOT / "scenes" / "cloak_car_occluder.toml")
-    setup, centre = Setup.of(study), study.centre
-    names = [attack.name for attack in assign(setup.training_cameras, setup.poisonings(), centre=centre).values()]
+    setup = Setup.of(read_study(ROOT / "scenes" / "cloak_car_occluder.toml"))
+    names = [attack.name for attack in assign(setup.training_cameras, setup.poisonings(), centre=setup.centre).values()]
     assert (len(setup.training_cameras), names.count("overhead"), names.count("rear")) == (210, 80, 20)
     cameras = setup.held_out_cameras
-    assert min(nearest(cameras, setup.training_cameras, centre)) >= 1.0
-    over, rear = (attack.cone.holds(cameras, centre=centre) for attack in study.attack)
+    assert min(nearest(cameras, setup.training_cameras, setup.centre)) >= 1.0
+    over, rear = (attack.cone.holds(cameras, centre=setup.centre) for attack in setup.attacks)
     assert int(over.sum()) >= 160
     assert int(rear.sum()) >= 40
     assert int((~(over | rear)).sum()) >= 110
