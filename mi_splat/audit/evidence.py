@@ -198,9 +198,7 @@ def pair_of(pieces: Elements, view: Sight, score: Tensor, shown: Tensor) -> tupl
         gap = (colours_outside - colours[:, camera, None]).abs().mean(0)
         weight[number], change[number] = both.sum(1), (both * gap).sum(1)
     near = (angles_between(view.directions[inside], view.directions[outside]) / 2).deg2rad().cos()
-    value = change * near
-    best = int(value.argmax())
-    first, second = divmod(best, len(outside))
+    first, second = divmod(int((change * near).argmax()), len(outside))
     if not weight[first, second] > 0:
         return None
     return int(inside[first]), int(outside[second]), float(change[first, second] / weight[first, second])

@@ -371,37 +371,29 @@ def piece_scores(pieces: Elements, shown: Tensor) -> Tensor:
 
 def look_amounts(pieces: Elements, shown: Tensor) -> Tensor:
     """(K,) how much of a look each camera sees, by the mean of the pieces' scores, from 0 (none) to 1."""
-    inside, outside = sums_by_side(pieces.moments, shown)
-    base = (outside[1:4] / outside[0].clamp(min=1)).T
-    change = (inside[1:4] / inside[0].clamp(min=1)).T - base
+    inside, outside = (side[1:4].T / side[0, :, None].clamp(min=1) for side in sums_by_side(pieces.moments, shown))
+    change = inside - outside
     weight = piece_scores(pieces, shown) / change.square().sum(1).clamp(min=1e-6)
     most = pieces.moments[..., 0] @ (change.square().sum(1) * weight)
-    return _along(pieces.moments, base, change * weight[:, None]) / most.clamp(min=1e-12)
+    return _along(pieces.moments, outside, change * weight[:, None]) / most.clamp(min=1e-12)
 
 
 def reachable(pieces: Elements, view: Sight) -> Tensor:
     """(E,) bool, whether some cone has enough of the cameras that see a piece inside and outside."""
     inside, outside = cone_sides(view.directions)
-    seen = pieces.moments[..., 0].T.contiguous()
-    able = torch.zeros(len(seen), dtype=torch.bool)
-    for rows in torch.split(torch.arange(len(seen)), _CHUNK):
-        counts = [seen[rows] @ side.T >= LIMITS.least_seen for side in (inside, outside)]
-        able[rows] = (counts[0] & counts[1]).any(1)
-    return able
+    parts, least = torch.split(pieces.moments[..., 0].T.contiguous(), _CHUNK), LIMITS.least_seen
+    return torch.cat([((part @ inside.T >= least) & (part @ outside.T >= least)).any(1) for part in parts])
 
 
 def cameras_of_look(pieces: Elements, view: Sight, scores: Explanation) -> Tensor:
     """(K,) bool, which cameras see the look: a set of any form, begun with the best cone."""
-    shown = (
-        angles_between(scores.axis[None], view.directions)[0] < scores.half_width + (LIMITS.outside - LIMITS.inside) / 2
-    )
+    width = scores.half_width + (LIMITS.outside - LIMITS.inside) / 2
+    shown = angles_between(scores.axis[None], view.directions)[0] < width
     for _ in range(LIMITS.votes):
-        inside, outside = sums_by_side(pieces.moments, shown)
-        mean_in = (inside[1:4] / inside[0].clamp(min=1)).T
-        mean_out = (outside[1:4] / outside[0].clamp(min=1)).T
-        change = mean_in - mean_out
-        weight = Split.of(inside, outside).scores() * pieces.judged / change.square().sum(1).clamp(min=1e-6)
-        voted = _along(pieces.moments, (mean_in + mean_out) / 2, change * weight[:, None]) > 0
+        inside, outside = (side[1:4].T / side[0, :, None].clamp(min=1) for side in sums_by_side(pieces.moments, shown))
+        change = inside - outside
+        weight = piece_scores(pieces, shown) / change.square().sum(1).clamp(min=1e-6)
+        voted = _along(pieces.moments, (inside + outside) / 2, change * weight[:, None]) > 0
         if not LIMITS.least_seen <= int(voted.sum()) <= len(voted) - LIMITS.least_seen:
             break
         shown = voted

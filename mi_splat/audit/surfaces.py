@@ -140,9 +140,8 @@ def whole(scene: GaussianScene) -> Target:
     rows = (scene.opacities > LIMITS.solid).nonzero()[:, 0]
     points = scene.means[rows].double()
     centre = points.median(0).values
-    return Target(
-        rows=rows, centre=centre, radius=LIMITS.whole_margin * quantile((points - centre).norm(dim=1), 0.5), up=None
-    )
+    radius = LIMITS.whole_margin * quantile((points - centre).norm(dim=1), 0.5)
+    return Target(rows=rows, centre=centre, radius=radius, up=None)
 
 
 def quantile(values: Tensor, share: float) -> float:
@@ -152,9 +151,8 @@ def quantile(values: Tensor, share: float) -> float:
 
 def _normal_of_flat(points: Tensor) -> Tensor | None:
     """The normal of a component that is a plane; None if it is none."""
-    _, extents, axes = torch.linalg.svd(
-        points[:: max(1, len(points) // LIMITS.ground_sample)] - points.mean(0), full_matrices=False
-    )
+    sample = points[:: max(1, len(points) // LIMITS.ground_sample)]
+    _, extents, axes = torch.linalg.svd(sample - points.mean(0), full_matrices=False)
     return axes[2] if extents[2] < LIMITS.flat * extents[0] else None
 
 
@@ -247,9 +245,8 @@ def free_positions(scene: GaussianScene) -> Tensor | None:
         return None
     free = free[:: max(1, len(free) // LIMITS.room_places)]
     positions = grid.low + (free + 0.5) * grid.size
-    enclosed = (
-        grid.ends(positions, torch.from_numpy(even_directions(LIMITS.room_rays))).double().mean(1) > LIMITS.enclosed
-    )
+    ends = grid.ends(positions, torch.from_numpy(even_directions(LIMITS.room_rays)))
+    enclosed = ends.double().mean(1) > LIMITS.enclosed
     if float(enclosed.double().mean()) < LIMITS.enclosed_share:
         return None
     return positions[enclosed] if _between(grid, positions[enclosed], ~close) > LIMITS.between else None
@@ -352,9 +349,8 @@ def cameras_around(target: Target) -> tuple[Camera, ...]:
 
 def near_of(target: Target, cameras: Sequence[Camera]) -> float:
     """The near plane of pictures of an object from cameras."""
-    return LIMITS.near * float(
-        torch.stack([camera.position - target.centre for camera in cameras]).norm(dim=1).median()
-    )
+    distances = torch.stack([camera.position - target.centre for camera in cameras]).norm(dim=1)
+    return LIMITS.near * float(distances.median())
 
 
 def in_sight(scene: GaussianScene, target: Target, cameras: Sequence[Camera]) -> Tensor:
@@ -431,9 +427,7 @@ def _surface(depth: Tensor, alpha: Tensor, camera: Camera, target: Target) -> tu
     eye, centre = camera.position.float()[:, None, None], target.centre.float()[:, None, None]
     ahead = rays(camera)
     points = ahead * depth + eye
-    along, down = torch.zeros_like(points), torch.zeros_like(points)
-    along[..., 2:-2] = points[..., 4:] - points[..., :-4]
-    down[:, 2:-2] = points[:, 4:] - points[:, :-4]
+    along, down = (points.roll(-2, axis) - points.roll(2, axis) for axis in (2, 1))  # beyond the edge, nothing is shown
     normals = along.roll(-1, 0) * down.roll(-2, 0) - along.roll(-2, 0) * down.roll(-1, 0)  # the cross product
     length = lengths(normals)
     normals /= length.clamp(min=1e-20)
@@ -441,14 +435,11 @@ def _surface(depth: Tensor, alpha: Tensor, camera: Camera, target: Target) -> tu
     normals *= facing.sign()
     shown = (alpha > LIMITS.opaque) & (depth > 0) & (length > 0) & (facing.abs() > LIMITS.facing)
     shown &= lengths(points - centre) < LIMITS.reach * target.radius
-    for step in (1, 2):
-        for near, far, kept, beyond in (
-            (depth[step:], depth[:-step], shown[step:], shown[:-step]),
-            (depth[:, step:], depth[:, :-step], shown[:, step:], shown[:, :-step]),
-        ):
-            level = (near - far).abs() <= LIMITS.depth_edge * target.radius
-            kept &= level
-            beyond &= level
+    for values, kept in ((depth, shown), (depth.T, shown.T)):
+        for step in (1, 2):
+            level = (values[step:] - values[:-step]).abs() <= LIMITS.depth_edge * target.radius
+            kept[step:] &= level
+            kept[:-step] &= level
     shown[:2] = shown[-2:] = False
     shown[:, :2] = shown[:, -2:] = False
     return points, normals, shown
@@ -456,7 +447,6 @@ def _surface(depth: Tensor, alpha: Tensor, camera: Camera, target: Target) -> tu
 
 def elements(view: Sight, target: Target) -> Elements:
     """The pieces of surface that at least `LIMITS.least_views` cameras see."""
-    count = len(view.cameras)
     pieces, of_seen = torch.unique(view.keys, return_inverse=True)
     sums = _sums(view.sums, of_seen, len(pieces))
     pixels, positions, normals = sums[:, :1], sums[:, 1:4] / sums[:, :1], sums[:, 4:7] / sums[:, :1]
@@ -465,10 +455,9 @@ def elements(view: Sight, target: Target) -> Elements:
     number = torch.where(kept, kept.cumsum(0) - 1, -1)[of_seen]
     kept_pixels = number >= 0
     colours = view.sums[kept_pixels, 7:] / view.sums[kept_pixels, :1]
-    moments = torch.zeros(count, int(kept.sum()), 5)
-    moments[view.seen_by[kept_pixels], number[kept_pixels]] = torch.cat(
-        [torch.ones(len(colours), 1), colours, colours.square().sum(1, keepdim=True)], 1
-    )
+    values = torch.cat([torch.ones(len(colours), 1), colours, colours.square().sum(1, keepdim=True)], 1)
+    moments = torch.zeros(len(view.cameras), int(kept.sum()), 5)
+    moments[view.seen_by[kept_pixels], number[kept_pixels]] = values
     length, kept_normals = normals.norm(dim=1), functional.normalize(normals[kept], dim=1)
     voxels, voxel_of = torch.unique(pieces[near] // 8, return_inverse=True)
     shown = _sums(torch.stack([pixels[near, 0], kept[near].float()], 1), voxel_of, len(voxels))
