@@ -309,7 +309,7 @@ def read_study(folder: Path, record: Record) -> Section:
     attacks = list(attacks_of(record).values())
     label, counting, lines, key = _headline(record)
     rate, noise = pooled(line[key] for line in lines), pooled(_noise(line, key) for line in lines)
-    beside = _control(attacks[0]["settings"]["attack"])
+    beside = _control(attacks[0]["settings"].get("attack", {}))
     control = f"; {beside}: {noise.counts}" if noise.total else ""
     names = sorted({name for attack in attacks for name in attack["sources"]})
     return Section(
