@@ -6,6 +6,7 @@ import runpy
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import polars as pl
@@ -15,7 +16,7 @@ from attacks.objectives import LEFT, REPORTED
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
 from attacks.rate import pooled
 from attacks.report.checking import Result, check_result, flat, in_words, read_result
-from attacks.report.results import kind_of
+from attacks.report.results import kind_of, read_section
 from tests.project.documented_commands import ROOT
 
 ARTIFACTS = ROOT / "docs" / "artifacts"
@@ -196,3 +197,8 @@ def test_readme_says_what_the_rows_give() -> None:
         f"attacks on one detector fool another in {transferred()} cases",
     ):
         assert sentence in text
+
+
+@pytest.mark.parametrize("result", sorted(ARTIFACTS.glob("*/result.json")), ids=lambda path: path.parent.name)
+def test_every_artifact_has_a_section(result: Path) -> None:
+    assert read_section(result.parent).conclusion
