@@ -172,7 +172,7 @@ def run_killed(folder: Path, count: int, kills: int, *, seed: int, dask: bool, e
             processes.wait(every)
             if driver.poll() == 0:
                 return processes
-            for path in folder.glob("failed/*"):  # a job that was hit three times is tried again
+            for path in folder.glob("failed/*.json"):  # a job that was hit three times is tried again
                 Store(folder).forgive(path.stem)
             if sum(processes.kills.values()) < kills:
                 processes.kill()
