@@ -60,13 +60,13 @@ def main() -> None:
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory())
         runs = {"import torch": (["-c", "import torch"], ROOT)}
+        old = stack.enter_context(checked_out(given.against)) if given.against else None
         for count in given.counts:
             file = f"{folder}/{count}.ply"
             spent(["-c", MADE, file, str(count)], ROOT)  # elsewhere, as a child's peak is at least its parent's
             runs[f"150 images of {count:,}"] = ["-c", PEER, file], ROOT
             runs[f"audit of {count:,}"] = ["-m", "attacks", "audit", file], ROOT
-            if given.against:
-                old = stack.enter_context(checked_out(given.against))
+            if old is not None:
                 runs[f"audit of {count:,}, {given.against}"] = ["-m", "attacks", "audit", file], old
         taken: dict[str, list[tuple[float, float]]] = {name: [] for name in runs}
         for number in range(given.rounds + 1):

@@ -87,7 +87,7 @@ class ArtifactCheckOptions(DetectorOptions, JsonOptions):
     detectors: Detectors = ()
     """Names of detectors for --rescore; none takes the result's."""
     every: Annotated[int, at_least(1, "cameras")] = 1
-    """Use each so manieth camera (--rescore)."""
+    """Use every N-th camera (--rescore)."""
     rate_tolerance: Fraction = 0.02
     """How far a rate may move (--rescore); on another machine scores differ in their last digits."""
 

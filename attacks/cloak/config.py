@@ -340,7 +340,7 @@ class CameraConfig(Checked):
         distances: Lowest and highest multiple of the distance, for cameras nearer and farther away, held-out ones too.
         elevations: Rings of cameras at these elevations, held-out ones too, degrees; none is the whole hemisphere.
         azimuths: First and last azimuth of rings, degrees; less than a full turn makes them arcs.
-        hold_out: On arcs, every so manieth camera is held out; 0 holds out none.
+        hold_out: On arcs, every `hold_out`-th camera is held out; 0 holds out none.
         height: Height of the centre above the ground, metres.
         fov: Field of view, degrees.
         size: Width and height, pixels.

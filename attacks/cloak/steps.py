@@ -164,7 +164,7 @@ class StudySteps:
         sun: SunTable | None = None,
         **street: Path,
     ) -> Job:
-        """What a detector reports on a splat, or in true pictures, from each so manieth of the held-out cameras."""
+        """What a detector reports on a splat, or in true pictures, from every N-th held-out camera."""
         evaluation, regions = self.study.evaluation, map(_region, self.study.attack)
         is_splat = splat.kind != f"{_KINDS}.pictures"
         shown = {"splat": splat.part(SPLAT)} if is_splat else {"pictures": splat.part("*.png")}

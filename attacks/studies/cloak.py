@@ -109,7 +109,7 @@ class CloakJudge:
 
     detector: str | None = None  # None is each of the study's
     condition: str = ""  # see `attacks.observe.conditions`
-    every: Annotated[int, at_least(1, "cameras")] = 4  # each so manieth of the held-out cameras is used
+    every: Annotated[int, at_least(1, "cameras")] = 4  # every N-th held-out camera is used
     sun: SunTable | None = None  # a street of meshes for conditions that are hours
 
     def __post_init__(self) -> None:
