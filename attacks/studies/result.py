@@ -295,8 +295,13 @@ def _axes(lines: Sequence[Record]) -> dict[str, Column[Any]]:
 
 def _of_controls(groups: Sequence[Record]) -> dict[str, Column[Any]]:
     """A column for each random change besides noise."""
+
+    def rate(group: Record, name: str) -> str | None:
+        known = group.get("control_rates", {}).get(name)
+        return None if known is None else Rate.of(known).short()
+
     names = dict.fromkeys(name for group in groups for name in group.get("control_rates", ()))
-    return {name: lambda group, name=name: Rate.of(group["control_rates"][name]).short() for name in names}  # type: ignore[misc]
+    return {name: functools.partial(rate, name=name) for name in names}
 
 
 def title_of(axis: str) -> str:
