@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cache
 from numbers import Real
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from mi_splat.errors import InvalidValueError, nearest
 
@@ -179,9 +179,19 @@ def type_hints(kind: type) -> dict[str, Any]:
     return _type_hints(kind)
 
 
+class FieldType(NamedTuple):
+    """What a field's annotation says."""
+
+    kind: Any  # without `Annotated` and `None`
+    marks: tuple[Any, ...]
+    optional: bool  # whether it may be None
+    origin: Any
+    args: tuple[Any, ...]
+
+
 @cache
-def unwrapped(hint: Any) -> tuple[Any, tuple[Any, ...], bool, Any, tuple[Any, ...]]:
-    """What a type of a field says: the type, its marks, whether it may be None, its origin and its arguments."""
+def field_type(hint: Any) -> FieldType:
+    """What the annotation of a field says."""
     marks: tuple[Any, ...] = ()
     optional = False
     while True:
@@ -192,7 +202,7 @@ def unwrapped(hint: Any) -> tuple[Any, tuple[Any, ...], bool, Any, tuple[Any, ..
         kinds = [kind for kind in typing.get_args(hint) if kind is not types.NoneType]
         if typing.get_origin(hint) not in (typing.Union, types.UnionType) or len(kinds) > 1:
             args = typing.get_args(hint)
-            return hint, marks, optional or types.NoneType in args, typing.get_origin(hint), args
+            return FieldType(hint, marks, optional or types.NoneType in args, typing.get_origin(hint), args)
         hint, optional = kinds[0], True
 
 
@@ -249,7 +259,7 @@ def checked_number(name: str, value: Any, allowed: Range | None = None, *, whole
 
 def taken(hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, read: bool = False) -> Any:
     """A value as its field has it."""
-    kind, own_marks, optional, origin, parts = unwrapped(hint)
+    kind, own_marks, optional, origin, parts = field_type(hint)
     marks = own_marks or marks
     if value is None and optional:
         return None
@@ -295,10 +305,10 @@ def _member(parts: tuple[Any, ...], value: Any) -> Any:
     """The one of several types of a field that a value is checked by; None for a value that is left alone."""
     kinds = [part for part in parts if part is not types.NoneType]
     is_list = isinstance(value, (list, tuple)) or getattr(value, "ndim", 0) > 0
-    listed = [kind for kind in kinds if typing.get_origin(unwrapped(kind)[0]) is tuple]
+    listed = [kind for kind in kinds if typing.get_origin(field_type(kind).kind) is tuple]
     if is_list and listed:
         return listed[0]
-    plain = [kind for kind in kinds if unwrapped(kind)[0] in (int, float)]
+    plain = [kind for kind in kinds if field_type(kind).kind in (int, float)]
     return plain[0] if plain and len(plain) + len(listed) == len(kinds) else None
 
 

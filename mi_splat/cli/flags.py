@@ -30,9 +30,9 @@ from mi_splat.fields import (
     Metavar,
     Range,
     check_choice,
+    field_type,
     taken,
     type_hints,
-    unwrapped,
 )
 
 _Type = TypeVar("_Type")
@@ -67,7 +67,7 @@ class Option:
 
     def mark(self, kind: type[_Type]) -> _Type | None:
         """What the field declares of itself."""
-        return next((mark for mark in unwrapped(self.hint)[1] if isinstance(mark, kind)), None)
+        return next((mark for mark in field_type(self.hint).marks if isinstance(mark, kind)), None)
 
     @property
     def given(self) -> Flag:
@@ -77,7 +77,7 @@ class Option:
     @property
     def parts(self) -> tuple[Any, ...]:
         """The types of its values where it is a tuple."""
-        kind = unwrapped(self.hint)[0]
+        kind = field_type(self.hint).kind
         return typing.get_args(kind) if typing.get_origin(kind) is tuple else ()
 
     @property
@@ -106,7 +106,7 @@ class Option:
         declared, allowed = self.mark(Metavar), self.mark(Range)
         if declared is not None:
             return declared.name
-        kind, marks, *_ = unwrapped(self.hint)
+        kind, marks = field_type(self.hint)[:2]
         if self.parts:
             return dataclasses.replace(self, hint=Annotated[(self.parts[0], Flag(), *marks)]).metavar
         if typing.get_origin(kind) is Literal:
@@ -123,7 +123,7 @@ class Option:
     @property
     def help(self) -> str:
         """Its text, the numbers that it takes, and its default."""
-        inner = unwrapped(self.parts[0])[1] if self.parts else ()
+        inner = field_type(self.parts[0]).marks if self.parts else ()
         allowed = self.mark(Range) or next((mark for mark in inner if isinstance(mark, Range)), Range())
         unit = "" if not allowed.unit or allowed.unit.upper() == self.metavar else f" {allowed.unit}"
         notes = [f"{allowed.bounds}{unit}"] if allowed.bounds else []
@@ -144,7 +144,7 @@ class Option:
 
     def value(self, words: Sequence[str], flag: str) -> Any:
         """The value in the user's words."""
-        kind, _, optional, *_ = unwrapped(self.hint)
+        kind, _, optional = field_type(self.hint)[:3]
         if [word.lower() for word in words] == [NONE] and (optional or self.count == "*"):
             return None if optional else ()
         converter = self.mark(Converter)
@@ -159,7 +159,7 @@ class Option:
 
 def _plain(hint: Any, word: str) -> Any:
     """A word as the number or the choice that it stands for; the word itself where it stands for none."""
-    kind = unwrapped(hint)[0]
+    kind = field_type(hint).kind
     if typing.get_origin(kind) is Literal:
         return next((choice for choice in typing.get_args(kind) if str(choice) == word), word)
     if kind in (int, float):

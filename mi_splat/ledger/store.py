@@ -168,10 +168,11 @@ class Store:
         self.forgive(key)
 
     def sweep(self) -> None:
-        """Remove what killed processes have left: locks, folders in `tmp`, and `partial` of jobs that are done."""
+        """Remove what killed processes have left: locks, temporary files, and `partial` of jobs that are done."""
         for key in filter(_KEY.fullmatch, _names(self.path("locks"))):
             self.is_held(key)
-        sweep_temporary(self.path("tmp"))
+        for name in ("tmp", "failed"):
+            sweep_temporary(self.path(name))
         for key in filter(_KEY.fullmatch, _names(self.path("partial"))):
             if self.has(key) and not self.is_held(key):
                 shutil.rmtree(self.path("partial", key), ignore_errors=True)

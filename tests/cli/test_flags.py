@@ -25,7 +25,7 @@ from mi_splat.fields import (
     between,
     checked_number,
     decode,
-    unwrapped,
+    field_type,
 )
 
 NEEDED = {
@@ -58,7 +58,7 @@ def parsed(command: str, words: list[str]) -> Any:
 
 def ranges(hint: Any) -> tuple[Range | None, int, bool]:
     """What numbers a field takes, how many at least (0 for none), and whether whole ones."""
-    kind, marks, *_ = unwrapped(hint)
+    kind, marks, *_ = field_type(hint)
     allowed = next((mark for mark in marks if isinstance(mark, Range)), None)
     if typing.get_origin(kind) is tuple:
         parts = typing.get_args(kind)

@@ -123,15 +123,17 @@ def test_what_killed_processes_leave_is_swept(tmp_path: Path) -> None:
     store = Store(tmp_path)
     done = Ledger(tmp_path).do(walk(1))
     unfinished = "f" * 32
-    for name in ("tmp/.0123456789abcdef.tmp", f"partial/{done.key}", f"partial/{unfinished}"):
+    killed = [f"{folder}/.0123456789abcdef.tmp" for folder in ("tmp", "failed")]
+    for name in (*killed, f"partial/{done.key}", f"partial/{unfinished}"):
         (tmp_path / name).mkdir(parents=True)
         (tmp_path / name / "rest").write_text("rest")
-    os.utime(tmp_path / "tmp" / ".0123456789abcdef.tmp", (time.time() - 90,) * 2)
+    for name in killed:
+        os.utime(tmp_path / name, (time.time() - 90,) * 2)
     (tmp_path / "locks" / unfinished).write_text("")
     store.sweep()
     assert [path.name for path in (tmp_path / "partial").iterdir()] == [unfinished]
     assert not list((tmp_path / "locks").iterdir())
-    assert not list((tmp_path / "tmp").iterdir())
+    assert not [*(tmp_path / "tmp").iterdir(), *(tmp_path / "failed").iterdir()]
 
 
 def test_a_job_is_removed_and_made_again(tmp_path: Path) -> None:
