@@ -241,6 +241,7 @@ EXTRAS = {
     "clip": ("open_clip",),
     "colmap": ("pycolmap",),
     "meshes": ("trimesh",),
+    "ocr": ("rapidocr_onnxruntime",),
     "report": ("jinja2", "matplotlib"),
     "robots": ("mujoco",),
     "tflite": ("tflite",),

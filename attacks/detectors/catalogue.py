@@ -50,6 +50,9 @@ is one. Vehicle is all that drives, a car among it; of a car from above this det
 OPEN_IMAGES_CLASSES = tuple(dict.fromkeys(OPEN_IMAGES_LABELS.values()))
 """The 22 classes of `ssd_openimages`."""
 
+READER_WORDS = {"STOP": "stop sign"}
+"""Words that `rapidocr` reads, and the class of what they stand on."""
+
 SMALL_WEIGHTS = Path(__file__).with_name("fasterrcnn_small.safetensors")
 """Where the package has the weights of `fasterrcnn_small`."""
 SMALL_YOLO_WEIGHTS = Path(__file__).parents[2] / "scenes" / "detectors" / "yolov8n_small.safetensors"

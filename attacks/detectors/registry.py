@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from attacks.detectors.catalogue import (
     COCO_CLASSES,
     NPM_DETECTORS,
+    READER_WORDS,
     SMALL_CLASSES,
     SMALL_WEIGHTS,
     SMALL_YOLO_WEIGHTS,
@@ -231,6 +232,15 @@ def _of_this_project() -> Iterator[DetectorSpec]:
             requires=("transformers",),
             install=install("transformers"),
         )
+    yield DetectorSpec(
+        name="rapidocr",
+        load=_loader("attacks.detectors.rapidocr", "rapidocr"),
+        classes=tuple(READER_WORDS.values()),
+        origin="PP-OCRv4 in the package rapidocr-onnxruntime, which reads the word on a sign",
+        licence="Apache-2.0",
+        requires=("rapidocr_onnxruntime",),
+        install=install("ocr"),
+    )
 
 
 for _spec in _of_this_project():

@@ -24,7 +24,9 @@ else:
     import tomli as tomllib
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-ALSO = {"PIL": "pillow", "imageio_ffmpeg": "imageio-ffmpeg", "open_clip": "open_clip_torch", "pxr": "usd-core"}
+ALSO = {"PIL": "pillow", "imageio_ffmpeg": "imageio-ffmpeg", "open_clip": "open_clip_torch", "pxr": "usd-core"} | {
+    "rapidocr_onnxruntime": "rapidocr-onnxruntime"
+}
 """Modules that are not called as their package is."""
 MODULES = [module for modules in EXTRAS.values() for module in modules]
 
@@ -73,6 +75,7 @@ def test_notice_names_extras_that_exist() -> None:
     ("extra", "words"),
     [
         ("report", ["report", "scenes"]),
+        ("ocr", ["detect", "scenes/stop_sign.xml", "--detectors", "rapidocr"]),
         ("colmap", ["prepare", "docs/images"]),
         ("meshes", ["capture", "MESH"]),
         ("meshes", ["cloak", "STUDY"]),
