@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from attacks.cli.options import ClassName, Confidence, DetectorOptions
+from attacks.cli.options import ClassName, Confidence, DetectorOptions, Detectors
 from mi_splat import provenance
 from mi_splat.cli.console import progress
 from mi_splat.cli.flags import Positional
@@ -46,6 +46,9 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     """Class that the attacker wants."""
     min_confidence: Confidence = 0.5
     """Confidence from which a detection counts."""
+    judges: Detectors = ()
+    """Further detectors that check the others: a view is flagged where one reports a class that a judge knows and the
+    judge does not, or the other way round. `rapidocr` reads the word on stop signs."""
     pictures: Count = 8
     """Views shown side by side; 0 writes no pictures."""
     out: OutFolder = Path("out/evaluate")
@@ -53,9 +56,9 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
 
 def run(options: EvaluateOptions) -> None:
     """Evaluate, and write pictures and numbers."""
-    from attacks.cli.options import check_class, load_detectors
+    from attacks.cli.options import check_class, check_detectors, load_detectors
     from attacks.cli.summary import show_summary
-    from attacks.observe.comparison import changed_mask, compare, compared_rows, side_by_side
+    from attacks.observe.comparison import changed_mask, compare, compared_rows, contradictions, side_by_side
     from attacks.observe.rows import ATTACKED, CLEAN
     from attacks.observe.views import evaluate
     from mi_splat.cli.cameras import choose, look_at_object
@@ -70,6 +73,7 @@ def run(options: EvaluateOptions) -> None:
     check_no_input_in(options.out, options.clean, options.attacked)
     check_new_folder(options.out, force=options.force)
     confidence = options.min_confidence
+    check_detectors((*options.detectors, *options.judges))
     with progress("loading") as advance:
         clean, attacked = open_scene(options.clean), open_scene(options.attacked)
         if options.selection.is_empty:
@@ -80,12 +84,16 @@ def run(options: EvaluateOptions) -> None:
         for detector in detectors:
             check_class(options.original, detector.name, detector.classes, what="--original")
             check_class(options.target, detector.name, detector.classes, what="--target")
+        judging = load_detectors(options.judges) if options.judges else []
+        detectors, judges = [*detectors, *judging], {judge.name: list(judge.classes) for judge in judging}
         scenes = {CLEAN: clean.scene, ATTACKED: attacked.scene}
         names, cameras = list(chosen.cameras), list(chosen.cameras.values())
         advance(f"looking from {len(cameras)} cameras")
         seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
-        looked = compared_rows(seen, original=options.original, target=options.target, min_confidence=confidence)
+        classes = {"original": options.original, "target": options.target}
+        looked = compared_rows(seen, **classes, min_confidence=confidence, judges=judges)
         comparisons = compare(looked.rows, confidence=confidence)
+        contradicted = contradictions(looked.rows, judges, names, confidence=confidence)
         with new_folder(options.out, force=options.force) as folder:
             for comparison in comparisons if options.pictures else ():
                 name, most = comparison.detector, options.pictures
@@ -104,13 +112,14 @@ def run(options: EvaluateOptions) -> None:
                 **{f"{name}_hash": scene_hash(scene) for name, scene in scenes.items()},
                 "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
                 "detectors": {comparison.detector: comparison.as_dict() for comparison in comparisons},
+                **({"judges": judges, "contradictions": contradicted} if judges else {}),
                 "warnings": [*doubts(chosen.mask, {}), *_doubts(comparisons, cameras, options.attacked)],
                 **provenance.rendered_with(chosen.render),
                 **provenance.origin(),
             }
             save_json(document, folder / RECORD)
             looked.write(folder)
-    show_summary(options.out, as_json=options.json)
+    show_summary(options.out, as_json=options.json, tables=len(contradicted))
 
 
 def _doubts(comparisons: Sequence[Comparison], cameras: Sequence[Camera], attacked: Path) -> Iterator[str]:

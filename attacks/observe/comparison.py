@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -153,18 +154,21 @@ def compared_rows(
     original: str | None = None,
     target: str | None = None,
     min_confidence: float = REPORTED,
+    judges: Collection[str] = (),
 ) -> Observations:
-    """What detectors report on a clean and an attacked splat, row by row."""
+    """What detectors report on a clean and an attacked splat, row by row; for `judges` neither class is given."""
     clean = {(view.detector, view.view): view for view in seen[CLEAN]}
     shown = {
         name: [view for view in seen[CLEAN] if view.detector == name and view.box is not None] for name, _ in clean
     }
-    originals = {name: original or usual_label(views, min_confidence) for name, views in shown.items()}
+    own = {name: None if name in judges else original for name in shown}
+    originals = {name: own[name] or usual_label(views, min_confidence) for name, views in shown.items()}
 
     def cells(view: ViewDetections) -> dict[str, Cell]:
         before = clean[view.detector, view.view]
         change = None if torch.equal(before.pixels, view.pixels) else float(psnr(before.image, view.image))
-        known = report_cells(view.detections, view.box, original=originals[view.detector], target=target)
+        wanted = None if view.detector in judges else target
+        known = report_cells(view.detections, view.box, original=originals[view.detector], target=wanted)
         return {**known, "psnr": change}
 
     return observations_of((({"splat": splat}, view) for splat, views in seen.items() for view in views), cells)
@@ -172,11 +176,11 @@ def compared_rows(
 
 def compare(rows: pl.DataFrame, *, confidence: Confidence = REPORTED) -> list[Comparison]:
     """Rates of each detector on the clean and the attacked splat, and the distance of their pictures."""
-    targeted = rows["target"].null_count() < len(rows)
-    counted = count(with_control(rows), comparison_measures(confidence, targeted=targeted), ("detector",))
     comparisons = []
-    for (detector,), rates in counted.items():
-        here = rows.filter(splat=ATTACKED, detector=detector)
+    for (detector,), seen in rows.partition_by("detector", maintain_order=True, as_dict=True).items():
+        here = seen.filter(splat=ATTACKED)
+        measures = comparison_measures(confidence, targeted=here["target"].null_count() < len(here))
+        rates = count(with_control(seen), measures)[()]
         psnrs = here["psnr"].drop_nulls()
         comparisons.append(
             Comparison(
@@ -189,6 +193,44 @@ def compare(rows: pl.DataFrame, *, confidence: Confidence = REPORTED) -> list[Co
             )
         )
     return comparisons
+
+
+def contradictions(
+    rows: pl.DataFrame, judges: Mapping[str, Sequence[str]], cameras: Sequence[str], *, confidence: float = REPORTED
+) -> list[dict[str, Any]]:
+    """Where judges contradict the other detectors, for each pair, as JSON can hold it.
+
+    In a view, the most confident class on the object counts, from `confidence` on. Of a detector's report only what the
+    judge could report too is compared: a judge that knows stop signs alone contradicts a detector that reports a TV
+    where it reports a sign, or a sign where it reports none.
+
+    Args:
+        rows: Reports of all on a clean and an attacked splat.
+        judges: The classes of each judge, by its name.
+        cameras: Names of the views, by their numbers.
+        confidence: From which a detection counts.
+
+    Returns:
+        For each detector and judge, the rate of contradicted views of the clean splat (false flags) and of the attacked
+        one, and the contradicted views of both.
+    """
+    sure = pl.when(pl.col("score") >= confidence).then("label")
+    seen = rows.filter(pl.col("x0").is_not_null()).select("splat", "view", "detector", sure.alias("report"))
+    pairs = []
+    for detector, judge in itertools.product(dict.fromkeys(rows["detector"]), judges):
+        if detector in judges:
+            continue
+        said = seen.filter(detector=judge).select("splat", "view", verdict="report")
+        both = seen.filter(detector=detector).join(said, on=("splat", "view"), maintain_order="left")
+        common = pl.when(pl.col("report").is_in(judges[judge])).then("report")
+        both = both.with_columns(contradicted=common.ne_missing(pl.col("verdict")))
+        rates = count(both, {"rate": Measure(holds=pl.col("contradicted"))}, ("splat",))
+        views = both.filter("contradicted").with_columns(camera=pl.col("view").replace_strict(dict(enumerate(cameras))))
+        none = {"rate": Rate(successes=0, total=0)}
+        pair = {splat: rates.get((splat,), none)["rate"].as_dict() for splat in (CLEAN, ATTACKED)}
+        contradicted = views.select("splat", "camera", "report", "verdict").to_dicts()
+        pairs.append({"detector": detector, "judge": judge, **pair, "views": contradicted})
+    return pairs
 
 
 def usual_label(views: Sequence[ViewDetections], min_confidence: float = 0.5) -> str | None:

@@ -6,7 +6,7 @@ from scipy.stats import binomtest
 from torch import Tensor
 
 from attacks.detectors.base import Detections
-from attacks.observe.comparison import compare, compared_rows
+from attacks.observe.comparison import compare, compared_rows, contradictions
 from attacks.observe.drawing import annotated
 from attacks.observe.views import ViewDetections, as_saved, detect_views, evaluate, object_boxes
 from attacks.rate import Rate
@@ -51,6 +51,29 @@ def test_a_miss_counts_where_the_clean_object_is_found() -> None:
     assert other.rates["missed"] == Rate(successes=0, total=1)
     lower, _ = compare(compared_rows({"clean": clean, "attacked": attacked}, target="person").rows, confidence=0.25)
     assert lower.rates["target_attacked"] == Rate(successes=3, total=3)
+
+
+def test_a_judge_contradicts_what_it_knows_better() -> None:
+    """The detector reports a car, a person, nothing, a sign; the judge, which knows signs alone, one in views 0, 2."""
+    labels = (("car", 0.9), ("person", 0.9), ("car", 0.4), ("stop sign", 0.9))
+    clean = [looked(view, *label) for view, label in enumerate(labels)]
+    judge = [looked(view, "stop sign", 0.9 if view in (0, 2) else 0.3, "judge") for view in range(4)]
+    seen = {"clean": [*clean, *judge], "attacked": [looked(view, "stop sign", 0.9) for view in range(4)] + judge}
+    rows = compared_rows(seen, original="car", target="person", judges=("judge",)).rows
+    assert rows.filter(detector="judge")["target"].null_count() == 8
+    assert set(rows.filter(detector="judge")["original"]) == {"stop sign"}
+    assert [sorted(one.rates) for one in compare(rows)][1] == ["found_attacked", "found_clean", "missed"]
+    (pair,) = contradictions(rows, {"judge": ["stop sign"]}, ["a", "b", "c", "d"])
+    assert (pair["detector"], pair["judge"]) == ("fake_colour", "judge")
+    assert Rate.of(pair["clean"]) == Rate(successes=3, total=4)
+    assert Rate.of(pair["attacked"]) == Rate(successes=2, total=4)
+    assert [tuple(view.values()) for view in pair["views"]] == [
+        ("clean", "a", "car", "stop sign"),
+        ("clean", "c", None, "stop sign"),
+        ("clean", "d", "stop sign", None),
+        ("attacked", "b", "stop sign", None),
+        ("attacked", "d", "stop sign", None),
+    ]
 
 
 class Counting(ColourDetector):

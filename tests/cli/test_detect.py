@@ -13,7 +13,7 @@ from attacks.observe.rows import read_rows
 from mi_splat.io import load_splat, save_splat
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.sh import colour_to_dc
-from tests.fakes import ColourDetector, toy_scene
+from tests.fakes import CoarseDetector, ColourDetector, toy_scene
 
 VIEW = ["--cameras", "orbit:12@0", "--distance", "3", "--fov", "50", "--size", "32"]
 
@@ -92,6 +92,23 @@ def test_a_clean_and_an_attacked_splat_are_compared(folder: Path, capsys: pytest
     text = capsys.readouterr().out
     assert "fake_colour: taken for the target, attacked" in text
     assert "missed attacked, of those found clean" in text
+
+
+def test_a_judge_s_contradictions_are_shown(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kinds = {"fasterrcnn_small": ColourDetector, "fake_coarse": CoarseDetector}
+    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda names, *_: [kinds[name]() for name in names])
+    words = ["evaluate", "clean.ply", "attacked.ply", *VIEW, "--judges", "fake_coarse", "--out", "judged"]
+    assert cli.main(words) == 0
+    told = capsys.readouterr().out
+    assert "fake_coarse contradicts fake_colour, clean" in told
+    record = json.loads((folder / "judged" / "result.json").read_text())
+    (pair,) = record["contradictions"]
+    assert (
+        told.count("| orbit-") == len(pair["views"]) == sum(pair[name]["successes"] for name in ("clean", "attacked"))
+    )
+    assert cli.main(["artifact-check", "judged"]) == 0
 
 
 def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,13 +10,13 @@ import polars as pl
 
 from attacks.bench.row import HEADS, row_of
 from attacks.observe import rates
-from attacks.observe.comparison import Comparison, compare
+from attacks.observe.comparison import Comparison, compare, contradictions
 from attacks.observe.rates import DEFAULT_OF_YOLO, REPORTED, Confidence, comparison_measures
-from attacks.observe.rows import ROWS
+from attacks.observe.rows import ATTACKED, CLEAN, ROWS
 from attacks.rate import FEW, Rate, number, percent, pooled
 from attacks.report.checking import Tables, read_tables
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, listed, settings
-from attacks.tables import Table, cell
+from attacks.tables import Column, Table, cell
 from mi_splat.errors import counted
 
 Record = Mapping[str, Any]
@@ -61,14 +61,14 @@ def read_evaluation(folder: Path, record: Record) -> Section:
         conclusion=" ".join([*map(_conclusion, judged), "This says nothing of other cameras or detectors."]),
         headline=headline,
         control=control,
-        figures=tuple(figure for one in judged for figure in _figures(one)),
+        figures=tuple([figure for one in judged for figure in _figures(one)] + list(_contradictions(record))),
         warnings=record["warnings"],
         pictures=tuple(
             Picture(path=folder / f"{one.detector}.png", caption=f"{one.detector}: {_SIDES}", wide=True)
             for one in judged
         ),
         charts=charts,
-        tables=tables,
+        tables=(*_contradicted(record), *tables),
         configuration=settings(
             {
                 **{key: record[key] for key in _CONDITIONS if key in record},
@@ -81,8 +81,34 @@ def read_evaluation(folder: Path, record: Record) -> Section:
 
 def evaluation_figures(record: Record, tables: Tables) -> Record:
     """Every rate of an evaluation, of its rows."""
-    compared = compare(tables[ROWS], confidence=record["min_confidence"])
-    return {"detectors": {judged.detector: judged.as_dict() for judged in compared}}
+    rows, confidence = tables[ROWS], record["min_confidence"]
+    figures = {"detectors": {judged.detector: judged.as_dict() for judged in compare(rows, confidence=confidence)}}
+    if "judges" not in record:
+        return figures
+    cameras = [camera["name"] for camera in record["cameras"]]
+    contradicted = contradictions(rows, record["judges"], cameras, confidence=confidence)
+    return {**figures, "contradictions": contradicted}
+
+
+def _contradictions(record: Record) -> Iterator[Figure]:
+    """How often judges contradict the other detectors."""
+    for pair in record.get("contradictions", ()):
+        for splat, note in ((ATTACKED, ""), (CLEAN, "false flags")):
+            label = f"{pair['judge']} contradicts {pair['detector']}, {splat}"
+            yield Figure(label=label, rate=Rate.of(pair[splat]), note=note)
+
+
+def _contradicted(record: Record) -> Iterator[Table]:
+    """Each view in which a judge contradicts a detector."""
+    for pair in record.get("contradictions", ()):
+        detector, judge = pair["detector"], pair["judge"]
+        columns: dict[str, Column[Record]] = {
+            "camera": "camera",
+            "splat": "splat",
+            detector: "report",
+            judge: "verdict",
+        }
+        yield Table.of(f"Views in which {judge} contradicts {detector}", columns, pair["views"])
 
 
 def _headline(judged: Comparison) -> tuple[Figure, Figure]:
