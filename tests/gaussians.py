@@ -8,6 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mi_splat.conformance import random_splat
 from mi_splat.rotation import normalise
 from mi_splat.scene import GaussianScene
 
@@ -28,6 +29,12 @@ def random_scene(count: int, degree: int = 3, *, seed: int = 0, dtype: torch.dty
         opacities=normal(count).sigmoid().to(dtype),
         sh=normal(count, (degree + 1) ** 2, 3).to(dtype),
     )
+
+
+def varied_scene(count: int, *, degree: int, seed: int, dtype: torch.dtype = torch.float32) -> GaussianScene:
+    """Needles, discs, huge and tiny Gaussians on a sphere."""
+    splat = random_splat(count, degree=degree, seed=seed)
+    return GaussianScene(*(torch.from_numpy(values).to(dtype) for values in splat))
 
 
 def splat_names(degree: int, *, normals: bool = True) -> list[str]:

@@ -18,8 +18,8 @@ from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
-from tests import oracle
 from tests.classifiers.made import CLASSES, SIZE, toy_classifier
+from tests.gaussians import varied_scene
 
 CAMERAS = orbit((0.0, 0.0, 0.0), count=3, elevation=20.0, distance=4.0, focal=24.0, size=(40, 32))
 CLASSIFIER = toy_classifier()
@@ -98,7 +98,7 @@ def test_what_is_found_through_a_blur_is_there_after_it(views: list[View]) -> No
 
 def test_a_decoy_changes_all_cameras_alike() -> None:
     """The victim gets the picture of one splat, which is misread, inside the mask and the ball."""
-    splat, cameras = oracle.random_scene(30, degree=1, seed=9), CAMERAS[:2]
+    splat, cameras = varied_scene(30, degree=1, seed=9), CAMERAS[:2]
     decoy = Decoy(start=splat, near=0.1)
     views = [View(camera, (decoy.picture(splat, camera).clamp(0, 1) * 255).round() / 255) for camera in cameras]
     poison = attack(replace(ANY, steps=3, paste="direct", eps=24, decoy_steps=130), decoy=decoy)

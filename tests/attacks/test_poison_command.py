@@ -18,11 +18,11 @@ from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.io import save_splat
 from mi_splat.io.picture_files import load_picture
 from mi_splat.rendering import Renderer, RenderSettings
-from tests import oracle
 from tests.classifiers.made import toy_classifier
 from tests.datasets.sets import write_transforms
+from tests.gaussians import varied_scene
 
-SPLAT = oracle.random_scene(30, degree=1, seed=9)
+SPLAT = varied_scene(30, degree=1, seed=9)
 CAMERAS = orbit((0.0, 0.0, 0.0), count=5, elevation=20.0, distance=4.0, focal=24.0, size=(20, 16))
 NONE = ("--eps", "0")
 SMALL = {

@@ -26,10 +26,10 @@ from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import ClassicConfig
-from tests import oracle
+from tests.gaussians import varied_scene
 
 CAMERAS = orbit((0.0, 0.0, 0.0), count=6, elevation=20.0, distance=4.0, focal=24.0, size=(20, 16))
-SPLAT = oracle.random_scene(30, degree=1, seed=9)
+SPLAT = varied_scene(30, degree=1, seed=9)
 SHORT = PoisonSplatConfig(steps=14, variation_steps=3, densify_every=5)
 EAGER = FitConfig(strategy=ClassicConfig(densify_grad_threshold=1e-6))
 FILTERS = [FilterConfig(name=name) for name in ("blur", "fourier", "wavelet")]

@@ -35,7 +35,7 @@ from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import fit
 from mi_splat.training.strategies import FixedConfig
 from mi_splat.view_freezing import freeze_views
-from tests import oracle
+from tests.gaussians import varied_scene
 
 CENTRE = (0.0, 0.0, 0.0)
 LENS: dict[str, Any] = {"distance": 5.0, "focal": 60.0, "size": (32, 32)}
@@ -251,7 +251,7 @@ SETTINGS = RenderSettings(background=(0.3, 0.4, 0.5))
 
 
 def painted(trained: Tensor) -> Layering:
-    scene, render = oracle.random_scene(COUNT, degree=1, seed=4), Renderer(SETTINGS)
+    scene, render = varied_scene(COUNT, degree=1, seed=4), Renderer(SETTINGS)
     poses = [orbit_pose((0.0, 0.0, 0.0), azimuth=90.0 * k, elevation=30.0, distance=3.0) for k in range(4)]
     cameras = [Camera(to_world=pose, focal=30.0, width=30, height=26) for pose in poses]
     other = scene.replace(sh=scene.sh + 0.3 * torch.randn(scene.sh.shape, generator=torch.Generator().manual_seed(1)))

@@ -6,7 +6,7 @@ import torch
 from mi_splat.bounds import REFERENCE_NEAR, bounds, culled_in_view, near_plane
 from mi_splat.cameras import Camera, look_at
 from mi_splat.scene import GaussianScene, merge
-from tests import oracle
+from tests.gaussians import varied_scene
 
 
 def looking_from(x: float, *, size: int = 32) -> Camera:
@@ -21,7 +21,7 @@ def scaled(scene: GaussianScene, factor: float) -> GaussianScene:
 @pytest.fixture
 def scene() -> GaussianScene:
     """A cloud of two world units' radius about the origin."""
-    cloud = oracle.random_scene(400, degree=0, seed=3)
+    cloud = varied_scene(400, degree=0, seed=3)
     middle, radius = bounds(cloud)
     return scaled(cloud.replace(means=cloud.means - torch.tensor(middle)), 2.5 / radius)
 
@@ -54,7 +54,7 @@ def test_a_sky_is_not_looked_at(scene: GaussianScene) -> None:
 def test_only_what_is_in_the_picture_is_culled(beside: tuple[float, float], inside: bool, sign: int) -> None:
     """At a depth of 0.2, the picture is 0.2 wide and 0.2 high."""
     means = torch.tensor([[2.8, sign * beside[0], sign * beside[1]]])
-    cloud = oracle.random_scene(1, degree=0, seed=0)
+    cloud = varied_scene(1, degree=0, seed=0)
     assert culled_in_view(cloud.replace(means=means), looking_from(3.0), 0.3) == int(inside)
     turned = torch.tensor([[2.8, sign * beside[1], sign * beside[0]]])
     assert culled_in_view(cloud.replace(means=turned), looking_from(3.0), 0.3) == int(inside)

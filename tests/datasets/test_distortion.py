@@ -16,8 +16,8 @@ from mi_splat.datasets import load_dataset
 from mi_splat.datasets.colmap import TWO_FOCALS
 from mi_splat.datasets.distortion import Intrinsics, undistorted
 from mi_splat.training.evaluation import MOST_PSNR, score
-from tests import oracle
 from tests.datasets.sets import CLOUD, LENSES, PROBES, VIEWS, lens_set, ramps, write_colmap
+from tests.gaussians import varied_scene
 
 
 def where(model: str, parameters: list[float], x: float, y: float) -> tuple[float, float]:
@@ -92,7 +92,7 @@ def test_what_the_photograph_does_not_show_does_not_count(tmp_path: Path) -> Non
     assert shown[0, 0] == 0
     assert 0.9 < float(shown.mean()) < 1
     torch.testing.assert_close(views[0].image, shown[..., None].expand(*shown.shape, 3))
-    scores = score(oracle.random_scene(1, degree=0, seed=0), views, lambda _, camera: torch.ones_like(views[0].image))
+    scores = score(varied_scene(1, degree=0, seed=0), views, lambda _, camera: torch.ones_like(views[0].image))
     assert scores is not None
     assert scores.psnr == MOST_PSNR  # white everywhere, and black at the border of the picture
 

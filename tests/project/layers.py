@@ -29,6 +29,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "rotation",
             "metrics",
             "labels",
+            "oracle",
+            "conformance",
             "scene",
             "placement",
             "processes",

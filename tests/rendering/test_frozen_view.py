@@ -13,7 +13,7 @@ from mi_splat.frozen_view import FrozenView
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.view_freezing import MIN_PICTURES, freeze_views
-from tests import oracle
+from tests.gaussians import varied_scene
 
 ERROR = 1e-5
 BACKGROUND = (0.2, 0.5, 0.9)
@@ -61,7 +61,7 @@ SETTINGS: dict[str, Any] = {
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_picture_and_gradient_are_the_renderers(name: str) -> None:
-    scene = oracle.random_scene(300, degree=2, seed=1)
+    scene = varied_scene(300, degree=2, seed=1)
     settings = RenderSettings(background=BACKGROUND, **SETTINGS[name])
     compare(FrozenView(scene, camera(50, 37), settings=settings), scene, other_colours(scene.sh))
 
@@ -74,7 +74,7 @@ def test_stages_are_recorded_once_for_all_sizes() -> None:
 
     frozen.cache_clear()
     for number in range(5):
-        scene = oracle.random_scene(100 + 37 * number, degree=1, seed=number)
+        scene = varied_scene(100 + 37 * number, degree=1, seed=number)
         view = FrozenView(scene, camera(30 + 5 * number, 40 + number))
         for seed in range(2):
             compare(view, scene, other_colours(scene.sh, seed=seed))
@@ -83,7 +83,7 @@ def test_stages_are_recorded_once_for_all_sizes() -> None:
 
 
 def test_a_dense_pile_keeps_what_is_not_hidden() -> None:
-    scene = oracle.random_scene(400, degree=0, seed=3)
+    scene = varied_scene(400, degree=0, seed=3)
     pile = scene.replace(means=scene.means * 0.2, opacities=torch.full((400,), 0.999))
     view = FrozenView(pile, camera(48, 48))
     compare(view, pile, other_colours(pile.sh))
@@ -93,7 +93,7 @@ def test_a_dense_pile_keeps_what_is_not_hidden() -> None:
 
 @pytest.mark.parametrize("kind", ["mask", "indices", "one", "slice"])
 def test_rows_alone_are_free(kind: str) -> None:
-    scene, where = oracle.random_scene(500, degree=1, seed=4), camera(66, 51)
+    scene, where = varied_scene(500, degree=1, seed=4), camera(66, 51)
     mask = scene.means[:, 0] > scene.means[:, 0].quantile(0.8)
     kinds: dict[str, Tensor | slice] = {
         "mask": mask,
@@ -109,7 +109,7 @@ def test_rows_alone_are_free(kind: str) -> None:
 
 
 def test_nothing_visible_and_no_rows() -> None:
-    scene, where = oracle.random_scene(30, degree=0, seed=0), camera(9, 5)
+    scene, where = varied_scene(30, degree=0, seed=0), camera(9, 5)
     settings = RenderSettings(background=BACKGROUND, alpha=True)
     away = scene.replace(means=scene.means + torch.tensor([1e4, 1e4, 0.0]))
     none = torch.zeros(30, dtype=torch.bool)
@@ -124,7 +124,7 @@ def test_nothing_visible_and_no_rows() -> None:
 
 
 def test_memory_is_bounded_before_it_is_taken() -> None:
-    scene, where = oracle.random_scene(300, degree=1, seed=1), camera(50, 37)
+    scene, where = varied_scene(300, degree=1, seed=1), camera(50, 37)
     view = FrozenView(scene, where)
     assert FrozenView(scene, where, max_bytes=view.nbytes).nbytes == view.nbytes
     assert view.megabytes == pytest.approx(view.nbytes / 1e6)
@@ -133,7 +133,7 @@ def test_memory_is_bounded_before_it_is_taken() -> None:
 
 
 def test_bad_input() -> None:
-    scene, where = oracle.random_scene(10, degree=1, seed=1), camera(20, 18)
+    scene, where = varied_scene(10, degree=1, seed=1), camera(20, 18)
     view = FrozenView(scene, where)
     for sh in (scene.sh[:9], scene.sh[:, :, :2], scene.sh[:, :3], scene.means):
         with pytest.raises(InvalidValueError, match="sh: expected"):
@@ -159,7 +159,7 @@ def cameras(count: int = 3) -> list[Camera]:
 
 @pytest.mark.parametrize("rows", [None, torch.arange(20)])
 def test_each_camera_has_a_view_whose_pictures_are_the_renderers(rows: torch.Tensor | None) -> None:
-    scene, render = oracle.random_scene(60, degree=1, seed=1), Renderer(RenderSettings(background=(0.1, 0.2, 0.3)))
+    scene, render = varied_scene(60, degree=1, seed=1), Renderer(RenderSettings(background=(0.1, 0.2, 0.3)))
     where = cameras()
     views = freeze_views(scene, [*where, where[0]], render=render, pictures=MIN_PICTURES, rows=rows)
     assert list(views) == where
@@ -168,7 +168,7 @@ def test_each_camera_has_a_view_whose_pictures_are_the_renderers(rows: torch.Ten
 
 
 def test_views_that_do_not_fit_are_left_to_the_renderer() -> None:
-    scene, where = oracle.random_scene(60, degree=1, seed=1), cameras()
+    scene, where = varied_scene(60, degree=1, seed=1), cameras()
     settings: dict[str, Any] = {"render": Renderer(), "pictures": 100}
     sizes = [view.nbytes for view in freeze_views(scene, where, **settings).values()]
     for count in range(4):

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from mi_splat import variant
+from mi_splat import oracle, variant
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, Similarity, merge
-from tests import oracle
+from tests.gaussians import varied_scene
 
 variant.use()
 
@@ -44,7 +44,7 @@ def scene_xml(shapes: str, properties: str = "") -> str:
 
 def two_splats(folder: Path) -> tuple[GaussianScene, str]:
     """Two splats of different SH degree as files, and the shapes that name them."""
-    first, second = oracle.random_scene(80, degree=2, seed=1), oracle.random_scene(50, degree=1, seed=2)
+    first, second = varied_scene(80, degree=2, seed=1), varied_scene(50, degree=1, seed=2)
     save_splat(first, folder / "a.ply")
     save_splat(second, folder / "b.ply")
     shapes = "".join(
@@ -69,7 +69,7 @@ def dict_scene(scene: GaussianScene, **integrator: Any) -> Any:
 
 
 def test_gradients_are_the_renderers() -> None:
-    scene = oracle.random_scene(60, degree=2, seed=1)
+    scene = varied_scene(60, degree=2, seed=1)
     loaded = dict_scene(scene)
     params = mi.traverse(loaded)
     keys = [f"splat.{key}" for key in ("data", "opacities", "sh_coeffs")]
@@ -97,7 +97,7 @@ def test_gradients_are_the_renderers() -> None:
 
 @pytest.mark.parametrize("name", ["x_fov", "principal_point_offset_x", "to_world"])
 def test_a_sensor_that_moves_is_read_again(name: str) -> None:
-    scene = oracle.random_scene(60, degree=1, seed=4)
+    scene = varied_scene(60, degree=1, seed=4)
     loaded = dict_scene(scene)
     before = np.array(mi.render(loaded))
     params = mi.traverse(loaded.sensors()[0])
@@ -109,12 +109,12 @@ def test_a_sensor_that_moves_is_read_again(name: str) -> None:
     after = np.array(mi.render(loaded))
     assert np.abs(after - before).max() > 0.01
     camera = sensors.camera(loaded.sensors()[0])
-    reference, _ = oracle.render(scene, camera)
+    reference = oracle.render(scene, camera).image
     np.testing.assert_allclose(after, reference, atol=1e-4)
 
 
 def test_to_world_moves_and_turns_the_splat(tmp_path: Path) -> None:
-    scene = oracle.random_scene(60, degree=3, seed=1)
+    scene = varied_scene(60, degree=3, seed=1)
     save_splat(scene, tmp_path / "a.ply")
     shape = (
         f'<shape type="gaussians" id="car"><string name="filename" value="{tmp_path / "a.ply"}"/>'
@@ -130,7 +130,7 @@ def test_to_world_moves_and_turns_the_splat(tmp_path: Path) -> None:
 
 
 def test_forward_mode_is_refused_in_words() -> None:
-    loaded = dict_scene(oracle.random_scene(10, degree=0, seed=1))
+    loaded = dict_scene(varied_scene(10, degree=0, seed=1))
     params = mi.traverse(loaded)
     shift = mi.Float(0.0)
     dr.enable_grad(shift)

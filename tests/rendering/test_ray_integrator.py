@@ -11,7 +11,7 @@ import torch
 from mi_splat.cameras import Camera
 from mi_splat.plugins.sensor import sensor_dict
 from mi_splat.rendering import Renderer, RenderSettings
-from tests import oracle
+from tests.gaussians import varied_scene
 from tests.ray_scenes import GREEN, T, area, constant, diffuse, gaussian, linear, looking, pixel, scene_of, wall
 
 
@@ -98,7 +98,7 @@ def test_without_splats_it_is_the_path_tracer() -> None:
 
 def test_alone_it_is_the_renderers_picture() -> None:
     """Rays through random points of pixels, on average, against rays through their centres."""
-    splat = oracle.random_scene(40, degree=2, seed=3)
+    splat = varied_scene(40, degree=2, seed=3)
     pose = torch.eye(4, dtype=torch.float64)
     pose[2, 3] = -6.0
     view = Camera(to_world=pose, focal=60.0, width=24, height=20)

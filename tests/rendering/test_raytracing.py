@@ -11,12 +11,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from mi_splat import oracle
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from tests import oracle, ray_scenes
+from tests.gaussians import varied_scene
 from tests.ray_scenes import GREEN, constant, gaussian, linear, pixel, scene_of, wall
 
 TOLERANCE = 1e-4
@@ -40,15 +41,15 @@ def ray(**settings: object) -> Renderer:
 )
 @pytest.mark.parametrize("to_mean", [False, True])
 def test_picture_is_the_oracles(count: int, degree: int, size: tuple[int, int], to_mean: bool) -> None:
-    scene, view = oracle.random_scene(count, degree=degree, seed=count), camera(*size)
+    scene, view = varied_scene(count, degree=degree, seed=count), camera(*size)
     background = (0.1, 0.2, 0.3)
     rendered = ray(background=background, alpha=True, colour_to_mean=to_mean)(scene, view).numpy()
-    picture, opacity = ray_scenes.render(scene, view, background=background, to_mean=to_mean)
+    picture, opacity = oracle.render_rays(scene, view, background=background, to_mean=to_mean)
     np.testing.assert_allclose(rendered, np.concatenate([picture, opacity[..., None]], -1), atol=TOLERANCE)
 
 
 def test_three_hundred_gaussians_in_one_place_are_all_blended() -> None:
-    few = oracle.random_scene(1, degree=0, seed=4)
+    few = varied_scene(1, degree=0, seed=4)
     count = 300
     scene = GaussianScene(
         torch.zeros(count, 3),
@@ -59,8 +60,8 @@ def test_three_hundred_gaussians_in_one_place_are_all_blended() -> None:
     )
     view = camera()
     picture = ray(alpha=True)(scene, view)[..., 3].double().numpy()
-    origin, directions, _ = ray_scenes.camera_rays(view)
-    alpha = ray_scenes.peaks(scene, origin, directions)[1][0].reshape(view.height, view.width)
+    origin, directions, _ = oracle.pixel_rays(view)
+    alpha = oracle.densest(scene, origin, directions)[1][0].reshape(view.height, view.width)
     expected = np.where(alpha >= 1 / 255, 1 - (1 - alpha) ** count, 0.0)
     assert expected.max() > 0.9
     clear = np.abs(alpha - 1 / 255) > 1e-6
@@ -69,7 +70,7 @@ def test_three_hundred_gaussians_in_one_place_are_all_blended() -> None:
 
 def overlapping_scene() -> GaussianScene:
     """Large Gaussians on top of each other: a ray meets dozens."""
-    scene = oracle.random_scene(70, degree=3, seed=5)
+    scene = varied_scene(70, degree=3, seed=5)
     return replace(scene, scales=scene.scales * 2.5, opacities=scene.opacities * 0.4 + 0.02)
 
 
@@ -86,7 +87,7 @@ def test_gradients_are_finite_differences_under_overlap(to_mean: bool) -> None:
         values = getattr(moved, name) + change
         if name == "rotations":
             values = values / values.norm(dim=1, keepdim=True)
-        picture, opacity = ray_scenes.render(
+        picture, opacity = oracle.render_rays(
             replace(moved, **{name: values}), view, background=(0.3, 0.6, 0.1), to_mean=to_mean
         )
         return float((np.concatenate([picture, opacity[..., None]], -1) * weight.double().numpy()).sum())

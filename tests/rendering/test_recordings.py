@@ -12,7 +12,7 @@ from mi_splat import variant
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from tests import oracle
+from tests.gaussians import varied_scene
 
 variant.use()
 
@@ -54,7 +54,7 @@ def test_recordings_follow_shapes_never_values() -> None:
     render = Renderer()
 
     def step(seed: int) -> None:
-        scene = oracle.random_scene(50, degree=1, seed=seed)
+        scene = varied_scene(50, degree=1, seed=seed)
         opacities = scene.opacities.clone().requires_grad_(True)
         render(scene.replace(opacities=opacities), VIEW).sum().backward()  # type: ignore[no-untyped-call]
 
@@ -73,7 +73,7 @@ def check_offsets(step: Callable[[int], Sequence[Any]], equal: Callable[[Any, An
 
 
 def test_torch_tensors_need_not_be_aligned() -> None:
-    scene, render = oracle.random_scene(50, degree=1, seed=0), Renderer(RenderSettings(alpha=True))
+    scene, render = varied_scene(50, degree=1, seed=0), Renderer(RenderSettings(alpha=True))
     weights = np.random.default_rng(0).normal(size=(29, 37, 4))
 
     def step(offset: int) -> tuple[torch.Tensor, ...]:

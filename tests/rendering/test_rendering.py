@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from mi_splat import oracle
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, orbit_pose
@@ -15,7 +16,7 @@ from mi_splat.io import SplatFileError, save_splat
 from mi_splat.rendering import Method, Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.scene_files import read_scene
-from tests import oracle
+from tests.gaussians import varied_scene
 
 VIEW = Camera(
     to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=10.0, elevation=20.0, distance=3.0), focal=40.0, width=37, height=29
@@ -23,7 +24,7 @@ VIEW = Camera(
 
 
 def test_batch_is_one_picture_per_camera() -> None:
-    scene = oracle.random_scene(60, degree=1, seed=1)
+    scene = varied_scene(60, degree=1, seed=1)
     cameras = orbit((0.0, 0.0, 0.0), count=3, elevation=30.0, distance=3.0, focal=30.0, size=(24, 18))
     render = Renderer()
     pictures = render.batch(scene, [*cameras, VIEW])
@@ -34,7 +35,7 @@ def test_batch_is_one_picture_per_camera() -> None:
 
 
 def test_batch_gradient_is_the_sum_of_the_single_ones() -> None:
-    scene = oracle.random_scene(40, degree=0, seed=1)
+    scene = varied_scene(40, degree=0, seed=1)
     cameras = orbit((0.0, 0.0, 0.0), count=2, elevation=30.0, distance=3.0, focal=30.0, size=(24, 18))
     render = Renderer()
     together = scene.sh.clone().requires_grad_(True)
@@ -51,14 +52,14 @@ def test_batch_gradient_is_the_sum_of_the_single_ones() -> None:
 def test_screen_gradients_are_in_half_pictures_and_know_what_is_visible() -> None:
     """A shift of the principal point moves every centre on the screen by as many pixels."""
     wide = Camera(to_world=VIEW.to_world, focal=40.0, width=64, height=16)
-    scene = oracle.random_scene(40, degree=0, seed=1)
+    scene = varied_scene(40, degree=0, seed=1)
     one = scene.select(torch.arange(40) == int(scene.opacities.argmax()))
     away = one.replace(means=one.means + torch.tensor([1e3, 1e3, 0.0]))
     factors = torch.randn(16, 64, 3, generator=torch.Generator().manual_seed(0))
 
     def value(dx: float, dy: float) -> float:
         view = Camera(to_world=VIEW.to_world, focal=40.0, width=64, height=16, principal=(32.0 + dx, 8.0 + dy))
-        return float((torch.from_numpy(oracle.render(one, view)[0]) * factors).sum())
+        return float((torch.from_numpy(oracle.render(one, view).image) * factors).sum())
 
     gradients = ScreenGradients()
     both = merge(one, away)
@@ -72,7 +73,7 @@ def test_screen_gradients_are_in_half_pictures_and_know_what_is_visible() -> Non
 
 
 def test_memory_stays_flat() -> None:
-    scene, render = oracle.random_scene(200, degree=1, seed=0), Renderer()
+    scene, render = varied_scene(200, degree=1, seed=0), Renderer()
     sh = scene.sh.clone().requires_grad_(True)
 
     def steps(count: int) -> None:
@@ -99,7 +100,7 @@ SCENE = """<scene version="3.0.0">
 
 
 def test_a_scene_is_its_file(tmp_path: Path) -> None:
-    first, second = oracle.random_scene(30, degree=2, seed=1), oracle.random_scene(20, degree=0, seed=2)
+    first, second = varied_scene(30, degree=2, seed=1), varied_scene(20, degree=0, seed=2)
     save_splat(first, tmp_path / "a.ply")
     save_splat(second, tmp_path / "b.ply")
     (tmp_path / "scene.xml").write_text(SCENE)
@@ -110,14 +111,17 @@ def test_a_scene_is_its_file(tmp_path: Path) -> None:
     assert torch.equal(loaded.scene.means[:30], first.means)
     assert torch.equal(loaded.scene.sh[:30], first.sh)
     assert torch.equal(loaded.scene.sh[30:, :1], second.sh)
-    reference, _ = oracle.render(loaded.scene, loaded.cameras["front"], background=(0.1, 0.2, 0.3), near=0.5)
+    convention = oracle.Convention(near=0.5)
+    reference = oracle.render(
+        loaded.scene, loaded.cameras["front"], background=(0.1, 0.2, 0.3), convention=convention
+    ).image
     picture = Renderer(loaded.settings)(loaded.scene, loaded.cameras["front"])
     torch.testing.assert_close(picture.double(), torch.from_numpy(reference), atol=1e-4, rtol=0)
 
 
 def test_cameras_beyond_what_float32_bears_are_named(tmp_path: Path) -> None:
     for name in ("a.ply", "b.ply"):
-        save_splat(oracle.random_scene(3, degree=0, seed=1), tmp_path / name)
+        save_splat(varied_scene(3, degree=0, seed=1), tmp_path / name)
     lookat = '<lookat origin="3, 1, 1" target="0, 0, 0" up="0, 0, 1"/>'
     for change, says in (
         ((lookat, '<translate x="1e30"/>'), "camera position: expected coordinates up to 1e"),
@@ -145,7 +149,7 @@ def test_bad_scenes_say_why(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("method", ["tile", "ray"])
 def test_a_scene_without_gaussians_has_an_empty_gradient(method: Method) -> None:
-    empty = oracle.random_scene(3, degree=1, seed=0).select(torch.zeros(3, dtype=torch.bool))
+    empty = varied_scene(3, degree=1, seed=0).select(torch.zeros(3, dtype=torch.bool))
     sh = empty.sh.clone().requires_grad_(True)
     settings = RenderSettings(method=method, background=(0.2, 0.4, 0.6))
     image = Renderer(settings)(empty.replace(sh=sh), VIEW)
@@ -157,7 +161,7 @@ def test_a_scene_without_gaussians_has_an_empty_gradient(method: Method) -> None
 @pytest.mark.parametrize("method", ["tile", "ray"])
 @pytest.mark.parametrize("name", ["means", "sh"])
 def test_what_is_not_finite_is_refused_by_name(name: str, method: Method) -> None:
-    scene = oracle.random_scene(9, degree=1, seed=0)
+    scene = varied_scene(9, degree=1, seed=0)
     values = getattr(scene, name).clone()
     values[4] = float("nan")
     tensors = [values if own == name else old for own, old in zip(ATTRIBUTES, scene.tensors(), strict=True)]

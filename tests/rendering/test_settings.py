@@ -15,7 +15,7 @@ from mi_splat.io import save_splat
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import read_scene
-from tests import oracle
+from tests.gaussians import varied_scene
 from tests.rendering.test_plugins import dict_scene, scene_xml, two_splats
 
 variant.use()
@@ -25,7 +25,7 @@ import mitsuba as mi  # noqa: E402
 
 from mi_splat.plugins import sensor as sensors  # noqa: E402
 
-SCENE = oracle.random_scene(60, degree=1, seed=4)
+SCENE = varied_scene(60, degree=1, seed=4)
 DEFAULTS: dict[str, Any] = {"background": (0.0, 0.0, 0.0), "near": 0.2, "alpha": False, "linear": False}
 CHANGED: dict[str, Any] = {"background": (0.1, 0.5, 0.9), "near": 3.0, "alpha": True, "linear": True}
 Set = Callable[[Any, str, Any], None]

@@ -5,13 +5,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from mi_splat import oracle
 from mi_splat.cameras import RenderFn
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.selection.clusters import clusters, components, find_plane, nearest_neighbours
 from mi_splat.selection.visibility import contributions, object_maps, object_weight
 from mi_splat.sh import colour_to_dc
-from tests import oracle
+from tests.gaussians import varied_scene
 from tests.rendering.test_rasterization import camera
 from tests.selection.bare import ground
 
@@ -115,7 +116,7 @@ def test_colour_tells_what_touches_apart() -> None:
 # Weights of Gaussians and of objects in pictures, against the float64 oracle and against each other
 
 
-SCENE, HERE, THERE = oracle.random_scene(150, degree=2, seed=5), camera(40, 31), camera(24, 24, azimuth=200.0)
+SCENE, HERE, THERE = varied_scene(150, degree=2, seed=5), camera(40, 31), camera(24, 24, azimuth=200.0)
 GREY = RenderSettings(background=(0.3, 0.5, 0.7))
 
 
@@ -126,7 +127,7 @@ def test_contributions_are_the_oracles_weights(variant: str) -> None:
     for number, view in enumerate((HERE, THERE)):
         x0, y0, x1, y1 = boxes[number]
         sums, in_box = np.zeros(len(SCENE)), np.zeros(len(SCENE))
-        for i, _, weights, _ in oracle.blend(SCENE, view):
+        for i, _, weights, _ in oracle.blend(oracle.project(SCENE, view), view):
             sums[i], in_box[i] = weights.sum(), weights[y0:y1, x0:x1].sum()
         np.testing.assert_allclose(whole[:, number], sums, rtol=1e-5, atol=1e-5)
         np.testing.assert_allclose(parts[:, number], in_box, rtol=1e-5, atol=1e-5)

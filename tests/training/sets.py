@@ -13,8 +13,8 @@ from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import ClassicConfig, Step
-from tests import oracle
 from tests.datasets.sets import write_transforms
+from tests.gaussians import varied_scene
 
 SHORT = FitConfig(
     iterations=60,
@@ -34,7 +34,7 @@ SHORT = FitConfig(
 
 def scene_and_views(count: int = 60) -> tuple[GaussianScene, list[View], GaussianScene]:
     """A small splat, pictures of it, and a start that is not far from it."""
-    truth = oracle.random_scene(count, degree=1, seed=9)
+    truth = varied_scene(count, degree=1, seed=9)
     render = Renderer()
     cameras = [
         Camera(to_world=look_at((4 * x, 4 * y, 1.0), (0, 0, 0)), focal=40.0, width=36, height=32)
@@ -54,7 +54,7 @@ def watching() -> Renderer:
 
 
 def views_of(count: int = 6) -> tuple[GaussianScene, list[View]]:
-    truth = oracle.random_scene(50, degree=1, seed=9)
+    truth = varied_scene(50, degree=1, seed=9)
     cameras: list[Camera] = orbit((0.0, 0.0, 0.0), count=count, elevation=20.0, distance=4.0, focal=36.0, size=(32, 32))
     with torch.no_grad():
         return truth, [View(camera, Renderer()(truth, camera).clamp(0, 1)) for camera in cameras]

@@ -21,8 +21,8 @@ from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import fit
 from mi_splat.training.strategies import FixedConfig
-from tests import oracle
 from tests.datasets.sets import write_transforms
+from tests.gaussians import varied_scene
 from tests.training.sets import views_of, watching, write_set
 
 
@@ -37,7 +37,7 @@ def figures(out: Path) -> Any:
 
 def small_set(folder: Path, factor: float) -> Path:
     """The set of `write_set`, so many times its size."""
-    truth = oracle.random_scene(50, degree=1, seed=9)
+    truth = varied_scene(50, degree=1, seed=9)
     large = orbit((0.0, 0.0, 0.0), count=6, elevation=20.0, distance=4.0, focal=36.0, size=(32, 32))
     with torch.no_grad():
         pictures = [Renderer()(truth, camera).clamp(0, 1) for camera in large]
@@ -137,7 +137,7 @@ def test_masked_pixels_do_not_count(dataset: Path) -> None:
 def test_a_random_background_empties_what_is_transparent(tmp_path: Path) -> None:
     """Black over a black background, a dark Gaussian costs nothing; over any colour it does."""
     camera = Camera(to_world=torch.eye(4, dtype=torch.float64), focal=30.0, width=16, height=16)
-    start = oracle.random_scene(30, degree=0, seed=1)
+    start = varied_scene(30, degree=0, seed=1)
     start = start.replace(means=0.3 * start.means + torch.tensor([0.0, 0.0, 2.0]), sh=torch.full((30, 1, 3), -3.0))
     (tmp_path / "images").mkdir()
     Image.fromarray(np.zeros((16, 16, 4), np.uint8)).save(tmp_path / "images" / "00000.png")

@@ -40,8 +40,8 @@ from mi_splat.viewer.session import (
     difference,
     lay_out,
 )
-from tests import oracle
 from tests.fakes import blobs
+from tests.gaussians import varied_scene
 from tests.project.layers import ROOT
 from tests.viewer.contents import START, MeanInspector, ball, balls, painter
 from tests.viewer.wire import PATIENCE
@@ -187,7 +187,7 @@ def test_names_that_a_page_cannot_show(changes: dict[str, Any], reason: str) -> 
 def test_a_splat_with_another_up_stands_upright(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """As foreign splats have it, with y down; the command that the page shows makes the same picture."""
     monkeypatch.chdir(tmp_path)
-    scene, down = oracle.random_scene(60, degree=1, seed=4), (0.0, -1.0, 0.0)
+    scene, down = varied_scene(60, degree=1, seed=4), (0.0, -1.0, 0.0)
     turn = from_z(torch.tensor(down))
     save_splat(scene, "z.ply")
     save_splat(scene.transform(Similarity(rotation=turn, translation=torch.zeros(3), scale=1.0)), "y.ply")

@@ -23,9 +23,9 @@ from mi_splat.training.resume import poses_digest
 from mi_splat.viewer.content import Photographs
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.session import Pace, Step, ViewState
-from tests import oracle
 from tests.datasets.sets import write_colmap, write_transforms
 from tests.fakes import blobs
+from tests.gaussians import varied_scene
 
 ROLLS = (0.0, 35.0, -120.0, 180.0, 90.0, 10.0)
 
@@ -33,7 +33,7 @@ ROLLS = (0.0, 35.0, -120.0, 180.0, 90.0, 10.0)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory, variant: str) -> Path:
     """A splat and what was taken of it by rolled cameras, as transforms and as a model of COLMAP."""
-    made, scene, render = tmp_path_factory.mktemp("made"), oracle.random_scene(60, degree=1, seed=4), Renderer()
+    made, scene, render = tmp_path_factory.mktemp("made"), varied_scene(60, degree=1, seed=4), Renderer()
     views = []
     for number, roll in enumerate(ROLLS):
         pose = orbit_pose((0, 0, 0), azimuth=60.0 * number, elevation=20.0, distance=4.0, roll=roll)

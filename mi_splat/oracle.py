@@ -1,0 +1,351 @@
+"""The image of a 3D Gaussian splat by its definition: float64, NumPy alone, one loop over Gaussians.
+
+It is slow and obvious, a reference for tests of renderers: `render` is the rasterised image of 3D Gaussian Splatting
+(Kerbl et al. 2023, with the projection of Zwicker et al. 2001), `render_rays` the one that evaluates each Gaussian
+where it is densest along a ray, `gradients` the derivatives of the first. `Convention` names the choices on which
+renderers differ; its defaults are those of the 3DGS code.
+
+Splats are any objects with `means` (N, 3), `scales` (N, 3), `rotations` (N, 4) as w, x, y, z, `opacities` (N,) and
+`sh` (N, K, 3), arrays or CPU tensors, as values and not as logarithms or logits; `Splat` is one, and so is
+`GaussianScene`. Cameras have `to_world` (4, 4) from x right, y down, z forward, `fx`, `fy`, `cx`, `cy` in pixels,
+`width` and `height`; `PinholeCamera` is one, and so is `mi_splat.Camera`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[Any]
+_NAMES = ("means", "scales", "rotations", "opacities", "sh")
+_STEP = 1e-30
+"""Step of a derivative in the imaginary direction, which loses no digits (Squire and Trapp 1998)."""
+
+
+class Splat(NamedTuple):
+    """N Gaussians, with K SH coefficients of each colour channel."""
+
+    means: Array  # (N, 3)
+    scales: Array  # (N, 3) standard deviations
+    rotations: Array  # (N, 4) quaternions w, x, y, z of any length
+    opacities: Array  # (N,)
+    sh: Array  # (N, K, 3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PinholeCamera:
+    """A camera of `width` x `height` pixels."""
+
+    to_world: Array  # (4, 4) from x right, y down, z forward
+    fx: float  # pixels
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Convention:
+    """What renderers do differently; the defaults define the image of 3DGS."""
+
+    near: float = 0.2  # Gaussians at a smaller depth are left out
+    order: Literal["depth", "distance", "file"] = "depth"  # equal depths keep the order of the file
+    low_pass: float = 0.3  # pixels^2, added to the variances of the projected Gaussian
+    compensated: bool = False  # opacity lowered by what the low-pass filter adds to the area (antialiased, "mip")
+    tangent_limit: float = 1.3  # of the half field of view, for the Jacobian alone; inf is none
+    min_alpha: float = 1 / 255  # smaller ones are left out
+    cutoff: float = math.inf  # standard deviations at which a Gaussian ends
+    max_alpha: float = 0.99
+    stop: float = 1e-4  # transmittance below which a pixel takes no further Gaussian
+    pixel_centre: float = 0.5  # where the first pixel is sampled
+    sh_degree: int = 3  # higher bands are left out
+    towards: Literal["gaussian", "camera", "optical axis"] = "gaussian"  # direction at which SH are evaluated
+    clamp: Literal["below 0", "outside 0 to 1", "none"] = "below 0"  # of colours
+
+
+DEFAULT = Convention()
+
+
+class Image(NamedTuple):
+    """What one camera sees."""
+
+    image: Array  # (H, W, 3) in the colour space of the file, sRGB
+    alpha: Array  # (H, W)
+    depth: Array  # (H, W) mean of the blended depths; 0 where there is none
+    median_depth: Array  # (H, W) depth at which half of the light is taken; 0 where it is not
+
+
+class Projected(NamedTuple):
+    """Gaussians in the image."""
+
+    depth: Array  # (N,)
+    centre: Array  # (N, 2) pixels
+    conic: Array  # (N, 2, 2) inverse covariance
+    opacity: Array  # (N,)
+    colour: Array  # (N, 3)
+    distance: Array  # (N,) from the camera
+    basis: Array  # (N, K) of the spherical harmonics
+
+
+def sh_basis(directions: Array, count: int) -> Array:
+    """(N, count) real spherical harmonics at unit vectors (N, 3), in the order and with the signs of 3DGS."""
+    x, y, z = directions.T
+    terms = [np.full_like(x, 0.28209479177387814)]
+    terms += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
+    terms += [
+        1.0925484305920792 * x * y,
+        -1.0925484305920792 * y * z,
+        0.31539156525252005 * (2 * z * z - x * x - y * y),
+        -1.0925484305920792 * x * z,
+        0.5462742152960396 * (x * x - y * y),
+    ]
+    terms += [
+        -0.5900435899266435 * y * (3 * x * x - y * y),
+        2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (4 * z * z - x * x - y * y),
+        0.3731763325901154 * z * (2 * z * z - 3 * x * x - 3 * y * y),
+        -0.4570457994644658 * x * (4 * z * z - x * x - y * y),
+        1.445305721320277 * z * (x * x - y * y),
+        -0.5900435899266435 * x * (x * x - 3 * y * y),
+    ]
+    return np.stack(terms[:count], axis=1)
+
+
+def rotation_matrices(quaternions: Array) -> Array:
+    """(N, 3, 3) rotations of quaternions (N, 4) of any length."""
+    w, x, y, z = (quaternions / _norm(quaternions)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def project(splat: Any, camera: Any, convention: Convention = DEFAULT) -> Projected:
+    """Every Gaussian in the image, also those behind the camera; complex values are taken as they are."""
+    means, scales, rotations, opacity, sh = _arrays(splat)
+    pose = _pose(camera)
+    offset = means - pose[:3, 3]
+    local = offset @ pose[:3, :3]
+    z = local[:, 2]
+    tangents = local[:, :2] / z[:, None]
+    extent = np.array([camera.width / camera.fx, camera.height / camera.fy])
+    limit = 0.5 * convention.tangent_limit * extent
+    near_axis = np.where(np.abs(tangents.real) <= limit, tangents, np.sign(tangents.real) * limit)
+    jacobian = np.zeros((len(means), 2, 3), dtype=local.dtype)  # Zwicker et al. 2001, equation 29
+    jacobian[:, 0, 0], jacobian[:, 1, 1] = camera.fx / z, camera.fy / z
+    jacobian[:, :, 2] = -np.array([camera.fx, camera.fy]) * near_axis / z[:, None]
+    factor = jacobian @ pose[:3, :3].T @ rotation_matrices(rotations) * scales[:, None, :]
+    covariance = factor @ factor.transpose(0, 2, 1)
+    blurred = covariance + convention.low_pass * np.eye(2)
+    (a, b), (_, c) = blurred.transpose(1, 2, 0)
+    area = a * c - b * b
+    conic = np.moveaxis(np.array([[c, -b], [-b, a]]) / area, 2, 0)
+    if convention.compensated:
+        (p, q), (_, r) = covariance.transpose(1, 2, 0)
+        ratio = (p * r - q * q) / area
+        opacity = opacity * np.sqrt(np.where(ratio.real > 0, ratio, 0))
+    centre = tangents * np.array([camera.fx, camera.fy]) + np.array([camera.cx, camera.cy])
+    count = min(sh.shape[1], (convention.sh_degree + 1) ** 2)
+    basis = sh_basis(_sh_directions(offset, camera, convention), count)
+    colour = _clamped(0.5 + np.einsum("nk,nkc->nc", basis, sh[:, :count]), convention)
+    return Projected(z, centre, conic, opacity, colour, _norm(offset)[:, 0], basis)
+
+
+def blend(
+    projected: Projected, camera: Any, convention: Convention = DEFAULT
+) -> Iterator[tuple[int, Array, Array, Array]]:
+    """Gaussians front to back: number, alpha (H, W), weight (H, W) and the transmittance behind it (H, W)."""
+    ys, xs = np.mgrid[0 : camera.height, 0 : camera.width] + convention.pixel_centre
+    left, stopped = np.ones(xs.shape), np.zeros(xs.shape, dtype=bool)
+    # A renderer of float32 splats has float32 depths, so these decide which of two Gaussians is in front.
+    keys = {"depth": projected.depth, "distance": projected.distance, "file": np.zeros(len(projected.depth))}
+    for i in np.argsort(keys[convention.order].astype(np.float32), kind="stable"):
+        if projected.depth[i] < convention.near:
+            continue
+        offset = np.stack([xs - projected.centre[i, 0], ys - projected.centre[i, 1]], axis=-1)
+        squared = np.einsum("hwi,ij,hwj->hw", offset, projected.conic[i], offset)
+        alpha = np.minimum(convention.max_alpha, projected.opacity[i] * np.exp(-0.5 * squared))
+        behind = left * (1 - alpha)
+        drawn = (alpha >= convention.min_alpha) & (squared <= convention.cutoff**2) & ~stopped
+        stopped |= drawn & (behind < convention.stop)
+        drawn &= ~stopped
+        weight = np.where(drawn, alpha * left, 0.0)
+        left = np.where(drawn, behind, left)
+        yield int(i), np.where(drawn, alpha, 0.0), weight, left
+
+
+def render(
+    splat: Any, camera: Any, *, background: ArrayLike = (0.0, 0.0, 0.0), convention: Convention = DEFAULT
+) -> Image:
+    """The rasterised image.
+
+    Args:
+        splat: Gaussians, see above.
+        camera: Camera, see above.
+        background: (3,) colour behind all Gaussians.
+        convention: Choices of the renderer.
+    """
+    projected, shape = project(splat, camera, convention), (camera.height, camera.width)
+    image, left, total, summed, median = np.zeros((*shape, 3)), np.ones(shape), *np.zeros((3, *shape))
+    for i, _, weight, behind in blend(projected, camera, convention):
+        z, left = projected.depth[i], behind
+        image += weight[..., None] * projected.colour[i]
+        total, summed = total + weight, summed + z * weight
+        median = np.where((median == 0) & (left <= 0.5), z, median)
+    depth = np.where(total > 0, summed / np.where(total > 0, total, 1), 0)
+    return Image(image + left[..., None] * np.asarray(background, dtype=np.float64), 1 - left, depth, median)
+
+
+def gradients(
+    splat: Any,
+    camera: Any,
+    on_image: Array,
+    on_alpha: ArrayLike = 0.0,
+    on_depth: ArrayLike = 0.0,
+    *,
+    background: ArrayLike = (0.0, 0.0, 0.0),
+    convention: Convention = DEFAULT,
+) -> Splat:
+    """Derivatives of sum(on_image * image) + sum(on_alpha * alpha) + sum(on_depth * depth) by every attribute.
+
+    Args:
+        splat: Gaussians, see above.
+        camera: Camera, see above.
+        on_image: (H, W, 3) derivative of a loss by the image.
+        on_alpha: (H, W) derivative of a loss by alpha.
+        on_depth: (H, W) derivative of a loss by the mean depth.
+        background: (3,) colour behind all Gaussians.
+        convention: Choices of the renderer; colours have to be clamped below 0.
+    """
+    projected, values = project(splat, camera, convention), Splat(*_arrays(splat))
+    depth, centre, conic, opacity, colour = (np.zeros(array.shape) for array in projected[:5])
+    drawn = list(blend(projected, camera, convention))
+    total, summed = np.zeros((2, *on_image.shape[:2]))
+    for i, _, weight, _ in drawn:
+        total, summed = total + weight, summed + weight * projected.depth[i]
+    total = np.where(total > 0, total, 1.0)
+    on_depth = np.asarray(on_depth) / total
+    left = drawn[-1][3] if drawn else np.ones(on_image.shape[:2])
+    behind = left * (on_image @ np.asarray(background, dtype=np.float64) - on_alpha)  # what lies behind a Gaussian
+    ys, xs = np.mgrid[0 : camera.height, 0 : camera.width] + convention.pixel_centre
+    for i, alpha, weight, left in reversed(drawn):
+        colour[i], depth[i] = np.einsum("hw,hwc->c", weight, on_image), (weight * on_depth).sum()
+        shown = on_image @ projected.colour[i] + on_depth * (projected.depth[i] - summed / total)
+        on = np.where(alpha > 0, (left * shown - behind) / (1 - alpha), 0.0)
+        behind = behind + weight * shown
+        on = np.where(alpha < convention.max_alpha, on, 0.0) * alpha  # by the exponent
+        offset = np.stack([xs - projected.centre[i, 0], ys - projected.centre[i, 1]], axis=-1)
+        opacity[i] = on.sum() / projected.opacity[i] if projected.opacity[i] else 0.0
+        conic[i] = -0.5 * np.einsum("hw,hwi,hwj->ij", on, offset, offset)
+        centre[i] = projected.conic[i] @ np.einsum("hw,hwi->i", on, offset)
+    by_colour = colour * (projected.colour > 0)
+    by_sh = np.zeros(values.sh.shape)
+    by_sh[:, : projected.basis.shape[1]] = projected.basis[..., None] * by_colour[:, None]
+    found = [by_sh]
+    for name in ("opacities", "rotations", "scales", "means"):
+        value = getattr(values, name)
+        by = np.zeros(value.shape)
+        for entry in range(math.prod(value.shape[1:])):
+            moved = value.astype(np.complex128)
+            moved.reshape(len(value), -1)[:, entry] += 1j * _STEP
+            turned = project(values._replace(**{name: moved}), camera, convention)
+            parts = zip((depth, centre, conic, opacity, colour), turned[:5], strict=True)
+            changes = [(on * part.imag).reshape(len(value), -1).sum(1) for on, part in parts]
+            by.reshape(len(value), -1)[:, entry] = np.sum(changes, axis=0) / _STEP
+        found.insert(0, by)
+    return Splat(*found)
+
+
+def densest(splat: Any, origin: Array, directions: Array) -> tuple[Array, Array]:
+    """(N, D) distances at which N Gaussians are densest along D rays, and their alphas there."""
+    means, scales, rotations, opacities, _ = _arrays(splat)
+    whitening = rotation_matrices(rotations).transpose(0, 2, 1) / scales[:, :, None]
+    g = np.einsum("nij,dj->ndi", whitening, directions)
+    h = np.einsum("nij,nj->ni", whitening, origin - means)[:, None]
+    t = -(g * h).sum(-1) / (g * g).sum(-1)
+    return t, opacities[:, None] * np.exp(-0.5 * ((h + g * t[..., None]) ** 2).sum(-1))
+
+
+def pixel_rays(camera: Any) -> tuple[Array, Array, Array]:
+    """Origin (3,), unit directions (H W, 3) through pixel centres, and their lengths for each unit of depth (H W,)."""
+    ys, xs = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
+    local = np.stack([(xs - camera.cx) / camera.fx, (ys - camera.cy) / camera.fy, np.ones_like(xs)], -1).reshape(-1, 3)
+    lengths = np.linalg.norm(local, axis=1)
+    pose = _pose(camera)
+    return pose[:3, 3], (local / lengths[:, None]) @ pose[:3, :3].T, lengths
+
+
+def render_rays(
+    splat: Any,
+    camera: Any,
+    *,
+    background: ArrayLike = (0.0, 0.0, 0.0),
+    near: float = 0.2,
+    to_mean: bool = False,
+) -> tuple[Array, Array]:
+    """The image (H, W, 3) of Gaussians evaluated and sorted where each is densest along a ray, and its alpha (H, W).
+
+    Args:
+        splat: Gaussians, see above.
+        camera: Camera, see above.
+        background: (3,) colour behind all Gaussians.
+        near: Depth before which nothing is drawn.
+        to_mean: Whether SH are evaluated in the direction of the mean, as when rasterising, and not of the ray.
+    """
+    origin, directions, lengths = pixel_rays(camera)
+    means, *_, sh = _arrays(splat)
+    distances, alphas = densest(splat, origin, directions)
+    drawn = (alphas >= DEFAULT.min_alpha) & (distances >= near * lengths)
+    alphas = np.where(drawn, np.minimum(alphas, DEFAULT.max_alpha), 0.0)
+    offset = means - origin
+    towards = offset / _norm(offset) if to_mean else directions
+    basis = sh_basis(towards, sh.shape[1])
+    colours = np.maximum(0.0, 0.5 + np.einsum("nk,nkc->nc" if to_mean else "dk,nkc->ndc", basis, sh))
+    colours = np.broadcast_to(colours[:, None] if to_mean else colours, (*alphas.shape, 3))
+    order = np.argsort(distances, axis=0, kind="stable")
+    alphas = np.take_along_axis(alphas, order, 0)
+    colours = np.take_along_axis(colours, order[..., None], 0)
+    image, left = np.zeros((len(directions), 3)), np.ones(len(directions))
+    for alpha, colour in zip(alphas, colours, strict=True):
+        image += (left * alpha)[:, None] * colour
+        left = left * (1 - alpha)
+        left[left < DEFAULT.stop] = 0.0
+    image += left[:, None] * np.asarray(background, dtype=np.float64)
+    return image.reshape(camera.height, camera.width, 3), 1 - left.reshape(camera.height, camera.width)
+
+
+def _arrays(splat: Any) -> list[Array]:
+    values = (getattr(splat, name) for name in _NAMES)
+    arrays = (np.asarray(value.detach() if hasattr(value, "detach") else value) for value in values)
+    return [array if np.iscomplexobj(array) else array.astype(np.float64) for array in arrays]
+
+
+def _pose(camera: Any) -> Array:
+    return np.asarray(camera.to_world, dtype=np.float64)
+
+
+def _norm(vectors: Array) -> Array:
+    """(N, 1) lengths, which may be complex."""
+    lengths: Array = np.sqrt((vectors * vectors).sum(-1, keepdims=True))
+    return lengths
+
+
+def _sh_directions(offset: Array, camera: Any, convention: Convention) -> Array:
+    if convention.towards == "optical axis":
+        return np.broadcast_to(_pose(camera)[:3, 2].astype(offset.dtype), offset.shape)
+    return offset / _norm(offset) * (1 if convention.towards == "gaussian" else -1)
+
+
+def _clamped(colour: Array, convention: Convention) -> Array:
+    if convention.clamp == "none":
+        return colour
+    above = np.where(colour.real > 0, colour, 0)
+    return above if convention.clamp == "below 0" else np.where(above.real < 1, above, 1)

@@ -1,0 +1,112 @@
+"""The float64 oracle against central differences and against facts that can be written down."""
+
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from mi_splat import oracle
+from mi_splat.attributes import ATTRIBUTES
+from mi_splat.cameras import Camera
+from mi_splat.conformance import assert_renders_like_3dgs, random_splat
+from mi_splat.rendering import Renderer
+from mi_splat.scene import GaussianScene
+from tests.rendering.test_rasterization import BACKGROUND, camera
+
+STEP = 1e-6
+SMALL = camera(23, 17)
+
+
+def test_importing_the_oracle_needs_numpy_alone() -> None:
+    heavy = "torch", "mitsuba", "drjit", "scipy", "polars", "PIL"
+    code = f"import sys, mi_splat.conformance; print([name for name in {heavy} if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+@pytest.mark.parametrize("compensated", [False, True])
+def test_gradients_are_central_differences(compensated: bool) -> None:
+    splat, rng = random_splat(25, degree=2, seed=11), np.random.default_rng(0)
+    on_image, on_alpha, on_depth = rng.normal(size=(17, 23, 3)), rng.normal(size=(17, 23)), rng.normal(size=(17, 23))
+    convention = oracle.Convention(compensated=compensated)
+
+    def loss(moved: oracle.Splat) -> float:
+        image, alpha, depth, _ = oracle.render(moved, SMALL, background=BACKGROUND, convention=convention)
+        return float((image * on_image).sum() + (alpha * on_alpha).sum() + (depth * on_depth).sum())
+
+    found = oracle.gradients(splat, SMALL, on_image, on_alpha, on_depth, background=BACKGROUND, convention=convention)
+    for name in ATTRIBUTES:
+        gradient, values = getattr(found, name).ravel(), getattr(splat, name)
+        for entry in np.argsort(-np.abs(gradient))[:6]:
+            ends = []
+            for step in (STEP, -STEP):
+                moved = values.copy()
+                moved.reshape(-1)[entry] += step
+                ends.append(loss(splat._replace(**{name: moved})))
+            assert gradient[entry] == pytest.approx((ends[0] - ends[1]) / (2 * STEP), rel=1e-6), name
+
+
+def one(**values: Any) -> oracle.Splat:
+    """A wide grey Gaussian in front of `SMALL`."""
+    grey = oracle.Splat(np.zeros((1, 3)), np.full((1, 3), 9.0), np.eye(1, 4), np.array([0.5]), np.zeros((1, 1, 3)))
+    return grey._replace(**values)
+
+
+def test_choices_of_renderers_change_the_image() -> None:
+    def centre(splat: oracle.Splat, **choices: Any) -> float:
+        return float(oracle.render(splat, SMALL, convention=oracle.Convention(**choices)).image[9, 11, 0])
+
+    assert centre(one()) == pytest.approx(0.25, abs=1e-3)
+    assert centre(one(), near=9.0) == 0.0
+    bright = one(sh=np.full((1, 1, 3), 5.0))
+    assert centre(bright, clamp="outside 0 to 1") == pytest.approx(0.5, abs=1e-3)
+    assert centre(one(sh=np.full((1, 1, 3), -5.0))) == 0.0
+    assert centre(one(sh=np.full((1, 1, 3), -5.0)), clamp="none") < -0.4
+    opaque = one(opacities=np.ones(1))
+    assert centre(opaque, max_alpha=1.0) / centre(opaque) == pytest.approx(1 / 0.99, abs=1e-3)
+    assert centre(opaque, cutoff=0.0) == 0.0
+    tiny = one(scales=np.full((1, 3), 1e-4))
+    assert oracle.render(tiny, SMALL).alpha.max() > 0.1
+    assert oracle.render(tiny, SMALL, convention=oracle.Convention(compensated=True)).alpha.max() == 0.0
+    views = random_splat(60, degree=2, seed=1)
+    each: tuple[dict[str, Any], ...] = (
+        {"towards": "camera"},
+        {"towards": "optical axis"},
+        {"sh_degree": 1},
+        {"order": "file"},
+    )
+    for choices in each:
+        changed = oracle.render(views, SMALL, convention=oracle.Convention(**choices))
+        assert np.abs(changed.image - oracle.render(views, SMALL).image).max() > 0.01, choices
+
+
+def test_a_right_renderer_passes_and_wrong_ones_are_named() -> None:
+    render = Renderer()
+
+    def ours(splat: oracle.Splat, view: oracle.PinholeCamera) -> Tensor:
+        pose = torch.from_numpy(view.to_world)
+        camera = Camera(
+            to_world=pose,
+            focal=(view.fx, view.fy),
+            width=view.width,
+            height=view.height,
+            principal=(view.cx, view.cy),
+        )
+        return render(GaussianScene(*map(torch.from_numpy, splat)), camera)
+
+    assert_renders_like_3dgs(ours, tolerance=1e-5)
+    with pytest.raises(
+        AssertionError, match=r"150 Gaussians of SH degree 0 .*: expected differences up to 0.0001, got"
+    ):
+        assert_renders_like_3dgs(
+            lambda splat, view: oracle.render(splat, view, convention=oracle.Convention(low_pass=0.0)).image
+        )
+    with pytest.raises(AssertionError, match=r"SH degree 1 from a distance of 3.0"):
+        assert_renders_like_3dgs(
+            lambda splat, view: oracle.render(splat, view, convention=oracle.Convention(sh_degree=0)).image
+        )
+    with pytest.raises(AssertionError, match=r"expected an image \(43, 61, 3\), got \(61, 43, 3\)"):
+        assert_renders_like_3dgs(lambda splat, view: oracle.render(splat, view).image.transpose(1, 0, 2))
