@@ -164,7 +164,9 @@ def _judged(problem: Problem, config: DaggerConfig, outcome: Outcome, views: Fix
     clean = (views.saved, views.clean_reports(problem.detectors, held_out))
     judged, image, control_images = judge(problem, held_out, clean, saved, controls)
     in_file = GaussianSubset.of(saved, subset.rows, sh_degree=subset.sh_degree).parameters(config.attributes)
-    names, looked = [detector.name for detector in problem.detectors], observed(judged, seed=config.seed)
+    names = [detector.name for detector in problem.detectors]
+    threshold = getattr(problem.objective, "confidence", None)  # objectives of other packages need not have one
+    looked = observed(judged, seed=config.seed, threshold=threshold)
     elevations = None if drawn is None else drawn.cameras.elevations
     return Result(
         scene=attacked,

@@ -67,8 +67,10 @@ def observed(views: Sequence[JudgedView], **ids: Cell) -> Observations:
             of: dict[str, Cell] = {**ids, "splat": splat, "draw": draw}
             of |= {"detector": judged.detector, "view": view.index}
             change = None if torch.equal(clean, seen.image) else float(psnr(clean, seen.image))
+            on_object = None if change is None else image_change([clean], [seen.image], [view.weight]).psnr_object
             cells = report_cells(seen.detections, target.box, original=target.original, target=target.label)
-            rows.append({**of, **where, **cells, **verdict_cells(seen.verdict), "psnr": change})
+            cells |= {**verdict_cells(seen.verdict), "psnr": change, "object_psnr": on_object}
+            rows.append({**of, **where, **cells})
             detections += detection_rows(of, seen.detections, target.box)
     return Observations(rows=frame_of(rows), detections=frame_of(detections))
 

@@ -36,6 +36,7 @@ from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import check_choice
 from mi_splat.io import save_splat
+from mi_splat.io.camera_records import recorded_cameras
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import RECORD
 from mi_splat.io.scene_parts import SceneParts
@@ -60,6 +61,12 @@ class AttackScene(SplatScene):
         """Cameras of the scene, moved about an object as `jittered` does."""
         centre = self.scene.means[self.objects[name]].mean(0)
         return [jittered(view, centre, seed=seed) for view in [*self.cameras.values()][camera:][: count or None]]
+
+    def attacked(self, name: str, inputs: Mapping[str, Path], *, camera: int, count: int, seed: int) -> list[Camera]:
+        """The same, or cameras of a job's file as they stand there."""
+        if CAMERAS not in inputs:
+            return self.views(name, camera=camera, count=count, seed=seed)
+        return [*cameras_in(inputs[CAMERAS]).values()][camera:][: count or None]
 
     def renderer(self, name: str) -> RenderFn:
         """A renderer by its name, as in `mi-splat compare`, with the scene's settings; "" is the scene's own."""
@@ -108,19 +115,30 @@ def street_of(condition: str, sun: SunTable | None) -> tuple[SunTable | None, di
     return sun, {f"street {name}": path for name, path in scene_files(Path(sun.scene)).items()}
 
 
+def cameras_in(path: Path) -> dict[str, Camera]:
+    """The cameras of a file, by name."""
+    cameras = recorded_cameras(path) if path.is_file() else None
+    if not cameras:
+        do = "write one with scenes.recipes.drawn_cameras"
+        raise InvalidValueError.of("cameras", "a JSON file with cameras", str(path), do)
+    return cameras
+
+
 @functools.lru_cache(maxsize=64)
 def _parts(path: Path, state: object) -> SceneParts:
     return SceneParts(path)
 
 
-def check_scene(path: Path, name: str, *, camera: int = 0, renderers: Sequence[str] = ()) -> None:
+def check_scene(
+    path: Path, name: str, *, camera: int = 0, cameras: Path | None = None, renderers: Sequence[str] = ()
+) -> None:
     """Raise unless a scene file has an object and a camera, and there are renderers; nothing is loaded."""
     elements = _parts(path, _state(path) if path.is_file() else None).elements
     objects = [str(part.get("id")) for part in elements if part.tag == "shape" and part.get("type") == "gaussians"]
     check_choice(f"object of {path}", name, objects)
-    cameras = sum(part.tag == "sensor" for part in elements)
-    if camera >= cameras:
-        raise InvalidValueError.of(f"camera of {path}", f"0 to {cameras - 1}", camera, "choose another")
+    count = sum(part.tag == "sensor" for part in elements) if cameras is None else len(cameras_in(cameras))
+    if camera >= count:
+        raise InvalidValueError.of(f"camera of {cameras or path}", f"0 to {count - 1}", camera, "choose another")
     for renderer in filter(None, renderers):
         check_choice("renderer", renderer, method_names())
 
@@ -143,20 +161,22 @@ def jittered(camera: Camera, centre: torch.Tensor, *, seed: int) -> Camera:
 
 
 VARIES = (RECORD,)
+CAMERAS = "cameras"
+"""The input that is a file of cameras, in the place of the scene's own."""
 SPLAT, WHOLE_SPLAT, PICTURE = "object.ply", "attacked.ply", "detections.png"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attack:
-    """One attack, from some of the scene's cameras or from all cameras of a region."""
+    """One attack, from some cameras of the scene or of a file, or from all cameras of a region."""
 
     object: str  # id of the object
     objective: Relabel | Hide | Untargeted | PluggedObjective  # what the detectors shall see
     detectors: tuple[str, ...] = ("fasterrcnn_small",)  # attacked at once
     fingerprints: tuple[str, ...] = ()  # of the detectors whose weights are in no file
     packages: tuple[str, ...] = ()  # that bring the optimiser and the renderers; empty for this project
-    attack: DaggerConfig = field(default_factory=DaggerConfig)  # its seed also moves the cameras, see `jittered`
-    camera: int = 0  # position of the first camera that is attacked, in the order of the scene file
+    attack: DaggerConfig = field(default_factory=DaggerConfig)  # its seed also moves the scene's cameras: `jittered`
+    camera: int = 0  # position of the first camera that is attacked, in the order of its file
     views: int = 1  # cameras that are attacked together, from that one on; 0 is all of them
     renderer: str = ""  # whose pictures the attacker looks at; "" is the scene's own
     gradient: str = ""  # whose gradient the attacker follows; "" is that of the pictures
@@ -169,7 +189,7 @@ def run(config: Attack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, 
     scene, seed = attack_scene(inputs["scene"]), config.attack.seed
     rows, fixed = scene.objects[config.object], config.transformations is None
     if config.transformations is None:
-        cameras = scene.views(config.object, camera=config.camera, count=config.views, seed=seed)
+        cameras = scene.attacked(config.object, inputs, camera=config.camera, count=config.views, seed=seed)
         render = attackers_renderer(scene, config.renderer, config.gradient)
         views = FixedViews(scene.scene, rows, cameras, render=render)
     else:

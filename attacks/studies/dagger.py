@@ -1,13 +1,13 @@
 """Studies of DAGGER: what their settings mean, and the jobs that they are made of.
 
-`study = "dagger"` attacks an object from some of its scene's cameras, `study = "dagger-eot"` from all cameras of a
-region. Seed 0 looks from the scene's own cameras and starts at the clean splat; another one turns the cameras about the
-object by up to 6 degrees, moves them by up to 5 %, and starts at a random point of the ball. In a region the seed
-draws the views.
+`study = "dagger"` attacks an object from some of its scene's cameras, or from those of a file, `study = "dagger-eot"`
+from all cameras of a region. Seed 0 looks from the scene's own cameras and starts at the clean splat; another one turns
+these cameras about the object by up to 6 degrees, moves them by up to 5 %, and starts at a random point of the ball.
+Cameras of a file stay where they are. In a region the seed draws the views.
 
-Settings are the fields of `Attack`, and in their place `scene`, `aim`, `target` and `objective`, `seed`, and in a
-region `cameras`, `pictures`, and `judged_pictures` where the pictures that judge are others. [judge] has those of
-`Judge`.
+Settings are the fields of `Attack`, and in their place `scene`, `aim`, `target` and `objective`, `seed`, `cameras`
+(the path of a file, or a table that is a region), and in a region `pictures`, and `judged_pictures` where the pictures
+that judge are others. [judge] has those of `Judge`.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe.conditions import OWN, SunTable, package_of
 from attacks.observe.rows import ROWS, column_of, frame_of
 from attacks.optimisers import OPTIMISERS
-from attacks.studies.attack import SPLAT, WHOLE_SPLAT, Attack, check_scene, scene_files, street_of
+from attacks.studies.attack import CAMERAS, SPLAT, WHOLE_SPLAT, Attack, check_scene, scene_files, street_of
 from attacks.studies.look import Look
 from attacks.studies.result import figures, shared_apart, tables
 from attacks.studies.running import Attempt, Observed, Work, bisection, check_apart
@@ -46,7 +46,7 @@ _AIMS = {"relabel": Relabel, "hide": Hide, "untargeted": Untargeted}
 _ELSEWHERE = ("fingerprints", "packages", "transformations", "judged")
 """Fields of attacks that are no settings."""
 _OF_CAMERAS = ("camera", "views", "renderer", "gradient")
-_OF_REGION = ("cameras", "pictures", "judged_pictures")
+_OF_REGION = (CAMERAS, "pictures", "judged_pictures")
 """Settings of attacks from cameras, and from a region, alone."""
 _UNBOUND = 1e9
 """A radius that binds nothing."""
@@ -81,6 +81,7 @@ class Judge:
         condition = renderer if self.condition == AS_ATTACKED else self.condition
         sun, street = street_of(condition, self.sun)
         inputs: dict[str, Job | Part | Path] = {"attacked": attacked.part(splat), **street}
+        inputs |= {name: path for name, path in attacked.inputs.items() if name == CAMERAS}
         of |= {"object": config.object, "objective": config.objective, "condition": condition, "sun": sun}
         of |= {"package": package_of(condition)}
         of |= {"attributes": attack.attributes, "norm": attack.norm}
@@ -98,12 +99,15 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
     """The scene and the attack that settings ask for; "none" stands for None."""
     values: dict[str, Any] = with_none(settings)
     names = {entry.name for entry in dataclasses.fields(Attack)} - {*_ELSEWHERE, *(_OF_CAMERAS if region else ())}
-    known = ("scene", "aim", "target", "seed", *sorted(names), *(_OF_REGION if region else ()))
+    known = ("scene", "aim", "target", "seed", *sorted(names), *(_OF_REGION if region else (CAMERAS,)))
     for key in values:
         check_choice(f"key in {where}", key, known)
     scene, attack = values.pop("scene", None), {"seed": values.pop("seed", 0), **values.get("attack", {})}
     if not isinstance(scene, str):
         raise FieldError.of(where, "the key scene", scene or "none", "name an XML file")
+    drawn = None if region else values.pop(CAMERAS, None)
+    if not isinstance(drawn, str | None):
+        raise FieldError.of(where, "cameras: a path", drawn, "name a JSON file with cameras")
     if "seed" in values.get("attack", {}):
         raise InvalidValueError.of(f"attack in {where}", "no seed", attack["seed"], "write seed above the tables")
     if region:
@@ -120,9 +124,11 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
     brought = [OPTIMISERS.package(config.attack.optimiser), *map(package_of, (config.renderer, config.gradient))]
     packages = tuple(filter(None, brought))
     config = dataclasses.replace(config, fingerprints=fingerprints(config.detectors), packages=packages)
-    path = Path(scene)
-    check_scene(path, config.object, camera=config.camera, renderers=(config.renderer, config.gradient))
-    return path, Job(kind=ATTACK, config=config, inputs={**scene_files(path), **weights(config.detectors)})
+    path, cameras = Path(scene), None if drawn is None else Path(drawn)
+    renderers = (config.renderer, config.gradient)
+    check_scene(path, config.object, camera=config.camera, cameras=cameras, renderers=renderers)
+    inputs = {**scene_files(path), **weights(config.detectors), **({} if cameras is None else {CAMERAS: cameras})}
+    return path, Job(kind=ATTACK, config=config, inputs=inputs)
 
 
 def _objective(values: dict[str, Any], where: str) -> Relabel | Hide | Untargeted | PluggedObjective:
@@ -245,7 +251,10 @@ def _stated(attempt: DaggerAttempt, result: Done, record: Mapping[str, Any]) -> 
         "target": config.objective.label,
         "confidence": config.objective.confidence,
         "seed": config.attack.seed,
-        "settings": {"scene": str(attempt.job.inputs["scene"]), **dataclasses.asdict(config)},
+        "settings": {
+            **{name: str(path) for name, path in attempt.job.inputs.items() if name in ("scene", CAMERAS)},
+            **dataclasses.asdict(config),
+        },
         "key": result.key,
         **{name: record[name] for name in _STATED if name in record},
     }

@@ -68,7 +68,7 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
     )
     condition = condition_of(config.condition, viewing)
     subset, render = GaussianSubset.of(scene.scene, rows), scene.renderer("")
-    moved = {condition.move(view.camera): view for view in _views(config, scene, subset)}
+    moved = {condition.move(view.camera): view for view in _views(config, scene, subset, inputs)}
     boxes = {
         camera: view.box if camera is view.camera else fixed_views(subset, [camera], render=render)[0].box
         for camera, view in moved.items()
@@ -92,10 +92,10 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
     return [{**row, "condition": shown} for row in looked.rows.iter_rows(named=True)]
 
 
-def _views(config: Look, scene: AttackScene, subset: GaussianSubset) -> list[View]:
+def _views(config: Look, scene: AttackScene, subset: GaussianSubset, inputs: Mapping[str, Path]) -> list[View]:
     if config.transformations is not None:
         return distribution(scene, config.object, config.transformations).views(config.seed, config.views)
-    cameras = scene.views(config.object, camera=config.camera, count=config.views, seed=config.seed)
+    cameras = scene.attacked(config.object, inputs, camera=config.camera, count=config.views, seed=config.seed)
     return fixed_views(subset, cameras, render=scene.renderer(""))
 
 

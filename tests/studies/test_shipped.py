@@ -33,6 +33,7 @@ COUNTS = {
     "coco_demo": (12, 0),
     "coco_smallest": (252, 0),
     "dagger": (456, 0),
+    "dagger_cameras": (1728 + 1440 + 288, 0),
     "dagger_strict": (96, 0),
     "dagger_strict_forty": (27, 0),
     "dagger_strict_smallest": (306, 0),
