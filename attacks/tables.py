@@ -32,9 +32,9 @@ def number_at(*path: str, form: str = ".2f") -> Column[Any]:
     return lambda line: number(functools.reduce(lambda value, key: value and value.get(key), path, line), form)
 
 
-def short_rate(key: str, *, interval: bool = False) -> Column[Any]:
-    """A column of rates as short as `Rate.short` writes them."""
-    return lambda line: Rate.of(line[key]).short(interval=interval)
+def short_rate(*path: str, interval: bool = False) -> Column[Any]:
+    """A column of rates at the end of a path of keys, as short as `Rate.short` writes them."""
+    return lambda line: Rate.of(functools.reduce(lambda value, key: value[key], path, line)).short(interval=interval)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -194,6 +194,22 @@ AIMS: Measures = {
 """How often the aim is reached in views (`joint_views`): attacked, with the object's own class gone, with no other
 class of more confidence, without an attack, and with each draw of random noise."""
 
+_WANTED = (pl.col("target_score") >= pl.col("threshold")).fill_null(pl.col("success"))
+_GONE, _FOUND = (
+    ~reported("original_score"),
+    reported("clean.original_score") & (pl.col("clean.original") == pl.col("own")),
+)
+OVER_CAMERAS: Measures = {
+    "found": Measure(holds=_FOUND, given=of(ATTACKED)),
+    **{
+        f"{splat} {name}": Measure(holds=holds, given=_FOUND & of(splat))
+        for splat in (ATTACKED, *CONTROLS)
+        for name, holds in (("strict", _WANTED & _GONE), ("success", _WANTED), ("lost", _GONE))
+    },
+}
+"""What attacks from drawn cameras have reached, and their controls, where the clean object is `found` as its `own`
+class: the wanted class is reported (success), the own class is not (lost), and both (strict); of `with_control`."""
+
 REPORTED_AS_ORIGINAL: Measures = {
     f"found_{splat}": Measure(holds=pl.col("original").is_not_null() & reported("original_score"), given=of(splat))
     for splat in (CLEAN, ATTACKED)

@@ -57,6 +57,8 @@ _STATED = (
     *("evaluations", "cpu_seconds", "loss"),
 )
 """What an attack says of itself that does not follow from rows."""
+_BRIEFLY = ("steps", "image_psnr", "versions", "variant", "commit", "evaluations", "cpu_seconds")
+"""The same of one of many that differ in the camera alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -256,7 +258,7 @@ def _stated(attempt: DaggerAttempt, result: Done, record: Mapping[str, Any]) -> 
             **dataclasses.asdict(config),
         },
         "key": result.key,
-        **{name: record[name] for name in _STATED if name in record},
+        **{name: record[name] for name in (_BRIEFLY if CAMERAS in attempt.job.inputs else _STATED) if name in record},
     }
 
 

@@ -12,6 +12,7 @@ from attacks.dagger.result import verdict_figures
 from attacks.observe.rates import (
     AIMS,
     CLUSTERS,
+    OVER_CAMERAS,
     REPORTED,
     blocks_of,
     control_rates,
@@ -20,7 +21,7 @@ from attacks.observe.rates import (
     transfer_measures,
     with_control,
 )
-from attacks.observe.rows import ATTACKED, ROWS
+from attacks.observe.rows import ATTACKED, CONTROLS, ROWS
 from attacks.optimisers import OPTIMISERS
 from attacks.rate import Rate, number, pooled
 from attacks.studies.study_file import merged
@@ -30,6 +31,8 @@ AXIS = "attack.optimiser"
 """The axis over which attacks are compared."""
 SHARED = "of_all_attacks"
 """Key of result.json under which stands what all attacks share."""
+CAMERAS, CAMERA = "cameras", "camera"
+"""The setting of attacks from cameras of a file, and the axis over which these are pooled, too."""
 POOLED = ("seed", "pair")
 """Axes over which looks are pooled; the attacks over the first alone."""
 _SHARED = ("settings", "versions", "variant", "commit", "aim", "target", "confidence", "bisected", "redraws")
@@ -83,9 +86,18 @@ def figures(record: Record, tables: Mapping[str, pl.DataFrame]) -> dict[str, Any
     looked = pl.col("condition").is_not_null() if "condition" in rows.columns else pl.lit(value=False)
     judged, looks = rows.filter(~looked), rows.filter(looked)
     each = _of_attacks(attacks, judged)
-    grouped = _grouped({name: attacks[name] for name in each}, ("seed",))
+    moving = {name: attacks[name] for name in each if CAMERAS in attacks[name]["settings"]}
+    still = {name: attacks[name] for name in each if name not in moving}
+    grouped = [*_grouped(still, ("seed",)), *_grouped(moving, ("seed", CAMERA))]
     groups = [_group(part, labels, members, each, attacks, judged) for part, labels, members in grouped]
-    return {"attacks": each, "groups": groups, "smallest": _smallest(attacks, each), "looks": _looks(attacks, looks)}
+    together = [
+        {"part": part, "labels": labels, **_over_cameras(members, attacks, judged)}
+        for part, labels, members in _grouped(moving, (*POOLED, CAMERA))
+    ]
+    return {
+        **{"attacks": each, "groups": groups, **({"together": together} if together else {})},
+        **{"smallest": _smallest(attacks, each), "looks": _looks(attacks, looks)},
+    }
 
 
 def _of_attacks(attacks: Record, judged: pl.DataFrame) -> dict[str, dict[str, Any]]:
@@ -102,6 +114,9 @@ def _of_attacks(attacks: Record, judged: pl.DataFrame) -> dict[str, dict[str, An
         else:
             needed = {key: config[key] for key in ("required_views", "required_detectors")}
             told = verdict_figures(rows, attacks[name]["sources"], DaggerConfig(**needed))
+            if CAMERAS in attacks[name]["settings"]:
+                each[name] = {key: told[key] for key in ("success", "strict")}
+                continue
             noise = told["noise"]
             best = max(noise["scores"], default=None)
             each[name] = {**told, "noise": {"successes": noise["successes"], "draws": noise["draws"], "best": best}}
@@ -134,6 +149,8 @@ def _group(
     stated = [{**attacks[name].get("image", {}), **attacks[name]} for name in members]
     group: dict[str, Any] = {"part": part, "labels": labels, "attacks": len(members)}
     group |= {name: _median(stated, name) for name in ("steps", "image_psnr", "psnr_object", "seconds")}
+    if CAMERAS in attacks[members[0]]["settings"]:
+        return {**group, **_over_cameras(members, attacks, judged)}
     group["original_after"] = _median(known, "original_after")
     if AXIS in labels and _known(stated, "loss"):
         group |= {name: _median(stated, name) for name in ("loss", "evaluations", "cpu_seconds")}
@@ -155,6 +172,28 @@ def _group(
         "noise_best": max(_known(noise, "best"), default=None),
         **_controls(known),
     }
+
+
+def _over_cameras(members: Sequence[str], attacks: Record, judged: pl.DataFrame) -> dict[str, Any]:
+    """How often attacks from drawn cameras, and their controls, succeed where the clean object is reported."""
+    settings = {name: attacks[name]["settings"] for name in members}
+    own = {name: of["object"].replace("_", " ") for name, of in settings.items()}
+    places = {name: f"{of['object']} {of['camera']}" for name, of in settings.items()}
+    rows = with_control(judged.filter(pl.col("attack").is_in(members))).with_columns(
+        own=pl.col("attack").replace_strict(own), place=pl.col("attack").replace_strict(places)
+    )
+    rates = count(rows, OVER_CAMERAS, clusters=("place", "seed"))[()]
+    median = pl.col("object_psnr").filter(OVER_CAMERAS["found"].holds).median()
+    psnr = dict(rows.group_by("splat").agg(median).iter_rows())
+    lines = {
+        splat: {"psnr_object": psnr[splat], **{key: rates[f"{splat} {key}"].as_dict() for key in _REACHED}}
+        for splat in (ATTACKED, *CONTROLS)
+        if splat in psnr
+    }
+    return {"found": rates["found"].as_dict(), **lines.pop(ATTACKED), "controls": lines}
+
+
+_REACHED = ("strict", "success", "lost")
 
 
 def _controls(attacks: Sequence[Record]) -> dict[str, Any]:
@@ -235,6 +274,9 @@ def tables(record: Record) -> Iterator[Table]:
     """All tables of a study: what its attacks have reached, the smallest that suffices, and what others see."""
     for title, groups in by_part(record["groups"]).items():
         compared = list(comparison(title, groups))
+        if "found" in groups[0]:
+            yield over_cameras(title, groups, record["together"])
+            continue
         columns = {**_axes(groups), **(_OF_VIEWS if "rate" in groups[0] else _OF_ATTACKS), **_of_controls(groups)}
         yield from compared or [Table.of(title or "The attacks", columns, groups)]
     for title, searched in by_part(record["smallest"]).items():
@@ -244,6 +286,26 @@ def tables(record: Record) -> Iterator[Table]:
         for kind, meaning in KINDS.items():
             if kind in looks[0]:
                 yield _matrix(f"{meaning}{f': {title}' if title else ''}", looks, kind)
+
+
+def over_cameras(title: str, groups: Sequence[Record], together: Sequence[Record]) -> Table:
+    """Attacks from drawn cameras, and below them those of all pairs together."""
+    sums = [{**line, "labels": {"pair": "all", **line["labels"]}} for line in together if line["part"] == title]
+    lines = [*groups, *(sums if len(groups) > len(sums) else ())]
+    columns: dict[str, Column[Any]] = {
+        **_axes(lines),
+        "clean object detected": short_rate("found"),
+        "strict": short_rate("strict", interval=True),
+        "target class": short_rate("success"),
+        "dB on the object": number_at("psnr_object", form=".1f"),
+    }
+    for name in dict.fromkeys(name for line in lines for name in line["controls"]):
+        columns |= {
+            f"{name}: {head}": short_rate("controls", name, key)
+            for head, key in (("strict", "strict"), ("target class", "success"), ("own class lost", "lost"))
+        }
+        columns[f"{name}: dB on the object"] = number_at("controls", name, "psnr_object", form=".1f")
+    return Table.of(title or "The attacks", columns, lines)
 
 
 _OF_ATTACKS: dict[str, Column[Any]] = {

@@ -4,11 +4,15 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 import pytest
 
+from attacks.observe.rows import rows
 from attacks.studies.attack import Attack
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
+from mi_splat.io.camera_records import describe
+from mi_splat.io.documents import save_json
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Job
@@ -122,3 +126,30 @@ def test_a_seed_moves_the_camera_and_the_start(tmp_path: Path) -> None:
         assert (config.attack.seed, config.attack.random_start) == (seed, seed > 0)
     with pytest.raises(InvalidValueError, match="attack in toy: expected no seed"):
         the_job(tmp_path, attack={"seed": 1})
+
+
+def test_attacks_from_cameras_of_a_file_are_counted_over_those_that_show_the_clean_object(tmp_path: Path) -> None:
+    write_toy(tmp_path)
+    cameras = [camera(), camera(offset=0.3), camera(offset=9.0)]  # too small in the last
+    file = str(tmp_path / "cameras.json")
+    save_json({"cameras": [describe(str(n), one) for n, one in enumerate(cameras)]}, Path(file))
+    table = settings(tmp_path, cameras=file, objective={"strict": True, "confidence": 0.5})
+    work = work_of({**table, "matrix": {"camera": [0, 1, 2], "seed": [1, 2]}})
+    work.write(done(work, tmp_path / "store"), tmp_path)
+    (group,), seen = read_json(tmp_path / RECORD)["groups"], rows(tmp_path)
+    assert sorted(set(seen["x"])) == pytest.approx([0.0, 0.3, 9.0])  # the seed moves none of them
+    assert group["found"] == {"successes": 4, "total": 6, **{key: group["found"][key] for key in ("rate", "interval")}}
+    near = seen.filter(pl.col("x") < 1)
+    for name, counts in (("attacked", group), ("noise", group["controls"]["noise"])):
+        wanted, gone = (near.filter(splat=name)[f"{column}_score"] for column in ("target", "original"))
+        assert counts["strict"]["successes"] == ((wanted >= 0.5) & (gone < 0.5)).sum()
+        assert (counts["success"]["successes"], counts["lost"]["successes"]) == (
+            (wanted >= 0.5).sum(),
+            (gone < 0.5).sum(),
+        )
+        assert counts["strict"]["total"] == 4
+    assert group["strict"]["successes"] > group["controls"]["noise"]["strict"]["successes"]
+    assert group["psnr_object"] == pytest.approx(group["controls"]["noise"]["psnr_object"], abs=1.0)
+    for wrong, expected in (({"camera": 3}, "expected 0 to 2, got 3"), ({"cameras": "no.json"}, "a JSON file")):
+        with pytest.raises(InvalidValueError, match=expected):
+            the_job(tmp_path, **{"cameras": file, **wrong})

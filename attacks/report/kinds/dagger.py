@@ -14,7 +14,7 @@ from attacks.detectors.base import Detector
 from attacks.objectives import Hide, Objective, Relabel, Target, Untargeted
 from attacks.observe.observations import verdict_cells
 from attacks.observe.rates import Measure, count
-from attacks.observe.rows import ATTACKED, Row
+from attacks.observe.rows import ATTACKED, NOISE, Row
 from attacks.observe.views import CAMERAS, ViewDetections
 from attacks.rate import Rate, number, percent, pooled
 from attacks.report.checking import Rescoring
@@ -345,6 +345,7 @@ def _headline(record: Record) -> tuple[str, str, list[Record], str]:
     if members and (not looks or pooled(_noise(group, _key(group)) for group in members).total):
         part, key = members[0]["part"], _key(members[0])
         counting, aim = ("held-out views", "success") if key == "rate" else ("attacks", "the aim reached")
+        aim = "the target class reported and the own class not" if key == "strict" else aim
         return f"{counting} with {aim}{f' ({part})' if part else ''}", counting, members, key
     others = [look for look in looks if not look["white_box"]] or list(looks)
     key = next(kind for kind in KINDS if kind in others[0])
@@ -353,13 +354,15 @@ def _headline(record: Record) -> tuple[str, str, list[Record], str]:
 
 def _key(group: Record) -> str:
     """What a group has reached: a rate of the views of a region, or of its attacks."""
-    return "rate" if "rate" in group else "success"
+    return "rate" if "rate" in group else "strict" if "found" in group else "success"
 
 
 def _noise(line: Record, key: str) -> Record:
     """The control of a rate of a group or of looks."""
     if key == "success":
         return {"successes": line["noise_successes"], "total": line["noise_draws"]}
+    if key == "strict":
+        return line["controls"].get(NOISE, {}).get(key, {"successes": 0, "total": 0})
     control: Record = line[f"noise_{key}"]
     return control
 
@@ -369,7 +372,8 @@ def _study_figures(record: Record) -> Iterator[Figure]:
     groups, looks = record["groups"], record["looks"]
     if groups:
         reached = [attack["success"] for attack in record["attacks"].values() if "success" in attack]
-        yield Figure(label="attacks with the aim reached", rate=Rate(successes=sum(reached), total=len(reached)))
+        if "found" not in groups[0]:
+            yield Figure(label="attacks with the aim reached", rate=Rate(successes=sum(reached), total=len(reached)))
         strict = "strict_rate" if "rate" in groups[0] else "strict"
         yield Figure(label="with the object's own class gone, too", rate=pooled(group[strict] for group in groups))
     for white_box, judges in _JUDGES.items():
