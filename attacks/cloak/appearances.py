@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -38,6 +38,16 @@ HOLE_MARGIN = 3
 """Pixels by which the hole that is filled is wider than the mask: pixels at an outline show some of the object."""
 TEXTURE = 0.3
 """Largest range of sRGB in 3 x 3 pixels that is taken for texture; where the sky ends, for instance, it is larger."""
+
+
+DIFFERENCE = 8 / 255
+"""Difference of sRGB from which two renderings differ in a pixel; a path tracer's noise stays below it."""
+
+
+def differing(one: Tensor, other: Tensor) -> Tensor:
+    """(H, W) bool, where two (H, W, 3) renderings differ in most of the 3 x 3 pixels around."""
+    differs = ((one - other).abs().amax(-1) > DIFFERENCE)[None, None].to(torch.float32)
+    return functional.avg_pool2d(differs, 3, stride=1, padding=1)[0, 0] > 0.5
 
 
 def grown(mask: Tensor, pixels: int) -> Tensor:
@@ -186,12 +196,13 @@ def name_of(appearance: Appearance) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rerender:
-    """The same camera in a mesh scene where the target looks different; beyond `reach` all stays, even shadows."""
+    """The same camera in a mesh scene where the target looks different; beyond `reach` all stays."""
 
     mesh_scene: MeshScene
     name: str
     reach: int | None = 1  # pixels around the target that are new, too; None is the whole picture
     outgrows: bool = True  # whether the other target may cover pixels outside of the mask
+    difference: bool = False  # whether all that differs between both scenes is new, shadows too
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         """The new picture around the target, the old one elsewhere."""
@@ -199,6 +210,8 @@ class Rerender:
         if self.reach is None:
             return picture
         covered = mask | self.mesh_scene.mask(view.camera).to(mask.device) if self.outgrows else mask
+        if self.difference:
+            covered = covered | differing(picture, view.image)
         return torch.where(grown(covered, self.reach)[..., None], picture, view.image)
 
 
@@ -210,14 +223,15 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point,
         lowest, reach = max(attack.elevation[0], LOWEST_GROUND), 1 if attack.reach is None else attack.reach
         return GroundLook(mesh_scene=mesh_scene, lowest=lowest, reach=reach)
     if attack.appearance == "remove":
-        return removed(mesh_scene, reach=attack.reach)
+        gone = removed(mesh_scene, reach=_reach(attack))
+        return replace(gone, difference=attack.mask == "difference")
     if attack.appearance == "fade":
         return Fade(removed=removed(mesh_scene), reach=1 if attack.reach is None else attack.reach)
     if attack.appearance == "blur":
         return Blur(width=BLUR_WIDTH if attack.blur_width is None else attack.blur_width)
     if attack.appearance == "inpaint":
         return Inpaint(reach=HOLE_MARGIN if attack.reach is None else attack.reach)
-    target, reach, outgrows = mesh_scene.target, 1, False
+    target, outgrows = mesh_scene.target, False
     if attack.appearance == "paint":
         (make, tile), (azimuth, elevation) = TEXTURES[str(attack.texture)], attack.paint_direction
         target = repainted(target, make(PICTURE, 0), azimuth=azimuth, elevation=elevation, tile=tile)
@@ -236,9 +250,16 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point,
     return Rerender(
         mesh_scene=mesh_scene.with_target(target),
         name=name,
-        reach=attack.reach if attack.reach is not None or attack.appearance == "swap" else 1,
+        reach=_reach(attack),
         outgrows=outgrows,
+        difference=attack.mask == "difference",
     )
+
+
+def _reach(attack: AttackConfig) -> int | None:
+    """Pixels around what is replaced in a rendering; None is the whole picture."""
+    whole = attack.appearance in ("remove", "swap") and attack.mask == "object"
+    return attack.reach if attack.reach is not None or whole else 1
 
 
 def removed(mesh_scene: MeshScene, *, reach: int | None = None) -> Rerender:

@@ -137,6 +137,8 @@ class LayersConfig:
 AppearanceName = Literal[
     "blend in", "remove", "ground", "paint", "occluder", "mount", "swap", "fade", "blur", "inpaint"
 ]
+RENDERED: tuple[AppearanceName, ...] = ("blend in", "remove", "paint", "mount", "swap")
+"""Appearances that are renderings of the scene with another object, or without one."""
 Knowledge = Literal["scene", "pictures"]
 """What an attacker has: the meshes, materials and sun, too, or nothing but the pictures and masks of the object."""
 
@@ -166,9 +168,11 @@ class AttackConfig:
             `attacks.cloak.appearances.Emphasis`.
         emphasis_depth: Degrees inside from which it no longer is.
         paint_direction: Azimuth and elevation from which a painted texture looks right, degrees.
-        reach: Pixels around the object's outline that are new in a picture; all else, shadows for instance, stays as it
-            was. None is the whole picture where the object is removed or swapped, 3 where it is inpainted, and 1
-            elsewhere. A blur has none: it ends softly.
+        mask: Pixels that are replaced: those of the object, or all that differ between the renderings of the scene with
+            and without it ("difference"), which are the object and its shadow.
+        reach: Pixels around the object's outline, or around all that differs, that are replaced, too; all else stays as
+            it was. None is the whole picture where the object is removed or swapped without a difference mask, 3 where
+            it is inpainted, and 1 elsewhere. A blur has none: it ends softly.
         blur_width: Standard deviation of a `blur`, in longer sides of the object's box in the picture; None is 0.04.
         occluder_radius: Of the occluder that covers it, metres; None is 0.6 times the distance of the cameras.
         occluder_edge: Elevation of the occluder's edge, degrees; None is 12 below that of the lowest camera.
@@ -186,6 +190,7 @@ class AttackConfig:
     emphasis: Annotated[float, at_least(1, do="1 overdoes nothing")] = 1.0
     emphasis_depth: Annotated[float, above(0, "degrees")] = 20.0
     paint_direction: Annotated[tuple[float, float], Range(unit="degrees")] = (180.0, 90.0)
+    mask: Literal["object", "difference"] = "object"
     reach: Annotated[int, at_least(0, "pixels", "leave it out")] | None = None
     blur_width: PositiveFraction | None = None
     occluder_radius: Annotated[float, above(0, "metres")] | None = None
@@ -205,6 +210,7 @@ class AttackConfig:
         for key, holds, expected in (
             ("reach", self.appearance != "blur" or self.reach is None, "none with a blur, which ends softly"),
             ("blur_width", self.appearance == "blur" or self.blur_width is None, "none without a blur"),
+            ("mask", self.mask == "object" or self.appearance in RENDERED, "object, as nothing is rendered"),
             ("emphasis", self.appearance not in ("fade", "blur") or self.emphasis == 1, "1: a control is not overdone"),
         ):
             if not holds:

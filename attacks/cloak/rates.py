@@ -396,11 +396,12 @@ def fidelity(tables: Tables, splat: str) -> tuple[float, float] | None:
 def stealth(study: StudyConfig, tables: Tables) -> dict[str, Any] | None:
     """How much an attack changes around the object, where a viewer might notice; None without cameras in its trigger.
 
-    Of these: `surroundings_psnr`, mean PSNR beside the object against true pictures of the scene as it is; `..._drop`,
-    what the cloaked splats lose against the clean ones; `appearance_psnr`, on the object, against what the attacker
-    wants to be seen. Of held-out cameras outside of all triggers and beside one: `object_psnr` and its drop, on the
-    object, against true pictures; results of before it was measured have none. `stealthy`: whether no drop is larger
-    than `STEALTHY` and `STEALTHY_ON_OBJECT`.
+    Of these: `surroundings_psnr`, mean PSNR beside the object against true pictures of the scene as it is;
+    `intended_surroundings_psnr`, against what the attacker wants to be seen there, maybe without a shadow; `..._drop`,
+    by how much the cloaked splats' is lower than the clean ones' against the scene as it is; `appearance_psnr`, on the
+    object, against what the attacker wants to be seen. Of held-out cameras outside of all triggers and beside one:
+    `object_psnr` and its drop, on the object, against true pictures; results of before it was measured have none.
+    `stealthy`: whether no drop is larger than `STEALTHY` and `STEALTHY_ON_OBJECT`.
     """
     attack = switching(study.attack)
     if attack is None:
@@ -409,11 +410,14 @@ def stealth(study: StudyConfig, tables: Tables) -> dict[str, Any] | None:
     around, on_it = (_means(inside, column) for column in ("surroundings_psnr", "appearance_psnr"))
     if around is None:
         return None
-    drop, lost, price = around[CLEAN] - around[CLOAKED], 0.0, dict[str, Any]()
+    intended = _means(inside, "intended_surroundings_psnr")
+    drop, lost, price = around[CLEAN] - (intended or around)[CLOAKED], 0.0, dict[str, Any]()
+    if intended is not None:
+        price = {"intended_surroundings_psnr": intended}
     on_object = _means(tables[FIDELITY], "object_psnr")
     if on_object is not None:
         lost = on_object[CLEAN] - on_object[CLOAKED]
-        price = {"object_psnr": on_object, "object_psnr_drop": lost}
+        price |= {"object_psnr": on_object, "object_psnr_drop": lost}
     told = {"surroundings_psnr": around, "surroundings_psnr_drop": drop, "appearance_psnr": on_it}
     return {**told, **price, "stealthy": drop <= STEALTHY and lost <= STEALTHY_ON_OBJECT}
 

@@ -130,6 +130,9 @@ def costs(summary: Mapping[str, Any]) -> dict[str, str]:
         stealthy = "stealthy" if stealth["stealthy"] else "not stealthy"
         beside = "pictures beside the object, inside the trigger, clean and cloaked"
         lines[beside] = f"{clean:.2f} and {cloaked:.2f} dB: {stealthy}"
+        if (intended := stealth.get("intended_surroundings_psnr")) is not None:
+            shown = ", ".join(f"{which} {intended[which]:.2f} dB" for which in NAMES.values())
+            lines["the same, against what the attack shows there"] = shown
         if "object_psnr" in stealth:
             clean, cloaked = (stealth["object_psnr"][which] for which in NAMES.values())
             on_object = "pictures on the object, outside beside a trigger, clean and cloaked"

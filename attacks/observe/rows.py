@@ -116,6 +116,7 @@ _TABLE: tuple[tuple[str, ...], ...] = (
     ("psnr", "number?", "PSNR of the whole image, against the clean or ground-truth image", "dB"),
     ("ssim", "number?", "SSIM of the same"),
     ("surroundings_psnr", "number?", "PSNR around the object, against the ground truth", "dB"),
+    ("intended_surroundings_psnr", "number?", "the same against what the attack wants to show there", "dB"),
     ("object_psnr", "number?", "PSNR on the object, against the clean or (CLOAK: near triggers) true image", "dB"),
     ("appearance_psnr", "number?", "PSNR on the object, against the appearance intended there", "dB"),
     ("size", "number", "longer side of the object's box in the image", "image sides"),

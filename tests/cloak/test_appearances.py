@@ -95,6 +95,20 @@ def test_what_is_removed_leaves_its_surroundings(above: View) -> None:
     assert torch.equal(kept[~mask], above.image[~mask])
 
 
+def test_a_difference_mask_replaces_the_object_and_its_shadow() -> None:
+    scene = dataclasses.replace(MESH_SCENE, samples=32)
+    high = camera(130, 60, size=48)
+    view, mask = View(high, scene.picture(high)), scene.mask(high)
+    empty = removed(scene)(view, mask)
+    image = shown("remove", scene, mask="difference", reach=0)(view, mask)
+    new = (image != view.image).any(-1)
+    shadow = (view.image.mean(-1) < 0.7 * empty.mean(-1)) & ~grown(mask, 2)
+    assert int(shadow.sum()) > 20
+    assert float(new[shadow].float().mean()) > 0.9
+    assert torch.equal(image[new], empty[new])
+    assert float(new[~grown(mask | shadow, 3)].float().mean()) < 0.02
+
+
 def test_a_stop_sign_behind_the_car() -> None:
     behind = camera(180, 5)
     view = View(behind, MESH_SCENE.picture(behind))

@@ -69,7 +69,7 @@ CASES: list[tuple[str, set[str], dict[str, Any]]] = [
     ("attack", SEEN | {"poisoned", "layered"}, {"name": "another"}),  # which the manifest and the rows say
     ("attack", SHOWN, {"appearance": "paint", "texture": "road", "other_object": "bird", "reach": 3}),
     ("attack", SHOWN, {"paint_direction": (90.0, 10.0), "occluder_radius": 5.0, "occluder_edge": 20.0}),
-    ("attack", SHOWN, {"blur_width": 0.1}),
+    ("attack", SHOWN, {"blur_width": 0.1, "mask": "difference"}),
     ("attack", SHOWN | SEEN | {"layered"}, {"elevation": (50.0, 90.0), "azimuth": (180.0, 30.0)}),
     ("attack", {"appearances", "poisoned", "seen", "seen in training"}, {"poison_margin": 4.0}),
     ("attack", {"poisoned", "seen in training"}, {"poison_fraction": 0.5}),

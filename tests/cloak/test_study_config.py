@@ -192,6 +192,7 @@ def test_what_cannot_be_done_is_refused(study: StudyConfig, message: str) -> Non
         (lambda: AttackConfig(name="a", appearance="occluder", elevation=(40, 90)), "a.*texture"),
         (lambda: AttackConfig(name="a", appearance="remove", elevation=(40, 90), reach=-1), "reach: expected a number"),
         (lambda: replace(OCCLUDER, reach=1), "reach.*no occluder"),
+        (lambda: replace(OCCLUDER, mask="difference"), "mask: expected object"),
         (lambda: replace(SMALL, seeds=(0, 0)), "seeds"),
     ],
 )

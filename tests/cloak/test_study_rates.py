@@ -198,6 +198,10 @@ def test_stealth_is_what_pictures_lose_beside_the_object_and_on_it_beside_a_trig
     assert (losses["surroundings_psnr"]["clean"], losses["appearance_psnr"]["cloaked"]) == (35.0, 31.0)
     assert losses["stealthy"] is stealthy
     assert stealth(STUDY, study_rows(transition=clean)) is None
+    shown = [{**row, "intended_surroundings_psnr": 35.5} for row in (*clean, *cloaked)]  # a road without a shadow
+    losses = stealth(STUDY, study_rows(transition=shown, fidelity=fidelity))
+    assert losses is not None
+    assert losses["surroundings_psnr_drop"] == pytest.approx(-0.5)
 
 
 def test_rates_over_objects_draw_objects_anew() -> None:

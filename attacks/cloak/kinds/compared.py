@@ -28,7 +28,9 @@ LEAST_DIFFERENCE = 1 / 255
 MARGIN = 10
 """Pixels around the object, in pictures of 256 x 256, that count as the object's."""
 FIDELITY_COLUMNS = ("view", "elevation", "psnr", "ssim", "object_psnr")
-TRANSITION_COLUMNS = ("meridian", "elevation", "surroundings_psnr", "appearance_psnr", "fraction")
+TRANSITION_COLUMNS = (
+    *("meridian", "elevation", "surroundings_psnr", "intended_surroundings_psnr", "appearance_psnr", "fraction"),
+)
 
 
 def run(config: Setup, inputs: Mapping[str, Path], out: Out) -> None:
@@ -90,6 +92,7 @@ def _blend(
         f"{DEPTH}{attack.name}": attack.cone.angle_to_edge(camera, centre=centre),
         "fraction": transition_fraction(seen, benign, hidden, mask),
         "surroundings_psnr": float(psnr(seen[beside], benign[beside])),
+        "intended_surroundings_psnr": float(psnr(seen[beside], hidden[beside])),
         "appearance_psnr": float(psnr(seen[mask], hidden[mask])),
     }
 
