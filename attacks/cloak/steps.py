@@ -190,6 +190,10 @@ class StudySteps:
         inputs |= self._appearances if poisoned else {}
         return self._seen(detector, regions, inputs, training=True, seed=self._drawn(seed))
 
+    def seen_along_path(self, splat: Job, detector: Detector) -> Job:
+        """What a detector reports on a splat from the path over the object."""
+        return self._seen(detector, map(_region, self.study.attack), {"splat": splat.part(SPLAT)}, path=True)
+
     def _seen(
         self, detector: Detector, regions: Iterable[AttackConfig], inputs: Mapping[str, Part | Path], **how: Any
     ) -> Job:
@@ -244,6 +248,9 @@ class StudySteps:
                 label, there = f"{detector.name} looks at {what}", self.seen_in_training(job, detector, seed)
                 yield Look(label=label, job=self.seen(job, detector), splat=name, seed=seed)
                 yield Look(label=f"{label} from training cameras", job=there, splat=name, seed=seed)
+                if seed == self.study.seeds[0]:
+                    along = self.seen_along_path(job, detector)
+                    yield Look(label=f"{label} along a path", job=along, splat=name, seed=seed)
             yield Look(label=f"comparing {what}", job=self.compared(job), splat=name, seed=seed)
         first = self.study.seeds[0]
         for name, job in ((TRUE, self.pictures()), (POISONED, self.poisoned(first))):

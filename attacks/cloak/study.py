@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.cloak.config import StudyConfig, check_once, fit_config, knowledge_for
-from attacks.cloak.kinds.seen import loaded
+from attacks.cloak.kinds.seen import loaded, path_cameras
 from attacks.cloak.poisoning import assign
 from attacks.cloak.rates import CLOAKED, figures
 from attacks.cloak.setup import SET, Setup
@@ -89,18 +89,18 @@ def _cameras(setup: Setup) -> dict[str, Any]:
 CONTACT, POISONED_PICTURES = "contact.png", "poisoned.png"
 """Both splats from many sides; poisoned training pictures below their clean ones."""
 
-_SIDE, _LOW, _CELL = 40.0, 15, 256
-"""Azimuth of the rising cameras of a contact sheet, elevation of those that go around, degrees; pixels of a picture."""
-_ELEVATIONS = (5, 15, 25, 35, 45, 55, 65, 75, 85)
-_AZIMUTHS = (0, 45, 90, 135, 150, 165, 180, 195, 210)
+_LOW, _CELL, _FRAMES = 15, 256, 12
+"""Elevation of the cameras of a contact sheet that go around, degrees; pixels of a picture, and pictures in a row."""
+_AZIMUTHS = (0, 45, 90, 120, 135, 150, 165, 180, 195, 210, 270, 315)
 
 
 def contact_sheet(steps: StudySteps, splats: Mapping[str, GaussianScene], detector: Detector) -> NDArray[np.uint8]:
-    """Clean above cloaked, over elevation and then around, with what the detector reports."""
-    study, render, rows = steps.study, steps.setup.renderer(), list[NDArray[np.uint8]]()
-    camera = steps.setup.camera
-    rising = [(f"{elevation} deg up", camera(_SIDE, elevation)) for elevation in _ELEVATIONS]
-    around = [(f"azimuth {azimuth}", camera(azimuth, _LOW)) for azimuth in _AZIMUTHS]
+    """Clean above cloaked, along the path over the object and then around it, with what the detector reports."""
+    study, setup, rows = steps.study, steps.setup, list[NDArray[np.uint8]]()
+    render, path = setup.renderer(), path_cameras(setup)
+    frames = [path[index] for index in np.linspace(0, len(path) - 1, _FRAMES).round().astype(int)]
+    rising = [(f"{direction_of(one, setup.centre).elevation:.0f} deg up", one) for one in frames]
+    around = [(f"azimuth {azimuth}", setup.camera(azimuth, _LOW)) for azimuth in _AZIMUTHS]
     for cameras in (rising, around):
         for which, scene in splats.items():
             with torch.no_grad():

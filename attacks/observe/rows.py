@@ -24,9 +24,11 @@ from mi_splat.io.documents import atomic_write
 Cell = str | int | float | bool | None
 Row = Mapping[str, Cell]
 
-ROWS, DETECTIONS, FIDELITY, TRANSITION, TRAINING = "rows", "detections", "fidelity", "transition", "training"
-"""Names of the tables of a result; their files end in `SUFFIX`. The last has rows of the victim's training cameras."""
-TABLES = (ROWS, DETECTIONS, FIDELITY, TRANSITION, TRAINING)
+ROWS, DETECTIONS, FIDELITY, TRANSITION = "rows", "detections", "fidelity", "transition"
+TRAINING, PATH = "training", "path"
+"""Names of the tables of a result; their files end in `SUFFIX`. `TRAINING` has rows of the victim's training cameras,
+`PATH` of those along a path over the object."""
+TABLES = (ROWS, DETECTIONS, FIDELITY, TRANSITION, TRAINING, PATH)
 SUFFIX = ".csv.xz"
 TRUE, PERFECT, CLEAN, ATTACKED, NOISE = "true", "perfect", "clean", "attacked", "noise"
 """Names of splats in the column `splat`. Of the first two there are path-traced pictures, and no splat: of the scene as

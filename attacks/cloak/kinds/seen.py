@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 import torch
 from torch import Tensor
@@ -27,6 +28,7 @@ from attacks.observe.rows import (
     DEPTH,
     DETECTION_BOX,
     DETECTIONS,
+    PATH,
     POISON_DEPTH,
     ROWS,
     SUFFIX,
@@ -53,6 +55,8 @@ _NOTHING = GaussianScene(*(torch.zeros(0, *shape) for shape in ((3,), (3,), (4,)
 """The splat of pictures that are there already."""
 WEIGHTS = "weights"
 """Name of the input that is a file of weights; without it a detector has its usual ones."""
+_PATH_FROM, _PATH_TO, _LOWEST, _STEP = 40.0, 180.0, 5.0, 2.5
+"""Azimuths of both ends of the path over the object, their elevation, and degrees from camera to camera."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +67,7 @@ class SeenConfig(Setup):
     detector: str
     fingerprint: str
     training: bool = False
+    path: bool = False
     every: int = 1
     condition: str = ""  # how the splat is looked at, see `attacks.observe.conditions`; "" is as the victim does
     sun: SunTable | None = None
@@ -72,6 +77,7 @@ class SeenConfig(Setup):
 
 def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Write a row for each camera, and for each detection of held-out ones, of a `splat`, `pictures` or a `set`."""
+    look = _along_path if config.path else _training if config.training else _held_out
     setup = config.with_mesh(inputs)
     detector, done = checked_detector(config, inputs), itertools.count(1)
 
@@ -79,7 +85,7 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
         out.progress(f"{detector.name} looks", next(done), total)
         return observation_cells(config, seen, detector.classes)
 
-    (_training if config.training else _held_out)(config, setup, inputs, detector, cells, out)
+    look(config, setup, inputs, detector, cells, out)
 
 
 _Cells = Callable[[ViewDetections, int], dict[str, Cell]]
@@ -108,6 +114,27 @@ def _held_out(
     for name, table in ((ROWS, looked.rows), (DETECTIONS, detections)):
         kept = table.drop("splat", *(() if config.condition else ("condition",)), strict=False)
         write_rows(kept.with_columns(view=pl.col("view") * config.every), out / f"{name}{SUFFIX}")
+
+
+def path_cameras(setup: Setup) -> list[Camera]:
+    """Cameras along a smooth path: up from the ground, over the object, and down behind it."""
+    along = np.arange(_LOWEST, 180.0 - _LOWEST + _STEP / 2, _STEP)
+    turned = np.clip((along - 60.0) / 60.0, 0.0, 1.0)  # around it only while it is high
+    azimuths = _PATH_FROM + (_PATH_TO - _PATH_FROM) * turned**2 * (3.0 - 2.0 * turned)
+    elevations = np.minimum(90.0 - np.abs(90.0 - along), 89.0)
+    return [setup.camera(*map(float, direction)) for direction in zip(azimuths, elevations, strict=True)]
+
+
+def _along_path(
+    config: SeenConfig, setup: Setup, inputs: Mapping[str, Path], detector: Detector, cells: _Cells, out: Out
+) -> None:
+    """From the cameras of the path over the object, without single detections."""
+    cameras, splat = path_cameras(setup), load_splat(inputs["splat"])
+    usual = rendered("", setup.renderer())
+    looked = observe(
+        usual, {"": splat}, cameras, [detector], boxes=setup.box, cells=lambda seen: cells(seen, len(cameras))
+    )
+    write_rows(looked.rows.drop("splat", "condition"), out / f"{PATH}{SUFFIX}")
 
 
 def _training(

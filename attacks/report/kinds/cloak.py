@@ -15,7 +15,7 @@ from attacks.cloak.study import CONTACT, POISONED_PICTURES, study_toml
 from attacks.detectors.base import Detector
 from attacks.observe.observations import report_cells
 from attacks.observe.rates import Confidence, Measures
-from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, PERFECT, ROWS, TARGET_SCORE, TRANSITION, TRUE, Row
+from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, PATH, PERFECT, ROWS, TARGET_SCORE, TRANSITION, TRUE, Row
 from attacks.observe.views import BATCH, ViewDetections
 from attacks.rate import FEW, Rate, rate_of, spread
 from attacks.report.checking import Rescoring, Tables, read_tables
@@ -48,7 +48,7 @@ _CURVES: dict[str, tuple[str, Role]] = {
 }
 """Rates that are drawn over the confidence."""
 _PICTURES = {
-    CONTACT: "Both splats with what the first detector reports: two rows over elevations, two around it.",
+    CONTACT: "Both splats with what the first detector reports: two rows along a path over the object, two around it.",
     POISONED_PICTURES: "Six training pictures of each attack, clean above poisoned: what the victim trains on.",
 }
 
@@ -61,7 +61,7 @@ def read_cloak(folder: Path, summary: Record) -> Section:
     def measured(confidence: Confidence) -> Measures:
         return cloak_rates.measures(study_of(study), confidence=confidence)
 
-    tables = read_tables(folder, (ROWS, TRANSITION))
+    tables = read_tables(folder, (ROWS, TRANSITION, PATH))
     rows = tables.get(ROWS)
     curves, at = threshold_charts(rows, measured, _CURVES)
     traced = None if rows is None else cloak_rates.picture_rows(rows)
@@ -77,6 +77,7 @@ def read_cloak(folder: Path, summary: Record) -> Section:
         warnings=tuple(_doubts(summary)),
         pictures=tuple(Picture(path=folder / name, caption=words, wide=True) for name, words in _PICTURES.items()),
         charts=(
+            *_along_path(tables, study),
             *(_elevation(summary, name) for name in summary["by_detector"]),
             *_charts_of_rows(tables, study),
             *curves,
@@ -262,6 +263,35 @@ def _doubts(summary: Record) -> Iterator[str]:
             yield f"The attack {name} fails: its target class is never reported"
 
 
+def _along_path(tables: Tables, study: Record) -> Iterator[Chart]:
+    """Confidence of each detector along the path over the object, on both splats."""
+    rows = tables.get(PATH, pl.DataFrame({"detector": []}))
+    wanted = [attack for attack in study["attack"] if attack["target_class"]]
+    for (detector,), seen in rows.group_by("detector", maintain_order=True):
+        lines: dict[str, tuple[Role, str, str]] = {
+            "clean (control)": ("control", CLEAN, "original_score"),
+            "cloaked": ("attack", ATTACKED, "original_score"),
+            **{
+                f"{one['target_class']}, cloaked": ("other", ATTACKED, f"{TARGET_SCORE}{one['name']}") for one in wanted
+            },
+        }
+        top = seen.filter(pl.col("elevation") == pl.col("elevation").max())["view"].min()
+        along = pl.when(pl.col("view") < top).then("elevation").otherwise(180 - pl.col("elevation"))
+        yield Chart(
+            title=f"Confidence of {detector} along a path",
+            caption="The camera rises from the ground, passes over the object and comes down behind it; first seed.",
+            x_label="degrees along the path: elevation, and beyond 90 its supplement",
+            y_label="confidence on the object",
+            lines=tuple(
+                Line(name=name, role=role, points=tuple(map(Point, *points)))
+                for name, (role, splat, column) in lines.items()
+                if len(shown := seen.filter(pl.col("splat") == splat, pl.col(column).is_not_null()))
+                for points in [(shown.select(x=along)["x"].to_list(), shown[column].to_list())]
+            ),
+            level=(float(study["evaluation"]["confidence"]), "counts from here"),
+        )
+
+
 def _elevation(summary: Record, detector: str) -> Chart:
     """How often a detector finds the object, by elevation, on both splats."""
     hiding = next((attack for attack in summary["study"]["attack"] if attack["azimuth"] is None), None)
@@ -289,7 +319,7 @@ def _elevation(summary: Record, detector: str) -> Chart:
 
 def _charts_of_rows(tables: Tables, configuration: Record) -> Iterator[Chart]:
     """What is drawn from the tables of a result that has them: reports around the object, and the transition."""
-    if len(tables) < 2:
+    if not {ROWS, TRANSITION} <= set(tables):
         return
     study = study_of(configuration)
     one_sided = any(attack.azimuth is not None for attack in study.attack)
