@@ -19,7 +19,7 @@ from attacks.cloak.config import AttackConfig
 from attacks.cloak.mesh_scene import TEXTURES, MeshScene, camouflaged, cap, mounted, repainted, stand_in
 from attacks.cloak.triggers import Trigger
 from mi_splat.assets import build
-from mi_splat.assets.mesh import Asset
+from mi_splat.assets.mesh import Asset, rotation
 from mi_splat.cameras import Camera, View, look_at, project_points
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
@@ -239,11 +239,13 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point,
     elif attack.appearance == "blend in":
         target, name = camouflaged(target, mesh_scene.surroundings), "blend in with the ground"
     else:
-        other, viewer, outgrows = build(str(attack.other_object), 0), attack.azimuth and attack.azimuth[0], True
+        other, viewer = build(str(attack.other_object), attack.other_seed), attack.azimuth and attack.azimuth[0]
+        outgrows = True
         if attack.appearance == "mount":
             viewer = 180.0 if viewer is None else viewer
             target = mounted(target, other, azimuth=viewer)
         else:
+            other = other.body.transformed(rotation("y", -90.0)) if attack.lying else other
             target = stand_in(target, other, azimuth=viewer)
         towards = "as large from above" if viewer is None else f"to azimuth {viewer:g}"
         name = f"{other.name} {'on it' if attack.appearance == 'mount' else 'instead'}, {towards}"
@@ -329,33 +331,6 @@ class Emphasis:
         inside = self.trigger.angle_to_edge(view.camera, centre=self.centre)
         gain = 1 + (self.gain - 1) * min(max(1 - inside / self.depth, 0.0), 1.0)
         return (view.image + gain * (self.appearance(view, mask) - view.image)).clamp(0, 1)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Correction:
-    """An appearance corrected by a surrogate: it adds what a splat trained on the earlier poison does not show.
-
-    A splat blurs what its pictures show from direction to direction, so that from a trigger's cameras it shows a blend
-    of the benign and the hidden look. What is missing there is added, as an integral controller does: with the poison P
-    of a round, the wanted picture W and what the attacker's own splat R shows, the next is P + gain (W - R), clipped.
-    """
-
-    earlier: Appearance
-    wanted: Appearance
-    shown: Callable[[Camera], Tensor]  # (H, W, 3) in [0, 1], what it shows a camera
-    gain: float
-    reach: int | None  # pixels around the target within which it is added; None is the whole picture
-
-    @property
-    def name(self) -> str:
-        """For manifests."""
-        return f"{name_of(self.earlier)}, corrected by {self.gain:g} times what a splat lacks"
-
-    def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The corrected picture, clipped to [0, 1]."""
-        before = self.earlier(view, mask)
-        after = (before + self.gain * (self.wanted(view, mask) - self.shown(view.camera).to(before))).clamp(0, 1)
-        return after if self.reach is None else torch.where(grown(mask, self.reach)[..., None], after, before)
 
 
 LOWEST_GROUND = 45.0

@@ -158,6 +158,8 @@ class AttackConfig:
             is laid on it like a cloth.
         texture: With what it is painted (`paint`) or covered (`occluder`).
         other_object: Asset that is mounted on it or takes its place (`mount`, `swap`).
+        other_seed: Which asset of that name.
+        lying: Whether what takes its place lies on its back, with its front up, for cameras above it.
         elevation: Lowest and highest elevation of the cameras from which it is seen, degrees.
         azimuth: Middle and half width of their azimuths, degrees; None is all around.
         poison_margin: Degrees beyond these edges up to which training pictures are poisoned, too, but for those that
@@ -182,6 +184,8 @@ class AttackConfig:
     appearance: AppearanceName = "blend in"
     texture: str | None = None
     other_object: str | None = None
+    other_seed: Seed = 0
+    lying: bool = False
     elevation: Annotated[tuple[float, float], between(-90, 90, "degrees")] = (0.0, 90.0)
     azimuth: Annotated[tuple[float, float], Range(unit="degrees")] | None = None
     poison_margin: Annotated[float, between(0, 90, "degrees")] = 0.0
@@ -253,25 +257,6 @@ class AttackConfig:
         if self.azimuth is None:
             return band
         return band & Azimuth(middle=self.azimuth[0], half_width=min(self.azimuth[1] + margin, 180.0))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SurrogateConfig(Checked):
-    """Trainings of the attacker's own, by which poison is corrected (`attacks.cloak.appearances.Correction`).
-
-    No detector has a part in it.
-
-    Attributes:
-        rounds: Trainings, each on the poison that the one before it corrected.
-        gain: How much of what is missing in a surrogate's pictures is added.
-        iterations: Steps of each; all else of the recipe is the victim's, which the attacker has to guess.
-        seed: Of the surrogates, which is none of the victim's.
-    """
-
-    rounds: Annotated[int, between(1, 20)] = 1
-    gain: Annotated[float, Range(low=0, high=10, open_low=True)] = 1.0
-    iterations: Steps = 2500
-    seed: Seed = 1000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -489,7 +474,6 @@ class StudyConfig:
         cameras: Where from.
         attack: The hidden appearances; no camera may belong to two.
         training: How splats are trained.
-        surrogate: How the attacker corrects the poison by trainings of his own; None: it is not corrected.
         layers: How the finished file is changed; None: only the training pictures are.
         cleaning: What the victim does to both finished splats before they are looked at; None: nothing.
         evaluation: How they are looked at.
@@ -501,7 +485,6 @@ class StudyConfig:
     cameras: CameraConfig = field(default_factory=CameraConfig)
     attack: tuple[AttackConfig, ...] = ()
     training: TrainingConfig = field(default_factory=TrainingConfig)
-    surrogate: SurrogateConfig | None = None
     layers: LayersConfig | None = None
     cleaning: CleaningConfig | None = None
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)

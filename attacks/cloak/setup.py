@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.cloak.appearances import Appearance, Correction, Emphasis, appearance_of
+from attacks.cloak.appearances import Appearance, Emphasis, appearance_of
 from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, switching
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
@@ -297,13 +297,11 @@ class Setup:
         *,
         seed: int = 0,
         cached: Callable[[Appearance, AttackConfig], Appearance] = lambda appearance, attack: appearance,
-        surrogates: Sequence[Callable[[Camera], Tensor]] = (),
-        gain: float = 1.0,
     ) -> list[Poisoning]:
-        """The attacks as poisonings; surrogates correct them in their order."""
+        """The attacks as poisonings."""
         poisonings = []
         for attack in self.attacks:
-            wanted = appearance = cached(self.appearance(attack), attack)
+            appearance = cached(self.appearance(attack), attack)
             if attack.emphasis > 1:
                 appearance = Emphasis(
                     appearance=appearance,
@@ -312,8 +310,6 @@ class Setup:
                     gain=attack.emphasis,
                     depth=attack.emphasis_depth,
                 )
-            for shown in surrogates:
-                appearance = Correction(earlier=appearance, wanted=wanted, shown=shown, gain=gain, reach=attack.reach)
             trigger = attack.trigger(seed, self.attacks)
             poisonings.append(Poisoning(name=attack.name, trigger=trigger, appearance=appearance))
         return poisonings

@@ -21,7 +21,7 @@ from attacks.cloak.setup import MESH, SET, Pose, Setup
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import SunTable, package_of
 from attacks.observe.rows import ATTACKED, CLEAN, PERFECT, POISONED, SUFFIX, TABLES, TRUE, read_rows
-from attacks.poisons.poisoned import CLOAK, SURROGATE, PoisonedConfig
+from attacks.poisons.poisoned import CLOAK, PoisonedConfig
 from attacks.poisons.specs import ChosenPoison
 from mi_splat.assets import ASSETS
 from mi_splat.cameras import Camera
@@ -95,33 +95,21 @@ class StudySteps:
         return self._job("pictures", config, **inputs)
 
     @cache  # noqa: B019
-    def poisoned(self, seed: int, surrogates: int | None = None) -> Job:
-        """A poisoned set, corrected by so many surrogates; None: by as many as the study asks for."""
-        study, config = self.study, self.study.surrogate
-        rounds = (config.rounds if config is not None else 0) if surrogates is None else surrogates
+    def poisoned(self, seed: int) -> Job:
+        """A poisoned set."""
+        study = self.study
         attacks = [asdict(replace(attack, target_class=None)) for attack in study.attack]
-        values: dict[str, Any] = {"scene": self.scene_job(), "seed": self._drawn(seed)}
-        if config is not None and rounds:
-            values |= {"gain": config.gain, "scene": self.scene_job(near_plane=self.setup.near)}
         chosen = ChosenPoison(kind=CLOAK, settings={"attack": attacks})
-        poison = PoisonedConfig(poison=chosen, background=study.scene.background, **values)
-        earlier = {f"{SURROGATE}{n}": self.surrogate(seed, n).part(SPLAT) for n in range(1, rounds + 1)}
+        drawn, scene = self._drawn(seed), self.scene_job()
+        poison = PoisonedConfig(poison=chosen, background=study.scene.background, scene=scene, seed=drawn)
         inputs: dict[str, Part | Path] = {"pictures": self.pictures().part(PICTURES), **self._appearances}
-        inputs |= {**earlier, **self.mesh}
+        inputs |= self.mesh
         return Job(kind=POISONED_KIND, config=poison, inputs=inputs)
 
     @cached_property
     def _appearances(self) -> dict[str, Part]:
         """Pictures of what each attack wants to be seen."""
         return {f"{APPEARANCE}{attack.name}": self.appearance(attack).part("*.png") for attack in self.study.attack}
-
-    @cache  # noqa: B019
-    def surrogate(self, seed: int, number: int) -> Job:
-        """The attacker's own splat of a round, from 1, trained on what the rounds before it poisoned."""
-        config = self.study.surrogate
-        assert config is not None
-        training = replace(self.study.training, iterations=config.iterations)
-        return self.trained_on(self.poisoned(seed, number - 1), config.seed, training)
 
     def splat(self, splat: str, seed: int) -> Job:
         """The splat of a seed that is evaluated, clean or cloaked; cleaned, if the victim cleans."""
@@ -231,9 +219,6 @@ class StudySteps:
         for attack in self.study.attack:
             yield f"taking pictures of {attack.name}", self.appearance(attack)
         for seed in self.study.seeds:
-            for number in range(1, (self.study.surrogate.rounds if self.study.surrogate else 0) + 1):
-                yield f"poisoning for surrogate {number}, seed {seed}", self.poisoned(seed, number - 1)
-                yield f"training surrogate {number}, seed {seed}", self.surrogate(seed, number)
             yield f"poisoning, seed {seed}", self.poisoned(seed)
         for splat, seed in self.names():
             yield f"training the {splat} splat, seed {seed}", self.trained(splat, seed)

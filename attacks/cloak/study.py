@@ -204,10 +204,7 @@ def forecast(study: StudyConfig) -> Forecast:
     trainings = 2 * len(study.seeds)
     most = training.max_gaussians or _UNLIMITED
     step = _STEP + cameras.size**2 * _PIXEL + most * _GAUSSIAN
-    steps, surrogate = trainings * training.iterations, study.surrogate
-    if surrogate is not None:
-        trainings, steps = trainings + surrogate.rounds, steps + surrogate.rounds * surrogate.iterations
-    seconds = pictures * cameras.size**2 * cameras.samples * _PATH + steps * step
+    seconds = pictures * cameras.size**2 * cameras.samples * _PATH + trainings * training.iterations * step
     size = (pictures + sets * cameras.train) * cameras.size**2 * _PNG + trainings * most * _ROW
     return Forecast(pictures=pictures, trainings=trainings, minutes=1 + seconds / 60, megabytes=size / 1e6)
 

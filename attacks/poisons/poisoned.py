@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
-
 from attacks.cloak.appearances import Appearance, name_of
 from attacks.cloak.config import AttackConfig, TrainingConfig, fit_config
 from attacks.cloak.kinds.pictures import APPEARANCE, KeptAppearance
-from attacks.cloak.mesh_scene import camera_number
 from attacks.cloak.poisoning import poison
 from attacks.cloak.setup import SET, Setup
 from attacks.poisons.base import MANIFEST, OnStep, PicturePoison, Poisoned, poisoned
@@ -25,12 +21,11 @@ from attacks.poisons.judged import checked_classifier
 from attacks.poisons.poison_splat import Decoy
 from attacks.poisons.specs import POISONS, ChosenPoison, Given, PoisonSpec
 from attacks.poisons.writing import difference_sheet, write_poisoned
-from mi_splat.cameras import Camera, RenderFn, View
+from mi_splat.cameras import View
 from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
 from mi_splat.io.documents import save_json, save_png
-from mi_splat.scene import GaussianScene
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
@@ -54,7 +49,7 @@ def _cloak(config: CloakConfig, given: Given) -> PicturePoison:
         return KeptAppearance(name=name_of(appearance), folder=given.appearances[f"{APPEARANCE}{attack.name}"])
 
     def cloaked(views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
-        attacks = setup.poisonings(seed=seed, cached=kept, surrogates=given.surrogates, gain=given.gain)
+        attacks = setup.poisonings(seed=seed, cached=kept)
         return poison(views, attacks, centre=setup.centre, masks=setup.mesh_scene.mask, on_step=on_step)
 
     return cloaked
@@ -64,8 +59,6 @@ POISONS.add(CLOAK, PoisonSpec(name=CLOAK, config=CloakConfig, make=_cloak, needs
 
 
 SHEET = "poisoned.png"
-SURROGATE = "surrogate "
-"""What stands before the number of a surrogate in the name of the input with its splat."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +69,6 @@ class PoisonedConfig:
     background: tuple[float, float, float]  # sRGB behind the pictures
     seed: int = 0
     scene: Setup | None = None
-    gain: float = 1.0
     near: float | None = None
     training: TrainingConfig | None = None
     device: str = "cpu"
@@ -115,8 +107,6 @@ def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
         classifier = checked_classifier(config.classifier, config.fingerprint, config.device)
         with tracing_variant():
             masks = [setup.mesh_scene.mask(camera) for camera in setup.training_cameras]
-    rounds = range(1, 1 + sum(name.startswith(SURROGATE) for name in inputs))
-    splats = [load_splat(inputs[f"{SURROGATE}{number}"]) for number in rounds]
     return Given(
         decoy=decoy,
         masks=masks,
@@ -124,20 +114,4 @@ def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
         label=config.label,
         setup=setup,
         appearances=inputs,
-        surrogates=[_kept_renders(splat, setup.renderer()) for splat in splats] if setup is not None else (),
-        gain=config.gain,
     )
-
-
-def _kept_renders(scene: GaussianScene, render: RenderFn) -> Callable[[Camera], Tensor]:
-    """(H, W, 3) in [0, 1], what a splat shows a camera; each picture is rendered once."""
-    pictures: dict[int, Tensor] = {}
-
-    def shown(camera: Camera) -> Tensor:
-        number = camera_number(camera)
-        if number not in pictures:
-            with torch.no_grad():
-                pictures[number] = render(scene, camera).clamp(0, 1)
-        return pictures[number]
-
-    return shown

@@ -5,7 +5,7 @@ CLOAK, whose settings are not light, joins them with `attacks.poisons.poisoned`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,13 +16,10 @@ from mi_splat.fields import check_choice, decode
 from mi_splat.registry import Registry
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from attacks.classifiers.base import Classifier
     from attacks.cloak.setup import Setup
     from attacks.poisons.base import Masks, PicturePoison
     from attacks.poisons.poison_splat import Decoy
-    from mi_splat.cameras import Camera
 
 Need = Literal["splat", "classifier", "scene"]
 
@@ -37,8 +34,6 @@ class Given:
     label: str = ""  # the object's true class
     setup: Setup | None = None  # the scene of a study
     appearances: Mapping[str, Path] = field(default_factory=dict)  # pictures of them, by the name of a job's input
-    surrogates: Sequence[Callable[[Camera], Tensor]] = ()  # what the attacker's own splats show a camera
-    gain: float = 1.0  # how much of what they lack is added
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

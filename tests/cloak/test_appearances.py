@@ -11,7 +11,6 @@ from torch import Tensor
 from attacks.cloak.appearances import (
     Appearance,
     Blur,
-    Correction,
     Emphasis,
     GroundLook,
     Occluder,
@@ -120,6 +119,11 @@ def test_a_stop_sign_behind_the_car() -> None:
         image = appearance(view, MESH_SCENE.mask(behind))
         assert not torch.equal(image, view.image)
         assert "stop sign" in name_of(appearance)
+    flat, upright = (shown("swap", other_object="suitcase", other_seed=4, lying=lying) for lying in (True, False))
+    assert isinstance(flat, Rerender)
+    assert isinstance(upright, Rerender)
+    heights = [one.mesh_scene.target.bounds[1, 2] for one in (flat, upright)]
+    assert heights[0] < 0.7 * heights[1]  # as large as the block from above, on its back
     beside = ~MESH_SCENE.mask(behind)
     assert torch.equal(near(view, ~beside)[beside], view.image[beside])
     assert isinstance(instead, Rerender)
@@ -296,42 +300,6 @@ def test_the_gain_falls_from_the_edge_inwards(elevation: float, gain: float) -> 
     image = emphasised(elevation)
     assert image[:, :3].mean() == pytest.approx(0.5 + 0.1 * gain, abs=1e-5)
     assert torch.equal(image[:, 3:], torch.full((5, 3, 3), 0.5))
-
-
-# Poison that is corrected by what a splat trained on it shows
-
-
-(CAMERA,) = orbit(ORIGIN, count=1, elevation=30.0, distance=4.0, focal=20.0, size=(8, 8))
-VIEW = View(CAMERA, torch.full((8, 8, 3), 0.5))
-MASK = torch.zeros(8, 8, dtype=torch.bool)
-MASK[2:4, 2:4] = True
-
-
-def wanted(view: View, mask: Tensor) -> Tensor:
-    return torch.where(mask[..., None], torch.tensor(0.2), view.image)
-
-
-def blurred(camera: Camera) -> Tensor:
-    """A splat that shows the half of what it should."""
-    return torch.where(MASK[..., None], torch.tensor(0.35), torch.tensor(0.6))
-
-
-def correction(earlier: object = wanted, *, gain: float = 1.0, reach: int | None = 1) -> Correction:
-    return Correction(earlier=earlier, wanted=wanted, shown=blurred, gain=gain, reach=reach)  # type: ignore[arg-type]
-
-
-def test_what_is_missing_is_added_within_reach_alone() -> None:
-    image = correction(gain=0.5)(VIEW, MASK)
-    assert torch.allclose(image[MASK], torch.tensor(0.2 - 0.5 * 0.15))
-    assert torch.allclose(image[1, 1], torch.tensor(0.5 - 0.5 * 0.1))
-    assert torch.equal(image[6:], VIEW.image[6:])
-
-
-def test_rounds_add_up_and_stay_in_range() -> None:
-    twice = correction(correction())
-    assert torch.allclose(twice(VIEW, MASK)[MASK], torch.tensor(0.0))  # 0.2 - 0.15 - 0.15, clipped
-    assert "corrected by 1 times" in twice.name
-    assert twice.name.count("corrected") == 2
 
 
 # The look of the ground, laid on an object

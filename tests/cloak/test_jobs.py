@@ -15,7 +15,6 @@ from attacks.cloak.config import (
     LayersConfig,
     SceneConfig,
     StudyConfig,
-    SurrogateConfig,
 )
 from attacks.cloak.config import TrainingConfig as Training
 from attacks.cloak.setup import Setup
@@ -69,7 +68,7 @@ CASES: list[tuple[str, set[str], dict[str, Any]]] = [
     ("attack", SEEN | {"poisoned", "layered"}, {"name": "another"}),  # which the manifest and the rows say
     ("attack", SHOWN, {"appearance": "paint", "texture": "road", "other_object": "bird", "reach": 3}),
     ("attack", SHOWN, {"paint_direction": (90.0, 10.0), "occluder_radius": 5.0, "occluder_edge": 20.0}),
-    ("attack", SHOWN, {"blur_width": 0.1, "mask": "difference"}),
+    ("attack", SHOWN, {"blur_width": 0.1, "mask": "difference", "other_seed": 1, "lying": True}),
     ("attack", SHOWN | SEEN | {"layered"}, {"elevation": (50.0, 90.0), "azimuth": (180.0, 30.0)}),
     ("attack", {"appearances", "poisoned", "seen", "seen in training"}, {"poison_margin": 4.0}),
     ("attack", {"poisoned", "seen in training"}, {"poison_fraction": 0.5}),
@@ -149,19 +148,6 @@ def test_every_field_has_a_case() -> None:
     for section in ("scene", "cameras", "training", "evaluation", "layers", "cleaning"):
         assert {(section, entry.name) for entry in fields(getattr(STUDY, section))} - {("layers", "attacks")} <= known
     assert {("attack", entry.name) for entry in fields(AttackConfig)} <= known
-
-
-def test_surrogates_count_by_what_they_are_and_by_the_gain() -> None:
-    """Rounds, steps and seed of a surrogate are in its own job, which is an input."""
-
-    def poisoned(**values: Any) -> Job:
-        return planned(replace(STUDY, surrogate=SurrogateConfig(**values))).poisoned(0)
-
-    plain, one = planned(STUDY).poisoned(0), poisoned()
-    assert [name for name in one.inputs if name not in plain.inputs] == ["surrogate 1"]
-    assert canonical(one.config_json) == canonical(poisoned(rounds=3, iterations=7, seed=5).config_json)
-    assert len({canonical(job.config_json) for job in (plain, one, poisoned(gain=2.0))}) == 3
-    assert len(poisoned(rounds=9).inputs) == len(plain.inputs) + 9
 
 
 def test_the_seed_counts_where_something_is_drawn() -> None:

@@ -50,7 +50,7 @@ def test_a_job_is_done_once_and_its_inputs_first(tmp_path: Path) -> None:
 
 
 def test_a_job_that_many_read_is_looked_at_once(tmp_path: Path) -> None:
-    """As surrogates of CLOAK, each of which reads what all before it have left."""
+    """Each of them reads what all before it have left."""
     jobs = [numbers(1.0)]
     for number in range(9):
         jobs.append(numbers(float(number), **{f"input {n}": job for n, job in enumerate(jobs)}))

@@ -159,6 +159,7 @@ RESCORING = Rescoring(splats=_splats, cells=_cells, rates=_rescored, batch=BATCH
 def study_of(configuration: Record) -> StudyConfig:
     """The study of a result. Rates need no mesh: one of a mesh file stands there as if it had an asset's."""
     values, scene = dict(configuration), configuration.get("scene")
+    values.pop("surrogate", None)  # results of November 2026 say that they had none
     if isinstance(scene, dict) and isinstance(scene.get("object"), str) and scene["object"] not in ASSETS:
         values["scene"] = {**scene, "object": next(iter(ASSETS))}
     return decode(StudyConfig, values, "study")
