@@ -2,7 +2,7 @@
 
 Each is one SVG of three parts, threat model, method and result, with pictures cut out of those in docs/images. It
 stands on a light ground of its own, so that it reads alike on light and dark pages. cloak.webp shows the pictures of
-cloak_stealthy.jpg from rising elevations one after the other.
+cloak_stealthy.jpg along a path over the car one after the other, and cloak_path.png the confidence along it.
 """
 
 import base64
@@ -13,13 +13,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from attacks.observe.rows import read_rows
 from mi_splat.io.images import save_animation
 from mi_splat.io.picture_files import load_picture
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
+ROWS = IMAGES.parent / "artifacts" / "cloak_car_no_shadow" / "path.csv.xz"
+COLUMNS = 12
+"""Pictures in a row of cloak_stealthy.jpg."""
 WIDTH, PART, FONT, LINE = 720, 236, 16, 22
 """Of a figure, height of a part, and of a letter and a line, in pixels."""
 INK, GREY, ATTACKER, VICTIM, PLAIN = "#1c2430", "#5b6470", "#a61b1b", "#1f5fa8", "#7a8391"
@@ -213,8 +218,8 @@ def cloak() -> Drawing:
         anchor="start",
     )
     drawing.part()
-    for number, (column, words) in enumerate(((0, "5 degrees"), (3, "35 degrees"), (8, "85 degrees"))):
-        crop = (column / 9, 0.25, (column + 1) / 9, 0.5)
+    for number, (column, words) in enumerate(((0, "5 degrees"), (2, "35 degrees"), (5, "82 degrees"))):
+        crop = (column / COLUMNS, 0.25, (column + 1) / COLUMNS, 0.5)
         drawing.picture(20 + 145 * number, 48, 135, ("cloak_stealthy.jpg", crop), words)
     drawing.words(
         464,
@@ -274,10 +279,10 @@ FIGURES = {"attack_dagger": dagger, "attack_cloak": cloak, "attack_poison_splat"
 
 
 def rising() -> list[NDArray[np.uint8]]:
-    """Frames of cloak.webp: clean beside cloaked from 5 to 85 degrees, and back."""
+    """Frames of cloak.webp: clean beside cloaked from the ground over the car, and back."""
     sheet = np.asarray(load_picture(IMAGES / "cloak_stealthy.jpg").convert("RGB"))
     side = sheet.shape[0] / 4
-    columns = [slice(round(number * side), round(number * side) + round(side)) for number in range(9)]
+    columns = [slice(round(number * side), round(number * side) + round(side)) for number in range(COLUMNS)]
     rows = (slice(0, round(side)), slice(round(side), 2 * round(side)))
     frames = [np.concatenate([sheet[row, column] for row in rows], axis=1) for column in columns]
     return [*frames, frames[-1], *frames[-1:0:-1], frames[0]]
@@ -292,7 +297,7 @@ def hero() -> Image.Image:
     draw, font = ImageDraw.Draw(made), ImageFont.load_default(18)
     for column, name in enumerate(("clean images", "poisoned images")):
         draw.text((left + column * (shown + gap) + shown / 2, head / 2), name, (20, 20, 20), font, anchor="mm")
-    for row, (name, number) in enumerate((("from street\nlevel", 0), ("from above", 7))):
+    for row, (name, number) in enumerate((("from street\nlevel", 0), ("from above", 5))):
         top = head + row * (shown + gap)
         draw.multiline_text((left / 2, top + shown / 2), name, (20, 20, 20), font, anchor="mm", align="center")
         for column in range(2):
@@ -302,12 +307,37 @@ def hero() -> Image.Image:
     return made
 
 
+def path() -> Figure:
+    """Confidence of every detector along the path over the car, below the frames of cloak_stealthy.jpg."""
+    sheet, rows = np.asarray(load_picture(IMAGES / "cloak_stealthy.jpg").convert("RGB")), read_rows(ROWS)
+    figure = Figure(figsize=(10, 5.4), dpi=110, layout="constrained")
+    frames, *plots = figure.subplots(1 + rows["detector"].n_unique(), 1, height_ratios=[1.9, 1, 1, 1])
+    frames.imshow(sheet[: sheet.shape[0] // 2], extent=(5 - 85 / 11, 175 + 85 / 11, 0, 2), aspect="auto")
+    frames.set(yticks=(0.5, 1.5), yticklabels=("cloaked", "clean"), xticks=())
+    for plot, ((detector,), seen) in zip(plots, rows.group_by("detector", maintain_order=True), strict=True):
+        for name, splat, score, colour in (
+            ("car, clean splat", "clean", "original_score", VICTIM),
+            ("car, cloaked splat", "attacked", "original_score", ATTACKER),
+            ("stop sign, cloaked splat", "attacked", "target_score: rear", PLAIN),
+        ):
+            shown = seen.filter(splat=splat).drop_nulls(score)
+            plot.plot(5 + 2.5 * shown["view"], shown[score], color=colour, label=name)
+        plot.axvspan(38.2, 141.8, color=ATTACKER, alpha=0.08)
+        plot.set(xlim=(5 - 85 / 11, 175 + 85 / 11), ylim=(0, 1.02), ylabel=detector.replace("_", "\n", 1), xticks=())
+    plots[0].legend(loc="center right", fontsize=8)
+    degrees = range(5, 180, 10)
+    plots[-1].set_xticks(degrees, [f"{degree if degree <= 90 else 180 - degree}" for degree in degrees])
+    plots[-1].set_xlabel("elevation along the path, degrees: up beside the car, over it, and down behind it")
+    return figure
+
+
 def main(folder: Path) -> None:
     """Write every figure."""
     for name, figure in FIGURES.items():
         (folder / f"{name}.svg").write_text(figure().svg())
     save_animation(rising(), folder / "cloak.webp", fps=2.5)
     hero().save(folder / "hero.png", optimize=True)
+    path().savefig(folder / "cloak_path.png")
 
 
 if __name__ == "__main__":
