@@ -1,9 +1,10 @@
-"""How sharply can colour switch over elevation? The widths, 10 to 90 % of the way, that docs/cloak-layers.md quotes.
+"""How sharply can colour switch over elevation? The widths, 10 to 90 % of the way, that the pages of CLOAK quote.
 
     python benchmarks/cloak_limits.py scenes/cloak_car_layers.toml
 
 One layer: spherical harmonics fitted by least squares to a step that is 0 at the study's benign cameras and, in the
-hiding trigger, 1 or what the study's emphasis makes of it, not clipped. Two layers and more: what
+hiding trigger and its margin of poison, 1 or what the study's emphasis makes of it, not clipped; `shares` says how much
+of the hidden appearance it then shows from 25, 35 and 45 degrees. Two layers and more: what
 `attacks.cloak.layers` makes of one Gaussian in the middle that is seen from everywhere, for several bounds on how far
 below zero a layer may go, and for several bands of a layer more for the edge of each look. No splat and no detector
 has a part in it.
@@ -78,7 +79,9 @@ def _one_layer(study: StudyConfig, degree: int, emphasis: float) -> dict[str, An
     cameras = Setup.of(study).training_cameras
     middle = torch.tensor(centre, dtype=torch.float64)
     directions = torch.stack([middle - camera.position.double() for camera in cameras])
-    inside = torch.tensor([attack.cone.angle_to_edge(camera, centre=centre) for camera in cameras], dtype=torch.float64)
+    inside = torch.tensor(
+        [attack.poisoned_cone.angle_to_edge(camera, centre=centre) for camera in cameras], dtype=torch.float64
+    )
     gain = 1 + (emphasis - 1) * (1 - inside / attack.emphasis_depth).clamp(0, 1)
     wanted = (inside >= 0).double() * gain
     fitted = torch.linalg.lstsq(_basis(directions, degree), wanted[:, None]).solution[:, 0]
@@ -89,6 +92,7 @@ def _one_layer(study: StudyConfig, degree: int, emphasis: float) -> dict[str, An
         "width": fit_transition(ELEVATIONS, curve).width,
         "lowest": min(curve),
         "highest": max(curve),
+        "shares": {degrees: round(curve[2 * degrees], 2) for degrees in (25, 35, 45)},
     }
 
 
