@@ -281,7 +281,7 @@ def _along_path(tables: Tables, study: Record) -> Iterator[Chart]:
         yield Chart(
             title=f"Confidence of {detector} along a path",
             caption="The camera rises from the ground, passes over the object and comes down behind it; first seed.",
-            x_label="degrees along the path: elevation, and beyond 90 its supplement",
+            x_label="degrees along the path, 90 overhead",
             y_label="confidence on the object",
             lines=tuple(
                 Line(name=name, role=role, points=tuple(map(Point, *points)))
