@@ -19,7 +19,7 @@ from typing import Any
 import polars as pl
 
 from attacks.aims import OBJECTIVES, PluggedObjective
-from attacks.dagger.config import REGION
+from attacks.dagger.config import REGION, Control
 from attacks.detectors.registry import detector_spec, load_detector
 from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe.conditions import OWN, SunTable, package_of
@@ -68,6 +68,7 @@ class Judge:
     detector: str | None = None  # None is each of those attacked
     condition: str = AS_ATTACKED  # see `attacks.observe.conditions`
     sun: SunTable | None = None  # a street of meshes for conditions that are hours
+    controls: tuple[Control, ...] = ()  # random changes as of attacks; none is noise of the attack's norm
     views: int = 24  # held-out views of a region, at most as many as have judged the attack; fixed cameras stay
 
     def looks(self, scene: Path, attacked: Job) -> list[Job]:
@@ -85,7 +86,7 @@ class Judge:
         inputs: dict[str, Job | Part | Path] = {"attacked": attacked.part(splat), **street}
         inputs |= {name: path for name, path in attacked.inputs.items() if name == CAMERAS}
         of |= {"object": config.object, "objective": config.objective, "condition": condition, "sun": sun}
-        of |= {"package": package_of(condition)}
+        of |= {"package": package_of(condition), "controls": self.controls}
         of |= {"attributes": attack.attributes, "norm": attack.norm}
         return [
             Job(

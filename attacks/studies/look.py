@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +11,9 @@ from typing import TYPE_CHECKING, Any
 from torch import Generator
 
 from attacks.aims import PluggedObjective
+from attacks.dagger.config import Control, DaggerConfig
+from attacks.dagger.controls import control_scenes
+from attacks.dagger.problem import Problem
 from attacks.dagger.views import View, fixed_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Hide, Relabel, Target, Untargeted
@@ -52,6 +56,7 @@ class Look:
     views: int = 1
     transformations: Transformations | None = None  # where views are drawn from; None where cameras are fixed
     fingerprints: tuple[str, ...] = ()
+    controls: tuple[Control, ...] = ()  # random changes by name; none is noise of the attack's norm
     package: str = ""  # which package brings the condition, with its version; empty for this project
 
 
@@ -77,7 +82,8 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
         condition = _changing(condition, {camera: view.change for camera, view in moved.items()})
     directions = seen_from(viewing.centre)
 
-    splats, detectors = _splats(config, scene, load_splat(inputs["attacked"])), detectors_of((config.detector,), inputs)
+    splats = _splats(config, scene, load_splat(inputs["attacked"]), list(moved.values()))
+    detectors = detectors_of((config.detector,), inputs)
     wanted, classes = config.objective, tuple(detectors[0].classes)
 
     def cells(seen: ViewDetections) -> dict[str, Any]:
@@ -109,18 +115,47 @@ def _changing(condition: Condition, changes: Mapping[Camera, PictureChange]) -> 
     return replace(condition, show=show)
 
 
-def _splats(config: Look, scene: AttackScene, saved: GaussianScene) -> dict[str, GaussianScene]:
-    """The clean splat, the attacked one, and one with random noise as large as the attack on what it could change."""
+def _splats(config: Look, scene: AttackScene, saved: GaussianScene, views: Sequence[View]) -> dict[str, GaussianScene]:
+    """The clean splat, the attacked one, and random changes as large as the attack on what it could change."""
     rows, drawn = scene.objects[config.object], config.transformations is not None
     clean, attacked = clean_and_attacked(scene.scene, rows, saved.select(rows) if drawn else saved, config.attributes)
     clean, attacked = (replace(subset, sh_degree=config.sh_degree) for subset in (clean, attacked))
     reference, moved = (subset.parameters(config.attributes) for subset in (clean, attacked))
+    if config.controls:
+        problem, attack = _problem(config, clean, scene.renderer("")), _attack(config)
+        changed = {name: splat for (name, _), splat in control_scenes(problem, moved, attack, views)}
+        return {CLEAN: clean.scene, ATTACKED: attacked.scene, **changed}
     radii = config.eps if len(config.eps) > 1 else config.eps * len(config.attributes)
     budget = Budget(radius=dict(zip(config.attributes, radii, strict=True)), norm=config.norm)
     noisy = clean.applied(budget.noise(moved, reference, Generator().manual_seed(config.seed + 1)))
     # The file of an attack on a region holds the whole scene.
     shown = (scene.scene, saved) if drawn else (clean.scene, attacked.scene)
     return {CLEAN: shown[0], ATTACKED: shown[1], NOISE: noisy}
+
+
+def _problem(config: Look, clean: GaussianSubset, render: RenderFn) -> Problem:
+    """What the attack saw, as far as its controls ask."""
+    return Problem(
+        subset=clean,
+        detectors=(),
+        objective=config.objective,
+        originals=lambda view, name: None,
+        render=render,
+        clean=functools.cache(lambda camera: render(clean.scene, camera).clamp(0, 1)),
+    )
+
+
+def _attack(config: Look) -> DaggerConfig:
+    """The settings of the attack, as far as its controls ask."""
+    return DaggerConfig(
+        attributes=config.attributes,
+        eps=config.eps,
+        norm=config.norm,
+        sh_degree=config.sh_degree,
+        seed=config.seed,
+        controls=config.controls,
+        noise_draws=1,
+    )
 
 
 def clean_and_attacked(
