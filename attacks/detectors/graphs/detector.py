@@ -28,7 +28,7 @@ from attacks.detectors.catalogue import (
     DetectorError,
     weights_of,
 )
-from attacks.detectors.graphs.graph import GraphModel, Node, read_graph_model, read_tflite
+from attacks.detectors.graphs.graph import GraphModel, Node, read_frozen, read_graph_model, read_tflite
 from attacks.detectors.graphs.operations import OPERATIONS, Function, Value
 from attacks.detectors.graphs.packages import read_files
 from attacks.detectors.vision import torchvision
@@ -206,13 +206,26 @@ def _decode_anchors(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
 
     `outputs` are shifts (1, 1917, 4), and logits (1, 1917, 24), the first of which is that of no object.
     """
-    shifts, logits = outputs[0][0] / outputs[0].new_tensor(_SHIFTS), outputs[1][0]
+    scores = torch.sigmoid(outputs[1][0, :, 1:])
+    best = [scores[:, _columns(name)].amax(1) for name in OPEN_IMAGES_CLASSES]
+    return _shifted(outputs[0][0]), torch.stack(best, 1)
+
+
+def _decode_levels(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
+    """The boxes at all anchors of an SSD of one class: for each level (1, h, w, 4 k) shifts, (1, h, w, 2 k) logits."""
+    shifts, logits = (
+        torch.cat([level.reshape(-1, width) for level in outputs[first::2]]) for first, width in ((0, 4), (1, 2))
+    )
+    return _shifted(shifts), torch.sigmoid(logits[:, 1:])
+
+
+def _shifted(shifts: Tensor) -> Tensor:
+    """(1917, 4) pixels of SSD's boxes, from their shifts (1917, 4) from the anchors."""
+    shifts = shifts / shifts.new_tensor(_SHIFTS)
     fixed = torch.from_numpy(anchors()).to(shifts)
     middles, sizes = fixed[:, :2], fixed[:, 2:]
     centres, half = (shifts[:, :2] * sizes + middles).flip(1), (shifts[:, 2:].exp() * sizes / 2).flip(1)
-    scores = torch.sigmoid(logits[:, 1:])
-    best = [scores[:, _columns(name)].amax(1) for name in OPEN_IMAGES_CLASSES]
-    return _SIDE * torch.cat([centres - half, centres + half], 1), torch.stack(best, 1)
+    return _SIDE * torch.cat([centres - half, centres + half], 1)
 
 
 def _columns(name: str) -> list[int]:
@@ -270,6 +283,15 @@ FAMILIES: Mapping[str, Family] = {
         side=_SIDE,
         prepare=lambda picture: picture.permute(0, 2, 3, 1) * 2 - 1,
         decode=_decode_anchors,
+        keep=_keep_unsuppressed,
+    ),
+    "ssdlite_pedestrian": Family(
+        outputs=tuple(
+            f"BoxPredictor_{level}/{part}Predictor/BiasAdd" for level in range(6) for part in ("BoxEncoding", "Class")
+        ),
+        side=_SIDE,
+        prepare=lambda picture: picture.permute(0, 2, 3, 1) * 2 - 1,
+        decode=_decode_levels,
         keep=_keep_unsuppressed,
     ),
 }

@@ -1,4 +1,4 @@
-"""Graphs of operations, and how they are read from TensorFlow.js and TFLite.
+"""Graphs of operations, and how they are read from TensorFlow.js, TFLite and frozen graphs of TensorFlow.
 
 The files that are read here are known by their content (`NPM_DETECTORS`), so what they say is not checked again.
 """
@@ -6,7 +6,7 @@ The files that are read here are known by their content (`NPM_DETECTORS`), so wh
 import base64
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -87,6 +87,81 @@ def _constants(manifest: list[Any], weights: bytes) -> dict[str, Tensor]:
         constants[entry["name"]] = torch.from_numpy(values.copy())
         at += count * dtype.itemsize
     return constants
+
+
+# A frozen graph is a message of protocol buffers (GraphDef of tensorflow/core/framework): fields of a number and a
+# value, which is a number, bytes of a fixed length, or bytes with their length before them, as of a message in it.
+
+_FLOATS = 1
+
+
+def read_frozen(content: bytes, shapes: Mapping[str, tuple[int, ...]]) -> GraphModel:
+    """A frozen graph of TensorFlow; nodes whose shapes are given become its inputs, no others."""
+    nodes, constants = dict[str, Node](), dict[str, Tensor]()
+    for message in _parts(content, 1):
+        name, op = (bytes(next(_parts(message, field))).decode() for field in (1, 2))
+        inputs = [bytes(part).decode() for part in _parts(message, 3)]
+        values = {bytes(next(_parts(entry, 1))).decode(): next(_parts(entry, 2)) for entry in _parts(message, 5)}
+        if op == "Const" and (tensor := _tensor(next(_parts(values["value"], 8)))) is not None:
+            constants[name] = tensor
+        settings = {key: value for key, part in values.items() if (value := _setting(part)) is not None}
+        if op != "Placeholder":
+            nodes[name] = Node(op, tuple(of for of in inputs if not of.startswith("^")), settings)
+    for name, shape in shapes.items():
+        nodes[name] = Node("Placeholder", settings={"shape": shape})
+    return GraphModel(nodes, constants)
+
+
+def _fields(message: memoryview | bytes) -> Iterator[tuple[int, Any]]:
+    """The number and the value of each field."""
+    at = 0
+
+    def number() -> int:
+        nonlocal at
+        value = shift = 0
+        while True:
+            byte = message[at]
+            at += 1
+            value |= (byte & 127) << shift
+            shift += 7
+            if byte < 128:
+                return value
+
+    while at < len(message):
+        field, kind = divmod(number(), 8)
+        if kind == 0:
+            yield field, number()
+        else:
+            length = {1: 8, 5: 4}[kind] if kind != 2 else number()
+            yield field, memoryview(message)[at : at + length]
+            at += length
+
+
+def _parts(message: memoryview | bytes, wanted: int) -> Iterator[Any]:
+    return (value for field, value in _fields(message) if field == wanted)
+
+
+def _setting(value: memoryview) -> Any:
+    """An attribute: a string, a number, or a list of whole numbers; None for what counts nowhere."""
+    field, content = next(_fields(value), (0, None))
+    if field == 2:
+        return bytes(content).decode(errors="replace")
+    if field == 4:
+        return float(np.frombuffer(content, np.float32)[0])
+    if field != 1:
+        return content if field in (3, 5) else None
+    (packed,) = [*_parts(content, 3)] or [b""]
+    return tuple(packed)  # small numbers, of a byte each
+
+
+def _tensor(message: memoryview) -> Tensor | None:
+    """A TensorProto of floats: all of them, or one for all places; None for other numbers, which no convolution has."""
+    parts = dict(_fields(message))
+    if parts[1] != _FLOATS:
+        return None
+    shape = [next(_parts(axis, 1), 0) for axis in _parts(parts.get(2, b""), 2)]
+    values = np.frombuffer(parts.get(4, parts.get(5, b"")), np.float32)
+    return torch.from_numpy(np.broadcast_to(values, math.prod(shape)).reshape(shape).copy())
 
 
 def read_tflite(content: bytes) -> GraphModel:

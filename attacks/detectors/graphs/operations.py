@@ -61,6 +61,16 @@ def leaky_relu(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     return run(partial(functional.leaky_relu, negative_slope=node.settings.get("alpha", 0.2)), *inputs)
 
 
+def batch_norm(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
+    """FusedBatchNorm in evaluation: its inputs are the picture, scale, offset, mean and variance."""
+    least = node.settings["epsilon"]
+
+    def normed(picture: Tensor, scale: Tensor, offset: Tensor, mean: Tensor, variance: Tensor) -> Tensor:
+        return (picture - mean) * (scale * (variance + least).rsqrt()) + offset
+
+    return run(normed, *inputs)
+
+
 def cast(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     """Cast."""
     return run(lambda tensor: tensor.to(_DTYPES[node.settings["DstT"]]), *inputs)
@@ -207,10 +217,12 @@ def interpolation(size: int, wanted: int, *, centres: bool) -> Tensor:
 OPERATIONS: Mapping[str, Build] = {
     "Add": on_tensors(torch.add),
     "AddV2": on_tensors(torch.add),
+    "BiasAdd": on_tensors(torch.add),
     "Cast": cast,
     "ConcatV2": concatenate,
     "Conv2D": convolution,
     "DepthwiseConv2dNative": convolution,
+    "FusedBatchNorm": batch_norm,
     "FusedDepthwiseConv2dNative": convolution,
     "Identity": identity,
     "LeakyRelu": leaky_relu,
