@@ -51,6 +51,7 @@ GROUPS: dict[str, dict[str, str]] = {
     },
     "audit and measure": {
         "audit": "check a splat for hidden, view-dependent appearances, edits and invalid data",
+        "gate": "accept, quarantine or refuse many splat files, for uploads and pipelines",
         "detect": "what detectors report on images, splats and scenes",
         "evaluate": "detection rates and attack success rates of a result, clean and attacked",
         "dagger --sanity": "gradient-masking and sanity checks of DAGGER on an object and a detector",
@@ -70,7 +71,7 @@ GROUPS: dict[str, dict[str, str]] = {
 COMMANDS = {name: summary for group in GROUPS.values() for name, summary in group.items()}
 OF_SPLATS = ("capture", "prepare", "train", "render", "select", "info", "audit", "convert")
 """Commands whose modules are in `mi_splat.cli`; those of the others are here."""
-WITHOUT_TORCH = ("detectors", "doctor", "info", "rows", "study")
+WITHOUT_TORCH = ("detectors", "doctor", "gate", "info", "rows", "study")
 """Commands that do without torch, or with most of what they are asked."""
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -17,7 +16,7 @@ from mi_splat.errors import InvalidValueError, counted
 from mi_splat.fields import Folder, OutFile
 
 if TYPE_CHECKING:
-    from attacks.report.section import Section
+    pass
 
 EXAMPLES = (
     "report out/dagger --out dagger.html",
@@ -40,9 +39,6 @@ class ReportOptions(JsonOptions):
     """Folders or files of results; at least one. Those of one kind are compared."""
     out: OutFile = Path("out/report.html")
     """The page; its folder has to be there."""
-    detectors: tuple[str, ...] = ()
-    """Names of detectors that look at each object of an audited splat along two paths; the page of an audit shows where
-    the class changes."""
     title: str | None = None
     """Heading of the page; None is made of the results."""
     force: bool = False
@@ -69,10 +65,7 @@ def run(options: ReportOptions) -> None:
         sections = []
         for folder in options.results:
             advance(str(folder))
-            section = read_section(folder)
-            if options.detectors:
-                section = _looked_at(folder, section, options.detectors)
-            sections.append(section)
+            sections.append(read_section(folder))
     with progress("writing the page"):
         write_page(sections, options.out, title=options.title, force=options.force)
     if options.json:
@@ -85,22 +78,6 @@ def run(options: ReportOptions) -> None:
             if section.warnings:
                 warn(f"{section.folder}: {counted(len(section.warnings), 'warning')} on the page")
         show(f"{options.out}: open it in any browser; it asks nothing of any network.")
-
-
-def _looked_at(folder: Path, section: Section, names: Sequence[str]) -> Section:
-    from attacks.audits.disagreement import seen_along_paths
-    from attacks.cli.options import load_detectors
-    from attacks.report.kinds.audit import along_paths
-    from mi_splat.io.folders import RECORD
-    from mi_splat.io.parsing import read_json
-    from mi_splat.scene_files import open_scene
-
-    record = read_json(folder / RECORD)
-    path = Path(str(record.get("file")))
-    if record.get("story") != "audit" or not path.is_file():
-        expected, do = "a folder of `mi-splat audit`, whose splat is there", "leave out --detectors"
-        raise InvalidValueError.of("--detectors", expected, str(folder), do)
-    return along_paths(section, seen_along_paths(open_scene(path).scene, load_detectors(names, ())))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -150,7 +150,7 @@ def run_in(
     with own_folder(out, record), progress("preparing", total=None if work.searches else work.size) as advance:
         begin()
         on_event = follow(advance)
-        engine = _engine(options, on_event)
+        engine = engine_of(options, on_event)
         done = run_with(engine, work.study, work, store=options.store, out=out, on_event=on_event)
     for label, text in done.failed.items() if not options.json else ():
         warn(f"{label}: {_last_line(text)}")
@@ -161,7 +161,8 @@ def _last_line(text: str) -> str:
     return text.strip().splitlines()[-1]
 
 
-def _engine(options: JobOptions, on_event: Callable[[Event], None]) -> Engine:
+def engine_of(options: JobOptions, on_event: Callable[[Event], None]) -> Engine:
+    """What runs the jobs of a command."""
     from mi_splat.ledger.engines import Cluster, InProcess, Limits, Processes
 
     limits = Limits(seconds=options.seconds, megabytes=options.megabytes)

@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 import torch
 
-from attacks.audits.audited import COST, SCORES, AuditedConfig, fit_attributes, rank_of
+from attacks.audits.audited import COST, SCORES, AuditedConfig, rank_of
 from attacks.audits.photographed import PhotographedConfig
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.rates import CLOAKED
@@ -196,9 +196,8 @@ class AuditWork(Work[AuditAttempt]):
         return {"chosen_on": chosen_on, "files": rows}, {}, pairs
 
     def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
-        """A record with how well splats are told apart, and without attributes, which are many numbers."""
-        files = [{key: value for key, value in row.items() if key != "attributes"} for row in record["files"]]
-        return {**record, "files": files, "figures": figures(record["files"], record["chosen_on"])}
+        """A record with how well splats are told apart."""
+        return {**record, "figures": figures(record["files"], record["chosen_on"])}
 
     def tables(self, record: Mapping[str, Any]) -> Iterator[Table]:
         """How well kinds are told apart, then every file."""
@@ -244,30 +243,8 @@ def figures(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, Any]:
         "honest": len(honest),
         "false_alarms": Rate(successes=sum(value >= 1 for value in honest), total=len(honest)).as_dict(),
         "parts": {name: _figures(group, honest) for name, group in hiding.items() if group and honest},
-        "rivals": rivals_of(rows, chosen_on),
+        "rivals": {row["audit"]: row["auroc"] for row in ranked(rows, chosen_on) if row["audit"] != AUDIT},
     }
-
-
-def rivals_of(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, float]:
-    """How well every baseline ranks the same splats (area under the ROC curve).
-
-    The classifier is trained on what the method was chosen on: the contents named, and their first kind of attack.
-    """
-    known = [row for row in rows if row["content"] in chosen_on]
-    told = {row["audit"]: row["auroc"] for row in ranked(rows, chosen_on) if row["audit"] != AUDIT}
-    hiding, honest = positives(known), negatives(known)
-    hiding = [row for row in hiding if row["part"] == hiding[0]["part"]]
-    if told and hiding and honest:
-        held = _held(rows, chosen_on)
-        odds = fit_attributes(_attributes([*hiding, *honest]), [True] * len(hiding) + [False] * len(honest))
-        told["classifier of attributes"] = ranked_above(
-            *(odds(_attributes(kind(held))).tolist() for kind in (positives, negatives))
-        )
-    return told
-
-
-def _attributes(rows: Sequence[Row]) -> torch.Tensor:
-    return torch.tensor([row["attributes"] for row in rows], dtype=torch.float64)
 
 
 def _figures(group: Sequence[Row], honest: Sequence[float]) -> dict[str, Any]:

@@ -37,7 +37,6 @@ class Change:
     count: int  # Gaussians in which it differs
     median: float  # median difference of these; 0 if there are none
     most: float  # largest difference
-    distribution: float  # Wasserstein distance between all values of both splats, in standard deviations
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,8 +74,7 @@ class Changes:
             f"{self.added:,} of them have no counterpart; {self.removed:,} are missing; rows {order}"
         ]
         lines += [
-            f"{row.attribute}: {row.count:,} changed, median {row.median:.3g}, most {row.most:.3g} ({row.unit}); "
-            f"distributions {row.distribution:.3g} standard deviations apart"
+            f"{row.attribute}: {row.count:,} changed, median {row.median:.3g}, most {row.most:.3g} ({row.unit})"
             for row in self.attributes
             if row.count
         ]
@@ -105,7 +103,7 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
         differs = values > (LIMITS.rounding * spacing if name == "position" else LIMITS.rounding)
         changed[matched] |= differs
         amount = torch.maximum(amount, values / {"position": spacing, "rotation": 57.3}.get(name, 1.0))
-        rows.append(_row(name, values[differs], ours[name], theirs[name]))
+        rows.append(_row(name, values[differs]))
     mask = changed.clone()
     if bool(changed[matched].all()) and len(amount):
         mask[matched] = amount > LIMITS.more_changed * amount.median()
@@ -186,23 +184,14 @@ def _difference(attribute: str, ours: Tensor, clean: Tensor) -> Tensor:
     return (ours - clean).abs().amax(1) / (step if attribute == "colour" else 1.0)
 
 
-def _row(name: str, values: Tensor, ours: Tensor, clean: Tensor) -> Change:
-    """One row of the table, of the differences that are any and of all values of both."""
-    ranks = torch.linspace(0, 1, LIMITS.quantiles, dtype=torch.float64)
-
-    def at(sample: Tensor) -> Tensor:
-        return sample.double().sort(0).values[(ranks * (len(sample) - 1)).round().long()]
-
-    spread = ((ours.double().var(0, correction=0) + clean.double().var(0, correction=0)) / 2).sqrt()
-    gap = (at(ours) - at(clean)).abs().mean(0)
-    distance = torch.where(spread > 0, gap / spread.clamp(min=1e-12), (gap > 0).double())
+def _row(name: str, values: Tensor) -> Change:
+    """One row of the table, of the differences that are any."""
     return Change(
         attribute=name,
         unit=_UNITS.get(name, "coefficient"),
         count=len(values),
         median=float(values.median()) if len(values) else 0.0,
         most=float(values.max()) if len(values) else 0.0,
-        distribution=float(distance.mean()),
     )
 
 

@@ -80,7 +80,7 @@ def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
         for finding in document.get("lint") or ():
             name = f"lint/{finding['rule']}"
             rules.setdefault(name, _rule(name, _level(finding["severity"]), finding["rule"], finding["reason"]))
-        for name, level, text, values in _findings(document):
+        for name, level, text, values in findings(document):
             result = {"ruleId": name, "ruleIndex": list(rules).index(name), "level": level, "message": {"text": text}}
             results.append({**result, "locations": [location], "properties": values})
     driver = {"name": "mi-splat audit", "version": importlib.metadata.version("mi-splat"), "rules": [*rules.values()]}
@@ -89,7 +89,7 @@ def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     return {"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}
 
 
-def _findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
+def findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
     """What was found in a file."""
     thresholds = document["thresholds"]
     for number, item in enumerate(document["objects"], 1):

@@ -23,7 +23,7 @@ from mi_splat.errors import listed
 from mi_splat.io.camera_records import describe
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats.gltf import COMPONENTS, EXTENSION, Glb, open_glb
-from mi_splat.io.loaded import Arrays, Loaded, arrays_of, as_scene
+from mi_splat.io.loaded import Loaded, arrays_of, as_scene
 from mi_splat.io.parsing import Fields
 from mi_splat.io.splat_files import load_stored
 from mi_splat.overdraw import Layers, overdraw
@@ -321,9 +321,6 @@ def _finite(item: object) -> bool:
     return isinstance(item, int | float) and not isinstance(item, bool) and abs(item) <= sys.float_info.max
 
 
-FILL = 1000.0  # `fillRatio` from which there is a finding: healthy ones have ones to hundreds, says splat-transform
-
-
 _RENDER_MODE = (
     "The file says that it was trained with antialiasing (the 2D filter of Mip-Splatting). "
     "A renderer that ignores this draws small Gaussians too thick."
@@ -336,7 +333,6 @@ class Lint:
 
     findings: tuple[Finding, ...]  # in the order of the rules
     gaussians: int | None = None  # how many there are, those that are not valid included; None if unread
-    fill_ratio: float | None = None  # as splat-transform defines it, of the valid ones
     overdraw: Overdraw | None = None  # from the worst camera, of the valid ones; None if there are none
 
     def __repr__(self) -> str:
@@ -349,7 +345,6 @@ class Lint:
         return {
             "lint": [dataclasses.asdict(finding) for finding in self.findings],
             "cost": {
-                "fill_ratio": self.fill_ratio,
                 "overdraw": worst
                 and {
                     "mean": worst.mean,
@@ -388,73 +383,7 @@ def _lint(loaded: Loaded, findings: list[Finding]) -> Lint:
     valid = (
         {name: value[stored.valid] for name, value in loaded.arrays.items()} if len(loaded.invalid) else loaded.arrays
     )
-    ratio = fill_ratio(valid)
-    if ratio >= FILL:
-        reason = (
-            f"The fillRatio of splat-transform is {ratio:,.0f}: so many Gaussians lie on a ray, which is slow to draw."
-        )
-        findings.append(Finding(rule="fill-ratio", severity="warning", reason=reason))
     worst = worst_overdraw(as_scene(valid))
     if worst is not None and (finding := worst.finding()) is not None:
         findings.append(finding)
-    return Lint(findings=tuple(findings), gaussians=len(stored.valid), fill_ratio=ratio, overdraw=worst)
-
-
-# `fillRatio` as splat-transform of PlayCanvas defines it (its pull request 289): total footprint over cross-section.
-#
-# The footprint of a Gaussian is the ellipse of one standard deviation over its two largest axes. The cross-section is
-# the mean of the three faces of the box between the 1st and the 99th percentile of the means along the file's axes.
-# These come from a histogram of 1024 bins that doubles its range as values arrive, so they are approximate, and are
-# made here in the same way: far floaters widen the bins.
-
-BINS = 1024
-
-
-def fill_ratio(arrays: Arrays) -> float:
-    """Roughly the number of Gaussians on a ray through the splat."""
-    scales = np.sort(arrays["scales"].astype(np.float64), axis=1)
-    areas = np.pi * scales[:, 1] * scales[:, 2]
-    if not len(areas):
-        return 0.0
-    columns = arrays["means"].astype(np.float64).T
-    x, y, z = (max(0.0, binned_quantile(values, 0.99) - binned_quantile(values, 0.01)) for values in columns)
-    section = (x * y + y * z + z * x) / 3
-    if section == 0:  # a stack of Gaussians: how many there are
-        section = binned_quantile(areas, 0.5)
-    return float(areas.sum() / section)
-
-
-def binned_quantile(values: NDArray[np.float64], share: float) -> float:
-    """A quantile out of a histogram over the range that the order of the values leads to."""
-    low, high = _range(values)
-    if low == high:
-        return low
-    width = (high - low) / BINS
-    bins = np.bincount(np.minimum(((values - low) / width).astype(np.int64), BINS - 1), minlength=BINS)
-    used = np.flatnonzero(bins)
-    reached = bins[used].cumsum()
-    target = share * len(values)
-    index = int(np.searchsorted(reached, target))
-    if reached[index] == target and index + 1 < len(used):  # between two bins that hold something
-        result = low + (used[index] + 1 + used[index + 1]) / 2 * width
-    else:
-        before = reached[index] - bins[used[index]]
-        result = low + (used[index] + (target - before) / bins[used[index]]) * width
-    return float(np.clip(result, values.min(), values.max()))
-
-
-def _range(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Begun by the first two different values, and doubled towards each that lies outside."""
-    different = np.flatnonzero(values != values[0])
-    if not len(different):
-        return float(values[0]), float(values[0])
-    first, second = float(values[0]), float(values[different[0]])
-    low, high = min(first, second), max(first, second)
-    lowest, highest = np.minimum.accumulate(values), np.maximum.accumulate(values)
-    records = np.flatnonzero((np.diff(lowest) < 0) | (np.diff(highest) > 0)) + 1
-    for value in values[records]:
-        while value < low:
-            low -= high - low
-        while value > high:
-            high += high - low
-    return low, high
+    return Lint(findings=tuple(findings), gaussians=len(stored.valid), overdraw=worst)

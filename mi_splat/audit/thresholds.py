@@ -175,7 +175,6 @@ class Thresholds:
     candidates: int = 8  # Neighbours among which a partner is looked for.
     spacing: int = 3  # The neighbour whose distance is the spacing.
     rounding: float = 1e-5  # Differences that files round away, of positions in the spacing.
-    quantiles: int = 512
     more_changed: float = 4.0  # Times the median from which a difference is masked, where every Gaussian differs.
     changed_margin: float = 1.2  # Radius of what is looked at, by that of what changed.
     worst_size: int = 48  # Pixels of images that choose the worst cameras,

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cli.console import UsageError, progress, show_result, warn
+from mi_splat.cli.console import UsageError, progress, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, Direction, JsonOptions, axis_name, check_no_input_in
 from mi_splat.errors import MiSplatError
 from mi_splat.fields import Metavar, OutFile, OutFolder, between
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from mi_splat.audit.results import Audit
     from mi_splat.cameras import Camera
@@ -26,29 +25,27 @@ if TYPE_CHECKING:
 
 EXAMPLES = (
     "audit YOUR_SCENE.ply",
-    "audit a.ply b.spz --json",
     "audit YOUR_SCENE.ply --out out/street-audit",
-    "audit YOUR_SCENE.ply --sarif street.sarif",
     "audit YOUR_SCENE.ply --repair street-repaired.ply",
     "audit YOUR.glb --only lint",
     "audit RECEIVED.ply --against YOUR_SCENE.ply --out out/changes",
     "audit out/capture",
 )
-SUSPICIOUS, FAILED = 3, 1
-"""Exit status where something was found, and where a file could not be judged."""
+FOUND = 3
+"""Exit status where something was found."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AuditOptions(JsonOptions):
     """Say whether a splat shows something from some directions only, which Gaussians carry it, and what is wrong in it.
 
-    Nothing but the file is used. Exit status: 0 nothing found, 3 a hidden look or an error of lint, 1 a file could not
-    be judged. What no file can tell, its page in the documentation says.
+    Nothing but the file is used. Exit status: 0 nothing found, 3 a hidden look or an error of lint, 1 it could not be
+    judged. What no file can tell, its page in the documentation says. Many files: `mi-splat gate`.
     """
 
-    files: Positional[Annotated[tuple[Path, ...], Metavar("FILE")]]
-    """Splat files of any format that is read, scene XMLs made of splats, or folders of pictures with cameras, of which
-    is said which pictures contradict the others, before any training."""
+    file: Positional[Path]
+    """Splat file of any format that is read, scene XML made of splats, or folder of pictures with cameras, of which is
+    said which pictures contradict the others, before any training."""
     cameras: Annotated[tuple[str, ...], Metavar("CAMERAS")] = ()
     """Look from these, in the forms that `mi-splat render` takes: the cameras.json beside a splat, for instance, or
     of a room those that stand in it. Without, from a sphere around each object."""
@@ -60,53 +57,33 @@ class AuditOptions(JsonOptions):
     compared at 96 pixels anyway, so that this saves time and memory alone."""
     out: OutFolder | None = None
     """Folder for result.json, the two pictures that prove a look, the splat coloured by heat, the mask of the Gaussians
-    that `mi-splat select --mask` takes, and a picture of the overdraw; of several files a folder in it for each."""
+    that `mi-splat select --mask` takes, and a picture of the overdraw."""
     against: Path | None = None
     """The file as it was before it left your hands: say as well which Gaussians changed since, in what and by how much;
     rows may be shuffled. --out then has the two worst pictures of both (against.png) and the mask of what changed
     (changed.npy)."""
     only: Literal["looks", "lint"] | None = None
     """Look for hidden looks only, or only check the numbers, which is much faster."""
-    sarif: OutFile | None = None
-    """Write what was found as SARIF 2.1.0, too, which build pipelines and editors read."""
     repair: OutFile | None = None
     """Write the splat without what was found, in the format that this name ends with, and audit it again. Where nothing
     was found nothing is written."""
     keep: Literal["outside", "inside"] = "outside"
     """Directions of a look whose colours --repair believes: which are true, no file can tell."""
     force: bool = False
-    """Replace an older result in --out, and the files of --sarif and --repair."""
+    """Replace an older result in --out, and the file of --repair."""
     strict: bool = False
     """Let the exit status be 3 for what is suspicious and for any change --against, too; warnings of lint are listed
     and never change it."""
 
 
 def run(options: AuditOptions) -> int:
-    """Audit every file, also after one that could not be judged."""
-    from mi_splat.audit.files import sarif
-    from mi_splat.io.documents import save_json
-
-    folders = _folders(options)
+    """Audit the file."""
     _check_flags(options)
-    _check_outputs(options, folders.values())
-    results, failures = [], 0
-    for path in options.files:
-        try:
-            document = _audited(path, folders.get(path), options)
-        except (MiSplatError, OSError) as error:
-            if len(options.files) == 1 and options.sarif is None:
-                raise
-            failures += 1
-            one_line = " ".join(str(error).split())
-            warn(one_line if one_line.startswith(f"{path}: ") else f"{path}: {one_line}")
-            document = {"file": str(path), "verdict": None, "error": str(error)}
-        results.append(document)
-    if options.sarif is not None:
-        save_json(sarif(results), options.sarif)
-    lines = [line for document in results if "error" not in document for line in _lines(document)]
-    show_result(results[0] if len(results) == 1 else {"files": results}, *lines, as_json=options.json)
+    _check_outputs(options)
+    document = _audited(options)
+    show_result(document, *_lines(document), as_json=options.json)
     bad = {"hidden look", "error"} | ({"suspicious", "changed"} if options.strict else set())
-    return FAILED if failures else SUSPICIOUS if any(bad & _verdicts(document) for document in results) else 0
+    return FOUND if bad & _verdicts(document) else 0
 
 
 def _verdicts(document: dict[str, Any]) -> set[str]:
@@ -116,60 +93,37 @@ def _verdicts(document: dict[str, Any]) -> set[str]:
     return {document["verdict"], *changed, *(finding["severity"] for finding in document.get("lint", ()))}
 
 
-def _folders(options: AuditOptions) -> dict[Path, Path]:
-    if options.out is None:
-        return {}
-    if len(options.files) == 1:
-        return {options.files[0]: options.out}
-    folders = {path: options.out / Path(os.path.abspath(path)).stem for path in options.files}
-    if len(set(folders.values())) < len(options.files):
-        do = "rename one, or audit them one by one"
-        raise UsageError.of("--out", "files of different names", [path.name for path in options.files], do)
-    return folders
-
-
 def _check_flags(options: AuditOptions) -> None:
     """Raise if flags exclude each other, or do not fit the files."""
     from mi_splat.datasets import is_dataset
 
-    sets = [path for path in options.files if is_dataset(path)]
-    splats = [path for path in options.files if path not in sets]
+    is_set, pictures = is_dataset(options.file), f"the pictures {options.file}"
     only_lint, looks = options.only == "lint", "hidden looks to be looked for"
     refused: list[tuple[str, object, str, object, str]] = [
         ("--against", options.against and only_lint, looks, "--only lint", "leave that out"),
         ("--repair", options.repair and only_lint, looks, "--only lint", "leave that out"),
-        (
-            "--repair",
-            options.repair and options.files[1:],
-            "one file to audit",
-            len(options.files),
-            "repair one by one",
-        ),
         ("--keep", options.keep != "outside" and not options.repair, "--repair beside it", "none", "add it"),
-        ("--downscale", options.downscale > 1 and splats, "images with cameras", splats and splats[0], "leave it out"),
+        ("--downscale", options.downscale > 1 and not is_set, "images with cameras", options.file, "leave it out"),
     ]
-    for name in ("cameras", "only", "repair", "against") if sets else ():
-        refused.append((f"--{name}", getattr(options, name), "a splat", f"the pictures {sets[0]}", "leave it out"))
+    for name in ("cameras", "only", "repair", "against") if is_set else ():
+        refused.append((f"--{name}", getattr(options, name), "a splat", pictures, "leave it out"))
     for flag, is_wrong, expected, got, do in refused:
         if is_wrong:
             raise UsageError.of(flag, expected, got, do)
 
 
-def _check_outputs(options: AuditOptions, folders: Iterable[Path]) -> None:
+def _check_outputs(options: AuditOptions) -> None:
     """Raise, before any work is done, unless everything can be written where it is wanted."""
-    from mi_splat.audit.files import ENDINGS
     from mi_splat.io.folders import check_new_file, check_new_folder, check_not_input
     from mi_splat.io.splat_files import format_to_write
 
-    for folder in folders:
-        check_no_input_in(folder, *options.files, options.against)
-        check_new_folder(folder, force=options.force)
+    if options.out is not None:
+        check_no_input_in(options.out, options.file, options.against)
+        check_new_folder(options.out, force=options.force)
     if options.repair is not None:
         format_to_write(str(options.repair))
-    for file, endings in ((options.sarif, ENDINGS), (options.repair, None)):
-        if file is not None:
-            check_not_input(file, *options.files, options.against)
-            check_new_file(file, endings or (file.suffix.lower(),), force=options.force)
+        check_not_input(options.repair, options.file, options.against)
+        check_new_file(options.repair, (options.repair.suffix.lower(),), force=options.force)
 
 
 def _repair(
@@ -195,12 +149,13 @@ def _repair(
     return {"file": str(options.repair), "keep": options.keep, **counts, "verdict": after.verdict}
 
 
-def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
+def _audited(options: AuditOptions) -> dict[str, Any]:
     from mi_splat.audit.files import document, write
     from mi_splat.audit.linting import lint_file, lint_scene
     from mi_splat.datasets import is_dataset
     from mi_splat.scene_files import open_scene
 
+    path, folder = options.file, options.out
     if is_dataset(path):
         return _audited_pictures(path, folder, options)
     with progress(f"auditing {path.name}"):
@@ -281,8 +236,8 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
         rest.append(f"{finding['severity']}, {finding['rule']}:{where} {finding['reason']}")
     if cost := document.get("cost", {}).get("overdraw"):
         rest.append(
-            f"cost: fillRatio {document['cost']['fill_ratio']:.3g}; from the worst camera "
-            f"{cost['mean']:,.0f} Gaussians over each other in the mean, {cost['highest']:,} at most"
+            f"cost: from the worst camera {cost['mean']:,.0f} Gaussians over each other in the mean, "
+            f"{cost['highest']:,} at most"
         )
     yield from (f"  {line}" for line in rest)
     yield from document["files"]

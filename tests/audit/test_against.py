@@ -50,9 +50,6 @@ def test_changes_are_counted_by_attribute(clean: GaussianScene, edited: Gaussian
     assert row(difference, "position") == pytest.approx([1, 0.001 * 3**0.5], abs=1e-5)
     assert row(difference, "opacity") == row(difference, "scale") == [0, 0]
     assert row(difference, "rotation")[0] == 0
-    distances = {item.attribute: item.distribution for item in difference.attributes}
-    assert distances["colour"] > 0.02 > distances["position"]
-    assert distances["opacity"] == 0
     assert len(difference.cameras) == 2
 
 
@@ -72,7 +69,7 @@ def test_a_copy_has_not_changed(clean: GaussianScene) -> None:
     assert not bool(difference.changed.any())
     assert difference.cameras == ()
     assert difference.in_words() == ["against the clean splat: nothing changed"]
-    assert all(item.count == 0 and item.distribution == 0 for item in difference.attributes)
+    assert all(item.count == 0 for item in difference.attributes)
 
 
 def test_another_splat_is_no_clean_file(clean: GaussianScene) -> None:
@@ -152,14 +149,3 @@ def test_each_finding_is_of_its_rule(judged: Audit, rules: list[tuple[str, str]]
     (artifact,) = run["artifacts"]
     assert artifact["location"]["uri"] == "a%20splat.ply"
     assert artifact["properties"]["verdict"] == judged.verdict
-
-
-def test_a_file_that_cannot_be_judged_is_no_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    missing, out = tmp_path / "none.ply", tmp_path / "log.sarif"
-    assert cli.main(["audit", str(missing), "--sarif", str(out)]) == 1
-    (run,) = json.loads(out.read_text())["runs"]
-    assert not run["invocations"][0]["executionSuccessful"]
-    assert "none.ply" in run["invocations"][0]["toolExecutionNotifications"][0]["message"]["text"]
-    assert run["results"] == []
-    assert cli.main(["audit", str(missing), "--sarif", str(out)]) == 1
-    assert "expected a free name" in capsys.readouterr().err

@@ -78,14 +78,14 @@ def test_the_detector_of_the_page_is_the_default_with_its_weights(content: Conte
 
 def test_an_audit_shows_the_splat_with_its_heat_map(content: Content, tmp_path: Path) -> None:
     audit, scene, out = audit_job(content), content.splats[0].scene, tmp_path / "result"
-    assert read_back(audit, request(audit, content)).files == (content.splats[0].path,)
+    assert read_back(audit, request(audit, content)).file == content.splats[0].path
     assert read_back(audit, request(audit, content.turned((0.0, -1.0, 0.0)))).up == (0.0, -1.0, 0.0)
     write_files(account(look(), count=len(scene)), scene, out, source="elsewhere.ply")
     result = audit.opened(request(audit, content), out)
     assert result.content is not None
     assert result.content.names == ("audited", "heat")
     assert result.lines[0].startswith("hidden look")
-    assert read_back(audit, request(audit, result.content)).files == (content.splats[0].path,)  # not its heat map
+    assert read_back(audit, request(audit, result.content)).file == content.splats[0].path  # not its heat map
 
 
 @pytest.mark.slow

@@ -34,6 +34,7 @@ FAST = {
         "detect",
         "detectors",
         "evaluate",
+        "gate",
         "info",
         "render",
         "report",

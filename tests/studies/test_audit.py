@@ -47,7 +47,7 @@ def row(part: str, splat: str, evidence: float, *, hides: bool = False, content:
         "derived": part == "cleaned",
     }
     measured = {"verdict": "suspicious", "evidence": evidence, "excess": 0.01, "occluder": 0.0, "gaussians": 9}
-    measured |= {"scores": {"band 1": -evidence}, "attributes": [evidence, 1.0]}
+    measured |= {"scores": {"band 1": -evidence}}
     return {**told, **measured, **({"directions": evidence / 4} if splat == "cloaked" else {})}
 
 
@@ -81,14 +81,14 @@ def test_figures_count_what_hides_and_leave_out_what_was_chosen_on() -> None:
     assert parts["all"]["directions"] == pytest.approx(0.25)
     first, others, hiding, honest, failed = tables({"figures": told, "chosen_on": ["car"], "files": rows})
     assert first.rows[0][0] == "all"
-    assert [line[0] for line in others.rows] == ["the audit", "band 1", "classifier of attributes"]
+    assert [line[0] for line in others.rows] == ["the audit", "band 1"]
     assert told["rivals"]["band 1"] == pytest.approx(1 - parts["all"]["auroc"])
     assert (len(hiding.rows), len(honest.rows), len(failed.rows)) == (5, 5, 1)
 
 
 def test_the_figures_of_the_documentation_follow_from_its_files() -> None:
     record = json.loads((ROOT / "docs" / "tables" / "audit.json").read_text())
-    told = figures([{**one, "attributes": [1.0]} for one in record["files"]], record["chosen_on"])
+    told = figures(record["files"], record["chosen_on"])
     page = (ROOT / "docs" / "audit-measured.md").read_text()
     for name, part in told["parts"].items():
         counted, (low, high) = part["found"], part["interval"]
@@ -99,8 +99,7 @@ def test_the_figures_of_the_documentation_follow_from_its_files() -> None:
     assert told["false_alarms"]["successes"] == 1
     assert told["honest"] == 35
     for name, value in told["rivals"].items():
-        if name != "classifier of attributes":  # attributes are not kept
-            assert f"| {name} | {value:.3f} |" in page
+        assert f"| {name} | {value:.3f} |" in page
 
 
 @pytest.mark.nightly

@@ -2,15 +2,13 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from attacks.audits.disagreement import Seen
 from attacks.rate import Rate, pooled
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, listed, sentence, settings
+from attacks.report.section import Chart, Figure, Line, Picture, Role, Section, listed, sentence, settings
 from attacks.studies.audit import PAIRS, negatives, tables
 from attacks.tables import Column, Table
 from mi_splat.audit.files import AGAINST
@@ -99,8 +97,7 @@ def _overdraw(folder: Path, record: Record) -> Iterator[Picture]:
     if worst := cost.get("overdraw"):
         caption = (
             f"How many Gaussians lie over each other from the worst of {counted(worst['cameras'], 'camera')}: "
-            f"{worst['mean']:,.0f} in the mean, {worst['highest']:,} at most. The fillRatio of splat-transform is "
-            f"{cost['fill_ratio']:.3g}."
+            f"{worst['mean']:,.0f} in the mean, {worst['highest']:,} at most."
         )
         yield Picture(path=folder / "overdraw.png", caption=caption, large=True)
 
@@ -272,7 +269,6 @@ def _changes(against: Record) -> Table:
         "median change": lambda row: f"{row['median']:.3g}",
         "largest": lambda row: f"{row['most']:.3g}",
         "unit": "unit",
-        "distance of the distributions, standard deviations": lambda row: f"{row['distribution']:.3g}",
     }
     caption = f"What changed since the clean file, over {against.get('gaussians', 0):,} Gaussians"
     return Table.of(caption, columns, against.get("attributes", ()))
@@ -280,36 +276,6 @@ def _changes(against: Record) -> Table:
 
 def _numbers(values: Sequence[float]) -> str:
     return " ".join(f"{value + 0.0:.2f}" for value in values)
-
-
-def along_paths(section: Section, seen: Iterable[Seen]) -> Section:
-    """The section of an audit with what detectors report along paths of cameras: evidence, and no rule."""
-    paths = list(seen)
-    columns: dict[str, Column[Seen]] = {
-        "object": lambda path: path.number,
-        "path": lambda path: path.path,
-        "detector": lambda path: path.detector,
-        "what is reported, in order": lambda path: ", ".join(path.runs),
-        "changes and comes back": lambda path: path.comes_back,
-    }
-    table = Table.of("Along paths of cameras", columns, paths)
-    return replace(section, charts=(*section.charts, *map(_along, paths)), tables=(*section.tables, table))
-
-
-def _along(seen: Seen) -> Chart:
-    """The class with most confidence at each place of a path."""
-    points = list(zip(seen.degrees, seen.labels, seen.scores, strict=True))
-    return Chart(
-        title=f"Object {seen.number}: {seen.detector} {seen.path}",
-        x_label="degrees along the path",
-        y_label="confidence",
-        caption="Where no point is, nothing is reported on the object from a confidence of 0.5 on. No rule follows.",
-        lines=tuple(
-            Line(name=label, role="other", points=tuple(Point(x, score) for x, at, score in points if at == label))
-            for label in dict.fromkeys(label for label in seen.labels if label is not None)
-        ),
-        connected=False,
-    )
 
 
 # Studies of the audit: which splats it tells from honest ones

@@ -1,0 +1,124 @@
+"""The gate for those who publish splats: what a policy makes of findings, and what splat a file holds."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+
+from mi_splat.audit.thresholds import LIMITS
+from mi_splat.fields import Checked, at_least
+
+if TYPE_CHECKING:
+    from mi_splat.io.loaded import Arrays
+    from mi_splat.scene import GaussianScene
+
+Claim = Literal["readable", "numbers", "cost", "hidden appearance", "edits", "provenance"]
+Action = Literal["accept", "quarantine", "refuse"]
+Verdict = Literal["accept", "quarantine", "not judged", "refuse"]
+CLAIMS: tuple[Claim, ...] = get_args(Claim)
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
+"""From the best to the worst; that of a file is the worst of its claims."""
+ACTIONS: Mapping[str, Action] = {
+    **{"error": "refuse", "warning": "accept", "note": "accept"},
+    **dict.fromkeys(("suspicious-look", "occluder", "edited", "changed"), "quarantine"),
+}
+"""What follows from a finding, by its rule or else its severity, where the policy says nothing."""
+ROWS, RESULT = "rows.json", "result.json"
+STATED = ("excess", "suspicion", "covered", "seen_through", "aimed", "grain")
+"""The thresholds that a verdict line states; `result.json` in the store has all."""
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Policy(Checked):
+    """What follows from findings, and what judging a file may take."""
+
+    rules: Mapping[str, Action] = field(default_factory=dict)  # by the name of a rule or a severity, before `ACTIONS`
+    claims: tuple[Claim, ...] = CLAIMS[:-1]  # that have to be judged; provenance is where a clean file is named
+    seconds: Annotated[float, at_least(1, "seconds")] = 120.0  # for a file; what takes longer is not judged
+    megabytes: Annotated[float, at_least(500, "MB")] = 4000.0  # of memory for a file, likewise
+    most_gaussians: Annotated[int, at_least(1000, "Gaussians")] = 2_000_000  # of more, so many are looked at
+
+    def action(self, rule: str, severity: str) -> Action:
+        """What follows from a finding: as its rule says, or else its severity; what occurs as an error is refused."""
+        by_rule = None if severity == "error" else ACTIONS.get(rule)
+        return self.rules.get(rule) or by_rule or self.rules.get(severity) or ACTIONS.get(severity, "refuse")
+
+    def verdict(self, rows: Iterable[Mapping[str, Any]]) -> Row:
+        """The verdict on a file and on each claim, from what was found; what has no row was not judged."""
+        found, claims = list(rows), dict[str, Row]()
+        for claim in CLAIMS:
+            own = [row for row in found if row["claim"] == claim]
+            reasons = [{key: row[key] for key in ("rule", "severity", "reason")} for row in own if row["reason"]]
+            for reason in reasons:
+                rule = reason["rule"]
+                reason["verdict"] = self.action(rule, reason["severity"]) if rule else "not judged"
+            marks = [reason["verdict"] for reason in reasons]
+            ended = any(row["judged"] and not row["rule"] for row in own)
+            worst: Verdict = max([*marks, "accept" if ended else "not judged"], key=VERDICTS.index)
+            claims[claim] = {"verdict": worst, "reasons": reasons}
+        asked = [claim for claim in CLAIMS if claim in self.claims or claims[claim]["verdict"] != "not judged"]
+        worst = max((claims[claim]["verdict"] for claim in asked), key=VERDICTS.index)
+        return {"verdict": worst, "claims": claims, "thresholds": {name: getattr(LIMITS, name) for name in STATED}}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GateConfig:
+    """What of a file is judged, apart from its bytes."""
+
+    claims: tuple[Claim, ...]
+    most_gaussians: int
+    ending: str  # of its name, by which it is read
+
+
+def sampled(scene: GaussianScene, most: int) -> GaussianScene:
+    """At most so many Gaussians, larger by what covers as much surface; which ones, all positions decide."""
+    import torch
+
+    if len(scene) <= most:
+        return scene
+    generator = torch.Generator().manual_seed(zlib.crc32(scene.means.contiguous().numpy().tobytes()))
+    rows = torch.randperm(len(scene), generator=generator)[:most].sort().values
+    part = scene.select(rows)
+    return part.replace(scales=part.scales * math.sqrt(len(scene) / most))
+
+
+def fingerprint(arrays: Arrays) -> str:
+    """Hex digits, two for each moment of a splat; empty if no Gaussian is finite and visible.
+
+    Moments are sums over the Gaussians, weighted by opacity, so their order does not count: number, extents along the
+    principal axes, how sizes, opacities and colours are distributed, and colours near the middle. Each is rounded to
+    one of 256 steps, by far more than formats round, so that in another format a few of them differ by 1 (`alike`). SH
+    above degree 0 have no part in it, and equal fingerprints do not prove that nothing was edited.
+    """
+    import numpy as np
+
+    from mi_splat.sh import dc_to_colour
+
+    rows = np.concatenate([value.reshape(len(value), -1) for value in arrays.values()], axis=1)
+    good = np.isfinite(rows).all(1) & (arrays["scales"] > 0).all(1)
+    if not arrays["opacities"][good].any():
+        return ""
+    means, scales, _, weight, sh = (value[good].astype(np.float64) for value in arrays.values())
+    weight = weight / weight.sum()
+    offset = means - weight @ means
+    covariance = (offset * weight[:, None]).T @ offset
+    size = max(math.sqrt(np.trace(covariance)), 1e-30)
+    near = weight * np.exp(-np.sqrt((offset**2).sum(1)) / size)
+    columns = np.column_stack(
+        [1 + np.sort(np.log2(scales / size), axis=1) / 24, arrays["opacities"][good], dc_to_colour(sh[:, 0]).clip(0, 1)]
+    )
+    middles = weight @ columns
+    spreads = 2 * np.sqrt(weight @ (columns - middles) ** 2)
+    extents = np.sqrt(np.linalg.eigvalsh(covariance).clip(0)) / size
+    values = [math.log2(len(means)) / 32, *extents, *middles, *spreads, near.sum(), *(near @ columns / near.sum())]
+    return bytes(round(255 * min(max(float(value), 0.0), 1.0)) for value in values).hex()
+
+
+def alike(first: str, second: str) -> bool:
+    """Whether two fingerprints are of the same splat, each moment within the step that a format's rounding may cost."""
+    pairs = zip(bytes.fromhex(first), bytes.fromhex(second), strict=False)
+    return len(first) == len(second) > 0 and all(abs(a - b) <= 1 for a, b in pairs)

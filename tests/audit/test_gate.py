@@ -1,0 +1,185 @@
+"""`mi-splat gate`: a verdict on every claim and every file, whatever a file does, and what says which splat it is."""
+
+import io
+import json
+import os
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from attacks import cli
+from attacks.cli import gate
+from mi_splat.audit import audit, linting
+from mi_splat.audit.gate import CLAIMS, ROWS, Policy, alike, fingerprint, sampled
+from mi_splat.audit.thresholds import LIMITS
+from mi_splat.io import save_splat
+from mi_splat.io.splat_files import load_stored
+from mi_splat.ledger.engines import InProcess
+from mi_splat.ledger.job import Outcome, Task
+from tests.audit.scenes import cone, direction, hidden, standing
+from tests.audit.test_lint import broken_ply, cloud, masked
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _few_small_pictures() -> object:
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (("image_size", 72), ("cameras", 60), ("cameras_all_around", 96)):
+            patch.setitem(vars(LIMITS), name, value)
+        patch.setattr(linting, "SIZE", 256)
+        yield
+
+
+def row(claim: str, rule: str = "", severity: str = "", **more: Any) -> dict[str, Any]:
+    return {"claim": claim, "rule": rule, "severity": severity, "reason": rule and "why", "judged": True, **more}
+
+
+PASSED = [row(claim) for claim in CLAIMS[:-1]]
+
+
+@pytest.mark.parametrize(
+    ("rules", "found", "claim", "verdict"),
+    [
+        ({}, row("numbers", "giant", "warning"), "accept", "accept"),
+        ({"giant": "refuse"}, row("numbers", "giant", "warning"), "refuse", "refuse"),
+        ({"warning": "quarantine"}, row("numbers", "giant", "warning"), "quarantine", "quarantine"),
+        ({"error": "quarantine"}, row("cost", "overdraw", "error"), "quarantine", "quarantine"),
+        ({}, row("hidden appearance", "hidden-look", "error"), "refuse", "refuse"),
+        ({}, row("hidden appearance", "suspicious-look", "warning"), "quarantine", "quarantine"),
+        ({}, row("hidden appearance", "occluder", "error"), "refuse", "refuse"),
+        ({}, row("edits", judged=False, reason="too few"), "not judged", "not judged"),
+        ({}, row("provenance", "changed", "warning"), "not judged", "quarantine"),
+    ],
+)
+def test_a_policy_says_what_follows_from_a_finding(
+    rules: dict[str, Any], found: dict[str, Any], claim: str, verdict: str
+) -> None:
+    kept = [one for one in PASSED if one["claim"] != found["claim"] or found["rule"]]
+    told = Policy(rules=rules).verdict([*kept, found])
+    if found["claim"] != "provenance":
+        assert told["claims"][found["claim"]]["verdict"] == claim
+        assert told["verdict"] == verdict
+    assert Policy().verdict(PASSED)["verdict"] == "accept"
+
+
+def test_what_was_not_judged_is_no_pass() -> None:
+    told = Policy().verdict(PASSED[:3])
+    assert told["verdict"] == told["claims"]["hidden appearance"]["verdict"] == "not judged"
+    assert Policy(claims=CLAIMS[:3]).verdict(PASSED[:3])["verdict"] == "accept"
+    assert Policy().verdict([])["verdict"] == "not judged"
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".spz", ".sog", ".splat", ".compressed.ply", ".glb"])
+def test_a_fingerprint_is_that_of_the_splat_in_any_order_and_format(suffix: str, tmp_path: Path) -> None:
+    scene, path = standing("car", count=900).scene, tmp_path / f"s{suffix}"
+    save_splat(scene, tmp_path / "s.ply")
+    save_splat(scene.select(torch.randperm(len(scene), generator=torch.Generator().manual_seed(3))), path)
+    first, again = (fingerprint(load_stored(file).arrays) for file in (tmp_path / "s.ply", path))
+    assert first == again if suffix == ".ply" else alike(first, again)
+    save_splat(standing("tv", count=900).scene, path)
+    assert not alike(first, fingerprint(load_stored(path).arrays))
+
+
+def test_a_fingerprint_leaves_out_what_is_no_number(tmp_path: Path) -> None:
+    arrays = load_stored(broken_ply(tmp_path / "s.ply")).arrays
+    rest = {name: np.delete(value, [7], 0) for name, value in arrays.items()}
+    assert fingerprint(arrays) == fingerprint(rest) != ""
+    assert fingerprint({name: value[7:8] for name, value in arrays.items()}) == ""
+    assert not alike("", "")
+
+
+def test_an_appearance_is_found_in_a_sample() -> None:
+    scene = hidden(standing("suitcase", count=3000), cone(direction(90, 0), 50)).scene
+    part = sampled(scene, 2000)
+    assert len(part) == 2000
+    assert audit(part).verdict == "hidden look"
+    assert audit(sampled(standing("suitcase", count=3000).scene, 2000)).verdict == "nothing found"
+    assert sampled(scene, len(scene)) is scene
+
+
+class Kills(InProcess):
+    """Loses the process of one file once its numbers are judged."""
+
+    def submit(self, task: Task) -> Future[Outcome]:
+        if not task.inputs["splat"]["path"].endswith("hostile.ply"):
+            return super().submit(task)
+        kept = self._store.path("partial", task.key)
+        kept.mkdir(parents=True)
+        (kept / ROWS).write_text(json.dumps({"rows": PASSED[:3]}))
+        lost: Future[Outcome] = Future()
+        lost.set_result(Outcome(state="failed", text="try 1: ended by SIGKILL"))
+        return lost
+
+
+def run(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, lines: list[Any], *words: str
+) -> tuple[int, dict[str, dict[str, Any]]]:
+    """Exit status, and the verdict on each file that standard input names."""
+    monkeypatch.setattr(gate, "engine_of", lambda options, on_event: Kills(options.store))
+    monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
+    status = cli.main(["gate", "--json", "--strict", "--store", str(tmp_path / "store"), *words])
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(told) == len(lines)
+    return status, {Path(one["file"]).name: one for one in told}
+
+
+def test_every_line_has_a_verdict_and_a_hostile_file_takes_none_with_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_splat(cloud(), tmp_path / "fine.ply")
+    save_splat(cloud(seed=1), tmp_path / "hostile.ply")
+    save_splat(masked(), tmp_path / "heavy.ply")
+    broken_ply(tmp_path / "broken.ply")
+    (tmp_path / "text.ply").write_text("no splat")
+    os.mkfifo(tmp_path / "pipe.ply")
+    names = ["hostile", "broken", "text", "heavy", "pipe", "none", "fine"]
+    lines = [json.dumps(str(tmp_path / f"{name}.ply")) for name in names]
+    sarif = tmp_path / "s.sarif"
+    status, told = run(capsys, monkeypatch, tmp_path, [*lines, "{}"], "--only", "lint", "--sarif", str(sarif))
+    expected = {
+        **{"hostile.ply": "accept", "broken.ply": "refuse", "text.ply": "refuse", "heavy.ply": "refuse"},
+        **{"pipe.ply": "not judged", "none.ply": "not judged", "fine.ply": "accept", "{}": "not judged"},
+    }
+    assert status == 3
+    assert {name: one["verdict"] for name, one in told.items()} == expected
+    assert told["hostile.ply"]["error"] == "ended by SIGKILL"
+    assert told["broken.ply"]["claims"]["numbers"]["reasons"][0]["rule"] == "not-finite"
+    assert told["text.ply"]["claims"]["numbers"]["verdict"] == "not judged"
+    assert told["heavy.ply"]["claims"]["cost"]["verdict"] == "refuse"
+    assert len(told["fine.ply"]["sha256"]) == 64
+    (log,) = json.loads(sarif.read_text())["runs"]
+    assert "lint/not-finite" in {result["ruleId"] for result in log["results"]}
+    assert len(log["artifacts"]) == len(expected)
+    status, told = run(capsys, monkeypatch, tmp_path, [lines[0], lines[-1]])
+    assert status == 1  # the process was lost before it looked for appearances
+    assert told["hostile.ply"]["verdict"] == "not judged"
+    assert told["hostile.ply"]["claims"]["numbers"]["verdict"] == "accept"
+
+
+def test_appearances_and_provenance_are_judged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = standing("suitcase", count=1500)
+    save_splat(made.scene, tmp_path / "clean.ply")
+    save_splat(hidden(made, cone(direction(90, 0), 50)).scene, tmp_path / "hidden.ply")
+    clean = str(tmp_path / "clean.ply")
+    lines = [{"file": clean, "against": clean}, {"file": str(tmp_path / "hidden.ply"), "against": clean}]
+    (tmp_path / "policy.toml").write_text('[rules]\nhidden-look = "quarantine"\n')
+    words = ["--policy", str(tmp_path / "policy.toml")]
+    for verdict, more in (("refuse", []), ("quarantine", words)):
+        status, told = run(capsys, monkeypatch, tmp_path, list(map(json.dumps, lines)), *more)
+        assert status == (3 if verdict == "refuse" else 0)
+        assert told["clean.ply"]["verdict"] == told["clean.ply"]["claims"]["provenance"]["verdict"] == "accept"
+        assert told["hidden.ply"]["claims"]["hidden appearance"]["verdict"] == told["hidden.ply"]["verdict"] == verdict
+        assert told["hidden.ply"]["claims"]["provenance"]["verdict"] == "quarantine"
+        record = json.loads(Path(told["hidden.ply"]["record"]).read_text())
+        assert record["thresholds"]["excess"] == told["hidden.ply"]["thresholds"]["excess"]
+
+
+def test_a_policy_that_cannot_be_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "p.toml").write_text('[rules]\ngiant = "reject"\n')
+    assert cli.main(["gate", "a.ply", "--policy", str(tmp_path / "p.toml")]) == 1
+    assert "expected one of accept, quarantine, refuse, got reject" in capsys.readouterr().err
