@@ -20,6 +20,7 @@ from mi_splat.cli.console import show
 from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.fields import OutFile, OutFolder, decode
+from mi_splat.io.folders import check_new_file
 from mi_splat.io.parsing import DocumentReader
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ EXAMPLES = (
 KIND = "attacks.audits.gated"
 REFUSED, UNJUDGED = 3, 1
 """Exit status with --strict where a file is refused, and where one is not judged."""
+ENDINGS = (".sarif", ".json")
 _POLL = 0.2  # seconds between two looks at a file that another process judges
 _LINES = DocumentReader(expected='a JSON text, or an object with "file"', do="write one path a line", most=1 << 16)
 
@@ -75,6 +77,8 @@ def run(options: GateOptions) -> int:
     policy = _policy(options)
     seconds, megabytes = options.seconds or policy.seconds, options.megabytes or policy.megabytes
     options = replace(options, store=options.store.expanduser(), seconds=seconds, megabytes=megabytes)
+    if options.sarif is not None:
+        check_new_file(options.sarif, ENDINGS, force=True)
     engine, printing, lines = engine_of(options, lambda event: None), threading.Lock(), list[Line]()
 
     def judge(request: Request) -> None:

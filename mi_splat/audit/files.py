@@ -36,7 +36,6 @@ from mi_splat.selection.select import save_mask
 from mi_splat.sh import colour_to_dc, dc_to_colour
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
-ENDINGS = (".sarif", ".json")
 _RULES: dict[str, tuple[Severity, str, str]] = {
     "hidden-look": (
         "error",
