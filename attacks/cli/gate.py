@@ -20,7 +20,6 @@ from mi_splat.cli.console import show
 from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.fields import OutFile, OutFolder, decode
-from mi_splat.io.folders import check_new_file
 from mi_splat.io.parsing import DocumentReader
 
 if TYPE_CHECKING:
@@ -74,6 +73,8 @@ class GateOptions(JobOptions):
 
 def run(options: GateOptions) -> int:
     """Judge every file; verdicts come in the order in which files end."""
+    from mi_splat.io.folders import check_new_file
+
     policy = _policy(options)
     seconds, megabytes = options.seconds or policy.seconds, options.megabytes or policy.megabytes
     options = replace(options, store=options.store.expanduser(), seconds=seconds, megabytes=megabytes)
