@@ -37,7 +37,7 @@ from attacks.bench.row import (
 from attacks.cloak.steps import Look, StudySteps
 from attacks.detectors.registry import detector_spec, load_detector, use_weights
 from attacks.observe.conditions import OWN, check_condition
-from attacks.observe.rows import DEPTH, ROWS, frame_of
+from attacks.observe.rows import DEPTH, NOISE, NORM_NOISE, ROWS, frame_of
 from attacks.rate import Rate, pooled
 from attacks.studies.cloak import CloakJudge, config_of
 from attacks.studies.dagger import DaggerWork
@@ -227,7 +227,8 @@ class Entry(Attempt):
             named = {"attack": self.title, "seed": look.seed, "detector": look.job.config.detector}
             named["condition"] = OWN if look.condition == OWN else DEFENDED
             for row in _rows_of(look, done[look.job.identity]):
-                yield {**named, "splat": row["splat"], **{name: row[name] for name in CELLS}}
+                splat = NOISE if row["splat"] == NORM_NOISE else row["splat"]
+                yield {**named, "splat": splat, **{name: row[name] for name in CELLS}}
 
 
 def _rows_of(look: Look, done: Done) -> Iterable[Mapping[str, Any]]:
@@ -284,6 +285,7 @@ class BenchWork(Work[Entry]):
         name = self.detector.name
         surrogates = [other for other in self.suite.surrogates if other != name]
         judge = {**table.get("judge", {}), "detector": name, "matrix": {"condition": self.conditions}}
+        judge["controls"] = [NORM_NOISE]  # as in the first rows of suite v1, which call it noise
         settings = {"": {**table, "detectors": surrogates if column == TRANSFER else [name], "judge": judge}}
         if (known := KNOWS.get(self.defence)) is not None and column in (ONE_VIEW, ALL_VIEWS):
             settings[", who knows the defence"] = merged(settings[""], known)

@@ -68,8 +68,8 @@ class Judge:
     detector: str | None = None  # None is each of those attacked
     condition: str = AS_ATTACKED  # see `attacks.observe.conditions`
     sun: SunTable | None = None  # a street of meshes for conditions that are hours
-    controls: tuple[Control, ...] = ()  # random changes as of attacks; none is noise of the attack's norm
     views: int = 24  # held-out views of a region, at most as many as have judged the attack; fixed cameras stay
+    controls: tuple[Control, ...] = ("noise",)  # random changes beside the attack; see `DaggerConfig`
 
     def looks(self, scene: Path, attacked: Job) -> list[Job]:
         """A look by each detector at the splat of an attack."""

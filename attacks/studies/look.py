@@ -1,4 +1,4 @@
-"""What one detector reports on one attacked splat under one condition: clean, attacked, and with noise of its size."""
+"""What one detector reports on one attacked splat under one condition: clean, attacked, and with its controls."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from torch import Generator
+import torch
+from torch import Tensor
 
 from attacks.aims import PluggedObjective
 from attacks.dagger.config import Control, DaggerConfig
@@ -19,10 +20,9 @@ from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Hide, Relabel, Target, Untargeted
 from attacks.observe.conditions import OWN, Condition, SunTable, Viewing, condition_of
 from attacks.observe.observations import observe, report_cells, seen_from, verdict_cells
-from attacks.observe.rows import ATTACKED, CLEAN, NOISE
-from attacks.observe.views import ViewDetections
+from attacks.observe.rows import ATTACKED, CLEAN
+from attacks.observe.views import ViewDetections, image_change
 from attacks.optimisers import NormName
-from attacks.search import Budget
 from attacks.studies.attack import AttackScene, attack_scene, detectors_of, distribution
 from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange, changing
@@ -48,7 +48,8 @@ class Look:
     attributes: tuple[Attribute, ...]
     eps: tuple[float, ...]
     norm: NormName
-    sh_degree: int | None = None  # highest degree of the SH coefficients that noise may change; None is the splat's
+    sh_degree: int | None = None  # highest degree of the SH coefficients that controls may change; None is the splat's
+    controls: tuple[Control, ...] = ("noise",)  # a draw of each is looked at
     seed: int
     condition: str = ""
     sun: SunTable | None = None
@@ -56,7 +57,6 @@ class Look:
     views: int = 1
     transformations: Transformations | None = None  # where views are drawn from; None where cameras are fixed
     fingerprints: tuple[str, ...] = ()
-    controls: tuple[Control, ...] = ()  # random changes by name; none is noise of the attack's norm
     package: str = ""  # which package brings the condition, with its version; empty for this project
 
 
@@ -74,28 +74,31 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
     condition = condition_of(config.condition, viewing)
     subset, render = GaussianSubset.of(scene.scene, rows), scene.renderer("")
     moved = {condition.move(view.camera): view for view in _views(config, scene, subset, inputs)}
-    boxes = {
-        camera: view.box if camera is view.camera else fixed_views(subset, [camera], render=render)[0].box
+    shown = {
+        camera: view if camera is view.camera else fixed_views(subset, [camera], render=render)[0]
         for camera, view in moved.items()
     }
     if config.transformations is not None:
         condition = _changing(condition, {camera: view.change for camera, view in moved.items()})
     directions = seen_from(viewing.centre)
 
-    splats = _splats(config, scene, load_splat(inputs["attacked"]), list(moved.values()))
-    detectors = detectors_of((config.detector,), inputs)
-    wanted, classes = config.objective, tuple(detectors[0].classes)
+    splats = _splats(config, scene, load_splat(inputs["attacked"]), [*moved.values()])
+    detectors, wanted, before = detectors_of((config.detector,), inputs), config.objective, dict[int, Tensor]()
+    classes = tuple(detectors[0].classes)
 
     def cells(seen: ViewDetections) -> dict[str, Any]:
         assert seen.box is not None  # as `fixed_views` has seen to
         target = Target(box=seen.box, label=wanted.label, classes=classes, original=original)
         reported = report_cells(seen.detections, seen.box, original=original, target=wanted.label)
-        return {**directions(seen), **reported, **verdict_cells(wanted.verdict(seen.detections, target))}
+        verdict = verdict_cells(wanted.verdict(seen.detections, target))
+        clean = before.setdefault(seen.view, seen.image)  # the clean splat is the first
+        change = image_change([clean], [seen.image], [shown[seen.camera].weight]).psnr_object
+        return {**directions(seen), **reported, **verdict, "threshold": wanted.confidence, "object_psnr": change}
 
     unmoved = replace(condition, move=lambda camera: camera)
-    looked = observe(unmoved, splats, list(boxes), detectors, boxes=boxes.__getitem__, cells=cells)
-    shown = config.condition or (OWN if config.transformations is None else HELD_OUT)
-    return [{**row, "condition": shown} for row in looked.rows.iter_rows(named=True)]
+    looked = observe(unmoved, splats, list(shown), detectors, boxes=lambda camera: shown[camera].box, cells=cells)
+    name = config.condition or (OWN if config.transformations is None else HELD_OUT)
+    return [{**row, "condition": name} for row in looked.rows.iter_rows(named=True)]
 
 
 def _views(config: Look, scene: AttackScene, subset: GaussianSubset, inputs: Mapping[str, Path]) -> list[View]:
@@ -116,46 +119,31 @@ def _changing(condition: Condition, changes: Mapping[Camera, PictureChange]) -> 
 
 
 def _splats(config: Look, scene: AttackScene, saved: GaussianScene, views: Sequence[View]) -> dict[str, GaussianScene]:
-    """The clean splat, the attacked one, and random changes as large as the attack on what it could change."""
+    """The clean splat, the attacked one, and its controls, which are matched to it in the views without a condition."""
     rows, drawn = scene.objects[config.object], config.transformations is not None
     clean, attacked = clean_and_attacked(scene.scene, rows, saved.select(rows) if drawn else saved, config.attributes)
     clean, attacked = (replace(subset, sh_degree=config.sh_degree) for subset in (clean, attacked))
-    reference, moved = (subset.parameters(config.attributes) for subset in (clean, attacked))
-    if config.controls:
-        problem, attack = _problem(config, clean, scene.renderer("")), _attack(config)
-        changed = {name: splat for (name, _), splat in control_scenes(problem, moved, attack, views)}
-        return {CLEAN: clean.scene, ATTACKED: attacked.scene, **changed}
-    radii = config.eps if len(config.eps) > 1 else config.eps * len(config.attributes)
-    budget = Budget(radius=dict(zip(config.attributes, radii, strict=True)), norm=config.norm)
-    noisy = clean.applied(budget.noise(moved, reference, Generator().manual_seed(config.seed + 1)))
-    # The file of an attack on a region holds the whole scene.
-    shown = (scene.scene, saved) if drawn else (clean.scene, attacked.scene)
-    return {CLEAN: shown[0], ATTACKED: shown[1], NOISE: noisy}
+    names = ("attributes", "eps", "norm", "seed", "sh_degree", "controls")
+    settings = DaggerConfig(**{name: getattr(config, name) for name in names}, noise_draws=1)
+    render = scene.renderer("")
 
+    @functools.cache
+    def image(camera: Camera) -> Tensor:
+        with torch.no_grad():
+            return render(clean.scene, camera).clamp(0, 1)
 
-def _problem(config: Look, clean: GaussianSubset, render: RenderFn) -> Problem:
-    """What the attack saw, as far as its controls ask."""
-    return Problem(
+    problem = Problem(
         subset=clean,
         detectors=(),
         objective=config.objective,
         originals=lambda view, name: None,
         render=render,
-        clean=functools.cache(lambda camera: render(clean.scene, camera).clamp(0, 1)),
+        clean=image,
     )
-
-
-def _attack(config: Look) -> DaggerConfig:
-    """The settings of the attack, as far as its controls ask."""
-    return DaggerConfig(
-        attributes=config.attributes,
-        eps=config.eps,
-        norm=config.norm,
-        sh_degree=config.sh_degree,
-        seed=config.seed,
-        controls=config.controls,
-        noise_draws=1,
-    )
+    controls = control_scenes(problem, attacked.parameters(config.attributes), settings, views)
+    # The file of an attack on a region holds the whole scene.
+    shown = (scene.scene, saved) if drawn else (clean.scene, attacked.scene)
+    return {CLEAN: shown[0], ATTACKED: shown[1], **{name: noisy for (name, _), noisy in controls}}
 
 
 def clean_and_attacked(

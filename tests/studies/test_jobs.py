@@ -153,3 +153,13 @@ def test_attacks_from_cameras_of_a_file_are_counted_over_those_that_show_the_cle
     for wrong, expected in (({"camera": 3}, "expected 0 to 2, got 3"), ({"cameras": "no.json"}, "a JSON file")):
         with pytest.raises(InvalidValueError, match=expected):
             the_job(tmp_path, **{"cameras": file, **wrong})
+
+
+def test_a_look_has_noise_that_changes_the_object_as_much_as_the_attack(attacked: Path) -> None:
+    work = work_of(settings(attacked, judge={"controls": ["noise", "norm-noise"]}))
+    look = done(work, attacked / "store")[next(iter(work.attempts[0].looks))]
+    assert isinstance(look, Done)
+    psnr = {row["splat"]: row["object_psnr"] for row in look.rows}
+    assert psnr["clean"] is None
+    assert psnr["noise"] == pytest.approx(psnr["attacked"], abs=0.5)
+    assert psnr["norm-noise"] > psnr["attacked"] + 3
