@@ -78,15 +78,6 @@ CLASSIFIERS = {
             advice=f"name a folder, and {install('transformers')}",
             requires=("transformers",),
         ),
-        ClassifierSpec(
-            name="open_clip",
-            load=_loader("clip"),
-            origin="a file of your own, of CLIP in the form of open_clip",
-            licence="its own",
-            networks="ViT-B-16 or another of open_clip.list_models()",
-            advice=f"name a file, and {install('clip')}",
-            requires=("open_clip",),
-        ),
     )
 }
 """Name to spec; add your own."""

@@ -238,7 +238,6 @@ GROUPS: dict[str, tuple[Check, ...]] = {
 }
 EXTRAS = {
     "cluster": ("distributed",),
-    "clip": ("open_clip",),
     "colmap": ("pycolmap",),
     "meshes": ("trimesh",),
     "ocr": ("rapidocr_onnxruntime",),

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.classifiers.clip import load_clip, load_open_clip
+from attacks.classifiers.clip import load_clip
 from attacks.classifiers.registry import load_classifier
 from attacks.detectors.catalogue import DetectorError
 from mi_splat.errors import InvalidValueError
@@ -79,29 +79,3 @@ def test_what_clip_refuses(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text((folder / "config.json").read_text())
     with pytest.raises(DetectorError, match=r"no preprocessor_config\.json"):
         load_clip(tmp_path, CLASSES)
-
-
-def test_open_clip(tmp_path: Path) -> None:
-    with pytest.raises(DetectorError, match="no file"):
-        load_open_clip("ViT-S-32-alt", tmp_path / "none.pt", CLASSES)
-    path = tmp_path / "random.pt"
-    torch.save({}, path)
-    try:
-        import open_clip
-    except ImportError:
-        with pytest.raises(DetectorError, match=r"pip install -e '\.\[clip\]'"):
-            load_classifier("open_clip:ViT-S-32-alt", weights=path, classes=CLASSES)
-        pytest.skip("open_clip is not here: pip install open_clip_torch")
-    with pytest.raises(DetectorError, match="weights that the library reads"):
-        load_classifier("open_clip:ViT-S-32-alt", weights=path, classes=CLASSES)
-    model, _, transform = open_clip.create_model_and_transforms("ViT-S-32-alt")
-    torch.save(model.state_dict(), path)
-    classifier = load_classifier("open_clip:ViT-S-32-alt", weights=path, classes=CLASSES)
-    texts = open_clip.get_tokenizer("ViT-S-32-alt")([f"a photo of a {name}" for name in CLASSES])
-    planes = pictures().permute(0, 3, 1, 2)
-    from torchvision.transforms.functional import to_pil_image
-
-    with torch.no_grad():
-        wanted = model.eval()(torch.stack([transform(to_pil_image(plane)) for plane in planes]), texts)
-        scores = classifier.scores(pictures())
-    assert torch.allclose(scores, wanted[2] * wanted[0] @ wanted[1].T, atol=0.05)

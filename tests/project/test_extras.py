@@ -24,7 +24,7 @@ else:
     import tomli as tomllib
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-ALSO = {"PIL": "pillow", "imageio_ffmpeg": "imageio-ffmpeg", "open_clip": "open_clip_torch", "pxr": "usd-core"} | {
+ALSO = {"PIL": "pillow", "imageio_ffmpeg": "imageio-ffmpeg", "pxr": "usd-core"} | {
     "rapidocr_onnxruntime": "rapidocr-onnxruntime"
 }
 """Modules that are not called as their package is."""

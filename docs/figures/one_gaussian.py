@@ -1,0 +1,128 @@
+"""Follows one Gaussian over five views: `python docs/figures/one_gaussian.py SPLAT [--gaussian ROW] [--out PICTURE]`.
+
+Above, the splat from five elevations, and a part of each view about the Gaussian, whose border at two standard
+deviations is drawn. Below, its colour by elevation, and its SH coefficients. If no row is named, it is the Gaussian
+whose colour changes most, of those that show in all five views.
+"""
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+import torch
+from scipy.spatial import ConvexHull
+from torch import Tensor
+
+from mi_splat import Camera, GaussianScene, Renderer, RenderSettings, load_splat
+from mi_splat.cameras import focal_of, orbit_pose, project_points
+from mi_splat.rotation import to_matrix
+from mi_splat.sh import sh_basis
+
+PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "one_gaussian.png"
+ELEVATIONS = (10.0, 25.0, 40.0, 55.0, 75.0)
+_SIZE, _FOV, _PART, _SKY = 320, 45.0, 48, (0.55, 0.7, 0.9)
+_LEAST = 20.0
+"""Pixels that the Gaussian makes up at least in each view."""
+
+
+def camera(elevation: float, azimuth: float, target: tuple[float, float, float], distance: float) -> Camera:
+    """A camera on a sphere about a point."""
+    pose = orbit_pose(target, azimuth=azimuth, elevation=elevation, distance=distance)
+    return Camera(to_world=pose, focal=focal_of(math.radians(_FOV), _SIZE), width=_SIZE, height=_SIZE)
+
+
+def colours(scene: GaussianScene, row: Tensor | int, cameras: list[Camera]) -> Tensor:
+    """(views, ..., 3) colours of Gaussians as they are seen, sRGB."""
+    means, sh = scene.means[row], scene.sh[row]
+    seen = []
+    for view in cameras:
+        direction = torch.nn.functional.normalize(means - view.position.to(means), dim=-1)
+        basis = sh_basis(direction, math.isqrt(sh.shape[-2]) - 1)
+        seen.append((0.5 + (basis[..., None] * sh).sum(-2)).clamp(0, 1))
+    return torch.stack(seen)
+
+
+def chosen(scene: GaussianScene, cameras: list[Camera], render: Renderer) -> int:
+    """The Gaussian whose colour changes most, of those that make up some pixels of every view."""
+    shares = []
+    for view in cameras:
+        white = torch.zeros_like(scene.sh[:, :1]).requires_grad_(True)  # a picture without colour has no clamps
+        (share,) = torch.autograd.grad(render(scene.replace(sh=white), view).sum(), white)
+        shares.append(share.abs().sum((1, 2)))
+    seen = colours(scene, torch.arange(len(scene)), cameras)
+    change = (seen.amax(0) - seen.amin(0)).norm(dim=-1)
+    pixels = torch.stack(shares).amin(0) / (3 * float(sh_basis(torch.tensor([0.0, 0.0, 1.0]), 0)))
+    return int(torch.where(pixels >= _LEAST, change, 0).argmax())
+
+
+def border(scene: GaussianScene, row: int, view: Camera) -> Tensor:
+    """(P, 2) pixels of the outline of a Gaussian at two standard deviations."""
+    directions = torch.nn.functional.normalize(torch.randn(2000, 3, generator=torch.Generator().manual_seed(0)), dim=1)
+    turn = to_matrix(scene.rotations[row][None])[0]
+    pixels, _ = project_points(scene.means[row] + (2 * scene.scales[row] * directions) @ turn.T, view)
+    outline = pixels[ConvexHull(pixels.numpy()).vertices.tolist()]
+    return torch.cat([outline, outline[:1]])
+
+
+def draw(scene: GaussianScene, row: int, cameras: list[Camera], render: Renderer, strip: Tensor, path: Path) -> None:
+    """The figure."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot
+
+    figure = pyplot.figure(figsize=(11, 7.3))
+    rows = figure.add_gridspec(4, 5, height_ratios=(4, 4, 0.8, 2.6), hspace=0.34, wspace=0.05)
+    for column, view in enumerate(cameras):
+        picture, outline = render(scene, view).clamp(0, 1), border(scene, row, view)
+        middle = outline.mean(0)
+        for number, half in ((0, _SIZE / 2), (1, _PART / 2)):
+            axis: Any = figure.add_subplot(rows[number, column])
+            axis.imshow(picture.numpy(), interpolation="nearest", extent=(0, _SIZE, _SIZE, 0))
+            axis.plot(outline[:, 0], outline[:, 1], color="white", linewidth=2.6 - number * 0.4)
+            axis.plot(outline[:, 0], outline[:, 1], color="magenta", linewidth=1.2)
+            x, y = (_SIZE / 2, _SIZE / 2) if number == 0 else middle.tolist()
+            axis.set(xlim=(x - half, x + half), ylim=(y + half, y - half), xticks=[], yticks=[])
+            if number == 0:
+                axis.set_title(f"{ELEVATIONS[column]:.0f} degrees up", fontsize=10)
+    axis = figure.add_subplot(rows[2, :])
+    axis.imshow(strip[None].numpy(), aspect="auto", extent=(0, 90, 0, 1))
+    for elevation in ELEVATIONS:
+        axis.axvline(elevation, color="magenta", linewidth=1.2)
+    axis.set(yticks=[], xticks=range(0, 91, 15))
+    axis.set_title("its colour, by elevation in degrees", fontsize=10)
+    axis = figure.add_subplot(rows[3, :])
+    values = scene.sh[row]
+    for channel, colour in enumerate(("tab:red", "tab:green", "tab:blue")):
+        places = torch.arange(len(values)) + 0.26 * (channel - 1)
+        axis.bar(places.numpy(), values[:, channel].numpy(), 0.26, color=colour)
+    axis.axhline(0, color="black", linewidth=0.8)
+    axis.set_xticks(range(len(values)), [f"{k}" for k in range(len(values))])
+    for degree in (1, 2, 3):
+        axis.axvline(degree**2 - 0.5, color="grey", linewidth=0.8, linestyle=":")
+    axis.set_title(f"SH coefficients of Gaussian {row:,}, red, green and blue; dotted: next degree", fontsize=10)
+    figure.savefig(path, dpi=100, bbox_inches="tight")
+
+
+def main() -> None:
+    """Choose and draw."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("splat", type=Path)
+    parser.add_argument("--gaussian", type=int)
+    parser.add_argument("--out", type=Path, default=PICTURE)
+    parser.add_argument("--target", type=float, nargs=3, default=(0.0, 0.0, 0.7))
+    parser.add_argument("--distance", type=float, default=7.4)
+    parser.add_argument("--azimuth", type=float, default=40.0)
+    options = parser.parse_args()
+    scene, render = load_splat(options.splat), Renderer(RenderSettings(background=_SKY))
+    where = (options.azimuth, tuple(options.target), options.distance)
+    cameras = [camera(elevation, *where) for elevation in ELEVATIONS]
+    row = chosen(scene, cameras, render) if options.gaussian is None else options.gaussian
+    strip = colours(scene, row, [camera(float(elevation), *where) for elevation in range(91)])
+    with torch.no_grad():
+        draw(scene, row, cameras, render, strip, options.out)
+
+
+if __name__ == "__main__":
+    main()
