@@ -64,8 +64,9 @@ class Convention:
     max_alpha: float = 0.99
     stop: float = 1e-4  # transmittance below which a pixel takes no further Gaussian
     pixel_centre: float = 0.5  # where the first pixel is sampled
+    unit_rotations: bool = True  # quaternions are divided by their length
     sh_degree: int = 3  # higher bands are left out
-    towards: Literal["gaussian", "camera", "optical axis"] = "gaussian"  # direction at which SH are evaluated
+    towards: Literal["gaussian", "camera", "gaussian in the camera's frame", "optical axis"] = "gaussian"
     clamp: Literal["below 0", "outside 0 to 1", "none"] = "below 0"  # of colours
 
 
@@ -117,9 +118,9 @@ def sh_basis(directions: Array, count: int) -> Array:
     return np.stack(terms[:count], axis=1)
 
 
-def rotation_matrices(quaternions: Array) -> Array:
-    """(N, 3, 3) rotations of quaternions (N, 4) of any length."""
-    w, x, y, z = (quaternions / _norm(quaternions)).T
+def rotation_matrices(quaternions: Array, *, unit: bool = False) -> Array:
+    """(N, 3, 3) rotations of quaternions (N, 4) of any length, or of length 1."""
+    w, x, y, z = (quaternions if unit else quaternions / _norm(quaternions)).T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -137,12 +138,13 @@ def project(splat: Any, camera: Any, convention: Convention = DEFAULT) -> Projec
     z = local[:, 2]
     tangents = local[:, :2] / z[:, None]
     extent = np.array([camera.width / camera.fx, camera.height / camera.fy])
-    limit = 0.5 * convention.tangent_limit * extent
+    limit = np.minimum(0.5 * convention.tangent_limit * extent, 1e30)
     near_axis = np.where(np.abs(tangents.real) <= limit, tangents, np.sign(tangents.real) * limit)
     jacobian = np.zeros((len(means), 2, 3), dtype=local.dtype)  # Zwicker et al. 2001, equation 29
     jacobian[:, 0, 0], jacobian[:, 1, 1] = camera.fx / z, camera.fy / z
     jacobian[:, :, 2] = -np.array([camera.fx, camera.fy]) * near_axis / z[:, None]
-    factor = jacobian @ pose[:3, :3].T @ rotation_matrices(rotations) * scales[:, None, :]
+    turned = pose[:3, :3].T @ rotation_matrices(rotations, unit=not convention.unit_rotations)
+    factor = jacobian @ turned * scales[:, None, :]
     covariance = factor @ factor.transpose(0, 2, 1)
     blurred = covariance + convention.low_pass * np.eye(2)
     (a, b), (_, c) = blurred.transpose(1, 2, 0)
@@ -341,7 +343,10 @@ def _norm(vectors: Array) -> Array:
 def _sh_directions(offset: Array, camera: Any, convention: Convention) -> Array:
     if convention.towards == "optical axis":
         return np.broadcast_to(_pose(camera)[:3, 2].astype(offset.dtype), offset.shape)
-    return offset / _norm(offset) * (1 if convention.towards == "gaussian" else -1)
+    directions: Array = offset / _norm(offset)
+    if convention.towards == "gaussian in the camera's frame":
+        return directions @ _pose(camera)[:3, :3]
+    return directions if convention.towards == "gaussian" else -directions
 
 
 def _clamped(colour: Array, convention: Convention) -> Array:

@@ -24,6 +24,7 @@ from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, as_cameras
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.documents import save_bytes
+from mi_splat.io.picture_files import check_texture
 from mi_splat.rasterization import layouts
 from mi_splat.rasterization.colour import develop, develop_backward
 from mi_splat.rasterization.frozen import aligned, buffer
@@ -56,6 +57,15 @@ def save_floats(channels: Mapping[str, NDArray[np.float32]], path: Path) -> None
     stream, planes = mi.MemoryStream(), np.stack(list(channels.values()), -1)
     mi.Bitmap(planes, mi.Bitmap.PixelFormat.MultiChannel, list(channels)).write(stream, mi.Bitmap.FileFormat.OpenEXR)
     save_bytes(bytes(stream.raw_buffer()), path)
+
+
+def load_floats(path: Path) -> dict[str, NDArray[np.float32]]:
+    """(H, W) channels of an OpenEXR file by their names."""
+    check_texture(path)
+    variant.use()
+    bitmap = mi.Bitmap(str(path))
+    planes = np.moveaxis(np.asarray(bitmap, dtype=np.float32), 2, 0)
+    return dict(zip((part.name for part in bitmap.struct_()), planes, strict=True))
 
 
 __all__ = ["Method", "RenderSettings", "Renderer", "ScreenGradients"]

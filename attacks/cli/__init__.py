@@ -34,6 +34,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "view": "interactive viewer: a splat or a result in the browser, clean beside attacked",
         "render": "render images or an animation of a splat",
         "compare": "compare renderers on one splat: images, gradients, time and memory",
+        "conform": "test a renderer or a converter against the definition of 3D Gaussian Splatting",
         "convert": "convert a splat file to another format",
         "select": "select one object of a splat, and check the selection",
     },
@@ -69,7 +70,7 @@ GROUPS: dict[str, dict[str, str]] = {
 }
 """What each command does, by task; a name with a flag is a mode of a command, with options of its own."""
 COMMANDS = {name: summary for group in GROUPS.values() for name, summary in group.items()}
-OF_SPLATS = ("capture", "prepare", "train", "render", "select", "info", "audit", "convert")
+OF_SPLATS = ("capture", "prepare", "train", "render", "select", "info", "audit", "conform", "convert")
 """Commands whose modules are in `mi_splat.cli`; those of the others are here."""
 WITHOUT_TORCH = ("detectors", "doctor", "gate", "info", "rows", "study")
 """Commands that do without torch, or with most of what they are asked."""

@@ -42,7 +42,7 @@ FAST = {
         "select",
         "train",
     ),
-    *("--help", "cloak --forecast"),
+    *("--help", "cloak --forecast", "conform", "conform --export"),
 }
 """Commands that are run by `make commands`, for every change."""
 NIGHTLY = {

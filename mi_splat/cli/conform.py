@@ -1,0 +1,399 @@
+"""`mi-splat conform`: whether a renderer or a converter of others does what 3D Gaussian Splatting defines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from mi_splat.cli.console import UsageError, progress, show_result, warn
+from mi_splat.cli.flags import Positional
+from mi_splat.cli.options import JsonOptions
+from mi_splat.errors import InvalidValueError
+from mi_splat.fields import Metavar, OutFolder
+
+if TYPE_CHECKING:
+    from mi_splat.cameras import Camera
+    from mi_splat.conformance import Cause, Setup, Witness
+    from mi_splat.oracle import Array, PinholeCamera, Splat
+
+EXAMPLES = (
+    "conform --list",
+    "conform --export out/conformance",
+    "conform YOUR_IMAGES",
+    "conform YOUR_IMAGES --format .spz --out out/report",
+    "conform --read YOUR_CONVERTED_FILES",
+)
+DIFFERS = 3
+"""Exit status where something does not conform."""
+_PSNR, _LARGEST = {8: 39.0, 32: 80.0}, {8: 0.06, 32: 1e-3}
+"""Least PSNR, dB, and largest difference of a channel at which an image conforms, by its bits; viewers that blend in 8
+bits reach 39 to 50 dB."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConformOptions(JsonOptions):
+    """Test a renderer against the definition of 3D Gaussian Splatting, and name what it does otherwise.
+
+    --export writes small splats, cameras, and for each the exact image and its gradients. Render every splat from its
+    camera, save the images as NAME.png or NAME.exr (with the values of the PNG, not linear ones), and pass their
+    folder: each is compared with the reference, and the likely causes of differences are found by fitting. The exit
+    status is 3 if something differs.
+    """
+
+    images: Positional[Path | None] = None
+    """Folder with the images of a renderer, called as the splats."""
+    list: bool = False
+    """List the splats and what each shows."""
+    export: Annotated[OutFolder | None, Metavar("FOLDER")] = None
+    """Write splats, cameras, reference images and gradients into a new folder."""
+    read: Path | None = None
+    """Folder with the splats in another format: compare their values with those exported."""
+    formats: tuple[str, ...] = (".ply",)
+    """Formats to export, for instance .ply .spz .sog .glb .splat."""
+    format: str = ".ply"
+    """Format that was rendered; what it cannot hold is not counted as an error."""
+    size: Literal[64, 256, 512] = 64
+    """Pixels on each side."""
+    model: Literal["tile", "ray"] = "tile"
+    """Reference: tile is the rasterised image of 3DGS; ray evaluates each Gaussian where it is densest along a ray."""
+    out: OutFolder | None = None
+    """Folder for a page with the images that differ, a table and result.json; nothing is written without it."""
+    force: bool = False
+    """Replace an older result in --out or --export."""
+
+
+def run(options: ConformOptions) -> int:
+    """List, export or compare."""
+    from mi_splat.conformance import witnesses
+
+    tasks = [options.images is not None, options.list, options.export is not None, options.read is not None]
+    if sum(tasks) != 1:
+        raise UsageError("expected one of a folder of images, --list, --export and --read: pass one of them")
+    every = {witness.name: witness for witness in witnesses(options.size)}
+    if options.list:
+        document = {"witnesses": [{"name": name, "fact": witness.fact} for name, witness in every.items()]}
+        show_result(document, *(f"{name:18}{witness.fact}" for name, witness in every.items()), as_json=options.json)
+        return 0
+    if options.export is not None:
+        return _export(options, options.export, every)
+    if options.read is not None:
+        return _compare_values(options, options.read, every)
+    return _compare_images(options, every)
+
+
+# ------------------------------------------------------------------------------------------------------------- export
+
+
+def _export(options: ConformOptions, out: Path, every: Mapping[str, Witness]) -> int:
+    from mi_splat.io.documents import save_json, save_text
+    from mi_splat.io.folders import new_folder
+
+    with progress("writing", len(every)) as advance, new_folder(out, force=options.force) as folder:
+        for part in ("splats", "images", "gradients"):
+            (folder / part).mkdir()
+        for name, witness in every.items():
+            advance(name)
+            _write_splat(witness.setup.stored, folder / "splats" / name, options.formats)
+            _write_reference(name, witness, options.model, folder)
+        _write_cameras(every, folder)
+        lines = [f"- `{name}`: {witness.fact}" for name, witness in every.items()]
+        save_text(
+            "\n".join(["# Witnesses of 3D Gaussian Splatting", "", _README, "", *lines, ""]), folder / "README.md"
+        )
+        settings = {"size": options.size, "model": options.model, "formats": list(options.formats)}
+        document = {"story": "conformance", **settings, "witnesses": [*every]}
+        save_json(document, folder / "result.json")
+    show_result({"out": str(out), **document}, f"{out}: {len(every)} splats with references", as_json=options.json)
+    return 0
+
+
+_README = """Public domain (CC0). `splats` have the files, padded to 256 Gaussians with others behind the camera.
+`images` have each reference as PNG and as EXR with 32-bit floats of the same values, alpha in channel A. `gradients`
+have, as NumPy archives, `on_image` (H, W, 3) and the derivatives of sum(on_image * image) by means, scales, rotations,
+opacities and sh, as values and not as the logarithms and logits of the file. Cameras: `cameras.json` has OpenCV poses
+(camera to world: x right, y down, z forward) and OpenGL matrices, column by column; the same cameras are in
+`transforms_train.json` and, for COLMAP, in `sparse/0`. The near plane is at a depth of 0.2."""
+
+
+def _write_splat(stored: Splat, path: Path, formats: tuple[str, ...]) -> None:
+    """Write a splat in every format; the PLY has the stored values to the bit."""
+    import numpy as np
+    from plyfile import PlyData, PlyElement
+
+    from mi_splat.io import load_splat
+    from mi_splat.io.ply import rest_names
+    from mi_splat.io.splat_files import write_splat_file
+
+    rest = stored.sh[:, 1:].transpose(0, 2, 1).reshape(len(stored.sh), -1)
+    columns = dict(zip("xyz", stored.means.T, strict=True))
+    columns |= {f"f_dc_{i}": stored.sh[:, 0, i] for i in range(3)}
+    columns |= dict(zip(rest_names(rest.shape[1]), rest.T, strict=True))
+    columns |= {"opacity": stored.opacities}
+    columns |= {f"scale_{i}": column for i, column in enumerate(stored.scales.T)}
+    columns |= {f"rot_{i}": column for i, column in enumerate(stored.rotations.T)}
+    rows = np.empty(len(rest), dtype=[(name, "<f4") for name in columns])
+    for name, column in columns.items():
+        rows[name] = column
+    ply = path.with_name(f"{path.name}.ply")
+    PlyData([PlyElement.describe(rows, "vertex")], byte_order="<").write(str(ply))
+    for suffix in formats:
+        if suffix != ".ply":
+            write_splat_file(load_splat(ply), path.with_name(path.name + suffix))
+    if ".ply" not in formats:
+        ply.unlink()
+
+
+def _write_reference(name: str, witness: Witness, model: str, folder: Path) -> None:
+    import numpy as np
+
+    from mi_splat.attributes import ATTRIBUTES
+    from mi_splat.io.documents import save_png
+    from mi_splat.oracle import gradients
+    from mi_splat.rendering import save_floats
+
+    image, alpha = _reference(witness.setup, model)
+    save_png(_bytes(image), folder / "images" / f"{name}.png")
+    planes = {**dict(zip("RGB", np.moveaxis(image, 2, 0), strict=True)), "A": alpha}
+    save_floats({key: plane.astype(np.float32) for key, plane in planes.items()}, folder / "images" / f"{name}.exr")
+    if model == "tile":
+        setup, on_image = witness.setup, np.random.default_rng(0).normal(size=image.shape)
+        found = gradients(setup.splat, setup.camera, on_image, background=setup.background)
+        by_name: Any = dict(zip(ATTRIBUTES, (values.astype(np.float32) for values in found), strict=True))
+        with (folder / "gradients" / f"{name}.npz").open("wb") as file:
+            np.savez_compressed(file, on_image=on_image, **by_name)
+
+
+def _write_cameras(every: Mapping[str, Witness], folder: Path) -> None:
+    from mi_splat.datasets.writing import list_colmap, list_transforms
+    from mi_splat.io.camera_records import describe
+    from mi_splat.io.documents import save_json
+
+    cameras = {name: _camera(witness.setup.camera) for name, witness in every.items()}
+    records = [
+        {**describe(name, camera), **_opengl(every[name].setup.camera), "background": every[name].setup.background}
+        for name, camera in cameras.items()
+    ]
+    save_json({"near": 0.2, "cameras": records}, folder / "cameras.json")
+    listing = {"train": [(f"{name}.png", camera) for name, camera in cameras.items()]}
+    list_transforms(folder, listing, None)
+    list_colmap(folder, listing, None)
+
+
+def _camera(view: PinholeCamera) -> Camera:
+    import torch
+
+    from mi_splat.cameras import Camera
+
+    return Camera(
+        to_world=torch.from_numpy(view.to_world),
+        focal=(view.fx, view.fy),
+        width=view.width,
+        height=view.height,
+        principal=(view.cx, view.cy),
+    )
+
+
+def _opengl(view: PinholeCamera) -> dict[str, list[float]]:
+    """View and projection matrices of OpenGL, column by column."""
+    import numpy as np
+
+    near, far = 0.2, 1000.0
+    projection = np.zeros((4, 4))
+    projection[0, [0, 2]] = 2 * view.fx / view.width, 1 - 2 * view.cx / view.width
+    projection[1, [1, 2]] = 2 * view.fy / view.height, 2 * view.cy / view.height - 1
+    projection[2, 2:] = -(far + near) / (far - near), -2 * far * near / (far - near)
+    projection[3, 2] = -1
+    inverse = np.linalg.inv(view.to_world @ np.diag([1.0, -1.0, -1.0, 1.0]))
+    return {"gl_view": inverse.T.ravel().tolist(), "gl_projection": projection.T.ravel().tolist()}
+
+
+# ------------------------------------------------------------------------------------------------------------- images
+
+
+def _compare_images(options: ConformOptions, every: Mapping[str, Witness]) -> int:
+    from mi_splat.conformance import find_deviations
+
+    assert options.images is not None
+    with progress("comparing") as advance:
+        given = dict(_images(options.images, every))
+        if missing := [name for name in every if name not in given]:
+            warn(f"no image of {', '.join(missing)}: these facts are not tested")
+        setups = {name: _as_read(every[name].setup, options.format) for name in given}
+        rows = []
+        for name, (image, bits) in given.items():
+            advance(name)
+            reference = _reference(setups[name], options.model)[0]
+            rows.append({"name": name, **_distance(image, reference, bits)})
+        images = {name: image for name, (image, _) in given.items() if image.shape[:2] == (options.size,) * 2}
+        advance("looking for causes")
+        causes = find_deviations(images, setups) if options.model == "tile" else []
+    found = [
+        {"switch": c.deviation.switch, "value": c.deviation.value, "kind": c.deviation.kind, "decibels": c.decibels}
+        for c in causes
+    ]
+    settings = {"size": options.size, "model": options.model, "format": options.format}
+    document = {"story": "conformance", "images": str(options.images), **settings, "witnesses": rows, "causes": found}
+    if options.out is not None:
+        _save_page(options, options.out, document, images, setups)
+    show_result(document, *_lines(rows, causes), as_json=options.json)
+    return 0 if all(row["conforms"] for row in rows) else DIFFERS
+
+
+def _images(folder: Path, every: Mapping[str, Witness]) -> Iterator[tuple[str, tuple[Array, int]]]:
+    """The images of a folder by witness, (H, W, 3) each, with their bits."""
+    import numpy as np
+
+    from mi_splat.io.picture_files import load_picture
+    from mi_splat.rendering import load_floats
+
+    found = [(name, folder / f"{name}{end}") for name in every for end in (".png", ".exr")]
+    found = [(name, path) for name, path in found if path.is_file()]
+    if not found:
+        expected, do = f"images such as {next(iter(every))}.png", "render what mi-splat conform --export writes"
+        raise InvalidValueError.of(str(folder), expected, "none", do)
+    for name, path in found:
+        if path.suffix == ".png":
+            yield name, (np.asarray(load_picture(path).convert("RGB"), dtype=np.float64) / 255, 8)
+        else:
+            planes = load_floats(path)
+            if not {*"RGB"} <= {*planes}:
+                raise InvalidValueError.of(str(path), "channels R, G and B", ", ".join(planes), "write an RGB image")
+            yield name, (np.stack([planes[channel] for channel in "RGB"], axis=2).astype(np.float64), 32)
+
+
+def _as_read(setup: Setup, suffix: str) -> Setup:
+    """The setup with what a format keeps of its splat."""
+    import tempfile
+
+    import numpy as np
+
+    from mi_splat.io import load_splat
+    from mi_splat.oracle import Splat
+
+    if suffix == ".ply":
+        return setup
+    with tempfile.TemporaryDirectory() as folder:
+        _write_splat(setup.stored, Path(folder) / "splat", (".ply", suffix))
+        values = Splat(
+            *(tensor.numpy().astype(np.float64) for tensor in load_splat(f"{folder}/splat{suffix}").tensors())
+        )
+    opacities = np.clip(values.opacities, 1e-9, 1 - 1e-9)
+    logits = np.log(opacities / (1 - opacities))
+    return replace(setup, stored=values._replace(scales=np.log(np.maximum(values.scales, 1e-30)), opacities=logits))
+
+
+def _reference(setup: Setup, model: str) -> tuple[Array, Array]:
+    """The image and alpha of the definition."""
+    from mi_splat.oracle import render_rays
+
+    if model == "ray":
+        return render_rays(setup.splat, setup.camera, background=setup.background)
+    return setup.render()[:2]
+
+
+def _distance(image: Array, reference: Array, bits: int) -> dict[str, Any]:
+    """How far an image is from its reference, as a screen shows both."""
+    import math
+
+    import numpy as np
+
+    from mi_splat.conformance import error
+
+    if image.shape != reference.shape:
+        got = f"{image.shape[1]} x {image.shape[0]} pixels"
+        return {"conforms": False, "psnr": None, "largest": None, "got": got}
+    psnr = -10 * math.log10(max(error(image, reference), 1e-12))
+    largest = float(np.abs(np.clip(image, 0, 1) - np.clip(reference, 0, 1)).max())
+    return {"conforms": psnr >= _PSNR[bits] and largest <= _LARGEST[bits], "psnr": psnr, "largest": largest}
+
+
+def _lines(rows: list[dict[str, Any]], causes: list[Cause]) -> list[str]:
+    lines = []
+    for row in rows:
+        verdict = "conforms" if row["conforms"] else "differs"
+        how = f"{row['psnr']:.1f} dB, at most {row['largest']:.3f}" if row["psnr"] is not None else row["got"]
+        lines.append(f"{row['name']:18}{verdict:10}{how}")
+    good = sum(row["conforms"] for row in rows)
+    lines.append(f"{good} of {len(rows)} images conform.")
+    for cause in causes:
+        switch, value, kind, _ = cause.deviation
+        lines.append(f"likely cause      {switch}: {value} ({kind}; explains {cause.decibels:.0f} dB over all images)")
+    if good < len(rows) and not causes:
+        lines.append("No known deviation explains the differences.")
+    return lines
+
+
+def _save_page(
+    options: ConformOptions,
+    out: Path,
+    document: dict[str, Any],
+    images: Mapping[str, Array],
+    setups: Mapping[str, Setup],
+) -> None:
+    """Write the table as Markdown, and for each image that differs image, reference and difference side by side."""
+    import numpy as np
+
+    from mi_splat.io.documents import save_json, save_png, save_text
+    from mi_splat.io.folders import new_folder
+
+    with new_folder(out, force=options.force) as folder:
+        lines = ["# Conformance", "", "| witness | | PSNR, dB | largest difference |", "|---|---|---|---|"]
+        for row in document["witnesses"]:
+            known = row["psnr"] is not None
+            figures = f"{row['psnr']:.1f} | {row['largest']:.3f}" if known else f"{row['got']} | "
+            lines.append(f"| {row['name']} | {'conforms' if row['conforms'] else '**differs**'} | {figures} |")
+        lines += ["", *(f"- {c['switch']}: {c['value']} ({c['decibels']:.0f} dB)" for c in document["causes"])]
+        for row in document["witnesses"]:
+            name = row["name"]
+            if not row["conforms"] and name in images:
+                reference = _reference(setups[name], options.model)[0]
+                trio = (images[name], reference, 4 * np.abs(images[name] - reference))
+                save_png(_bytes(np.concatenate(trio, axis=1)), folder / f"{name}.png")
+                lines += ["", f"{name}: image, reference, difference x 4", "", f"![{name}]({name}.png)"]
+        save_text("\n".join(lines) + "\n", folder / "conformance.md")
+        save_json(document, folder / "result.json")
+
+
+def _bytes(image: Array) -> Any:
+    import numpy as np
+
+    return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+
+
+# -------------------------------------------------------------------------------------------------------------- files
+
+
+def _compare_values(options: ConformOptions, folder: Path, every: Mapping[str, Witness]) -> int:
+    """Compare the values of converted files with those of the PLY."""
+    import tempfile
+
+    from mi_splat.cli.convert import differences
+    from mi_splat.io import load_splat
+    from mi_splat.io.splat_files import suffix_of
+
+    rows = list[dict[str, Any]]()
+    with tempfile.TemporaryDirectory() as made:
+        for name, witness in every.items():
+            files = [path for path in sorted(folder.glob(f"{name}.*")) if suffix_of(path.name)]
+            for path in files:
+                _write_splat(witness.setup.stored, Path(made) / name, (".ply",))
+                before, after = load_splat(f"{made}/{name}.ply"), load_splat(path)
+                if len(before) == len(after):
+                    rows.append({"name": name, "file": str(path), "largest_changes": differences(before, after)})
+                else:
+                    rows.append({"name": name, "file": str(path), "gaussians": [len(before), len(after)]})
+    if not rows:
+        expected, do = f"files such as {next(iter(every))}.spz", "convert what mi-splat conform --export writes"
+        raise InvalidValueError.of(str(folder), expected, "none", do)
+    lines = [f"{Path(row['file']).name:28}{_changes(row)}" for row in rows]
+    show_result({"files": rows}, *lines, as_json=options.json)
+    return 0 if all("largest_changes" in row for row in rows) else DIFFERS
+
+
+def _changes(row: dict[str, Any]) -> str:
+    if "gaussians" in row:
+        before, after = row["gaussians"]
+        return f"expected {before} Gaussians, got {after}"
+    return ", ".join(f"{name.partition(',')[0]} {value:.2g}" for name, value in row["largest_changes"].items())

@@ -1,0 +1,139 @@
+"""The witnesses of the 3DGS image: each wrong renderer shows in one of them, and its cause is found."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from attacks import cli
+from mi_splat.cli.conform import DIFFERS, _as_read
+from mi_splat.conformance import DEVIATIONS, Deviation, Setup, error, find_deviations, witnesses
+from mi_splat.datasets import load_dataset
+from mi_splat.io import load_splat
+from mi_splat.io.camera_records import recorded_cameras
+from mi_splat.io.documents import save_png
+from mi_splat.oracle import Array
+from mi_splat.rendering import Renderer, RenderSettings, load_floats
+
+SETUPS = {witness.name: witness.setup for witness in witnesses()}
+RIGHT = {name: setup.render().image for name, setup in SETUPS.items()}
+BY_NAME = {(deviation.switch, deviation.value): deviation for deviation in DEVIATIONS}
+
+
+def shown(setup: Setup, *deviations: Deviation) -> Array:
+    """The image of a renderer with deviations, in 8 bits."""
+    for deviation in DEVIATIONS:
+        setup = deviation.change(setup) if deviation in deviations else setup
+    image: Array = np.round(np.clip(setup.render().image, 0, 1) * 255) / 255
+    return image
+
+
+@pytest.mark.parametrize("deviation", DEVIATIONS, ids=lambda deviation: f"{deviation.switch}, {deviation.value}")
+def test_every_deviation_shows(deviation: Deviation) -> None:
+    images = ((deviation.change(setup).render().image, RIGHT[name]) for name, setup in SETUPS.items())
+    shows = (changed.shape != right.shape or error(changed, right) > 5e-6 for changed, right in images)
+    assert any(shows), "no witness shows it in 8 bits"
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [("order", "by distance, not by depth")],
+        [("largest alpha", "1"), ("quaternions", "conjugated")],
+        [
+            ("clamp of colours", "to 0 to 1"),
+            ("low-pass filter", "none"),
+            ("direction of SH", "from Gaussian to camera"),
+        ],
+    ],
+    ids=len,
+)
+def test_causes_are_found(names: list[tuple[str, str]]) -> None:
+    few = {name: SETUPS[name] for name in ("quaternion", "sh_1", "above_1", "order", "largest_alpha", "low_pass")}
+    images = {name: shown(setup, *(BY_NAME[key] for key in names)) for name, setup in few.items()}
+    found = find_deviations(images, few)
+    assert {(cause.deviation.switch, cause.deviation.value) for cause in found} == set(names)
+    assert [cause.decibels for cause in found] == sorted((cause.decibels for cause in found), reverse=True)
+
+
+def test_a_right_renderer_has_no_deviations() -> None:
+    few = {name: SETUPS[name] for name in ("quaternion", "order")}
+    assert find_deviations({name: shown(setup) for name, setup in few.items()}, few) == []
+
+
+def test_sizes_in_pixels_stay() -> None:
+    small, large = ({w.name: w.setup for w in witnesses(size)}["low_pass"] for size in (64, 256))
+    sizes = [np.exp(setup.stored.scales[:25].astype(float)) * setup.camera.fx for setup in (small, large)]
+    np.testing.assert_allclose(sizes[0], sizes[1], rtol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def pack(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("conformance") / "pack"
+    assert cli.main(["conform", "--export", str(folder), "--formats", ".ply", ".spz"]) == 0
+    return folder
+
+
+def test_our_renderer_conforms_from_the_exported_files(pack: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cameras = recorded_cameras(pack / "cameras.json")
+    assert cameras is not None
+    assert set(cameras) == set(SETUPS) == {path.stem for path in (pack / "splats").glob("*.ply")}
+    assert len(load_dataset(pack).cameras) == len(SETUPS)
+    for name in ("quaternion_length", "sh_layout", "background", "principal_point"):
+        splat = load_splat(pack / "splats" / f"{name}.ply")
+        image = Renderer(RenderSettings(background=SETUPS[name].background))(splat, cameras[name]).numpy()
+        exr = load_floats(pack / "images" / f"{name}.exr")
+        np.testing.assert_allclose(image, np.stack([exr[channel] for channel in "RGB"], axis=2), atol=1e-5)
+        gradients = np.load(pack / "gradients" / f"{name}.npz")
+        assert gradients["sh"].shape == tuple(splat.sh.shape)
+        assert np.isfinite(gradients["means"]).all()
+    capsys.readouterr()
+    assert cli.main(["conform", "--read", str(pack / "splats"), "--json"]) == 0
+    files = json.loads(capsys.readouterr().out)["files"]
+    assert len(files) == 2 * len(SETUPS)
+    assert max(row["largest_changes"]["opacity"] for row in files) < 0.01
+
+
+def test_images_of_a_wrong_viewer_are_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wrong = BY_NAME["order", "by distance, not by depth"]
+    (tmp_path / "images").mkdir()
+    for name in ("order", "quaternion"):
+        save_png((shown(SETUPS[name], wrong) * 255).round().astype(np.uint8), tmp_path / "images" / f"{name}.png")
+    save_png(np.zeros((8, 64, 3), dtype=np.uint8), tmp_path / "images" / "needles.png")
+    words = ["conform", str(tmp_path / "images"), "--out", str(tmp_path / "page")]
+    assert cli.main(words) == DIFFERS
+    said = capsys.readouterr()
+    assert "order             differs" in said.out
+    assert "quaternion        conforms" in said.out
+    assert "needles           differs   64 x 8 pixels" in said.out
+    assert "likely cause      order: by distance, not by depth (another choice; explains" in said.out
+    assert "no image of quaternion_length, activation" in said.err
+    assert (tmp_path / "page" / "order.png").is_file()
+    assert not (tmp_path / "page" / "quaternion.png").exists()
+    assert "| order | **differs** |" in (tmp_path / "page" / "conformance.md").read_text()
+
+
+def test_what_a_format_cannot_hold_is_no_error(tmp_path: Path) -> None:
+    kept = _as_read(SETUPS["sh_layout"], ".splat").render().image
+    save_png((np.clip(kept, 0, 1) * 255).round().astype(np.uint8), tmp_path / "sh_layout.png")
+    assert cli.main(["conform", str(tmp_path)]) == DIFFERS
+    assert cli.main(["conform", str(tmp_path), "--format", ".splat"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "expected one of a folder of images, --list, --export and --read"),
+        (["--list", "--read", "."], "pass one of them"),
+        (["EMPTY"], "expected images such as quaternion.png, got none; render what mi-splat conform --export writes"),
+        (["--read", "EMPTY"], "expected files such as quaternion.spz, got none"),
+        (["--export", "EMPTY/pack", "--formats", ".obj"], ".obj"),
+    ],
+)
+def test_bad_calls_say_what_to_do(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["conform", *(word.replace("EMPTY", str(tmp_path)) for word in words)]) in (1, 2)
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
