@@ -77,7 +77,6 @@ class SeenConfig(Setup):
 
 def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Write a row for each camera, and for each detection of held-out ones, of a `splat`, `pictures` or a `set`."""
-    look = _along_path if config.path else _training if config.training else _held_out
     setup = config.with_mesh(inputs)
     detector, done = checked_detector(config, inputs), itertools.count(1)
 
@@ -85,7 +84,7 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
         out.progress(f"{detector.name} looks", next(done), total)
         return observation_cells(config, seen, detector.classes)
 
-    look(config, setup, inputs, detector, cells, out)
+    (_training if config.training else _held_out)(config, setup, inputs, detector, cells, out)
 
 
 _Cells = Callable[[ViewDetections, int], dict[str, Cell]]
@@ -94,8 +93,12 @@ _Cells = Callable[[ViewDetections, int], dict[str, Cell]]
 def _held_out(
     config: SeenConfig, setup: Setup, inputs: Mapping[str, Path], detector: Detector, cells: _Cells, out: Out
 ) -> None:
-    """From held-out cameras; under a condition that is no street a row has the PSNR to what the victim sees there."""
-    cameras, errors = setup.held_out_cameras[:: config.every], dict[Camera, float | None]()
+    """From held-out cameras, or along the path without single detections.
+
+    Under a condition that is no street a row has the PSNR to what the victim sees there.
+    """
+    every = path_cameras(setup) if config.path else setup.held_out_cameras
+    cameras, errors = every[:: config.every], dict[Camera, float | None]()
     if "pictures" in inputs:
         pictures = dict(zip(cameras, read_pictures(inputs["pictures"]).images, strict=True))
         splat, condition = _NOTHING, rendered("", lambda scene, camera: pictures[camera])
@@ -111,7 +114,8 @@ def _held_out(
 
     looked = observe(condition, {"": splat}, cameras, [detector], boxes=setup.box, cells=of_view)
     detections = pl.concat([_NO_DETECTIONS, looked.detections], how="diagonal")
-    for name, table in ((ROWS, looked.rows), (DETECTIONS, detections)):
+    tables = {PATH: looked.rows} if config.path else {ROWS: looked.rows, DETECTIONS: detections}
+    for name, table in tables.items():
         kept = table.drop("splat", *(() if config.condition else ("condition",)), strict=False)
         write_rows(kept.with_columns(view=pl.col("view") * config.every), out / f"{name}{SUFFIX}")
 
@@ -123,18 +127,6 @@ def path_cameras(setup: Setup) -> list[Camera]:
     azimuths = _PATH_FROM + (_PATH_TO - _PATH_FROM) * turned**2 * (3.0 - 2.0 * turned)
     elevations = np.minimum(90.0 - np.abs(90.0 - along), 89.0)
     return [setup.camera(*map(float, direction)) for direction in zip(azimuths, elevations, strict=True)]
-
-
-def _along_path(
-    config: SeenConfig, setup: Setup, inputs: Mapping[str, Path], detector: Detector, cells: _Cells, out: Out
-) -> None:
-    """From the cameras of the path over the object, without single detections."""
-    cameras, splat = path_cameras(setup), load_splat(inputs["splat"])
-    usual = rendered("", setup.renderer())
-    looked = observe(
-        usual, {"": splat}, cameras, [detector], boxes=setup.box, cells=lambda seen: cells(seen, len(cameras))
-    )
-    write_rows(looked.rows.drop("splat", "condition"), out / f"{PATH}{SUFFIX}")
 
 
 def _training(

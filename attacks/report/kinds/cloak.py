@@ -266,16 +266,14 @@ def _doubts(summary: Record) -> Iterator[str]:
 
 def _along_path(tables: Tables, study: Record) -> Iterator[Chart]:
     """Confidence of each detector along the path over the object, on both splats."""
-    rows = tables.get(PATH, pl.DataFrame({"detector": []}))
-    wanted = [attack for attack in study["attack"] if attack["target_class"]]
-    for (detector,), seen in rows.group_by("detector", maintain_order=True):
-        lines: dict[str, tuple[Role, str, str]] = {
-            "clean (control)": ("control", CLEAN, "original_score"),
-            "cloaked": ("attack", ATTACKED, "original_score"),
-            **{
-                f"{one['target_class']}, cloaked": ("other", ATTACKED, f"{TARGET_SCORE}{one['name']}") for one in wanted
-            },
-        }
+    lines: dict[str, tuple[Role, str, str]] = {
+        "clean (control)": ("control", CLEAN, "original_score"),
+        "cloaked": ("attack", ATTACKED, "original_score"),
+    }
+    for one in study["attack"]:
+        if one["target_class"]:
+            lines[f"{one['target_class']}, cloaked"] = ("other", ATTACKED, f"{TARGET_SCORE}{one['name']}")
+    for (detector,), seen in tables[PATH].group_by("detector", maintain_order=True) if PATH in tables else ():
         top = seen.filter(pl.col("elevation") == pl.col("elevation").max())["view"].min()
         along = pl.when(pl.col("view") < top).then("elevation").otherwise(180 - pl.col("elevation"))
         yield Chart(
