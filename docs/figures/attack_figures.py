@@ -1,8 +1,9 @@
-"""Draws the figures of the attacks: `python docs/figures/attack_figures.py [FOLDER]`, by default into docs/images.
+"""Draws figures of the attacks: `python docs/figures/attack_figures.py [FOLDER [STUDY]]`, by default in docs/images.
 
 Each is one SVG of three parts, threat model, method and result, with pictures cut out of those in docs/images. It
 stands on a light ground of its own, so that it reads alike on light and dark pages. cloak.webp shows the pictures of
-cloak_stealthy.jpg along a path over the car one after the other, and cloak_path.png the confidence along it.
+cloak_stealthy.jpg along a path over the car one after the other, and cloak_path.png the confidence along it. With the
+folder of a study of CLOAK, cloak_ghost.jpg shows its splats every 5 degrees where the hidden appearance sets in.
 """
 
 import base64
@@ -17,8 +18,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from attacks.cloak.config import read_study
+from attacks.cloak.setup import Setup
 from attacks.observe.rows import read_rows
-from mi_splat.io.images import save_animation
+from mi_splat.io import load_splat
+from mi_splat.io.images import save_animation, to_bytes
 from mi_splat.io.picture_files import load_picture
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
@@ -331,14 +335,31 @@ def path() -> Figure:
     return figure
 
 
-def main(folder: Path) -> None:
+def ghost(study: Path) -> Image.Image:
+    """Clean above cloaked splat, every 5 degrees of elevation from 15 to 55."""
+    setup = Setup.of(read_study(study / "study.toml"))
+    cameras = [setup.camera(40.0, float(elevation)) for elevation in range(15, 60, 5)]
+    rows = []
+    for name in ("clean", "cloaked"):
+        scene, render = load_splat(study / f"{name}.ply"), setup.renderer()
+        rows.append(np.concatenate([to_bytes(render(scene, camera)) for camera in cameras], axis=1))
+    sheet = Image.fromarray(np.concatenate(rows)).resize((9 * 200, 2 * 200), Image.Resampling.LANCZOS)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(18)
+    for number, elevation in enumerate(range(15, 60, 5)):
+        draw.text((200 * number + 6, 376), f"{elevation} degrees", (255, 255, 255), font)
+    return sheet
+
+
+def main(folder: Path, study: Path | None = None) -> None:
     """Write every figure."""
     for name, figure in FIGURES.items():
         (folder / f"{name}.svg").write_text(figure().svg())
     save_animation(rising(), folder / "cloak.webp", fps=2.5)
     hero().save(folder / "hero.png", optimize=True)
     path().savefig(folder / "cloak_path.png")
+    if study is not None:
+        ghost(study).save(folder / "cloak_ghost.jpg", quality=88)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else IMAGES)
+    main(*map(Path, sys.argv[1:3] or [str(IMAGES)]))
