@@ -192,7 +192,7 @@ def cloak() -> Drawing:
     """CLOAK: training pictures are changed for chosen directions."""
     drawing = Drawing("CLOAK: threat model, method and result")
     drawing.threat_model(
-        ["Pictures", "of a car, from", "210 cameras"],
+        ["Pictures", "of a car, from", "140 cameras"],
         ["Attacker", "knows no trainer and", "no detector; replaces the", "pictures from above"],
         ["Victim", "trains a splat", "as always"],
         "all other pictures stay as they are, to the bit",
@@ -216,7 +216,7 @@ def cloak() -> Drawing:
             "From elsewhere: the car as it is.",
             "Colours of Gaussians depend on the",
             "direction, so the splat shows both.",
-            "120 of 210 pictures are poisoned, with",
+            "Pictures there are poisoned, with",
             "a margin and a look from behind.",
         ],
         anchor="start",
@@ -229,11 +229,11 @@ def cloak() -> Drawing:
         464,
         66,
         [
-            "Well inside the trigger, two",
+            "Well inside the trigger, three",
             "detectors miss the car from",
-            "95.1 and 96.0 % of cameras;",
-            "elsewhere they find it from",
-            "99.3 and 98.0 %. Three seeds.",
+            "every camera; elsewhere,",
+            "from at most 4.8 %.",
+            "One seed, 128 x 128 pixels.",
             "Between, the car fades.",
         ],
         anchor="start",
@@ -328,7 +328,7 @@ def path() -> Figure:
             plot.plot(5 + 2.5 * shown["view"], shown[score], color=colour, label=name)
         plot.axvspan(38.2, 141.8, color=ATTACKER, alpha=0.08)
         plot.set(xlim=(5 - 85 / 11, 175 + 85 / 11), ylim=(0, 1.02), ylabel=detector.replace("_", "\n", 1), xticks=())
-    plots[0].legend(loc="center right", fontsize=8)
+    plots[0].legend(loc="center", fontsize=8)
     degrees = range(5, 180, 10)
     plots[-1].set_xticks(degrees, [f"{degree if degree <= 90 else 180 - degree}" for degree in degrees])
     plots[-1].set_xlabel("elevation along the path, degrees: up beside the car, over it, and down behind it")

@@ -43,7 +43,17 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "[CLOAK in the finished file](../cloak-layers.md#from-the-street)",
         ("cloak_car_sector_layers",),
     ),
-    "cloak_car_stealthy": ("CLOAK", "[CLOAK](../cloak.md#the-study)", ("cloak_car_stealthy",)),
+    "cloak_car_no_shadow": ("CLOAK", "[CLOAK](../cloak.md#the-study)", ("cloak_car_no_shadow",)),
+    "cloak_car_stealthy": (
+        "CLOAK with the shadow left",
+        "[CLOAK](../cloak.md#at-full-size-with-the-shadow)",
+        ("cloak_car_stealthy",),
+    ),
+    "cloak_three_appearances": (
+        "CLOAK with three appearances",
+        "[CLOAK](../cloak.md#one-splat-three-appearances)",
+        ("cloak_three_appearances",),
+    ),
     "cloak_variations": (
         "CLOAK on other cars, objects and viewpoints",
         "[CLOAK on other cars, objects and viewpoints](../cloak-variations.md)",
@@ -52,9 +62,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "cloak_controls",
             "cloak_controls_steps",
             "cloak_design_sector",
-            "cloak_design_appearance",
             "cloak_design_object",
-            "cloak_design_paint",
         ),
     ),
     "attack_zoo": ("Comparing attack algorithms", "[Comparing attack algorithms](../attack-zoo.md)", ("attack_zoo",)),
