@@ -67,10 +67,10 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "attack_zoo": ("Comparing attack algorithms", "[Comparing attack algorithms](../attack-zoo.md)", ("attack_zoo",)),
     "dagger": ("DAGGER", "[DAGGER](../dagger.md)", ("dagger",)),
-    "dagger_strict": (
-        "DAGGER with the original class suppressed",
-        "[DAGGER](../dagger.md#suppressing-the-original-class)",
-        ("dagger_strict", "dagger_strict_smallest", "dagger_strict_forty"),
+    "dagger_cameras": (
+        "DAGGER from cameras drawn by seed",
+        "[DAGGER](../dagger.md#six-pairs-at-cameras-drawn-by-seed)",
+        ("dagger_cameras", "dagger_code"),
     ),
     "dagger_eot": (
         "DAGGER from many viewpoints",

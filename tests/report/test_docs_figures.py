@@ -12,9 +12,8 @@ from typing import Any
 import polars as pl
 import pytest
 
-from attacks.objectives import LEFT, REPORTED
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
-from attacks.rate import pooled
+from attacks.rate import Rate, pooled
 from attacks.report.checking import Result, check_result, flat, in_words, read_result
 from attacks.report.results import kind_of, read_section
 from tests.project.documented_commands import ROOT
@@ -163,19 +162,24 @@ def summed(rates: Iterable[Mapping[str, int]], *, share: bool = False) -> str:
     return f"{100 * rate.fraction:.1f} %" if share else rate.short()
 
 
-def from_one_view(detector: str) -> tuple[str, str]:
-    """Attacks that replace the own class where the detector finds the clean object, and noise."""
-    result = result_of("dagger_strict")
-    parts = ("The paper's ball and steps", "Detectors trained on COCO, on which a score of 0.5 counts")
-    attacks = {key: attack for key, attack in result.record["attacks"].items() if attack["part"] in parts}
-    rows = result.tables[ROWS].filter(pl.col("attack").is_in(set(attacks)), detector=detector)
-    recalled = rows.filter(pl.col("original_score") >= LEFT, splat=CLEAN).select("attack", "view")
-    attacked = rows.filter(splat=ATTACKED).join(recalled, on=("attack", "view"))
-    least = REPORTED if detector in OUR else 0.5
-    reported = pl.col("target_score") >= least
-    noise = rows.filter(splat=NOISE)
-    strict = attacked.filter(reported, pl.col("original_score") < LEFT)
-    return f"{len(strict)}/{len(attacked)}", f"{len(noise.filter(reported))}/{len(noise)}"
+def from_one_view(detector: str, *, pair: str | None = None) -> Mapping[str, Any]:
+    """What attacks from drawn cameras have reached on a detector, and their noise."""
+    record = result_of("dagger_cameras").record
+    lines = record["together"] if pair is None else record["groups"]
+    (line,) = (one for one in lines if one["labels"] == {"detectors": detector, **({"pair": pair} if pair else {})})
+    return line
+
+
+def test_the_table_of_drawn_cameras_is_counted_from_its_rows() -> None:
+    text = (ROOT / "docs" / "dagger.md").read_text()
+    pairs = dict.fromkeys(group["labels"]["pair"] for group in result_of("dagger_cameras").record["groups"])
+    for name in ("yolov8n_small", "nanodet_coco", "fasterrcnn_small"):
+        line = from_one_view(name)
+        cells = [Rate.of(from_one_view(name, pair=pair)["strict"]).short() for pair in pairs]
+        cells += [Rate.of(line["strict"]).short(interval=True), Rate.of(line["success"]).short()]
+        cells += [Rate.of(line["controls"][NOISE][key]).short() for key in ("strict", "lost")]
+        decibels = f"{line['psnr_object']:.1f}, {line['controls'][NOISE]['psnr_object']:.1f}"
+        assert f"| `{name}` | {' | '.join([*cells, decibels])} |" in text
 
 
 def from_a_moving_camera(detector: str) -> tuple[str, str]:
@@ -213,17 +217,17 @@ def grown(part: str, value: str, measure: str) -> str:
 def test_readme_says_what_the_rows_give() -> None:
     text = " ".join((ROOT / "README.md").read_text().split())
     rcnn, yolo = OUR
-    one = {name: from_one_view(name) for name in (*OUR, "nanodet_coco", "centernet_coco")}
+    one = {name: summed([from_one_view(name)["strict"]]) for name in (*OUR, "nanodet_coco")}
+    noise = summed(from_one_view(name)["controls"][NOISE]["strict"] for name in one)
     moving = {name: from_a_moving_camera(name) for name in (rcnn, "nanodet_coco")}
     audit = json.loads((ROOT / "docs" / "tables" / "audit.json").read_text())
     found = summed([audit["figures"]["parts"]["all"]["found"]])
     alarms = summed([audit["figures"]["false_alarms"]])
     drop = result_of("cloak_car_no_shadow").record["stealth"]["object_psnr_drop"]
     layers, poisoned = "cloak_car_layers", "cloak_car_no_shadow"
-    assert {noise for _, noise in one.values()} == {"0/90"}
     for sentence in (
-        f"`{yolo}` {one[yolo][0]}, NanoDet {one['nanodet_coco'][0]}, CenterNet {one['centernet_coco'][0]}, "
-        f"`{rcnn}` {one[rcnn][0]} | noise of the same norm: 0/90 for each detector",
+        f"`{yolo}` {one[yolo]}, NanoDet {one['nanodet_coco']}, `{rcnn}` {one[rcnn]} | "
+        f"noise that changes the object as much: {noise}",
         f"NanoDet {moving['nanodet_coco'][0]}, `{rcnn}` {moving[rcnn][0]} held-out views | "
         f"noise of the same norm: {moving['nanodet_coco'][1]}, {moving[rcnn][1]}",
         f"car missed from {missed(poisoned, 'ssd_openimages')} (SSD), {missed(poisoned, yolo)} (`{yolo}`), "
