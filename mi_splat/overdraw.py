@@ -23,7 +23,7 @@ from mi_splat.rasterization.pinhole import KernelCamera, Pinhole
 from mi_splat.rasterization.stages import projected
 from mi_splat.scene import GaussianScene, check_scene
 
-Layers = NDArray[np.int64]
+Layers = NDArray[np.int32]
 """(rows, columns) numbers of Gaussians on the lists of the tiles of a picture, `TILE` x `TILE` pixels each."""
 
 
@@ -42,7 +42,7 @@ def overdraw(scene: GaussianScene, cameras: Sequence[Camera], *, near: float) ->
             size = dr.opaque(mi.Int32, camera.width), dr.opaque(mi.Int32, camera.height)
             hole = Pinhole(camera=camera, near=near).for_kernels()
             run(count_edges, layouts.TENSORS, sh_terms(arrays), arrays, index, size, hole, edges)
-        yield edges.numpy().reshape(rows, columns + 1).astype(np.int64).cumsum(axis=1)[:, :-1]
+        yield edges.numpy().reshape(rows, columns + 1).cumsum(axis=1, dtype=np.int32)[:, :-1]
 
 
 def count_edges(

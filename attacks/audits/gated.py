@@ -36,7 +36,7 @@ def run(config: GateConfig, inputs: Mapping[str, Path], out: Out) -> list[Row]:
     rows: list[Row] = []
     for row in _rows(config, inputs, out):
         rows.append({**{"claim": "", "rule": "", "severity": "", "reason": "", "judged": True}, **row})
-        if not row.get("rule"):  # a claim is done
+        if row["claim"] in ("cost", "edits") and not row.get("rule"):  # before what takes long
             save_json({"rows": rows}, out.partial / ROWS)
     return rows
 
@@ -54,13 +54,14 @@ def _rows(config: GateConfig, inputs: Mapping[str, Path], out: Out) -> Iterator[
         yield {"claim": "readable", "rule": "unreadable", "severity": "error", "reason": unread}
         yield {"claim": "readable"}
         return
-    yield from _found(document(None, lint), ())
+    account = document(None, lint)
+    yield from _found(account, ())
     known = {"fingerprint": fingerprint(stored.arrays), "gaussians": lint.gaussians} if stored is not None else {}
     yield {"claim": "readable", **known}
     if stored is None:
         return
     yield from ({"claim": claim} for claim in ("numbers", "cost"))
-    yield from _looks(config, stored.scene, lint, out)
+    yield from _looks(config, stored.scene, lint, account, out)
     if "clean" in inputs:
         yield from _provenance(stored.scene, inputs["clean"])
 
@@ -74,7 +75,7 @@ def _found(document: Mapping[str, Any], known: Iterable[str]) -> Iterator[Row]:
             yield {"claim": claim, "rule": rule, "severity": severity, "reason": reason}
 
 
-def _looks(config: GateConfig, scene: GaussianScene, lint: Lint, out: Out) -> Iterator[Row]:
+def _looks(config: GateConfig, scene: GaussianScene, lint: Lint, account: dict[str, Any], out: Out) -> Iterator[Row]:
     """What the audit finds in a splat that can be rendered."""
     unjudged, judged = "", None
     errors = [item.rule for item in lint.findings if item.severity == "error"]
@@ -85,7 +86,8 @@ def _looks(config: GateConfig, scene: GaussianScene, lint: Lint, out: Out) -> It
             judged = audit(sampled(scene, config.most_gaussians))
         except MiSplatError as error:
             unjudged = " ".join(str(error).split())
-    account = document(judged, lint, unjudged=unjudged)
+    if judged or unjudged:
+        account = document(judged, lint, unjudged=unjudged)
     save_json(account, out / RESULT)
     if judged is None:
         yield from ({"claim": claim, "judged": False, "reason": unjudged} for claim in ("hidden appearance", "edits"))

@@ -16,7 +16,6 @@ EXAMPLES = (
     "bench fasterrcnn_small",
     "bench fasterrcnn_small --weights YOUR.safetensors --out out/bench/mine",
     "bench fasterrcnn_small --defence .spz",
-    "bench --audit docs/tables/audit.json",
     "bench --rescore out/bench/v1/fasterrcnn_small",
     "bench --check docs/bench/v1/fasterrcnn_small/row.json",
 )
@@ -41,8 +40,6 @@ class BenchOptions(JobOptions):
     """File with weights of the detector; None takes the shipped or published ones."""
     defence: Annotated[str, Metavar("CONDITION")] | None = None
     """What comes before the detector: a condition, as "SH of degree 1", "JPEG 60" or that of a plug-in."""
-    audit: Path | None = None
-    """Rank the audit and its baselines by a result of `study run scenes/studies/audit.toml`; nothing else is done."""
     columns: tuple[str, ...] = ()
     """Columns to do now; none does all. The row has those that are done."""
     store: OutFolder = Path("out/store")
@@ -60,12 +57,8 @@ def run(options: BenchOptions) -> int:
     """Do what is asked for; the exit status is 1 if a job has failed."""
     from attacks.bench.row import markdown
     from attacks.bench.suite import check_row
-    from attacks.studies.audit import audit_rows, audit_table
 
-    if options.audit:
-        audits = audit_rows(options.audit)
-        show_result({"rows": audits}, audit_table(audits), as_json=options.json)
-    elif options.check or options.rescore:
+    if options.check or options.rescore:
         rows = [check_row(path) for path in options.check]
         rows += [rescored(options.rescore)] if options.rescore else []
         show_result({"rows": rows}, markdown(rows), as_json=options.json)

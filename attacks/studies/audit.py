@@ -28,21 +28,18 @@ from attacks.rate import Rate, number
 from attacks.studies.cloak import config_of
 from attacks.studies.running import Attempt, Observed, Work, copied
 from attacks.studies.study_file import Point, Study
-from attacks.tables import Column, Table, cell, markdown, number_at
+from attacks.tables import Column, Table, cell, number_at
 from mi_splat.audit.files import PAIR
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.folders import RECORD
-from mi_splat.io.parsing import DocumentReader, read_json
+from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Job, Part
 from mi_splat.ledger.plans import Result
 from mi_splat.training.resume import SPLAT
 
 STORY, PAIRS, AUDIT = "audit-study", "pairs", "the audit"
-HIDES, FALSE_ALARMS = 0.5, 0.1
-"""Share of the trigger's cameras from which every detector has to miss the object of a splat that hides something, and
-share of honest splats that may be called hidden, where audits are compared by what they find."""
+HIDES = 0.5
+"""Share of the trigger's cameras from which every detector has to miss the object of a splat that hides something."""
 _KINDS, _DRAWS = "attacks.audits", 2000
-_READER = DocumentReader(expected="a result of a study of the audit", do="run the study scenes/studies/audit.toml")
 
 Row = Mapping[str, Any]
 
@@ -243,8 +240,16 @@ def figures(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, Any]:
         "honest": len(honest),
         "false_alarms": Rate(successes=sum(value >= 1 for value in honest), total=len(honest)).as_dict(),
         "parts": {name: _figures(group, honest) for name, group in hiding.items() if group and honest},
-        "rivals": {row["audit"]: row["auroc"] for row in ranked(rows, chosen_on) if row["audit"] != AUDIT},
+        "rivals": rivals([row for row in held if not row["derived"]]),
     }
+
+
+def rivals(rows: Sequence[Row]) -> dict[str, float]:
+    """How well every baseline ranks splats (area under the ROC curve)."""
+    hiding, honest = ([row["scores"] for row in kind(rows) if "scores" in row] for kind in (positives, negatives))
+    if not hiding or not honest:
+        return {}
+    return {name: ranked_above(*([scores[name] for scores in kind] for kind in (hiding, honest))) for name in hiding[0]}
 
 
 def _figures(group: Sequence[Row], honest: Sequence[float]) -> dict[str, Any]:
@@ -297,66 +302,3 @@ def _failed(rows: Sequence[Row]) -> list[Row]:
 
 def _area(row: Row) -> str:
     return "{:.3f} ({:.3f} to {:.3f})".format(row["auroc"], *row["interval"])
-
-
-# Audits that are compared with each other (`mi-splat bench --audit`)
-
-
-def audit_rows(path: Path) -> list[dict[str, Any]]:
-    """The row of the audit and of each other way to find a hidden look, the best one first.
-
-    Contents on which the audit was chosen are left out, and so are splats that were changed afterwards.
-    """
-    record = _READER.read_json(path / RECORD if path.is_dir() else path)
-    if record.get("story") != STORY:
-        raise InvalidValueError.of(str(path), "a study of the audit", str(record.get("story")), "pass another result")
-    if not (rows := ranked(record["files"], record["chosen_on"])):
-        raise InvalidValueError.of(str(path), "splats of both kinds", "one kind or none", "run all parts of the study")
-    return sorted(rows, key=lambda row: -row["auroc"])
-
-
-def _held(rows: Sequence[Row], chosen_on: Sequence[str]) -> list[Row]:
-    return [row for row in rows if row["content"] not in chosen_on and not row["derived"]]
-
-
-def ranked(rows: Sequence[Row], chosen_on: Sequence[str]) -> list[dict[str, Any]]:
-    """How well the audit and each other way rank splats of contents that the audit was not chosen on."""
-    held = _held(rows, chosen_on)
-    hiding, honest = positives(held), negatives(held)
-    names = (AUDIT, *held[0].get("scores", ())) if hiding and honest else ()
-    return [_audit_row(name, hiding, honest) for name in names]
-
-
-def _audit_row(name: str, hiding: Sequence[Row], honest: Sequence[Row]) -> dict[str, Any]:
-    high, low = (
-        [float(row["evidence"] if name == AUDIT else row["scores"][name]) for row in rows] for rows in (hiding, honest)
-    )
-    allowed = int(FALSE_ALARMS * len(low))
-    threshold = sorted(low, reverse=True)[allowed] if allowed < len(low) else min(low)
-    seconds = [row["seconds"][name] for row in (*hiding, *honest) if "seconds" in row]
-    return {
-        "audit": name,
-        "auroc": ranked_above(high, low),
-        "interval": list(interval(high, low)),
-        "finds": _above(high, threshold).as_dict(),
-        "false_alarms": _above(low, threshold).as_dict(),
-        "seconds": sum(seconds) / len(seconds) if seconds else None,
-    }
-
-
-def _above(values: Sequence[float], threshold: float) -> Rate:
-    return Rate(successes=sum(value > threshold for value in values), total=len(values))
-
-
-def audit_table(rows: Sequence[Row]) -> str:
-    """Rows of audits as a table."""
-    heads: dict[str, Column[Any]] = {
-        "rank": "rank",
-        "what looks at the file": "audit",
-        "AUROC": _area,
-        "finds": "finds",
-        "false alarms": "false_alarms",
-        "CPU seconds a file": number_at("seconds", form=".1f"),
-    }
-    table = Table.of("", heads, [{"rank": rank, **row} for rank, row in enumerate(rows, 1)])
-    return markdown(table.head, table.rows) + "\n"

@@ -111,7 +111,6 @@ def write_pages(app: Sphinx) -> None:
     from detector_figures import compared_page, table_page
 
     from attacks.bench.row import defences, markdown
-    from attacks.studies.audit import audit_rows, audit_table
     from mi_splat.io.parsing import read_json
 
     docs = Path(app.srcdir)
@@ -125,11 +124,6 @@ def write_pages(app: Sphinx) -> None:
     for name, title, text in (
         ("bench_v1", "Robustness benchmark: rows of detectors", markdown([row for row in rows if not row["defence"]])),
         ("bench_v1_defences", "Robustness benchmark: rows of defences", defences(rows)),
-        (
-            "bench_audits",
-            "Robustness benchmark: rows of audits",
-            audit_table(audit_rows(docs / "tables" / "audit.json")),
-        ),
     ):
         _write(docs / "tables" / f"{name}.md", f"# {title}\n\n{text}")
     for name in study_tables.STUDIES:

@@ -202,6 +202,8 @@ class Child:
             return self.run(task, on_event, cores=cores)
         answer = self._answer(process, self._limits, tell)
         if isinstance(answer, Outcome):
+            if self._limits.megabytes is not None and memory_of(process.pid) > self._limits.megabytes / 2:
+                self.close()  # what a process keeps of one task must not count against the next
             return answer
         self.close()
         if self._stopped is not None:
@@ -257,6 +259,8 @@ class Child:
                     if isinstance(answer, Outcome):
                         return answer
                     tell(answer)
+                    if answer.state == "running":  # what the process imported before is not the task's
+                        started = time.monotonic()
             except (EOFError, OSError):
                 return self._end(process)
             if self._stopped is not None and time.monotonic() - self._stopped > _GRACE:

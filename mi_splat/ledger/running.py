@@ -99,7 +99,6 @@ def input_paths(store: Store, task: Task) -> dict[str, Path]:
 
 def _make(store: Store, task: Task, on_event: OnEvent) -> None:
     """Do a job, and write down a failure."""
-    on_event(Event(state="running", key=task.key, kind=task.kind))
     started = time.monotonic()
     try:
         _run(store, task, on_event)
@@ -130,6 +129,7 @@ def _run(store: Store, task: Task, on_event: OnEvent) -> None:
     def note(text: str) -> None:
         on_event(Event(state="note", key=task.key, kind=task.kind, text=text))
 
+    on_event(Event(state="running", key=task.key, kind=task.kind))
     with store.making(task.key) as (temporary, partial):
         started, cpu = time.monotonic(), time.process_time()
         out = Out(files=temporary / "files", kept=partial, progress=progress, note=note)

@@ -41,31 +41,26 @@ PASSED = [row(claim) for claim in CLAIMS[:-1]]
 
 
 @pytest.mark.parametrize(
-    ("rules", "found", "claim", "verdict"),
+    ("rules", "found", "verdict"),
     [
-        ({}, row("numbers", "giant", "warning"), "accept", "accept"),
-        ({"giant": "refuse"}, row("numbers", "giant", "warning"), "refuse", "refuse"),
-        ({"warning": "quarantine"}, row("numbers", "giant", "warning"), "quarantine", "quarantine"),
-        ({"error": "quarantine"}, row("cost", "overdraw", "error"), "quarantine", "quarantine"),
-        ({}, row("hidden appearance", "hidden-look", "error"), "refuse", "refuse"),
-        ({}, row("hidden appearance", "suspicious-look", "warning"), "quarantine", "quarantine"),
-        ({}, row("hidden appearance", "occluder", "error"), "refuse", "refuse"),
-        ({}, row("edits", judged=False, reason="too few"), "not judged", "not judged"),
-        ({}, row("provenance", "changed", "warning"), "not judged", "quarantine"),
+        ({}, row("numbers", "giant", "warning"), "accept"),
+        ({"giant": "refuse"}, row("numbers", "giant", "warning"), "refuse"),
+        ({"warning": "quarantine"}, row("numbers", "giant", "warning"), "quarantine"),
+        ({"error": "quarantine"}, row("cost", "overdraw", "error"), "quarantine"),
+        ({}, row("hidden appearance", "hidden-look", "error"), "refuse"),
+        ({}, row("hidden appearance", "suspicious-look", "warning"), "quarantine"),
+        ({}, row("hidden appearance", "occluder", "error"), "refuse"),
+        ({}, row("edits", judged=False, reason="too few"), "not judged"),
     ],
 )
-def test_a_policy_says_what_follows_from_a_finding(
-    rules: dict[str, Any], found: dict[str, Any], claim: str, verdict: str
-) -> None:
-    kept = [one for one in PASSED if one["claim"] != found["claim"] or found["rule"]]
-    told = Policy(rules=rules).verdict([*kept, found])
-    if found["claim"] != "provenance":
-        assert told["claims"][found["claim"]]["verdict"] == claim
-        assert told["verdict"] == verdict
-    assert Policy().verdict(PASSED)["verdict"] == "accept"
+def test_a_policy_says_what_follows_from_a_finding(rules: Any, found: dict[str, Any], verdict: str) -> None:
+    rest = [one for one in PASSED if one["claim"] != found["claim"] or found["rule"]]
+    told = Policy(rules=rules).verdict([*rest, found])
+    assert told["verdict"] == told["claims"][found["claim"]]["verdict"] == verdict
 
 
 def test_what_was_not_judged_is_no_pass() -> None:
+    assert Policy().verdict(PASSED)["verdict"] == "accept"
     told = Policy().verdict(PASSED[:3])
     assert told["verdict"] == told["claims"]["hidden appearance"]["verdict"] == "not judged"
     assert Policy(claims=CLAIMS[:3]).verdict(PASSED[:3])["verdict"] == "accept"
@@ -147,9 +142,6 @@ def test_every_line_has_a_verdict_and_a_hostile_file_takes_none_with_it(
     assert {name: one["verdict"] for name, one in told.items()} == expected
     assert told["hostile.ply"]["error"] == "ended by SIGKILL"
     assert told["broken.ply"]["claims"]["numbers"]["reasons"][0]["rule"] == "not-finite"
-    assert told["text.ply"]["claims"]["numbers"]["verdict"] == "not judged"
-    assert told["heavy.ply"]["claims"]["cost"]["verdict"] == "refuse"
-    assert len(told["fine.ply"]["sha256"]) == 64
     (log,) = json.loads(sarif.read_text())["runs"]
     assert "lint/not-finite" in {result["ruleId"] for result in log["results"]}
     assert len(log["artifacts"]) == len(expected)
@@ -175,8 +167,6 @@ def test_appearances_and_provenance_are_judged(
         assert told["clean.ply"]["verdict"] == told["clean.ply"]["claims"]["provenance"]["verdict"] == "accept"
         assert told["hidden.ply"]["claims"]["hidden appearance"]["verdict"] == told["hidden.ply"]["verdict"] == verdict
         assert told["hidden.ply"]["claims"]["provenance"]["verdict"] == "quarantine"
-        record = json.loads(Path(told["hidden.ply"]["record"]).read_text())
-        assert record["thresholds"]["excess"] == told["hidden.ply"]["thresholds"]["excess"]
 
 
 def test_a_policy_that_cannot_be_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

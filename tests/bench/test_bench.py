@@ -17,7 +17,6 @@ from attacks.detectors.catalogue import SMALL_WEIGHTS
 from attacks.detectors.registry import CHOSEN_WEIGHTS
 from attacks.observe.rows import read_rows
 from attacks.studies import attack as attack_kind
-from attacks.studies.audit import FALSE_ALARMS, audit_rows
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.folders import write_manifest
 from mi_splat.ledger import engines
@@ -261,32 +260,6 @@ def test_a_hidden_suite_has_other_seeds_and_the_same_digest(suite: Path, tmp_pat
         read_suite(f"{suite}-hidden")
     with pytest.raises(InvalidValueError, match="secret"):
         read_suite(str(suite), tmp_path / "secret")
-
-
-def test_audits_are_ranked_by_a_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rows = audit_rows(ROOT / "docs" / "tables" / "audit.json")
-    assert [row["audit"] for row in rows][:2] == ["the audit", "band 2"]
-    assert rows[0]["auroc"] == pytest.approx(0.958, abs=1e-3)
-    assert all(row["false_alarms"]["rate"] <= FALSE_ALARMS for row in rows)
-    assert rows[0]["seconds"] is None
-    files = [
-        {"splat": splat, "hides": splat == "cloaked", "content": "tv", "derived": False, "evidence": evidence}
-        | {"scores": {"band 1": -evidence}, "seconds": {"the audit": 3.0, "band 1": 1.0}}
-        for splat, evidence in (("cloaked", 2.0), ("cloaked", 0.1), ("clean", 0.2))
-    ]
-    (tmp_path / "result.json").write_text(json.dumps({"story": "audit-study", "chosen_on": ["car"], "files": files}))
-    assert [(row["audit"], row["auroc"], row["seconds"]) for row in audit_rows(tmp_path)] == [
-        ("the audit", 0.5, 3.0),
-        ("band 1", 0.5, 1.0),
-    ]
-    assert audit_rows(tmp_path)[0]["finds"]["successes"] == 1
-    assert cli.main(["bench", "--audit", str(tmp_path)]) == 0
-    assert "| 1 | the audit | 0.500" in capsys.readouterr().out
-    for broken in ({"story": "study"}, {"files": files[:2]}):
-        record = {"story": "audit-study", "chosen_on": [], "files": files, **broken}
-        (tmp_path / "result.json").write_text(json.dumps(record))
-        with pytest.raises(InvalidValueError, match=r"a study of the audit|both kinds"):
-            audit_rows(tmp_path)
 
 
 @pytest.mark.parametrize(
