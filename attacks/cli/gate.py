@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import io
 import json
 import shutil
 import sys
@@ -15,11 +16,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from attacks.cli.study import JobOptions, engine_of
-from mi_splat.audit.gate import CLAIMS, RESULT, ROWS, GateConfig, Policy
+from mi_splat.audit.gate import ACTIONS, CLAIMS, RESULT, ROWS, GateConfig, Policy
 from mi_splat.cli.console import show
 from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.fields import OutFile, OutFolder, decode
+from mi_splat.fields import OutFile, OutFolder, check_choice, decode
 from mi_splat.io.parsing import DocumentReader
 
 if TYPE_CHECKING:
@@ -108,18 +109,26 @@ def run(options: GateOptions) -> int:
 
 
 def _policy(options: GateOptions) -> Policy:
+    from mi_splat.audit.rules import ADDED, RULES
+
     reader = DocumentReader(expected="a policy as TOML", do="see mi-splat help gate")
     table = {} if options.policy is None else reader.read_toml(options.policy)
     policy = decode(Policy, table, str(options.policy))
+    known = [*ACTIONS, "hidden-look", "overdraw", "render-mode", "unreadable", *(rule.name for rule in RULES), *ADDED]
+    for name in policy.rules:
+        if not name.startswith("gltf-"):
+            check_choice(f"rules in {options.policy}", name, known)
     return replace(policy, claims=CLAIMS[:3]) if options.only else policy
 
 
 def _requests(files: Sequence[Path]) -> Iterator[Request]:
     """What is to be judged: the files, or what standard input names; a line that names none has its reason."""
     yield from ({"file": str(path)} for path in files)
+    if isinstance(sys.stdin, io.TextIOWrapper):
+        sys.stdin.reconfigure(errors="surrogateescape")  # a line that is no UTF-8 is one line
     for line in filter(str.strip, sys.stdin) if not files else ():
         try:
-            value = _LINES.json_value(line.encode(), "standard input")
+            value = _LINES.json_value(line.encode("utf-8", "surrogateescape"), "standard input")
             request = {"file": value} if isinstance(value, str) else value
             if not isinstance(request, dict) or "file" not in request or not request.keys() <= {"file", "against"}:
                 raise _LINES.broken("standard input", line.strip()[:80])

@@ -170,6 +170,10 @@ def test_appearances_and_provenance_are_judged(
 
 
 def test_a_policy_that_cannot_be_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "p.toml").write_text('[rules]\ngiant = "reject"\n')
-    assert cli.main(["gate", "a.ply", "--policy", str(tmp_path / "p.toml")]) == 1
-    assert "expected one of accept, quarantine, refuse, got reject" in capsys.readouterr().err
+    for rule, says in (
+        ('giant = "reject"', "accept, quarantine, refuse, got reject"),
+        ('giants = "refuse"', "got giants"),
+    ):
+        (tmp_path / "p.toml").write_text(f"[rules]\n{rule}\n")
+        assert cli.main(["gate", "a.ply", "--policy", str(tmp_path / "p.toml")]) == 1
+        assert says in capsys.readouterr().err
