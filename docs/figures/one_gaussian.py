@@ -73,7 +73,7 @@ def draw(scene: GaussianScene, row: int, cameras: list[Camera], render: Renderer
     from matplotlib import pyplot
 
     figure = pyplot.figure(figsize=(11, 7.3))
-    rows = figure.add_gridspec(4, 5, height_ratios=(4, 4, 0.8, 2.6), hspace=0.34, wspace=0.05)
+    rows = figure.add_gridspec(4, 5, height_ratios=(4, 4, 0.8, 2.6), hspace=0.55, wspace=0.05)
     for column, view in enumerate(cameras):
         picture, outline = render(scene, view).clamp(0, 1), border(scene, row, view)
         middle = outline.mean(0)
