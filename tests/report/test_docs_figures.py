@@ -165,7 +165,7 @@ def summed(rates: Iterable[Mapping[str, int]], *, share: bool = False) -> str:
 def from_one_view(detector: str, *, pair: str | None = None) -> Mapping[str, Any]:
     """What attacks from drawn cameras have reached on a detector, and their noise."""
     record = result_of("dagger_cameras").record
-    lines = record["together"] if pair is None else record["groups"]
+    lines: list[Mapping[str, Any]] = record["together"] if pair is None else record["groups"]
     (line,) = (one for one in lines if one["labels"] == {"detectors": detector, **({"pair": pair} if pair else {})})
     return line
 

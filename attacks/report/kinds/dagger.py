@@ -361,9 +361,8 @@ def _noise(line: Record, key: str) -> Record:
     """The control of a rate of a group or of looks."""
     if key == "success":
         return {"successes": line["noise_successes"], "total": line["noise_draws"]}
-    if key == "strict":
-        return line["controls"].get(NOISE, {}).get(key, {"successes": 0, "total": 0})
-    control: Record = line[f"noise_{key}"]
+    nothing = {"successes": 0, "total": 0}
+    control: Record = line["controls"].get(NOISE, {}).get(key, nothing) if key == "strict" else line[f"noise_{key}"]
     return control
 
 
