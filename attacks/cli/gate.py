@@ -124,9 +124,7 @@ def _policy(options: GateOptions) -> Policy:
 def _requests(files: Sequence[Path]) -> Iterator[Request]:
     """What is to be judged: the files, or what standard input names; a line that names none has its reason."""
     yield from ({"file": str(path)} for path in files)
-    if isinstance(sys.stdin, io.TextIOWrapper):
-        sys.stdin.reconfigure(errors="surrogateescape")  # a line that is no UTF-8 is one line
-    for line in filter(str.strip, sys.stdin) if not files else ():
+    for line in filter(str.strip, _input_lines()) if not files else ():
         try:
             value = _LINES.json_value(line.encode("utf-8", "surrogateescape"), "standard input")
             request = {"file": value} if isinstance(value, str) else value
@@ -135,6 +133,14 @@ def _requests(files: Sequence[Path]) -> Iterator[Request]:
             yield {key: str(text) for key, text in request.items()}
         except MiSplatError as error:
             yield {"file": line.strip()[:80], "error": str(error)}
+
+
+def _input_lines() -> Iterator[str]:
+    """Lines of standard input; one that is no UTF-8 is a line, too."""
+    if isinstance(sys.stdin, io.TextIOWrapper):
+        yield from (line.decode("utf-8", "surrogateescape") for line in sys.stdin.buffer)
+    else:
+        yield from sys.stdin
 
 
 def _judged(request: Request, policy: Policy, engine: Engine, folder: Path) -> Line:

@@ -114,11 +114,23 @@ def run(
 ) -> tuple[int, dict[str, dict[str, Any]]]:
     """Exit status, and the verdict on each file that standard input names."""
     monkeypatch.setattr(gate, "engine_of", lambda options, on_event: Kills(options.store))
-    monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
+    given = io.TextIOWrapper(
+        io.BytesIO(b"read before\n" + b"left\n" * (not lines) + "".join(f"{line}\n" for line in lines).encode())
+    )
+    given.buffer.readline() if lines else given.readline()  # text that was read before is read for good
+    monkeypatch.setattr("sys.stdin", given)
     status = cli.main(["gate", "--json", "--strict", "--store", str(tmp_path / "store"), *words])
     told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert len(told) == len(lines)
+    assert len(told) == (len(lines) or len([word for word in words if word.endswith(".ply")]))
     return status, {Path(one["file"]).name: one for one in told}
+
+
+def test_files_of_the_command_line_need_no_standard_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_splat(cloud(), tmp_path / "fine.ply")
+    _, told = run(capsys, monkeypatch, tmp_path, [], str(tmp_path / "fine.ply"), "--only", "lint")
+    assert told["fine.ply"]["verdict"] == "accept"
 
 
 def test_every_line_has_a_verdict_and_a_hostile_file_takes_none_with_it(
