@@ -129,7 +129,8 @@ def test_files_of_the_command_line_need_no_standard_input(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     save_splat(cloud(), tmp_path / "fine.ply")
-    _, told = run(capsys, monkeypatch, tmp_path, [], str(tmp_path / "fine.ply"), "--only", "lint")
+    status, told = run(capsys, monkeypatch, tmp_path, [], str(tmp_path / "fine.ply"), "--only", "lint")
+    assert status == 0
     assert told["fine.ply"]["verdict"] == "accept"
 
 
