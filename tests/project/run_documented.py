@@ -118,7 +118,7 @@ def small_scenes(folder: Path) -> None:
     """The scenes, with studies of CLOAK that are done in a minute or two."""
     shutil.copytree(ROOT / "scenes", folder)
     fewer: dict[str, float] = {
-        "train": 60,
+        "train": 56,
         "size": 64,
         "samples": 2,
         "points": 1500,
