@@ -225,7 +225,7 @@ def gradients(
         on_alpha: (H, W) derivative of a loss by alpha.
         on_depth: (H, W) derivative of a loss by the mean depth.
         background: (3,) colour behind all Gaussians.
-        convention: Choices of the renderer; colours have to be clamped below 0.
+        convention: Choices of the renderer.
     """
     projected, values = project(splat, camera, convention), Splat(*_arrays(splat))
     depth, centre, conic, opacity, colour = (np.zeros(array.shape) for array in projected[:5])
@@ -248,7 +248,10 @@ def gradients(
         opacity[i] = on.sum() / projected.opacity[i] if projected.opacity[i] else 0.0
         conic[i] = -0.5 * np.einsum("hw,hwi,hwj->ij", on, offset, offset)
         centre[i] = projected.conic[i] @ np.einsum("hw,hwi->i", on, offset)
-    by_colour = colour * (projected.colour > 0)
+    free = (projected.colour > 0) | (convention.clamp == "none")
+    if convention.clamp == "outside 0 to 1":
+        free &= projected.colour < 1
+    by_colour = colour * free
     by_sh = np.zeros(values.sh.shape)
     by_sh[:, : projected.basis.shape[1]] = projected.basis[..., None] * by_colour[:, None]
     found = [by_sh]

@@ -43,15 +43,15 @@ def run(config: GateConfig, inputs: Mapping[str, Path], out: Out) -> list[Row]:
 
 def _rows(config: GateConfig, inputs: Mapping[str, Path], out: Out) -> Iterator[Row]:
     """Findings of one claim after the other, each ended by a row without a rule."""
-    path, stored = inputs["splat"], None
+    path, stored, unread = inputs["splat"], None, ""
     try:
         stored = load_stored(path)
     except SplatFileError as error:
         unread = str(error)
     try:
         lint = lint_file(path, stored)
-    except SplatFileError:
-        yield {"claim": "readable", "rule": "unreadable", "severity": "error", "reason": unread}
+    except SplatFileError as error:
+        yield {"claim": "readable", "rule": "unreadable", "severity": "error", "reason": unread or str(error)}
         yield {"claim": "readable"}
         return
     account = document(None, lint)

@@ -377,9 +377,11 @@ def _compare_values(options: ConformOptions, folder: Path, every: Mapping[str, W
     with tempfile.TemporaryDirectory() as made:
         for name, witness in every.items():
             files = [path for path in sorted(folder.glob(f"{name}.*")) if suffix_of(path.name)]
-            for path in files:
+            if files:
                 _write_splat(witness.setup.stored, Path(made) / name, (".ply",))
-                before, after = load_splat(f"{made}/{name}.ply"), load_splat(path)
+                before = load_splat(f"{made}/{name}.ply")
+            for path in files:
+                after = load_splat(path)
                 if len(before) == len(after):
                     rows.append({"name": name, "file": str(path), "largest_changes": differences(before, after)})
                 else:

@@ -27,11 +27,12 @@ def test_importing_the_oracle_needs_numpy_alone() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
 
 
-@pytest.mark.parametrize("compensated", [False, True])
-def test_gradients_are_central_differences(compensated: bool) -> None:
+@pytest.mark.parametrize("choices", [{}, {"compensated": True}, {"clamp": "none"}, {"clamp": "outside 0 to 1"}])
+def test_gradients_are_central_differences(choices: dict[str, Any]) -> None:
     splat, rng = random_splat(25, degree=2, seed=11), np.random.default_rng(0)
     on_image, on_alpha, on_depth = rng.normal(size=(17, 23, 3)), rng.normal(size=(17, 23)), rng.normal(size=(17, 23))
-    convention = oracle.Convention(compensated=compensated)
+    convention = oracle.Convention(**choices)
+    splat = splat._replace(sh=splat.sh * 4)  # so that some colours are clamped
 
     def loss(moved: oracle.Splat) -> float:
         image, alpha, depth, _ = oracle.render(moved, SMALL, background=BACKGROUND, convention=convention)
