@@ -1,8 +1,8 @@
-"""Whether a renderer makes the image of 3D Gaussian Splatting, and what it does otherwise; NumPy alone.
+"""Whether a renderer makes the image of 3D Gaussian Splatting, and what it does differently; NumPy alone.
 
-A `Witness` is a small splat whose image shows one fact of the definition in `mi_splat.oracle`. A `Deviation` is one
-thing that renderers and readers do otherwise. `find_deviations` explains images: it searches for the deviations under
-which the oracle makes them. `assert_renders_like_3dgs` is for tests.
+A `ConformanceScene` is a small splat whose image shows one fact of the definition in `mi_splat.oracle`. A `Deviation`
+is one thing that renderers and readers do differently. `find_deviations` explains images: it searches for the
+deviations under which the oracle makes them. `assert_renders_like_3dgs` is for tests.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Setup:
 
 
 class Deviation(NamedTuple):
-    """What a renderer or a reader does otherwise."""
+    """What a renderer or a reader does differently."""
 
     switch: str  # of all with the same one, at most one holds
     value: str
@@ -198,7 +198,7 @@ def find_deviations(images: Mapping[str, Array], setups: Mapping[str, Setup], *,
     the deviation that explained most.
 
     Args:
-        images: (H, W, 3) by the name of their witness.
+        images: (H, W, 3) by the name of their scene.
         setups: Of every image, what makes its reference.
         most: Deviations that are combined at most.
     """
@@ -247,11 +247,11 @@ def find_deviations(images: Mapping[str, Array], setups: Mapping[str, Setup], *,
     return sorted(causes, key=lambda cause: -cause.decibels)
 
 
-# ---------------------------------------------------------------------------------------------------------- witnesses
+# ---------------------------------------------------------------------------------------------------------- scenes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Witness:
+class ConformanceScene:
     """A splat and a camera whose image shows one fact."""
 
     name: str
@@ -309,18 +309,20 @@ def _padded(stored: Splat, camera: PinholeCamera) -> Splat:
     return Splat(*(np.concatenate(pair) for pair in zip(stored, more, strict=True)))
 
 
-def witnesses(size: int = 64) -> list[Witness]:
-    """All witnesses at images of `size` x `size` pixels.
+def conformance_scenes(size: int = 64) -> list[ConformanceScene]:
+    """All scenes at images of `size` x `size` pixels.
 
     Sizes that matter in pixels, as of the low-pass filter, stay the same in pixels.
     """
     rng, pixel = np.random.default_rng(1), 64 / size
     camera = look_at(EYE, (0, 0, 0), focal=1.2 * size, width=size, height=size)
-    found: list[Witness] = []
+    found: list[ConformanceScene] = []
 
     def add(name: str, fact: str, stored: Splat, view: PinholeCamera = camera, **more: Any) -> None:
         apart = stored if more.pop("as_they_are", False) else stored._replace(means=_float(_apart(stored.means, view)))
-        found.append(Witness(name=name, fact=fact, setup=Setup(stored=_padded(apart, view), camera=view, **more)))
+        found.append(
+            ConformanceScene(name=name, fact=fact, setup=Setup(stored=_padded(apart, view), camera=view, **more))
+        )
 
     three, colours = _grid(3, 0.8, camera), rng.uniform(0.3, 1, (9, 3))
     unit = rng.normal(size=(9, 4))
@@ -328,7 +330,7 @@ def witnesses(size: int = 64) -> list[Witness]:
     long = np.tile([0.3, 0.11, 0.05], (9, 1))
     add(
         "quaternion",
-        "Nine ellipsoids, each turned otherwise; quaternions are w, x, y, z and turn the Gaussian into the world.",
+        "Nine ellipsoids, each turned differently; quaternions are w, x, y, z and turn the Gaussian into the world.",
         _stored(three, long, rotations=unit, colours=colours, opacities=0.95),
     )
     add(

@@ -15,7 +15,7 @@ from mi_splat.fields import Metavar, OutFolder
 
 if TYPE_CHECKING:
     from mi_splat.cameras import Camera
-    from mi_splat.conformance import Cause, Setup, Witness
+    from mi_splat.conformance import Cause, ConformanceScene, Setup
     from mi_splat.oracle import Array, PinholeCamera, Splat
 
 EXAMPLES = (
@@ -34,7 +34,7 @@ bits reach 39 to 50 dB."""
 
 @dataclass(frozen=True, kw_only=True)
 class ConformOptions(JsonOptions):
-    """Test a renderer against the definition of 3D Gaussian Splatting, and name what it does otherwise.
+    """Test a renderer against the definition of 3D Gaussian Splatting, and name what it does differently.
 
     --export writes small splats, cameras, and for each the exact image and its gradients. Render every splat from its
     camera, save the images as NAME.png or NAME.exr (with the values of the PNG, not linear ones), and pass their
@@ -66,15 +66,15 @@ class ConformOptions(JsonOptions):
 
 def run(options: ConformOptions) -> int:
     """List, export or compare."""
-    from mi_splat.conformance import witnesses
+    from mi_splat.conformance import conformance_scenes
 
     tasks = [options.images is not None, options.list, options.export is not None, options.read is not None]
     if sum(tasks) != 1:
         raise UsageError("expected one of a folder of images, --list, --export and --read: pass one of them")
-    every = {witness.name: witness for witness in witnesses(options.size)}
+    every = {scene.name: scene for scene in conformance_scenes(options.size)}
     if options.list:
-        document = {"witnesses": [{"name": name, "fact": witness.fact} for name, witness in every.items()]}
-        show_result(document, *(f"{name:18}{witness.fact}" for name, witness in every.items()), as_json=options.json)
+        document = {"scenes": [{"name": name, "fact": scene.fact} for name, scene in every.items()]}
+        show_result(document, *(f"{name:18}{scene.fact}" for name, scene in every.items()), as_json=options.json)
         return 0
     if options.export is not None:
         return _export(options, options.export, every)
@@ -86,24 +86,25 @@ def run(options: ConformOptions) -> int:
 # ------------------------------------------------------------------------------------------------------------- export
 
 
-def _export(options: ConformOptions, out: Path, every: Mapping[str, Witness]) -> int:
+def _export(options: ConformOptions, out: Path, every: Mapping[str, ConformanceScene]) -> int:
     from mi_splat.io.documents import save_json, save_text
     from mi_splat.io.folders import new_folder
 
     with progress("writing", len(every)) as advance, new_folder(out, force=options.force) as folder:
         for part in ("splats", "images", "gradients"):
             (folder / part).mkdir()
-        for name, witness in every.items():
+        for name, scene in every.items():
             advance(name)
-            _write_splat(witness.setup.stored, folder / "splats" / name, options.formats)
-            _write_reference(name, witness, options.model, folder)
+            _write_splat(scene.setup.stored, folder / "splats" / name, options.formats)
+            _write_reference(name, scene, options.model, folder)
         _write_cameras(every, folder)
-        lines = [f"- `{name}`: {witness.fact}" for name, witness in every.items()]
+        lines = [f"- `{name}`: {scene.fact}" for name, scene in every.items()]
         save_text(
-            "\n".join(["# Witnesses of 3D Gaussian Splatting", "", _README, "", *lines, ""]), folder / "README.md"
+            "\n".join(["# Conformance scenes for 3D Gaussian Splatting", "", _README, "", *lines, ""]),
+            folder / "README.md",
         )
         settings = {"size": options.size, "model": options.model, "formats": list(options.formats)}
-        document = {"story": "conformance", **settings, "witnesses": [*every]}
+        document = {"story": "conformance", **settings, "scenes": [*every]}
         save_json(document, folder / "result.json")
     show_result({"out": str(out), **document}, f"{out}: {len(every)} splats with references", as_json=options.json)
     return 0
@@ -145,7 +146,7 @@ def _write_splat(stored: Splat, path: Path, formats: tuple[str, ...]) -> None:
         ply.unlink()
 
 
-def _write_reference(name: str, witness: Witness, model: str, folder: Path) -> None:
+def _write_reference(name: str, scene: ConformanceScene, model: str, folder: Path) -> None:
     import numpy as np
 
     from mi_splat.attributes import ATTRIBUTES
@@ -153,24 +154,24 @@ def _write_reference(name: str, witness: Witness, model: str, folder: Path) -> N
     from mi_splat.oracle import gradients
     from mi_splat.rendering import save_floats
 
-    image, alpha = _reference(witness.setup, model)
+    image, alpha = _reference(scene.setup, model)
     save_png(_bytes(image), folder / "images" / f"{name}.png")
     planes = {**dict(zip("RGB", np.moveaxis(image, 2, 0), strict=True)), "A": alpha}
     save_floats({key: plane.astype(np.float32) for key, plane in planes.items()}, folder / "images" / f"{name}.exr")
     if model == "tile":
-        setup, on_image = witness.setup, np.random.default_rng(0).normal(size=image.shape)
+        setup, on_image = scene.setup, np.random.default_rng(0).normal(size=image.shape)
         found = gradients(setup.splat, setup.camera, on_image, background=setup.background)
         by_name: Any = dict(zip(ATTRIBUTES, (values.astype(np.float32) for values in found), strict=True))
         with (folder / "gradients" / f"{name}.npz").open("wb") as file:
             np.savez_compressed(file, on_image=on_image, **by_name)
 
 
-def _write_cameras(every: Mapping[str, Witness], folder: Path) -> None:
+def _write_cameras(every: Mapping[str, ConformanceScene], folder: Path) -> None:
     from mi_splat.datasets.writing import list_colmap, list_transforms
     from mi_splat.io.camera_records import describe
     from mi_splat.io.documents import save_json
 
-    cameras = {name: _camera(witness.setup.camera) for name, witness in every.items()}
+    cameras = {name: _camera(scene.setup.camera) for name, scene in every.items()}
     records = [
         {**describe(name, camera), **_opengl(every[name].setup.camera), "background": every[name].setup.background}
         for name, camera in cameras.items()
@@ -212,7 +213,7 @@ def _opengl(view: PinholeCamera) -> dict[str, list[float]]:
 # ------------------------------------------------------------------------------------------------------------- images
 
 
-def _compare_images(options: ConformOptions, every: Mapping[str, Witness]) -> int:
+def _compare_images(options: ConformOptions, every: Mapping[str, ConformanceScene]) -> int:
     from mi_splat.conformance import find_deviations
 
     assert options.images is not None
@@ -234,15 +235,15 @@ def _compare_images(options: ConformOptions, every: Mapping[str, Witness]) -> in
         for c in causes
     ]
     settings = {"size": options.size, "model": options.model, "format": options.format}
-    document = {"story": "conformance", "images": str(options.images), **settings, "witnesses": rows, "causes": found}
+    document = {"story": "conformance", "images": str(options.images), **settings, "scenes": rows, "causes": found}
     if options.out is not None:
         _save_page(options, options.out, document, images, setups)
     show_result(document, *_lines(rows, causes), as_json=options.json)
     return 0 if all(row["conforms"] for row in rows) else DIFFERS
 
 
-def _images(folder: Path, every: Mapping[str, Witness]) -> Iterator[tuple[str, tuple[Array, int]]]:
-    """The images of a folder by witness, (H, W, 3) each, with their bits."""
+def _images(folder: Path, every: Mapping[str, ConformanceScene]) -> Iterator[tuple[str, tuple[Array, int]]]:
+    """The images of a folder by scene, (H, W, 3) each, with their bits."""
     import numpy as np
 
     from mi_splat.io.picture_files import load_picture
@@ -339,13 +340,13 @@ def _save_page(
     from mi_splat.io.folders import new_folder
 
     with new_folder(out, force=options.force) as folder:
-        lines = ["# Conformance", "", "| witness | | PSNR, dB | largest difference |", "|---|---|---|---|"]
-        for row in document["witnesses"]:
+        lines = ["# Conformance", "", "| scene | | PSNR, dB | largest difference |", "|---|---|---|---|"]
+        for row in document["scenes"]:
             known = row["psnr"] is not None
             figures = f"{row['psnr']:.1f} | {row['largest']:.3f}" if known else f"{row['got']} | "
             lines.append(f"| {row['name']} | {'conforms' if row['conforms'] else '**differs**'} | {figures} |")
         lines += ["", *(f"- {c['switch']}: {c['value']} ({c['decibels']:.0f} dB)" for c in document["causes"])]
-        for row in document["witnesses"]:
+        for row in document["scenes"]:
             name = row["name"]
             if not row["conforms"] and name in images:
                 reference = _reference(setups[name], options.model)[0]
@@ -365,7 +366,7 @@ def _bytes(image: Array) -> Any:
 # -------------------------------------------------------------------------------------------------------------- files
 
 
-def _compare_values(options: ConformOptions, folder: Path, every: Mapping[str, Witness]) -> int:
+def _compare_values(options: ConformOptions, folder: Path, every: Mapping[str, ConformanceScene]) -> int:
     """Compare the values of converted files with those of the PLY."""
     import tempfile
 
@@ -375,10 +376,10 @@ def _compare_values(options: ConformOptions, folder: Path, every: Mapping[str, W
 
     rows = list[dict[str, Any]]()
     with tempfile.TemporaryDirectory() as made:
-        for name, witness in every.items():
+        for name, scene in every.items():
             files = [path for path in sorted(folder.glob(f"{name}.*")) if suffix_of(path.name)]
             if files:
-                _write_splat(witness.setup.stored, Path(made) / name, (".ply",))
+                _write_splat(scene.setup.stored, Path(made) / name, (".ply",))
                 before = load_splat(f"{made}/{name}.ply")
             for path in files:
                 after = load_splat(path)

@@ -1,4 +1,4 @@
-"""The witnesses of the 3DGS image: each wrong renderer shows in one of them, and its cause is found."""
+"""The scenes of the 3DGS image: each wrong renderer shows in one of them, and its cause is found."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 
 from attacks import cli
 from mi_splat.cli.conform import DIFFERS, _as_read
-from mi_splat.conformance import DEVIATIONS, Deviation, Setup, error, find_deviations, witnesses
+from mi_splat.conformance import DEVIATIONS, Deviation, Setup, conformance_scenes, error, find_deviations
 from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
 from mi_splat.io.camera_records import recorded_cameras
@@ -16,7 +16,7 @@ from mi_splat.io.documents import save_png
 from mi_splat.oracle import Array
 from mi_splat.rendering import Renderer, RenderSettings, load_floats
 
-SETUPS = {witness.name: witness.setup for witness in witnesses()}
+SETUPS = {scene.name: scene.setup for scene in conformance_scenes()}
 RIGHT = {name: setup.render().image for name, setup in SETUPS.items()}
 BY_NAME = {(deviation.switch, deviation.value): deviation for deviation in DEVIATIONS}
 
@@ -33,7 +33,7 @@ def shown(setup: Setup, *deviations: Deviation) -> Array:
 def test_every_deviation_shows(deviation: Deviation) -> None:
     images = ((deviation.change(setup).render().image, RIGHT[name]) for name, setup in SETUPS.items())
     shows = (changed.shape != right.shape or error(changed, right) > 5e-6 for changed, right in images)
-    assert any(shows), "no witness shows it in 8 bits"
+    assert any(shows), "no scene shows it in 8 bits"
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_a_right_renderer_has_no_deviations() -> None:
 
 
 def test_sizes_in_pixels_stay() -> None:
-    small, large = ({w.name: w.setup for w in witnesses(size)}["low_pass"] for size in (64, 256))
+    small, large = ({w.name: w.setup for w in conformance_scenes(size)}["low_pass"] for size in (64, 256))
     sizes = [np.exp(setup.stored.scales[:25].astype(float)) * setup.camera.fx for setup in (small, large)]
     np.testing.assert_allclose(sizes[0], sizes[1], rtol=1e-5)
 
