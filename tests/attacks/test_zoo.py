@@ -13,9 +13,20 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
 from attacks.detectors.base import Candidates
 from attacks.objectives import relabel
-from attacks.optimisers import OPTIMISERS, NormName, optimiser_spec
+from attacks.optimisers import NORM_NAMES, OPTIMISERS, NormName, optimiser_spec
 from attacks.optimisers.methods import SearchSettings, apgd, checkpoints, square
-from attacks.search import Budget, Evaluation, OptimiserState, Outcome, Parameters, Verdict, pgd, rank
+from attacks.search import (
+    Budget,
+    Evaluation,
+    Hooks,
+    OptimiserState,
+    Outcome,
+    Parameters,
+    SearchState,
+    Verdict,
+    pgd,
+    rank,
+)
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 NAMES = tuple(OPTIMISERS)
@@ -56,6 +67,17 @@ def test_a_restart_draws_anew_and_a_radius_of_zero_moves_nothing(name: str) -> N
     assert (runs[0] != runs[1]) == (not optimiser_spec(name).gradient)
     still = run(name, settings(radius={"sh": 0.0, "means": 0.0}))
     assert all(torch.equal(still.parameters[key], REFERENCE[key]) for key in REFERENCE)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_attack_gains_in_each_norm_and_resumes_as_if_it_had_not_stopped(name: str) -> None:
+    for norm in NORM_NAMES:
+        outcome = run(name, settings(norm))
+        assert outcome.best.loss < outcome.trace[0].loss
+    states: list[SearchState] = []
+    whole = run(name, settings("l2"), hooks=Hooks(on_state=states.append))
+    rest = run(name, settings("l2"), starts=states[len(states) // 2])
+    assert [line.loss for line in rest.trace] == [line.loss for line in whole.trace]
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if OPTIMISERS[name].gradient and name != "fgsm"])

@@ -22,7 +22,7 @@ from attacks.detectors.catalogue import (
 )
 from attacks.detectors.torchvision import published_weights
 from attacks.detectors.weights import FrozenModel, apply_weights, read_weights
-from tests.detectors.contract import random_detector
+from tests.detectors.contract import check_detector, random_detector
 from tests.fakes import ColourDetector
 from tests.plug_ins.distribution import install, on_path
 
@@ -194,3 +194,8 @@ def test_weights_of_another_kind_of_number_are_refused() -> None:
     state = {"weight": torch.ones(1, 2, dtype=torch.int64), "bias": torch.zeros(1)}
     with pytest.raises(DetectorError, match=r"float32, got weight of torch\.int64"):
         apply_weights(torch.nn.Linear(2, 1), state, "a file")
+
+
+@pytest.mark.slow
+def test_the_shipped_detector_keeps_the_contract() -> None:
+    check_detector(load_detector("fasterrcnn_small"))

@@ -15,8 +15,7 @@ from torch import Tensor, nn
 from attacks.detectors import DetectorError, load_detector
 from attacks.detectors.catalogue import COCO_CLASSES
 from attacks.detectors.weights import keep_gradients_right
-from attacks.testing import check_detector
-from tests.detectors.contract import pictures, slope_is_the_gradient
+from tests.detectors.contract import check_detector, pictures, slope_is_the_gradient
 
 try:
     from attacks.detectors import transformers as adapter

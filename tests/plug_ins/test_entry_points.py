@@ -28,10 +28,8 @@ from attacks.report.results import read_section
 from attacks.studies.attack import Attack
 from attacks.studies.dagger import _objective
 from attacks.studies.look import Look
-from attacks.testing.attacks import _views
-from attacks.testing.promises import cloud
-from attacks.testing.renderers import _camera
 from mi_splat.audit.linting import lint_scene
+from mi_splat.cameras import View
 from mi_splat.comparison.methods import RENDERERS, load_method
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.ledger.job import decoded, encoded
@@ -163,7 +161,7 @@ def test_looking_at_names_imports_nothing(brought: Path) -> None:
 
 
 def test_a_renderer_and_a_condition(brought: Path) -> None:
-    scene, view = cloud(24, 1), _camera()
+    scene, view = toy_scene()[0], camera()
     plain = load_method("tile", RenderSettings()).render(scene, view)
     torch.testing.assert_close(load_method("half", RenderSettings()).render(scene, view), 0.5 * plain)
     check_condition("fog", None)
@@ -211,7 +209,7 @@ def test_a_study_keeps_an_objective_and_a_poison_by_their_names(brought: Path) -
     assert poison == ChosenPoison(kind="dark", settings={"by": 0.25}, package="plugged 1.0")
     for kept in (aim, poison):
         assert decoded(json.loads(json.dumps(encoded(kept))), [type(kept).__module__]) == kept
-    views = _views()
+    views = [View(camera(16), torch.full((16, 16, 3), 0.5))]
     done = poison.spec.make(poison.config, Given())(views, seed=0)
     torch.testing.assert_close(done.views[0].image, 0.25 * views[0].image)
     with pytest.raises(InvalidValueError, match="key in poison: expected one of by, got bye"):
@@ -231,7 +229,7 @@ def test_jobs_of_a_study_name_the_package(brought: Path, tmp_path: Path, monkeyp
 
 def test_a_condition_does_not_take_a_renderer_s_name(path: Path) -> None:
     install(path, {"mi_splat.conditions/tile": "brought:fog"}, brought=BROUGHT)
-    scene, view = cloud(24, 1), _camera()
+    scene, view = toy_scene()[0], camera()
     assert torch.equal(
         condition_of("tile", VIEWING)(scene, view), RENDERERS["tile"].make(RenderSettings())(scene, view)
     )
@@ -244,8 +242,8 @@ def test_a_poison_is_a_kind_with_flags_of_its_own(brought: Path) -> None:
 
 
 def test_a_rule_is_heard_in_every_audit(brought: Path) -> None:
-    findings = {finding.rule: finding for finding in lint_scene(cloud(24, 1)).findings}
-    assert findings["many"].count == len(cloud(24, 1))
+    findings = {finding.rule: finding for finding in lint_scene(toy_scene()[0]).findings}
+    assert findings["many"].count == len(toy_scene()[0])
 
 
 @pytest.mark.parametrize(
@@ -260,7 +258,7 @@ def test_a_rule_is_heard_in_every_audit(brought: Path) -> None:
 def test_a_rule_that_does_not_run_is_a_warning(path: Path, entry: str, message: str) -> None:
     name, value = entry.split(" = ")
     install(path, {f"mi_splat.audit_rules/{name}": value}, brought=BROUGHT)
-    (finding,) = (finding for finding in lint_scene(cloud(24, 1)).findings if finding.rule == name)
+    (finding,) = (finding for finding in lint_scene(toy_scene()[0]).findings if finding.rule == name)
     assert finding.severity == "warning"
     assert message in finding.reason
 

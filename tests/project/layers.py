@@ -73,7 +73,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "observation": ("attacks.observe",),
     "attacks": ("attacks.dagger", "attacks.cloak", "attacks.poisons", "attacks.audits"),
     "notebooks of attacks": ("attacks.cards",),
-    "test kit": ("attacks.testing",),
     "studies": ("attacks.studies",),
     "scoreboard": ("attacks.bench",),
     "reports": ("attacks.report",),

@@ -113,23 +113,13 @@ def test_the_detector_of_the_how_to_works(warm: Warm) -> None:
     assert "stop sign" in done.stdout
 
 
-def test_the_plug_ins_of_the_page_keep_their_contracts(warm: Warm) -> None:
-    """Each section has the plug-in and its test, which is run here as it stands."""
+def test_the_plug_ins_of_the_page_are_made(warm: Warm) -> None:
     text = (ROOT / "docs" / "plug-ins.md").read_text()
-    examples = list(blocks("python", text))
-    assert len(re.findall(r"^check_\w+\(", "\n".join(examples), flags=re.MULTILINE)) == text.count("\nTest it: ")
-    done = warm.run("-c", "\n".join(examples), cwd=ROOT)
+    done = warm.run("-c", "\n".join(blocks("python", text)), cwd=ROOT)
     assert done.returncode == 0, done.stderr
     (entry,) = blocks("toml", text)
     assert set(tomllib.loads(entry)["project"]["entry-points"]) <= set(REGISTRIES)
     assert set(re.findall(r"`(mi_splat\.\w+)` \| ", text)) == set(REGISTRIES)
-
-
-def test_the_attack_of_the_page_of_the_zoo_keeps_its_contract(warm: Warm) -> None:
-    (example,) = blocks("python", (ROOT / "docs" / "attack-zoo.md").read_text())
-    check = "from attacks.testing import check_attack\nfrom attacks.optimisers import OPTIMISERS"
-    done = warm.run("-c", f"{example}\n{check}\ncheck_attack(OPTIMISERS['mine'])", cwd=ROOT)
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("path", pages(), ids=lambda path: path.name)

@@ -10,21 +10,6 @@ import pytest
 from tests.project.layers import ROOT
 
 FOLDER = ROOT / "docs" / "notebooks"
-NOTEBOOKS = sorted(path.stem for path in FOLDER.glob("*.md"))
-LONGEST = 12
-"""Lines of a cell at most."""
-
-
-def cells(name: str) -> list[str]:
-    text = (FOLDER / f"{name}.md").read_text()
-    return re.findall(r"^```\{code-cell\} ipython3\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
-
-
-def test_every_kind_of_plug_in_is_tried_in_a_cell() -> None:
-    from attacks import testing
-
-    tried = set(re.findall(r"\bcheck_\w+(?=\()", "\n".join(cell for name in NOTEBOOKS for cell in cells(name))))
-    assert tried == {name for name in testing.__all__ if name.startswith("check_")}
 
 
 @pytest.mark.nightly
