@@ -21,7 +21,7 @@ from mi_splat.rasterization.pinhole import Pinhole
 MAX_PAIRS = 1 << 28
 """Above this many (tile, Gaussian) pairs a picture is refused, before memory runs out."""
 
-MANY_GAUSSIANS = 300_000
+MANY_GAUSSIANS = 60_000
 """From so many on, the copy of the gradient's memory that a replay makes costs more than tracing its kernel."""
 
 
