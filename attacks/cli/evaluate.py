@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from attacks.cli.options import ClassName, Confidence, DetectorOptions, Detectors
 from mi_splat import provenance
@@ -16,8 +16,11 @@ from mi_splat.fields import Count, OutFolder
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
+    from attacks.detectors.base import Detector
     from attacks.observe.comparison import Comparison
     from mi_splat.cameras import Camera
+    from mi_splat.cli.cameras import Chosen
+    from mi_splat.scene import GaussianScene
 
 
 EXAMPLES = ("evaluate YOUR.ply out/desk/attacked.ply --cameras hemisphere:24 --target person --out out/judged",)
@@ -56,23 +59,18 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
 
 def run(options: EvaluateOptions) -> None:
     """Evaluate, and write pictures and numbers."""
-    from attacks.cli.options import check_class, check_detectors, load_detectors
+    from attacks.cli.options import check_detectors
     from attacks.cli.summary import show_summary
     from attacks.observe.comparison import changed_mask, compare, compared_rows, contradictions, side_by_side
     from attacks.observe.rows import ATTACKED, CLEAN
     from attacks.observe.views import evaluate
     from mi_splat.cli.cameras import choose, look_at_object
-    from mi_splat.directions import UP
-    from mi_splat.io.camera_records import describe
     from mi_splat.io.documents import save_json, save_png
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
-    from mi_splat.scene import scene_hash
     from mi_splat.scene_files import open_scene
-    from mi_splat.selection.select import doubts
 
     check_no_input_in(options.out, options.clean, options.attacked)
     check_new_folder(options.out, force=options.force)
-    confidence = options.min_confidence
     check_detectors((*options.detectors, *options.judges))
     with progress("loading") as advance:
         clean, attacked = open_scene(options.clean), open_scene(options.attacked)
@@ -80,14 +78,9 @@ def run(options: EvaluateOptions) -> None:
             chosen = look_at_object(clean, changed_mask(clean.scene, attacked.scene), options.view)
         else:
             chosen = choose(clean, options.selection, options.view)
-        detectors = load_detectors(options.detectors, options.weights)
-        for detector in detectors:
-            check_class(options.original, detector.name, detector.classes, what="--original")
-            check_class(options.target, detector.name, detector.classes, what="--target")
-        judging = load_detectors(options.judges) if options.judges else []
-        detectors, judges = [*detectors, *judging], {judge.name: list(judge.classes) for judge in judging}
+        detectors, judges = _detectors(options)
         scenes = {CLEAN: clean.scene, ATTACKED: attacked.scene}
-        names, cameras = list(chosen.cameras), list(chosen.cameras.values())
+        names, cameras, confidence = list(chosen.cameras), list(chosen.cameras.values()), options.min_confidence
         advance(f"looking from {len(cameras)} cameras")
         seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
         classes = {"original": options.original, "target": options.target}
@@ -99,27 +92,57 @@ def run(options: EvaluateOptions) -> None:
                 name, most = comparison.detector, options.pictures
                 drawn = side_by_side(seen[CLEAN], seen[ATTACKED], detector=name, most=most, names=names)
                 save_png(drawn, folder / f"{name}.png")
-            document = {
-                "story": "evaluate",
-                "clean": str(options.clean),
-                "attacked": str(options.attacked),
-                "selection": options.selection.as_dict() or "the Gaussians that differ",
-                "object_gaussians": int(chosen.mask.sum()),
-                "original": options.original,
-                "min_confidence": confidence,
-                **({} if options.view.up == UP else {"up": list(options.view.up)}),
-                "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
-                **{f"{name}_hash": scene_hash(scene) for name, scene in scenes.items()},
-                "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
-                "detectors": {comparison.detector: comparison.as_dict() for comparison in comparisons},
-                **({"judges": judges, "contradictions": contradicted} if judges else {}),
-                "warnings": [*doubts(chosen.mask, {}), *_doubts(comparisons, cameras, options.attacked)],
-                **provenance.rendered_with(chosen.render),
-                **provenance.origin(),
-            }
-            save_json(document, folder / RECORD)
+            told = {"judges": judges, "contradictions": contradicted} if judges else {}
+            save_json(_document(options, chosen, scenes, detectors, comparisons, told), folder / RECORD)
             looked.write(folder)
     show_summary(options.out, as_json=options.json, tables=len(contradicted))
+
+
+def _detectors(options: EvaluateOptions) -> tuple[list[Detector], dict[str, list[str]]]:
+    """All detectors, and the classes of those that check the others."""
+    from attacks.cli.options import check_class, load_detectors
+
+    detectors = load_detectors(options.detectors, options.weights)
+    for detector in detectors:
+        check_class(options.original, detector.name, detector.classes, what="--original")
+        check_class(options.target, detector.name, detector.classes, what="--target")
+    judging = load_detectors(options.judges) if options.judges else []
+    return [*detectors, *judging], {judge.name: list(judge.classes) for judge in judging}
+
+
+def _document(
+    options: EvaluateOptions,
+    chosen: Chosen,
+    scenes: Mapping[str, GaussianScene],
+    detectors: Sequence[Detector],
+    comparisons: Sequence[Comparison],
+    of_judges: Mapping[str, Any],
+) -> dict[str, Any]:
+    """What result.json says."""
+    from mi_splat.directions import UP
+    from mi_splat.io.camera_records import describe
+    from mi_splat.scene import scene_hash
+    from mi_splat.selection.select import doubts
+
+    cameras = list(chosen.cameras.values())
+    return {
+        "story": "evaluate",
+        "clean": str(options.clean),
+        "attacked": str(options.attacked),
+        "selection": options.selection.as_dict() or "the Gaussians that differ",
+        "object_gaussians": int(chosen.mask.sum()),
+        "original": options.original,
+        "min_confidence": options.min_confidence,
+        **({} if options.view.up == UP else {"up": list(options.view.up)}),
+        "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
+        **{f"{name}_hash": scene_hash(scene) for name, scene in scenes.items()},
+        "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
+        "detectors": {comparison.detector: comparison.as_dict() for comparison in comparisons},
+        **of_judges,
+        "warnings": [*doubts(chosen.mask, {}), *_doubts(comparisons, cameras, options.attacked)],
+        **provenance.rendered_with(chosen.render),
+        **provenance.origin(),
+    }
 
 
 def _doubts(comparisons: Sequence[Comparison], cameras: Sequence[Camera], attacked: Path) -> Iterator[str]:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from attacks.observe import Control
 from attacks.optimisers import NormName, OptimiserSpec, Radius, Schedule, optimiser_spec
 from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 
 EnsembleLoss = Literal["mean", "max"]
 """How the losses of several detectors become one."""
-Control = Literal["noise", "smooth-noise", "norm-noise"]
-"""A random change of the object, beside which an attack is judged; also its name in the column `splat` of rows."""
 
 REGION: dict[str, Any] = {
     "eps": (1.0,),

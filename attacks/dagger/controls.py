@@ -11,9 +11,10 @@ from collections.abc import Iterator, Sequence
 import torch
 from torch import Generator, Tensor
 
-from attacks.dagger.config import Control, DaggerConfig
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import View
+from attacks.observe import Control
 from attacks.search import Parameters
 from mi_splat.scene import GaussianScene
 

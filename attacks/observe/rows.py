@@ -15,9 +15,11 @@ import lzma
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import polars as pl
 
+from attacks.observe import Control
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import atomic_write
 
@@ -34,8 +36,8 @@ TRUE, PERFECT, CLEAN, ATTACKED, NOISE = "true", "perfect", "clean", "attacked", 
 """Names of splats in the column `splat`. Of the first two there are path-traced pictures, and no splat: of the scene as
 it is, and of what attacks want to show."""
 NORM_NOISE = "norm-noise"
-CONTROLS = (NOISE, "smooth-noise", NORM_NOISE)
-"""Names of the splats with a random change (`attacks.dagger.config.Control`)."""
+CONTROLS: tuple[str, ...] = get_args(Control)
+"""Names of the splats with a random change."""
 POISONED = "poisoned"
 """The same of the victim's training pictures that an attack has changed."""
 

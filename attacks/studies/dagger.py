@@ -19,15 +19,16 @@ from typing import Any
 import polars as pl
 
 from attacks.aims import OBJECTIVES, PluggedObjective
-from attacks.dagger.config import REGION, Control
+from attacks.dagger.config import REGION
 from attacks.detectors.registry import detector_spec, load_detector
 from attacks.objectives import Hide, Relabel, Untargeted
+from attacks.observe import Control
 from attacks.observe.conditions import OWN, SunTable, package_of
 from attacks.observe.rows import ROWS, column_of, frame_of
 from attacks.optimisers import OPTIMISERS
 from attacks.studies.attack import CAMERAS, SPLAT, WHOLE_SPLAT, Attack, check_scene, scene_files, street_of
 from attacks.studies.look import Look
-from attacks.studies.result import figures, shared_apart, tables
+from attacks.studies.result import figures, shared_apart, tables, views_of
 from attacks.studies.running import Attempt, Observed, Work, bisection, check_apart
 from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
 from attacks.tables import Table
@@ -245,6 +246,9 @@ class DaggerWork(Work[DaggerAttempt]):
 def _stated(attempt: DaggerAttempt, result: Done, record: Mapping[str, Any]) -> dict[str, Any]:
     """What is known of an attack besides its rows."""
     config = attempt.job.config
+    files = {name: str(path) for name, path in attempt.job.inputs.items() if name in ("scene", CAMERAS)}
+    settings = {**files, **dataclasses.asdict(config)}
+    stated = _BRIEFLY if views_of({"settings": settings}) == "drawn" else _STATED
     return {
         "part": attempt.point.part,
         "labels": dict(attempt.point.labels),
@@ -254,12 +258,9 @@ def _stated(attempt: DaggerAttempt, result: Done, record: Mapping[str, Any]) -> 
         "target": config.objective.label,
         "confidence": config.objective.confidence,
         "seed": config.attack.seed,
-        "settings": {
-            **{name: str(path) for name, path in attempt.job.inputs.items() if name in ("scene", CAMERAS)},
-            **dataclasses.asdict(config),
-        },
+        "settings": settings,
         "key": result.key,
-        **{name: record[name] for name in (_BRIEFLY if CAMERAS in attempt.job.inputs else _STATED) if name in record},
+        **{name: record[name] for name in stated if name in record},
     }
 
 

@@ -12,12 +12,13 @@ import torch
 from torch import Tensor
 
 from attacks.aims import PluggedObjective
-from attacks.dagger.config import Control, DaggerConfig
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.controls import control_scenes
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import View, fixed_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Hide, Relabel, Target, Untargeted
+from attacks.observe import Control
 from attacks.observe.conditions import OWN, Condition, SunTable, Viewing, condition_of
 from attacks.observe.observations import observe, report_cells, seen_from, verdict_cells
 from attacks.observe.rows import ATTACKED, CLEAN

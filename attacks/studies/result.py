@@ -3,7 +3,7 @@
 import functools
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import polars as pl
 
@@ -24,6 +24,7 @@ from attacks.observe.rates import (
 from attacks.observe.rows import ATTACKED, CONTROLS, ROWS
 from attacks.optimisers import OPTIMISERS
 from attacks.rate import Rate, number, pooled
+from attacks.studies.attack import CAMERAS
 from attacks.studies.study_file import merged
 from attacks.tables import Column, Table, cell, number_at, short_rate
 
@@ -31,8 +32,8 @@ AXIS = "attack.optimiser"
 """The axis over which attacks are compared."""
 SHARED = "of_all_attacks"
 """Key of result.json under which stands what all attacks share."""
-CAMERAS, CAMERA = "cameras", "camera"
-"""The setting of attacks from cameras of a file, and the axis over which these are pooled, too."""
+CAMERA = "camera"
+"""The axis over which attacks from drawn cameras are pooled, too."""
 POOLED = ("seed", "pair")
 """Axes over which looks are pooled; the attacks over the first alone."""
 _SHARED = ("settings", "versions", "variant", "commit", "aim", "target", "confidence", "bisected", "redraws")
@@ -80,13 +81,19 @@ def _rest(table: Record, common: Record) -> dict[str, Any]:
     return {key: value for key, value in rest.items() if key not in common or (value != common[key] and value != {})}
 
 
+def views_of(attack: Record) -> Literal["scene", "drawn", "region"]:
+    """Where the views of an attack come from: the scene's cameras, those of a file, drawn by seed, or a region."""
+    settings = attack["settings"]
+    return "region" if settings.get("transformations") else "drawn" if CAMERAS in settings else "scene"
+
+
 def figures(record: Record, tables: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
     """Every figure of a study, of its rows, and of what its attacks say of themselves."""
     rows, attacks = tables[ROWS], attacks_of(record)
     looked = pl.col("condition").is_not_null() if "condition" in rows.columns else pl.lit(value=False)
     judged, looks = rows.filter(~looked), rows.filter(looked)
     each = _of_attacks(attacks, judged)
-    moving = {name: attacks[name] for name in each if CAMERAS in attacks[name]["settings"]}
+    moving = {name: attacks[name] for name in each if views_of(attacks[name]) == "drawn"}
     still = {name: attacks[name] for name in each if name not in moving}
     grouped = [*_grouped(still, ("seed",)), *_grouped(moving, ("seed", CAMERA))]
     groups = [_group(part, labels, members, each, attacks, judged) for part, labels, members in grouped]
@@ -106,15 +113,15 @@ def _of_attacks(attacks: Record, judged: pl.DataFrame) -> dict[str, dict[str, An
     for name, rows in ((str(name), rows) for (name,), rows in judged.group_by("attack", maintain_order=True)):
         config = attacks[name]["settings"]["attack"]
         attacked = rows.filter(splat=ATTACKED)
-        if attacks[name]["settings"].get("transformations"):
+        if (views := views_of(attacks[name])) == "region":
             rates = count(joint_views(rows), AIMS)[()]
             held = rates["success"].fraction >= config["required_views"] - 1e-9
-            views = {key: rates[measure].as_dict() for key, measure in RATES.items()}
-            each[name] = {"success": held, **views, **control_rates(rates)}
+            seen = {key: rates[measure].as_dict() for key, measure in RATES.items()}
+            each[name] = {"success": held, **seen, **control_rates(rates)}
         else:
             needed = {key: config[key] for key in ("required_views", "required_detectors")}
             told = verdict_figures(rows, attacks[name]["sources"], DaggerConfig(**needed))
-            if CAMERAS in attacks[name]["settings"]:
+            if views == "drawn":
                 each[name] = {key: told[key] for key in ("success", "strict")}
                 continue
             noise = told["noise"]
@@ -149,7 +156,7 @@ def _group(
     stated = [{**attacks[name].get("image", {}), **attacks[name]} for name in members]
     group: dict[str, Any] = {"part": part, "labels": labels, "attacks": len(members)}
     group |= {name: _median(stated, name) for name in ("steps", "image_psnr", "psnr_object", "seconds")}
-    if CAMERAS in attacks[members[0]]["settings"]:
+    if views_of(attacks[members[0]]) == "drawn":
         return {**group, **_over_cameras(members, attacks, judged)}
     group["original_after"] = _median(known, "original_after")
     if AXIS in labels and _known(stated, "loss"):

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from scipy.spatial import ConvexHull
 from torch import Tensor
 
 from mi_splat import Camera, GaussianScene, Renderer, RenderSettings, load_splat
-from mi_splat.cameras import focal_of, orbit_pose, project_points
-from mi_splat.rotation import to_matrix
+from mi_splat.cameras import focal_of, orbit_pose
 from mi_splat.sh import sh_basis
+from mi_splat.viewer.picking import border, colours
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "one_gaussian.png"
 ELEVATIONS = (10.0, 25.0, 40.0, 55.0, 75.0)
@@ -32,17 +31,6 @@ def camera(elevation: float, azimuth: float, target: tuple[float, float, float],
     return Camera(to_world=pose, focal=focal_of(math.radians(_FOV), _SIZE), width=_SIZE, height=_SIZE)
 
 
-def colours(scene: GaussianScene, row: Tensor | int, cameras: list[Camera]) -> Tensor:
-    """(views, ..., 3) colours of Gaussians as they are seen, sRGB."""
-    means, sh = scene.means[row], scene.sh[row]
-    seen = []
-    for view in cameras:
-        direction = torch.nn.functional.normalize(means - view.position.to(means), dim=-1)
-        basis = sh_basis(direction, math.isqrt(sh.shape[-2]) - 1)
-        seen.append((0.5 + (basis[..., None] * sh).sum(-2)).clamp(0, 1))
-    return torch.stack(seen)
-
-
 def chosen(scene: GaussianScene, cameras: list[Camera], render: Renderer) -> int:
     """The Gaussian whose colour changes most, of those that make up some pixels of every view."""
     shares = []
@@ -54,15 +42,6 @@ def chosen(scene: GaussianScene, cameras: list[Camera], render: Renderer) -> int
     change = (seen.amax(0) - seen.amin(0)).norm(dim=-1)
     pixels = torch.stack(shares).amin(0) / (3 * float(sh_basis(torch.tensor([0.0, 0.0, 1.0]), 0)))
     return int(torch.where(pixels >= _LEAST, change, 0).argmax())
-
-
-def border(scene: GaussianScene, row: int, view: Camera) -> Tensor:
-    """(P, 2) pixels of the outline of a Gaussian at two standard deviations."""
-    directions = torch.nn.functional.normalize(torch.randn(2000, 3, generator=torch.Generator().manual_seed(0)), dim=1)
-    turn = to_matrix(scene.rotations[row][None])[0]
-    pixels, _ = project_points(scene.means[row] + (2 * scene.scales[row] * directions) @ turn.T, view)
-    outline = pixels[ConvexHull(pixels.numpy()).vertices.tolist()]
-    return torch.cat([outline, outline[:1]])
 
 
 def draw(scene: GaussianScene, row: int, cameras: list[Camera], render: Renderer, strip: Tensor, path: Path) -> None:

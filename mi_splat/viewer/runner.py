@@ -26,7 +26,7 @@ from mi_splat.viewer.content import Content, Inspector
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.panel import as_html
-from mi_splat.viewer.picking import MASK, Click, Picked, pick
+from mi_splat.viewer.picking import MASK, Click, Picked, one_gaussian, pick
 
 if TYPE_CHECKING:
     from mi_splat.viewer.server import Client
@@ -292,7 +292,6 @@ class JobPanel:
             self._back = self._button("Back to what was shown before", runner.back)
         with gui.add_folder("Object"):
             self._object = gui.add_html("")
-            self._button("Select what is in the middle", client.pick_middle)
             self._clear = self._button("Clear", lambda: runner.select(None))
             self._save = self._button(f"Save {MASK}", self._download)
             self._select = gui.add_text("command", "", multiline=True, hint="Copy it to select the same Gaussians")
@@ -305,6 +304,9 @@ class JobPanel:
         runner, picked = self._runner, self._runner.picked
         how = HOW_TO_SELECT if runner.content.splats else NOTHING_TO_SELECT
         self._object.content = as_html([("", how if picked is None else picked.text)])
+        if picked is not None and picked.row is not None:
+            scene = runner.content.splat(picked.splat).scene
+            self._object.content += one_gaussian(scene, picked.row, self._client.orbit)
         self._select.value = "" if picked is None else picked.command
         self._select.visible = bool(self._select.value)
         self._clear.disabled = self._save.disabled = picked is None

@@ -76,12 +76,6 @@ class Client:
         """Send a file to the user."""
         self._handle.send_file_download(name, content, save_immediately=True)
 
-    def pick_middle(self) -> None:
-        """Select what is in the middle of the first picture."""
-        layout = self._painter.layout(self._session.state)
-        (left, top), (width, height) = layout.corners[0], layout.size
-        self._pick(((left + width / 2) / layout.canvas[0], (top + height / 2) / layout.canvas[1]), adds=False)
-
     def due(self) -> Step | None:
         """The picture to make now."""
         return self._session.due(time.monotonic(), inspector=self._painter.inspector is not None)
@@ -125,14 +119,11 @@ class Client:
             self._panel = ViewPanel(self._handle.gui, content, state, inspector=inspector, change=self._change)
 
     async def _clicked(self, event: Any) -> None:
-        self._pick(event.screen_pos, adds=event.modifier is not None)
-
-    def _pick(self, at: tuple[float, float], *, adds: bool) -> None:
         """Select what a point of the page shows."""
         state = self._session.state
-        hit = clicked(at, self._painter.layout(state), state.mode, self._painter.content, state.orbit)
+        hit = clicked(event.screen_pos, self._painter.layout(state), state.mode, self._painter.content, state.orbit)
         if hit is not None:
-            click = Click(splat=hit[0], pixel=hit[1], orbit=state.orbit, adds=adds)
+            click = Click(splat=hit[0], pixel=hit[1], orbit=state.orbit, adds=event.modifier is not None)
             self._runner.later(lambda: self._runner.pick(click))
             self._wake()
 

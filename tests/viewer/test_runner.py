@@ -12,8 +12,9 @@ import pytest
 import torch
 
 from attacks import cli
+from mi_splat.cameras import project_points
 from mi_splat.errors import InvalidValueError
-from mi_splat.viewer.picking import Click, clicked
+from mi_splat.viewer.picking import Click, border, clicked, colours, one_gaussian
 from mi_splat.viewer.runner import Choice, JobRunner, Number, Value
 from mi_splat.viewer.session import DIFFERENCE, SIDE_BY_SIDE, Pace, Step, ViewState, lay_out
 from tests.viewer.contents import START, WORK, balls, painter, runner
@@ -58,6 +59,22 @@ def test_a_selected_object_is_highlighted_until_it_is_cleared() -> None:
     jobs.select(None)
     assert jobs.picked is None
     assert np.array_equal(jobs.painter.paint(state, Step.FULL, Pace()).pixels, plain)
+
+
+def test_the_gaussian_in_front_has_a_border_and_its_colours() -> None:
+    jobs, camera = runner(), START.camera((480, 320))
+    jobs.pick(MIDDLE)
+    assert jobs.picked is not None
+    assert jobs.picked.row is not None
+    scene, row = jobs.content.splats[0].scene, jobs.picked.row
+    assert jobs.picked.mask[row]
+    (centre,), depth = project_points(scene.means[row : row + 1], camera)
+    round_one = scene.replace(scales=torch.full_like(scene.scales, 0.01))
+    radii = (border(round_one, row, camera) - centre).norm(dim=1)
+    assert radii.tolist() == pytest.approx([2 * camera.fx * 0.01 / float(depth)] * len(radii), rel=0.05)
+    assert len(border(scene, row, START.camera((480, 320)).turned(torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))))) == 0
+    red, green, blue = (255 * colours(scene, row, [START.changed(elevation=0.0).camera((1, 1))])[0]).int().tolist()
+    assert f"to right, rgb({red}, {green}, {blue})" in one_gaussian(scene, row, START)
 
 
 def test_the_command_selects_by_the_same_click() -> None:

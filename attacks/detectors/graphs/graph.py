@@ -98,11 +98,11 @@ _FLOATS = 1
 def read_frozen(content: bytes, shapes: Mapping[str, tuple[int, ...]]) -> GraphModel:
     """A frozen graph of TensorFlow; nodes whose shapes are given become its inputs, no others."""
     nodes, constants = dict[str, Node](), dict[str, Tensor]()
-    for message in _parts(content, 1):
-        name, op = (bytes(next(_parts(message, field))).decode() for field in (1, 2))
-        inputs = [bytes(part).decode() for part in _parts(message, 3)]
-        values = {bytes(next(_parts(entry, 1))).decode(): next(_parts(entry, 2)) for entry in _parts(message, 5)}
-        if op == "Const" and (tensor := _tensor(next(_parts(values["value"], 8)))) is not None:
+    for message in parts(content, 1):
+        name, op = (bytes(next(parts(message, field))).decode() for field in (1, 2))
+        inputs = [bytes(part).decode() for part in parts(message, 3)]
+        values = {bytes(next(parts(entry, 1))).decode(): next(parts(entry, 2)) for entry in parts(message, 5)}
+        if op == "Const" and (tensor := _tensor(next(parts(values["value"], 8)))) is not None:
             constants[name] = tensor
         settings = {key: value for key, part in values.items() if (value := _setting(part)) is not None}
         if op != "Placeholder":
@@ -112,8 +112,8 @@ def read_frozen(content: bytes, shapes: Mapping[str, tuple[int, ...]]) -> GraphM
     return GraphModel(nodes, constants)
 
 
-def _fields(message: memoryview | bytes) -> Iterator[tuple[int, Any]]:
-    """The number and the value of each field."""
+def fields(message: memoryview | bytes) -> Iterator[tuple[int, Any]]:
+    """The number and the value of each field of a message of protocol buffers."""
     at = 0
 
     def number() -> int:
@@ -137,30 +137,31 @@ def _fields(message: memoryview | bytes) -> Iterator[tuple[int, Any]]:
             at += length
 
 
-def _parts(message: memoryview | bytes, wanted: int) -> Iterator[Any]:
-    return (value for field, value in _fields(message) if field == wanted)
+def parts(message: memoryview | bytes, wanted: int) -> Iterator[Any]:
+    """The values of the fields of one number."""
+    return (value for field, value in fields(message) if field == wanted)
 
 
 def _setting(value: memoryview) -> Any:
     """An attribute: a string, a number, or a list of whole numbers; None for what counts nowhere."""
-    field, content = next(_fields(value), (0, b""))
+    field, content = next(fields(value), (0, b""))
     if field == 2:
         return bytes(content).decode(errors="replace")
     if field == 4:
         return float(np.frombuffer(content, np.float32)[0])
     if field != 1:
         return content if field in (3, 5) else None
-    (packed,) = [*_parts(content, 3)] or [b""]
+    (packed,) = [*parts(content, 3)] or [b""]
     return tuple(packed)  # small numbers, of a byte each
 
 
 def _tensor(message: memoryview) -> Tensor | None:
     """A TensorProto of floats: all of them, or one for all places; None for other numbers, which no convolution has."""
-    parts = dict(_fields(message))
-    if parts[1] != _FLOATS:
+    of = dict(fields(message))
+    if of[1] != _FLOATS:
         return None
-    shape = [next(_parts(axis, 1), 0) for axis in _parts(parts.get(2, b""), 2)]
-    values = np.frombuffer(parts.get(4, parts.get(5, b"")), np.float32)
+    shape = [next(parts(axis, 1), 0) for axis in parts(of.get(2, b""), 2)]
+    values = np.frombuffer(of.get(4, of.get(5, b"")), np.float32)
     return torch.from_numpy(np.broadcast_to(values, math.prod(shape)).reshape(shape).copy())
 
 
