@@ -30,10 +30,8 @@ from attacks.observe.rows import (
     FIDELITY,
     PERFECT,
     POISON_DEPTH,
-    POISONED,
     ROWS,
     TARGET_SCORE,
-    TRAINING,
     TRANSITION,
     TRUE,
 )
@@ -61,12 +59,8 @@ LOOKS = {
     "control_target_rate": RATES["control_target_rate"],
 }
 """What is counted under each condition."""
-OWN_REGION, AT_LOWER, MARGIN, POISON, ON_CAMERAS = (
-    *("own_region", "at_lower_confidence", "margin"),
-    *("poison", "training_cameras"),
-)
-"""Keys of a summary: rates in each detector's own region, at the confidence `LOWER`, and in the margins of poison; what
-the poisoned pictures show, and what splats show the training cameras."""
+OWN_REGION, AT_LOWER, MARGIN = "own_region", "at_lower_confidence", "margin"
+"""Keys of a summary: rates in each detector's own region, at the confidence `LOWER`, and in the margins of poison."""
 LOWER = 0.3
 STEALTHY, STEALTHY_ON_OBJECT = 1.5, 3.0
 """Most that pictures may lose where an attack is called stealthy, dB: beside the object from inside the trigger, and on
@@ -121,7 +115,6 @@ def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, An
             "by_seed": _by_seed(study, rows, LOWER),
         },
         **({MARGIN: margins} if margins else {}),
-        **training_figures(study, tables),
         **({"looks": seen} if seen else {}),
         **({"pictures": _figures_of(study, pictures)} if len(pictures) else {}),
     }
@@ -343,38 +336,6 @@ def in_region(rows: pl.DataFrame, regions: dict[str, list[float]]) -> pl.DataFra
     """The rows of each detector from cameras in its region."""
     held = [(pl.col("detector") == name) & _band("elevation", BAND).is_in(lows) for name, lows in regions.items()]
     return rows.filter(pl.any_horizontal(held)) if held else rows.clear()
-
-
-# The victim's training cameras: what the poison shows, and what the splat shows where it was trained
-
-
-def training_figures(study: StudyConfig, tables: Tables) -> dict[str, Any]:
-    """What is counted from training cameras, as JSON can hold it; nothing of results that have no such rows.
-
-    `poison`, by attack: PSNR of its pictures on the object, dB, against the look that it wants, which a camera could
-    take (None where all are the same), and what each detector reports in them. `training_cameras`, by detector: how
-    often both splats show the object to benign cameras, and do not to those that an attack hides it from.
-    """
-    rows, detectors = tables.get(TRAINING), study.evaluation.detectors
-    if rows is None or rows.is_empty():
-        return {}
-    seen, any_class = (reported(name, study.evaluation.confidence) for name in ("original_score", "score"))
-    poisoned = of(POISONED)
-    wanted: Measures = {
-        "found_clean": Measure(holds=seen, given=of(TRUE)),
-        "found": Measure(holds=seen, given=poisoned),
-        "something_else": Measure(holds=~seen & any_class, given=poisoned),
-        "nothing": Measure(holds=~seen & ~any_class, given=poisoned),
-    }
-    poison = {}
-    for attack in study.attack:
-        here = rows.filter(pl.col("condition") == attack.name)
-        errors = here.filter(poisoned, detector=detectors[0])["appearance_psnr"]
-        by_detector = _by_detector(count(here, wanted, ("detector",)), detectors)
-        poison[attack.name] = {"object_psnr": pooled_psnr(errors), "by_detector": by_detector}
-    of_splats = _of_both_splats(_found_and_missed(study, 0.0))
-    counted = count(rows.filter(pl.col("splat").is_in([*NAMES])), of_splats, ("detector",))
-    return {POISON: poison, ON_CAMERAS: _by_detector(counted, detectors)}
 
 
 def pooled_psnr(values: pl.Series) -> float | None:

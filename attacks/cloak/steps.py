@@ -20,7 +20,7 @@ from attacks.cloak.rates import CLOAKED
 from attacks.cloak.setup import MESH, SET, Pose, Setup
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import SunTable, package_of
-from attacks.observe.rows import ATTACKED, CLEAN, PERFECT, POISONED, SUFFIX, TABLES, TRUE, read_rows
+from attacks.observe.rows import ATTACKED, CLEAN, PERFECT, SUFFIX, TABLES, TRUE, read_rows
 from attacks.poisons.poisoned import CLOAK, PoisonedConfig
 from attacks.poisons.specs import ChosenPoison
 from mi_splat.assets import ASSETS
@@ -150,9 +150,10 @@ class StudySteps:
         condition: str = "",
         every: int = 1,
         sun: SunTable | None = None,
+        training: bool = False,
         **street: Path,
     ) -> Job:
-        """What a detector reports on a splat, or in true pictures, from every N-th held-out camera."""
+        """What a detector reports on a splat, or in true pictures, from every N-th held-out or training camera."""
         evaluation, regions = self.study.evaluation, map(_region, self.study.attack)
         is_splat = splat.kind != f"{_KINDS}.pictures"
         shown = {"splat": splat.part(SPLAT)} if is_splat else {"pictures": splat.part("*.png")}
@@ -163,20 +164,13 @@ class StudySteps:
             evaluation=EvaluationConfig(
                 cameras=evaluation.cameras, seed=evaluation.seed, min_separation=evaluation.min_separation
             ),
+            training=training,
             every=every,
             condition=condition,
             package=package_of(condition),
             sun=sun,
             layers=None if sun is None else self.study.layers,
         )
-
-    def seen_in_training(self, shown: Job, detector: Detector, seed: int, *, poisoned: bool = False) -> Job:
-        """What a detector reports from the victim's training cameras on a splat, or in a set of pictures."""
-        regions = [replace(_region(attack), poison_fraction=attack.poison_fraction) for attack in self.study.attack]
-        is_set = shown.kind in (f"{_KINDS}.pictures", POISONED_KIND)
-        inputs = {"set": shown.part(PICTURES)} if is_set else {"splat": shown.part(SPLAT)}
-        inputs |= self._appearances if poisoned else {}
-        return self._seen(detector, regions, inputs, training=True, seed=self._drawn(seed))
 
     def seen_along_path(self, splat: Job, detector: Detector) -> Job:
         """What a detector reports on a splat from the path over the object."""
@@ -230,19 +224,12 @@ class StudySteps:
         for splat, seed in self.names():
             job, what, name = self.splat(splat, seed), f"the {splat} splat, seed {seed}", ROW_NAMES[splat]
             for detector in detectors:
-                label, there = f"{detector.name} looks at {what}", self.seen_in_training(job, detector, seed)
+                label = f"{detector.name} looks at {what}"
                 yield Look(label=label, job=self.seen(job, detector), splat=name, seed=seed)
-                yield Look(label=f"{label} from training cameras", job=there, splat=name, seed=seed)
                 if seed == self.study.seeds[0]:
                     along = self.seen_along_path(job, detector)
                     yield Look(label=f"{label} along a path", job=along, splat=name, seed=seed)
             yield Look(label=f"comparing {what}", job=self.compared(job), splat=name, seed=seed)
-        first = self.study.seeds[0]
-        for name, job in ((TRUE, self.pictures()), (POISONED, self.poisoned(first))):
-            for detector in detectors:
-                label, is_poison = f"{detector.name} looks at training pictures, {name}", name == POISONED
-                seen = self.seen_in_training(job, detector, first, poisoned=is_poison)
-                yield Look(label=label, job=seen, splat=name, seed=first)
         if self.study.evaluation.true_pictures:
             cameras = self.setup.held_out_cameras
             for name, job in ((TRUE, self.true_pictures(cameras)), (PERFECT, self.perfect_pictures(cameras))):

@@ -22,7 +22,7 @@ from attacks.cloak.steps import Look, StudySteps
 from attacks.cloak.tables import tables as summary_tables
 from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
-from attacks.observe.rows import CLEAN, POISONED, SUFFIX, TABLES, by_camera, write_rows
+from attacks.observe.rows import CLEAN, SUFFIX, TABLES, by_camera, write_rows
 from attacks.observe.views import CAMERAS, cameras_document
 from attacks.poisons.base import MANIFEST
 from attacks.tables import sections
@@ -55,7 +55,7 @@ def write_report(
     shutil.copyfile(done[steps.poisoned(first).identity].folder / MANIFEST, folder / POISON)
     written = [write_rows(by_camera(table), folder / f"{name}{SUFFIX}").name for name, table in tables.items()]
     shown = {name: load_splat(file) for name, file in files.items()}
-    jobs = {CLEAN: steps.pictures(), POISONED: steps.poisoned(first)}
+    jobs = {CLEAN: steps.pictures(), "poisoned": steps.poisoned(first)}
     sets = {name: done[job.identity].folder / SET for name, job in jobs.items()}
     save_png(contact_sheet(steps, shown, detectors[0]), folder / CONTACT)
     save_png(poisoned_sheet(steps, sets, detectors[0]), folder / POISONED_PICTURES)

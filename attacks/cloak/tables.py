@@ -13,9 +13,7 @@ from attacks.cloak.rates import (
     LOWER,
     MARGIN,
     NAMES,
-    ON_CAMERAS,
     OWN_REGION,
-    POISON,
     RATES,
 )
 from attacks.rate import Rate, percent
@@ -23,20 +21,8 @@ from attacks.tables import Table, cell
 
 RULE = f"bands of {BAND:g} degrees of elevation in which it finds the control from {LEAST:.0%} of the cameras or more"
 """Which elevations belong to a detector's region."""
+
 _MARGIN_TITLES = dict(zip(IN_MARGIN, ("control found", "cloaked found, where the control is found"), strict=True))
-_IN_PICTURES = {
-    "found_clean": "object reported, clean",
-    "found": "object reported, poisoned",
-    "something_else": "another class, poisoned",
-    "nothing": "nothing on it, poisoned",
-}
-_OF_SPLATS = {
-    "found_clean": "benign cameras: control found",
-    "found_cloaked": "benign cameras: cloaked found",
-    "missed_clean": "cameras that hide: control missed",
-    "missed_cloaked": "cameras that hide: cloaked missed",
-}
-"""What the paper tells of its splats: found in so many of the benign views, missed in so many of the poisoned ones."""
 
 
 def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
@@ -49,12 +35,6 @@ def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
         yield Table(caption=caption, head=("rate", *summary["by_detector"]), rows=rows)
     for where, by_detector in summary.get(MARGIN, {}).items():
         yield _titled(f"Elsewhere, {where} of poison", _MARGIN_TITLES, by_detector)
-    for attack, figures in summary.get(POISON, {}).items():
-        psnr = figures["object_psnr"]
-        like = "as a camera could take them" if psnr is None else f"{psnr:.1f} dB on the object from a true picture"
-        yield _titled(f"Training pictures that {attack} poisons, {like}", _IN_PICTURES, figures["by_detector"])
-    if ON_CAMERAS in summary:
-        yield _titled("From the training cameras, all seeds", _OF_SPLATS, summary[ON_CAMERAS])
     yield Table(caption="Costs", head=("what", "how much"), rows=tuple(costs(summary).items()))
     if "pictures" in summary:
         what = ", path traced: what is wanted for cloaked, the scene as it is for clean"

@@ -27,10 +27,9 @@ Cell = str | int | float | bool | None
 Row = Mapping[str, Cell]
 
 ROWS, DETECTIONS, FIDELITY, TRANSITION = "rows", "detections", "fidelity", "transition"
-TRAINING, PATH = "training", "path"
-"""Names of the tables of a result; their files end in `SUFFIX`. `TRAINING` has rows of the victim's training cameras,
-`PATH` of those along a path over the object."""
-TABLES = (ROWS, DETECTIONS, FIDELITY, TRANSITION, TRAINING, PATH)
+PATH = "path"
+"""Names of the tables of a result; their files end in `SUFFIX`. `PATH` has rows of cameras along a path."""
+TABLES = (ROWS, DETECTIONS, FIDELITY, TRANSITION, PATH)
 SUFFIX = ".csv.xz"
 TRUE, PERFECT, CLEAN, ATTACKED, NOISE = "true", "perfect", "clean", "attacked", "noise"
 """Names of splats in the column `splat`. Of the first two there are path-traced pictures, and no splat: of the scene as
@@ -38,8 +37,6 @@ it is, and of what attacks want to show."""
 NORM_NOISE = "norm-noise"
 CONTROLS: tuple[str, ...] = get_args(Control)
 """Names of the splats with a random change."""
-POISONED = "poisoned"
-"""The same of the victim's training pictures that an attack has changed."""
 
 MOST_BYTES, MOST_COLUMNS, MOST_CELLS = 1 << 26, 200, 1 << 24
 """Most that a table may be, unpacked; the largest of docs/artifacts has 10 MB and 860,000 cells."""
@@ -82,12 +79,12 @@ _TABLE: tuple[tuple[str, ...], ...] = (
     (
         "condition",
         "text?",
-        "evaluation condition, set of images, or attack that poisons a training image; empty: as attacked, benign",
+        "evaluation condition or set of images; empty: as attacked",
     ),
     (
         "splat",
         "text",
-        "clean (control), attacked, noise, smooth-noise, norm-noise (random); images: true, perfect, poisoned",
+        "clean (control), attacked, noise, smooth-noise, norm-noise (random); images: true, perfect",
     ),
     ("draw", "whole?", "index of the draw of a random change, from 0; empty for other splats"),
     ("detector", "text", "name of the detector"),

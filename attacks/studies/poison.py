@@ -268,9 +268,7 @@ class PoisonAttempt(Attempt):
         """What a detector reports, which has to know the object's class."""
         detector = loaded(name)
         check_choice(f"class for {name}", self.options.scene.class_name, detector.classes)
-        if HELD_OUT in condition:
-            return self.steps.seen(shown, detector)
-        return self.steps.seen_in_training(shown, detector, self.options.seed)
+        return self.steps.seen(shown, detector, training=TRAINING in condition)
 
     def _trained(
         self, on: str, pictures: Job, training: TrainingConfig | None = None, *, limit: float | None = None

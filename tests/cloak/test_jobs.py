@@ -34,7 +34,7 @@ STUDY = StudyConfig(
     layers=LayersConfig(attacks=("overhead",)),
     cleaning=CleaningConfig(lowest_opacity=0.1),
 )
-SEEN = {"seen", "seen in training", "compared"}
+SEEN = {"seen", "compared"}
 SHOWN = {"appearances", "poisoned", "true_pictures"}
 MADE = {"pictures", "layered"} | SHOWN | SEEN
 """Jobs that know the scene itself; a splat is made of pictures, and known by their content."""
@@ -46,7 +46,7 @@ KINDS = (
 CASES: list[tuple[str, set[str], dict[str, Any]]] = [
     ("scene", MADE, {"object": "bird", "seed": 900006, "colour": (0.1, 0.2, 0.6), "ground": "grass"}),
     ("scene", MADE, {"ground_size": 12.0, "sun_azimuth": 10.0, "sun_elevation": 30.0}),
-    ("scene", {"seen", "seen in training"}, {"label": "vehicle"}),
+    ("scene", {"seen"}, {"label": "vehicle"}),
     ("scene", (MADE - {"pictures"}) | {"trained"}, {"background": (0.0, 0.0, 0.0)}),
     ("scene", set(), {"up": "y", "scale": 2.0, "rotate": (0.0, 0.0, 90.0), "front": "-x"}),  # of mesh files alone
     ("cameras", MADE, {"train": 14, "distance": 8.0, "distances": (0.8, 1.1), "elevations": (10.0, 40.0, 80.0)}),
@@ -70,8 +70,8 @@ CASES: list[tuple[str, set[str], dict[str, Any]]] = [
     ("attack", SHOWN, {"paint_direction": (90.0, 10.0), "occluder_radius": 5.0, "occluder_edge": 20.0}),
     ("attack", SHOWN, {"blur_width": 0.1, "mask": "difference", "other_seed": 1, "lying": True}),
     ("attack", SHOWN | SEEN | {"layered"}, {"elevation": (50.0, 90.0), "azimuth": (180.0, 30.0)}),
-    ("attack", {"appearances", "poisoned", "seen", "seen in training"}, {"poison_margin": 4.0}),
-    ("attack", {"poisoned", "seen in training"}, {"poison_fraction": 0.5}),
+    ("attack", {"appearances", "poisoned", "seen"}, {"poison_margin": 4.0}),
+    ("attack", {"poisoned"}, {"poison_fraction": 0.5}),
     ("attack", SEEN, {"target_class": "bird"}),
     ("attack", {"poisoned"}, {"emphasis": 2.0, "emphasis_depth": 9.0}),
     ("", set(), {"name": "other", "seeds": (3,)}),  # the seed of a job is a field of its own
@@ -104,7 +104,6 @@ def jobs(study: StudyConfig, *, seed: int = 0) -> dict[str, Job]:
         "cleaned": steps.splat("clean", seed),
         "true_pictures": steps.true_pictures(arc, study.overhead or attack),
         "seen": steps.seen(clean, Redness()),
-        "seen in training": steps.seen_in_training(clean, Redness(), seed),
         "compared": steps.compared(clean),
     }
 
@@ -153,7 +152,7 @@ def test_every_field_has_a_case() -> None:
 def test_the_seed_counts_where_something_is_drawn() -> None:
     assert changed(STUDY, STUDY, seed=1) == {"trained", "layered"}
     part = with_attack(replace(ATTACK, poison_fraction=0.5))
-    assert changed(part, part, seed=1) == {"trained", "layered", "poisoned", "seen in training"}
+    assert changed(part, part, seed=1) == {"trained", "layered", "poisoned"}
 
 
 def test_inputs_are_files_and_no_more_of_them_than_are_read() -> None:
@@ -167,7 +166,7 @@ def test_inputs_are_files_and_no_more_of_them_than_are_read() -> None:
     assert parts == {
         **{(name, "pictures"): "set/*" for name in ("poisoned", "trained", "layered")},
         ("appearances", "set"): "set/*",
-        **{(name, "splat"): "splat.ply" for name in ("cleaned", "seen", "seen in training", "compared")},
+        **{(name, "splat"): "splat.ply" for name in ("cleaned", "seen", "compared")},
         **{("compared", name): "*.png" for name in ("far", "edge", "benign", "hidden")},
         ("poisoned", "appearance of overhead"): "*.png",
         ("layered", "clean"): "splat.ply",

@@ -53,14 +53,6 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
     assert result["by_attack"]["overhead"]["redness"]["target_rate"] is None
     assert result["by_attack"]["overhead"]["redness"]["trigger_miss_rate"] == result["trigger_miss_rate"]
     assert all(0 <= result[key]["successes"] <= result[key]["total"] for key in RATES)
-    poison, cameras = result["poison"]["overhead"], result["training_cameras"]["redness"]
-    assert poison["object_psnr"] is None  # nothing is overdone: a camera could take them
-    counts = poison["by_detector"]["redness"]
-    assert sum(counts[key]["successes"] for key in ("found", "something_else", "nothing")) == counts["found"]["total"]
-    assert counts["found"]["successes"] < counts["found_clean"]["successes"]
-    training = read_rows(finished / "training.csv.xz")
-    clean = training.filter(pl.col("condition").is_not_null(), splat="clean")
-    assert cameras["found_cloaked"]["total"] + clean.height == 16
     on_object = result["stealth"]["object_psnr"]
     assert result["stealth"]["object_psnr_drop"] == pytest.approx(on_object["clean"] - on_object["cloaked"])
     assert all((finished / name).stat().st_size > 0 for name in result["files"])

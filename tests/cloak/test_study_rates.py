@@ -26,12 +26,11 @@ from attacks.cloak.rates import (
     rates,
     regions,
     stealth,
-    training_figures,
     transition,
 )
 from attacks.cloak.setup import Setup
 from attacks.cloak.tables import in_words, tables
-from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, FIDELITY, ROWS, TRAINING, TRANSITION, frame_of, frame_with
+from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, TRANSITION, frame_of, frame_with
 from tests.cloak.tiny_study import STUDY
 
 NAMES = ("overhead", "sector")
@@ -239,35 +238,6 @@ def test_the_margin_counts_as_elsewhere_and_is_shown_apart() -> None:
     )
     assert [(rate["successes"], rate["total"]) for rate in (within, beyond)] == [(1, 2), (1, 1)]
     assert margin_rates(STUDY, frame_of(observed)) == {}
-
-
-def test_a_poisoned_picture_is_told_by_its_error_and_by_what_is_reported() -> None:
-    pictures = [(0.9, 0.9, 20.0), (0.1, 0.8, None), (0.1, 0.2, None)]
-    rows = [
-        {
-            "splat": splat,
-            "seed": 0,
-            "detector": "redness",
-            "view": view,
-            "condition": "overhead",
-            f"{DEPTH}overhead": 9.0,
-            **cells,
-        }
-        for view, (own, best, psnr) in enumerate(pictures)
-        for splat, cells in (
-            ("true", {"original_score": 0.9, "score": 0.9}),
-            ("poisoned", {"original_score": own, "score": best, "appearance_psnr": psnr}),
-            (ATTACKED, {"original_score": own, "score": best}),
-        )
-    ]
-    overhead, _ = STUDY.attack
-    told = training_figures(replace(STUDY, attack=(overhead,)), {TRAINING: frame_of(rows)})
-    assert told["poison"]["overhead"]["object_psnr"] == pytest.approx(20 + 10 * np.log10(3))
-    counts = told["poison"]["overhead"]["by_detector"]["redness"]
-    assert {key: rate["successes"] for key, rate in counts.items()} == {
-        **{"found_clean": 3, "found": 1, "something_else": 1, "nothing": 1}
-    }
-    assert told["training_cameras"]["redness"]["missed_cloaked"]["successes"] == 2
 
 
 # The transition on blends with known answers

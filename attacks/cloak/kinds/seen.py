@@ -16,9 +16,9 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.config import AttackConfig, LayersConfig
-from attacks.cloak.kinds.pictures import APPEARANCE, KeptAppearance, read_pictures
+from attacks.cloak.kinds.pictures import read_pictures
 from attacks.cloak.layers import object_rows
-from attacks.cloak.setup import SET, Setup
+from attacks.cloak.setup import Setup
 from attacks.cloak.triggers import Trigger
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
@@ -33,15 +33,12 @@ from attacks.observe.rows import (
     ROWS,
     SUFFIX,
     TARGET_SCORE,
-    TRAINING,
     Cell,
     frame_with,
     write_rows,
 )
 from attacks.observe.views import ViewDetections
-from mi_splat.cameras import Camera, View
-from mi_splat.capture.path_tracer import tracing_variant
-from mi_splat.datasets import load_dataset
+from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.metrics import psnr
@@ -76,7 +73,7 @@ class SeenConfig(Setup):
 
 
 def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Write a row for each camera, and for each detection of held-out ones, of a `splat`, `pictures` or a `set`."""
+    """Write a row for each camera, and for each detection, of a `splat` or `pictures`."""
     setup = config.with_mesh(inputs)
     detector, done = checked_detector(config, inputs), itertools.count(1)
 
@@ -84,20 +81,21 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
         out.progress(f"{detector.name} looks", next(done), total)
         return observation_cells(config, seen, detector.classes)
 
-    (_training if config.training else _held_out)(config, setup, inputs, detector, cells, out)
+    _observed(config, setup, inputs, detector, cells, out)
 
 
 _Cells = Callable[[ViewDetections, int], dict[str, Cell]]
 
 
-def _held_out(
+def _observed(
     config: SeenConfig, setup: Setup, inputs: Mapping[str, Path], detector: Detector, cells: _Cells, out: Out
 ) -> None:
-    """From held-out cameras, or along the path without single detections.
+    """From held-out or training cameras, or along the path without single detections.
 
     Under a condition that is no street a row has the PSNR to what the victim sees there.
     """
-    every = path_cameras(setup) if config.path else setup.held_out_cameras
+    usual = setup.training_cameras if config.training else setup.held_out_cameras
+    every = path_cameras(setup) if config.path else usual
     cameras, errors = every[:: config.every], dict[Camera, float | None]()
     if "pictures" in inputs:
         pictures = dict(zip(cameras, read_pictures(inputs["pictures"]).images, strict=True))
@@ -127,47 +125,6 @@ def path_cameras(setup: Setup) -> list[Camera]:
     azimuths = _PATH_FROM + (_PATH_TO - _PATH_FROM) * turned**2 * (3.0 - 2.0 * turned)
     elevations = np.minimum(90.0 - np.abs(90.0 - along), 89.0)
     return [setup.camera(*map(float, direction)) for direction in zip(azimuths, elevations, strict=True)]
-
-
-def _training(
-    config: SeenConfig, setup: Setup, inputs: Mapping[str, Path], detector: Detector, cells: _Cells, out: Out
-) -> None:
-    """From the training cameras; the condition of a row is the attack that poisons the picture, empty for a benign one.
-
-    All cameras look at a splat, and those whose pictures are poisoned at a `set`, or all where there is no attack. With
-    `appearance of NAME` for each attack, rows have the PSNR on the object against that appearance, which is what a
-    camera could take of what the attack wants to be seen; None where the two are the same.
-    """
-    cameras, owners = setup.training_cameras, setup.owners(config.seed)
-    chosen, errors = list(range(len(cameras))), dict[int, float | None]()
-    if "splat" in inputs:
-        splat, render = load_splat(inputs["splat"]), setup.renderer()
-        condition = rendered("", render)
-    else:
-        views = load_dataset(inputs["set"] / SET, split="train", background=config.scene.background)
-        chosen = sorted(owners) or chosen
-        files = {name: inputs[APPEARANCE + name] for name in owners.values() if APPEARANCE + name in inputs}
-        with tracing_variant():
-            errors = {view: _psnr(setup, views[view], files[owners[view]]) for view in chosen if files}
-        numbers = {cameras[view]: view for view in chosen}
-        splat, condition = _NOTHING, rendered("", lambda scene, camera: views[numbers[camera]].image)
-    looking = [cameras[view] for view in chosen]
-
-    def of_view(seen: ViewDetections) -> dict[str, Cell]:
-        view = chosen[seen.view]
-        row = {**cells(seen, len(looking)), "view": view, "condition": owners.get(view)}
-        return {**row, "appearance_psnr": errors[view]} if errors else row
-
-    looked = observe(condition, {"": splat}, looking, [detector], boxes=setup.box, cells=of_view)
-    write_rows(looked.rows.drop("splat"), out / f"{TRAINING}{SUFFIX}")
-
-
-def _psnr(setup: Setup, view: View, appearance: Path) -> float | None:
-    """PSNR of a picture on the object against an attack's appearance, dB; None where they are the same."""
-    mask = setup.mesh_scene.mask(view.camera)
-    wanted = KeptAppearance(name="", folder=appearance)(view, mask)
-    value = float(psnr(view.image[mask], wanted[mask])) if bool(mask.any()) else math.inf
-    return value if math.isfinite(value) else None
 
 
 def _condition(config: SeenConfig, setup: Setup, errors: dict[Camera, float | None]) -> Condition:
