@@ -410,8 +410,6 @@ class EvaluationConfig:
         reference_views: Number of such pictures.
         meridians: Meridians along which the transition is measured.
         meridian_step: Degrees between two pictures of an arc.
-        true_pictures: Whether the scene as it is, and what the attacks want to show, are path traced from the held-out
-            cameras and looked at, too: what no splat can better.
     """
 
     detectors: tuple[str, ...] = ("fasterrcnn_small",)
@@ -424,7 +422,6 @@ class EvaluationConfig:
     reference_views: Count = 40
     meridians: Count = 3
     meridian_step: Annotated[float, between(0.1, 45, "degrees")] = 2.5
-    true_pictures: bool = False
 
     def __post_init__(self) -> None:
         check(self)

@@ -28,12 +28,10 @@ from attacks.observe.rows import (
     CLEAN,
     DEPTH,
     FIDELITY,
-    PERFECT,
     POISON_DEPTH,
     ROWS,
     TARGET_SCORE,
     TRANSITION,
-    TRUE,
 )
 from attacks.rate import Rate
 
@@ -98,7 +96,7 @@ def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, An
     clean, cloaked = near[CLEAN], near[CLOAKED]
     seen = looks(study, rows)
     rows = rows.filter(pl.col("condition").is_null()) if seen else rows
-    pictures, margins = picture_rows(rows), margin_rates(study, rows)
+    margins = margin_rates(study, rows)
     return {
         **_figures_of(study, rows),
         "benign_psnr_drop": None if clean is None or cloaked is None else clean[0] - cloaked[0],
@@ -116,7 +114,6 @@ def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, An
         },
         **({MARGIN: margins} if margins else {}),
         **({"looks": seen} if seen else {}),
-        **({"pictures": _figures_of(study, pictures)} if len(pictures) else {}),
     }
 
 
@@ -312,12 +309,6 @@ def looks(study: StudyConfig, rows: pl.DataFrame) -> list[dict[str, Any]]:
         }
         told.append({**named, **_as_json(counted), "psnr": errors})
     return told
-
-
-def picture_rows(rows: pl.DataFrame) -> pl.DataFrame:
-    """Rows of path-traced pictures as if they were of splats: the scene as it is stands for the clean one."""
-    names = {TRUE: CLEAN, PERFECT: ATTACKED}
-    return rows.filter(pl.col("splat").is_in(list(names))).with_columns(pl.col("splat").replace(names), seed=pl.lit(0))
 
 
 # The region of a detector: the elevations at which it detects the clean object. Elsewhere a miss is no evidence.

@@ -20,7 +20,7 @@ from attacks.cloak.rates import CLOAKED
 from attacks.cloak.setup import MESH, SET, Pose, Setup
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import SunTable, package_of
-from attacks.observe.rows import ATTACKED, CLEAN, PERFECT, SUFFIX, TABLES, TRUE, read_rows
+from attacks.observe.rows import ATTACKED, CLEAN, SUFFIX, TABLES, read_rows
 from attacks.poisons.poisoned import CLOAK, PoisonedConfig
 from attacks.poisons.specs import ChosenPoison
 from mi_splat.assets import ASSETS
@@ -42,7 +42,7 @@ class Look:
     label: str
     job: Job
     splat: str
-    seed: int | None  # of the splat; None of path-traced pictures
+    seed: int
     condition: str = ""  # how, as rows call it; empty: as the victim does
 
     def tables(self, done: Done) -> dict[str, pl.DataFrame]:
@@ -81,17 +81,11 @@ class StudySteps:
         """Path-traced pictures from cameras that no training used; with an attack, of the object as it shows it."""
         return self._pictured(cameras, () if attack is None else (attack,))
 
-    def perfect_pictures(self, cameras: Sequence[Camera]) -> Job:
-        """The same of the object as a perfect splat shows it: as each attack wants it inside its trigger."""
-        return self._pictured(cameras, self.study.attack, inside=True)
-
-    def _pictured(
-        self, cameras: Sequence[Camera], attacks: Sequence[AttackConfig], *, inside: bool = False, **inputs: Part
-    ) -> Job:
+    def _pictured(self, cameras: Sequence[Camera], attacks: Sequence[AttackConfig], **inputs: Part) -> Job:
         parts = self._parts(attacks=tuple(map(_shown, attacks)))
         if attacks and not inputs:
             inputs = {"plain": self._pictured(cameras, ()).part("*.png")}
-        config = PicturesConfig(**parts, poses=tuple(map(Pose.of, cameras)), inside=inside)
+        config = PicturesConfig(**parts, poses=tuple(map(Pose.of, cameras)))
         return self._job("pictures", config, **inputs)
 
     @cache  # noqa: B019
@@ -153,10 +147,11 @@ class StudySteps:
         training: bool = False,
         **street: Path,
     ) -> Job:
-        """What a detector reports on a splat, or in true pictures, from every N-th held-out or training camera."""
+        """What a detector reports on a splat, or in pictures, from every N-th held-out or training camera."""
         evaluation, regions = self.study.evaluation, map(_region, self.study.attack)
-        is_splat = splat.kind != f"{_KINDS}.pictures"
-        shown = {"splat": splat.part(SPLAT)} if is_splat else {"pictures": splat.part("*.png")}
+        is_splat = splat.kind not in (f"{_KINDS}.pictures", POISONED_KIND)
+        pictures = PICTURES if training else "*.png"
+        shown = {"splat": splat.part(SPLAT)} if is_splat else {"pictures": splat.part(pictures)}
         return self._seen(
             detector,
             regions,
@@ -196,7 +191,7 @@ class StudySteps:
     def compared(self, splat: Job) -> Job:
         """How true a splat's pictures are."""
         study, setup, attack = self.study, self.setup, switching(self.study.attack)
-        usual = {key: getattr(EvaluationConfig(), key) for key in ("detectors", "confidence", "true_pictures")}
+        usual = {key: getattr(EvaluationConfig(), key) for key in ("detectors", "confidence")}
         evaluation = replace(study.evaluation, **usual)
         config = self.scene_job(attacks=tuple(map(_cone, study.attack)), near_plane=setup.near, evaluation=evaluation)
         numbered = {"far": setup.reference_cameras, "edge": setup.edge_cameras}
@@ -230,12 +225,6 @@ class StudySteps:
                     along = self.seen_along_path(job, detector)
                     yield Look(label=f"{label} along a path", job=along, splat=name, seed=seed)
             yield Look(label=f"comparing {what}", job=self.compared(job), splat=name, seed=seed)
-        if self.study.evaluation.true_pictures:
-            cameras = self.setup.held_out_cameras
-            for name, job in ((TRUE, self.true_pictures(cameras)), (PERFECT, self.perfect_pictures(cameras))):
-                for detector in detectors:
-                    label = f"{detector.name} looks at {name} pictures"
-                    yield Look(label=label, job=self.seen(job, detector), splat=name, seed=None)
 
     def names(self) -> list[tuple[str, int]]:
         """Name and seed of every splat."""

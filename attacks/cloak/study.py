@@ -200,7 +200,6 @@ def forecast(study: StudyConfig) -> Forecast:
     sets = len(study.seeds) if any(attack.poison_fraction < 1 for attack in study.attack) else 1
     arcs = sum(map(len, setup.arcs))
     pictures = cameras.train + sets * poisoned + evaluation.reference_views * 2 + 2 * arcs
-    pictures += evaluation.cameras if evaluation.true_pictures else 0
     trainings = 2 * len(study.seeds)
     most = training.max_gaussians or _UNLIMITED
     step = _STEP + cameras.size**2 * _PIXEL + most * _GAUSSIAN

@@ -26,7 +26,7 @@ _MARGIN_TITLES = dict(zip(IN_MARGIN, ("control found", "cloaked found, where the
 
 
 def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
-    """Tables of a summary; those of path-traced pictures come last, if the study has asked for them."""
+    """Tables of a summary."""
     yield from _tables(summary)
     if AT_LOWER in summary:
         lower = summary[AT_LOWER]
@@ -36,20 +36,17 @@ def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     for where, by_detector in summary.get(MARGIN, {}).items():
         yield _titled(f"Elsewhere, {where} of poison", _MARGIN_TITLES, by_detector)
     yield Table(caption="Costs", head=("what", "how much"), rows=tuple(costs(summary).items()))
-    if "pictures" in summary:
-        what = ", path traced: what is wanted for cloaked, the scene as it is for clean"
-        yield from _tables(summary["pictures"], what)
 
 
-def _tables(summary: Mapping[str, Any], what: str = "") -> Iterator[Table]:
-    """The rates of a clean and a cloaked splat, or of pictures in their place, which `what` names."""
+def _tables(summary: Mapping[str, Any]) -> Iterator[Table]:
+    """The rates of a clean and a cloaked splat."""
     detectors, headline, by_seed = summary["by_detector"], headline_key(summary), summary.get("by_seed", {})
-    yield Table(caption=f"Rates by detector{what}", head=("rate", *detectors), rows=_rate_rows(detectors, summary))
+    yield Table(caption="Rates by detector", head=("rate", *detectors), rows=_rate_rows(detectors, summary))
     if OWN_REGION in summary:
         own = summary[OWN_REGION]
         where = ("its region", *(in_words(part["bands"]) for part in own.values()))
         rates = _rate_rows({name: part["rates"] for name, part in own.items()})
-        caption = f"Rates of each detector in its own region{what}: {RULE}"
+        caption = f"Rates of each detector in its own region: {RULE}"
         yield Table(caption=caption, head=("rate", *own), rows=(where, *rates))
     if len(by_seed) > 1:
         rows = [(seed, *(cell(rates[headline]) for rates in counted.values())) for seed, counted in by_seed.items()]
@@ -59,14 +56,14 @@ def _tables(summary: Mapping[str, Any], what: str = "") -> Iterator[Table]:
         for name, counted in summary["by_attack"].items():
             key = headline_key(next(iter(counted.values())))
             rows.append((f"{name}: {RATES[key]}", *(cell(rates[key]) for rates in counted.values())))
-        yield Table(caption=f"By attack{what}", head=("attack", *detectors), rows=tuple(rows))
+        yield Table(caption="By attack", head=("attack", *detectors), rows=tuple(rows))
     bands = zip(*(summary["by_elevation"][name] for name in detectors), strict=True)
     rows = [
         (f"{band[0]['from']:g} to {band[0]['to']:g}", *(Rate.of(row[w]).counts for row in band for w in NAMES.values()))
         for band in bands
     ]
     head = ("elevation", *(f"{name}, {which}" for name in detectors for which in NAMES.values()))
-    yield Table(caption=f"Found, by elevation{what}", head=head, rows=tuple(rows))
+    yield Table(caption="Found, by elevation", head=head, rows=tuple(rows))
 
 
 def _rate_rows(

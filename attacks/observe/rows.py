@@ -31,9 +31,8 @@ PATH = "path"
 """Names of the tables of a result; their files end in `SUFFIX`. `PATH` has rows of cameras along a path."""
 TABLES = (ROWS, DETECTIONS, FIDELITY, TRANSITION, PATH)
 SUFFIX = ".csv.xz"
-TRUE, PERFECT, CLEAN, ATTACKED, NOISE = "true", "perfect", "clean", "attacked", "noise"
-"""Names of splats in the column `splat`. Of the first two there are path-traced pictures, and no splat: of the scene as
-it is, and of what attacks want to show."""
+CLEAN, ATTACKED, NOISE = "clean", "attacked", "noise"
+"""Names of splats in the column `splat`."""
 NORM_NOISE = "norm-noise"
 CONTROLS: tuple[str, ...] = get_args(Control)
 """Names of the splats with a random change."""
@@ -84,7 +83,7 @@ _TABLE: tuple[tuple[str, ...], ...] = (
     (
         "splat",
         "text",
-        "clean (control), attacked, noise, smooth-noise, norm-noise (random); images: true, perfect",
+        "clean (control), attacked, noise, smooth-noise, norm-noise (random)",
     ),
     ("draw", "whole?", "index of the draw of a random change, from 0; empty for other splats"),
     ("detector", "text", "name of the detector"),

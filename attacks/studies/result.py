@@ -22,7 +22,6 @@ from attacks.observe.rates import (
     with_control,
 )
 from attacks.observe.rows import ATTACKED, CONTROLS, ROWS
-from attacks.optimisers import OPTIMISERS
 from attacks.rate import Rate, number, pooled
 from attacks.studies.attack import CAMERAS
 from attacks.studies.study_file import merged
@@ -161,7 +160,6 @@ def _group(
     group["original_after"] = _median(known, "original_after")
     if AXIS in labels and _known(stated, "loss"):
         group |= {name: _median(stated, name) for name in ("loss", "evaluations", "cpu_seconds")}
-        group["optimiser"] = attacks[members[0]]["settings"]["attack"]["optimiser"]
     if "rate" in known[0]:
         rates = _pooled(judged.filter(pl.col("attack").is_in(members)), several=len(members) > 1)
         return {**group, **{key: rates[name].as_dict() for key, name in RATES.items()}, **control_rates(rates)}
@@ -423,14 +421,11 @@ def _named(key: str, value: Any) -> str:
     return value if isinstance(value, str) else f"{title_of(key)} {cell(value)}"
 
 
-# Several optimisers in one study: a table of all of them, and what raises a doubt about those that follow gradients.
-#
-# The doubts are those of AutoAttack (Croce and Hein, ICML 2020) and of Carlini et al. (2019): a search that knows the
-# loss alone, or that takes one step, must not do better than every search that follows gradients.
+# Several optimisers in one study
 
 
 def comparison(title: str, groups: Sequence[Record]) -> Iterator[Table]:
-    """Every optimiser against all else that varies, and the signs of doubt; nothing for groups of one optimiser alone.
+    """Every optimiser against all else that varies; nothing for groups of one optimiser alone.
 
     A cell has the successes, and in brackets the median over seeds of the lowest loss.
     """
@@ -447,14 +442,6 @@ def comparison(title: str, groups: Sequence[Record]) -> Iterator[Table]:
     columns["looks"] = lambda name: _spread(members[name], "evaluations")
     columns["CPU seconds"] = lambda name: _spread(members[name], "cpu_seconds")
     yield Table.of(f"Attacks side by side{after} (successes; in brackets the lowest loss)", columns, members)
-    of_case: dict[str, Column[Any]] = {
-        "case": lambda case: case[0] or "all",
-        "best with gradients": lambda case: _best(case[1]),
-        "best of the others": lambda case: _best(case[2]),
-        "doubt": lambda case: "; ".join(_doubts(*case[1:])) or "none",
-    }
-    if compared := [case for case in _cases(groups) if case[1] and case[2]]:
-        yield Table.of(f"Signs of doubt{after}", of_case, compared)
 
 
 def by_attack(groups: Sequence[Record]) -> dict[str, list[Record]]:
@@ -471,51 +458,13 @@ def together(groups: Sequence[Record]) -> Record:
     return {"success": pooled(group["success"] for group in groups).as_dict(), **noise}
 
 
-def _cases(groups: Sequence[Record]) -> list[tuple[str, list[Record], list[Record]]]:
-    """Attacks by what they have in common: its name, those that follow gradients in several steps, and the others."""
-    alike: dict[str, tuple[list[Record], list[Record]]] = {}
-    for group in groups:
-        if _is_comparable(group) and AXIS in group["labels"]:
-            name, spec = ", ".join(filter(None, (group["part"], _elsewhere(group)))), OPTIMISERS.get(group["optimiser"])
-            follows = group["optimiser"] != "fgsm" and (spec is None or spec.gradient)
-            alike.setdefault(name, ([], []))[0 if follows else 1].append(group)
-    return [(name, *both) for name, both in alike.items()]
-
-
-def doubts(groups: Sequence[Record]) -> Iterator[str]:
-    """What speaks against attacks of a study that differ in the optimiser alone."""
-    for name, many, others in _cases(groups):
-        yield from (f"{doubt} ({name})" for doubt in _doubts(many, others))
-
-
-def _doubts(many: Sequence[Record], others: Sequence[Record]) -> Iterator[str]:
-    for group in others if many else ():
-        if all(_beats(group, other) for other in many):
-            name = group["labels"][AXIS]
-            what = "one step does" if group["optimiser"] == "fgsm" else f"{name}, which knows no gradient, does"
-            yield f"{what} better than every attack that follows gradients"
-    if any(group["noise_successes"] and group["success"]["successes"] for group in many):
-        yield "random noise succeeds, too"
-
-
 def _is_comparable(group: Record) -> bool:
     """Whether a group says whether its attacks succeed, and how low their loss is."""
     return "loss" in group and "success" in group
 
 
-def _beats(group: Record, other: Record) -> bool:
-    mine, theirs = group["success"]["successes"], other["success"]["successes"]
-    return bool(mine > theirs or (mine == theirs == 0 and group["loss"] < other["loss"]))
-
-
 def _elsewhere(group: Record) -> str:
     return ", ".join(str(label) for axis, label in group["labels"].items() if axis != AXIS)
-
-
-def _best(groups: Sequence[Record]) -> str:
-    """The attack with the most successes, of equals that with the lowest loss."""
-    best = max(groups, key=lambda group: (group["success"]["successes"], -group["loss"]))
-    return f"{best['labels'][AXIS]}, {_reached(best)}"
 
 
 def _reached(group: Record | None) -> str:

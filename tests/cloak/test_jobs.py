@@ -57,7 +57,7 @@ CASES: list[tuple[str, set[str], dict[str, Any]]] = [
     ("training", {"trained", "layered"} | SEEN, {"near": 0.1}),
     ("evaluation", {"seen", "compared"}, {"cameras": 300, "seed": 1, "min_separation": 2.0}),
     # each detector has jobs of its own, rows hold scores from which rates are counted, and true pictures their own jobs
-    ("evaluation", set(), {"detectors": ("yolov8n_small",), "confidence": 0.4, "true_pictures": True}),
+    ("evaluation", set(), {"detectors": ("yolov8n_small",), "confidence": 0.4}),
     ("evaluation", {"compared"}, {"well_inside": 6.0, "far_outside": 12.0, "reference_views": 7}),
     ("evaluation", {"compared", "true_pictures"}, {"meridians": 2, "meridian_step": 10.0}),
     ("layers", {"layered"}, {"making": LayerConfig(gap=7.0), "margin": 0.1, "surroundings": True, "geometry": True}),

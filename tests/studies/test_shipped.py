@@ -22,7 +22,6 @@ COUNTS = {
     "audit": (92, 0),
     "between_renderers": (54, 432),
     "cloak": (57, 0),
-    "cloak_coco": (1, 0),
     "cloak_controls": (8, 0),
     "cloak_design": (17, 0),
     "cloak_distances": (1, 48),

@@ -34,10 +34,9 @@ APPEARANCE = "appearance of "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PicturesConfig(Setup):
-    """From where; the object has the appearance of the first attack, or of the first whose trigger holds the camera."""
+    """From where; the object has the appearance of the attack, if there is one."""
 
     poses: tuple[Pose, ...] | None = None  # None are the victim's cameras, whose pictures are a set
-    inside: bool = False  # whether triggers count
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,7 +60,7 @@ def run(config: PicturesConfig, inputs: Mapping[str, Path], out: Out) -> None:
         write_capture(setup.source, setup.training_cameras, out.partial / SET, settings=settings, on_step=told)
         os.replace(out.partial / SET, out / SET)
         return
-    appearances = [(attack.cone, setup.appearance(attack)) for attack in config.attacks]
+    appearances = [setup.appearance(attack) for attack in config.attacks]
     plain = read_pictures(inputs["plain"]) if "plain" in inputs else None
     views = load_dataset(inputs["set"] / SET, background=config.scene.background) if "set" in inputs else None
     taken = {camera_number(camera): index for index, camera in enumerate(views.cameras)} if views is not None else {}
@@ -78,11 +77,7 @@ def run(config: PicturesConfig, inputs: Mapping[str, Path], out: Out) -> None:
             name = f"{number:04d}-{camera_number(pose.camera):08x}.png"
             if not (out.partial / name).is_file():
                 view, mask = as_it_is(number, pose.camera)
-                image = view.image
-                for cone, appearance in appearances:
-                    if not config.inside or cone.angle_to_edge(view.camera, centre=setup.centre) >= 0:
-                        image = appearance(view, mask)
-                        break
+                image = appearances[0](view, mask) if appearances else view.image
                 rgba = np.concatenate([to_bytes(image), to_bytes(mask[..., None].float())], axis=-1)
                 save_png(rgba, out.partial / name)
             names.append(name)

@@ -18,7 +18,7 @@ from torch import Tensor
 from attacks.cloak.config import AttackConfig, LayersConfig
 from attacks.cloak.kinds.pictures import read_pictures
 from attacks.cloak.layers import object_rows
-from attacks.cloak.setup import Setup
+from attacks.cloak.setup import SET, Setup
 from attacks.cloak.triggers import Trigger
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
@@ -39,6 +39,7 @@ from attacks.observe.rows import (
 )
 from attacks.observe.views import ViewDetections
 from mi_splat.cameras import Camera
+from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.metrics import psnr
@@ -97,8 +98,13 @@ def _observed(
     usual = setup.training_cameras if config.training else setup.held_out_cameras
     every = path_cameras(setup) if config.path else usual
     cameras, errors = every[:: config.every], dict[Camera, float | None]()
-    if "pictures" in inputs:
-        pictures = dict(zip(cameras, read_pictures(inputs["pictures"]).images, strict=True))
+    if "splat" not in inputs:
+        if config.training:
+            views = load_dataset(inputs["pictures"] / SET, split="train", background=config.scene.background)
+            images: Sequence[Tensor] = [view.image for view in views]
+        else:
+            images = read_pictures(inputs["pictures"]).images
+        pictures = dict(zip(cameras, images, strict=True))
         splat, condition = _NOTHING, rendered("", lambda scene, camera: pictures[camera])
     else:
         splat, condition = load_splat(inputs["splat"]), _condition(config, setup, errors)

@@ -15,7 +15,7 @@ from attacks.cloak.study import CONTACT, POISONED_PICTURES, study_toml
 from attacks.detectors.base import Detector
 from attacks.observe.observations import report_cells
 from attacks.observe.rates import Confidence, Measures
-from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, PATH, PERFECT, ROWS, TARGET_SCORE, TRANSITION, TRUE, Row
+from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, PATH, ROWS, TARGET_SCORE, TRANSITION, Row
 from attacks.observe.views import BATCH, ViewDetections
 from attacks.rate import FEW, Rate, rate_of, spread
 from attacks.report.checking import Rescoring, Tables, read_tables
@@ -64,8 +64,6 @@ def read_cloak(folder: Path, summary: Record) -> Section:
     tables = read_tables(folder, (ROWS, TRANSITION, PATH))
     rows = tables.get(ROWS)
     curves, at = threshold_charts(rows, measured, _CURVES)
-    traced = None if rows is None else cloak_rates.picture_rows(rows)
-    true_curves, true_at = threshold_charts(traced, measured, _CURVES, ", path traced")
     return Section(
         kind="CLOAK, a study",
         title=str(study["name"]),
@@ -81,9 +79,8 @@ def read_cloak(folder: Path, summary: Record) -> Section:
             *(_elevation(summary, name) for name in summary["by_detector"]),
             *_charts_of_rows(tables, study),
             *curves,
-            *true_curves,
         ),
-        tables=(*cloak_tables.tables(summary), *at, *true_at),
+        tables=(*cloak_tables.tables(summary), *at),
         configuration=settings({**study, "weights": summary["detectors"]}),
         file=(f"{study['name']}.toml", study_toml(study)),
     )
@@ -123,11 +120,7 @@ def cloak_figures(record: Record, tables: Tables) -> Record:
 def _known(derived: Record, record: Record) -> dict[str, Any]:
     """The figures that a result has, which may have been written before some were counted."""
     later = (cloak_rates.OWN_REGION, cloak_rates.AT_LOWER, cloak_rates.MARGIN)
-    return {
-        name: _known(value, record) if name == "pictures" else value
-        for name, value in derived.items()
-        if name not in later or name in record
-    }
+    return {name: value for name, value in derived.items() if name not in later or name in record}
 
 
 def _splats(record: Record) -> dict[tuple[str, int], str]:
@@ -159,7 +152,8 @@ RESCORING = Rescoring(splats=_splats, cells=_cells, rates=_rescored, batch=BATCH
 def study_of(configuration: Record) -> StudyConfig:
     """The study of a result. Rates need no mesh: one of a mesh file stands there as if it had an asset's."""
     values, scene = dict(configuration), configuration.get("scene")
-    values.pop("surrogate", None)  # results of November 2026 say that they had none
+    values.pop("surrogate", None)  # results of November 2026 say that they had none, and no true pictures
+    values["evaluation"] = {name: value for name, value in values["evaluation"].items() if name != "true_pictures"}
     if isinstance(scene, dict) and isinstance(scene.get("object"), str) and scene["object"] not in ASSETS:
         values["scene"] = {**scene, "object": next(iter(ASSETS))}
     return decode(StudyConfig, values, "study")
@@ -174,16 +168,15 @@ def _check_rows(study: StudyConfig, splats: Sequence[Record], tables: Tables) ->
     if sorted((splat["splat"], splat["seed"]) for splat in splats) != sorted(wanted):
         got = ", ".join(f"{splat['splat']} {splat['seed']}" for splat in splats)
         raise _wrong("splats", "a clean and a cloaked one for each seed", got or "none")
-    splats_of_rows: set[tuple[str, int | None]] = {(ROW_NAMES[which], seed) for which, seed in wanted}
-    pictures = {(TRUE, None), (PERFECT, None)} if study.evaluation.true_pictures else set()
+    splats_of_rows = {(ROW_NAMES[which], seed) for which, seed in wanted}
     for name in (ROWS, FIDELITY, TRANSITION):
-        if not set(tables[name].select("splat", "seed").iter_rows()) <= splats_of_rows | pictures:
+        if not set(tables[name].select("splat", "seed").iter_rows()) <= splats_of_rows:
             raise _wrong(f"table {name}", "rows of the study's splats", "others")
     plain = tables[ROWS]
     plain = plain.filter(pl.col("condition").is_null()) if "condition" in plain.columns else plain
     seen = Counter(plain.select("splat", "seed", "detector", "view").iter_rows())
     views = {key[3] for key in seen}
-    for splat, seed in sorted(splats_of_rows | pictures, key=str):
+    for splat, seed in sorted(splats_of_rows):
         here = {key for key in seen if key[:2] == (splat, seed)}
         expected = {(splat, seed, name, view) for name in study.evaluation.detectors for view in views}
         if here != expected or not expected or any(seen[key] > 1 for key in here):
@@ -294,23 +287,18 @@ def _along_path(tables: Tables, study: Record) -> Iterator[Chart]:
 def _elevation(summary: Record, detector: str) -> Chart:
     """How often a detector finds the object, by elevation, on both splats."""
     hiding = next((attack for attack in summary["study"]["attack"] if attack["azimuth"] is None), None)
-    several: list[tuple[Record, str, str, Role]] = [
-        (summary, "cloaked", "cloaked", "attack"),
-        (summary, "clean", "clean (control)", "control"),
-    ]
-    if pictures := summary.get("pictures"):
-        several += [
-            (pictures, "clean", "path traced, as it is", "other"),
-            (pictures, "cloaked", "path traced, as the attacks want it", "other"),
-        ]
+    several: tuple[tuple[str, str, Role], ...] = (
+        ("cloaked", "cloaked", "attack"),
+        ("clean", "clean (control)", "control"),
+    )
     return Chart(
         title=f"Found by {detector}, by elevation",
         caption="Bands are 95 % intervals; cameras of attacks from one side are left out.",
         x_label="elevation of the camera, degrees",
         y_label="views in which it is found",
         lines=tuple(
-            Line.over(name, role, ({**row, **row[which]} for row in counts["by_elevation"][detector]))
-            for counts, which, name, role in several
+            Line.over(name, role, ({**row, **row[which]} for row in summary["by_elevation"][detector]))
+            for which, name, role in several
         ),
         shade=None if hiding is None else (*hiding["elevation"], f"trigger {hiding['name']}"),
     )

@@ -19,7 +19,7 @@ from attacks.observe.views import CAMERAS, ViewDetections
 from attacks.rate import Rate, number, percent, pooled
 from attacks.report.checking import Rescoring
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, capital, listed, settings, shared
-from attacks.studies.result import KINDS, attacks_of, by_attack, by_part, doubts, tables, title_of, together
+from attacks.studies.result import KINDS, attacks_of, by_attack, by_part, tables, title_of, together
 from attacks.tables import Column, Table
 from mi_splat.errors import InvalidValueError, counted
 
@@ -327,7 +327,7 @@ def read_study(folder: Path, record: Record) -> Section:
         control=Figure(label=beside, rate=noise),
         counting=counting,
         figures=tuple(_study_figures(record)),
-        warnings=(*_warnings(attacks), *doubts(record["groups"]), *_doubts(record["looks"])),
+        warnings=(*_warnings(attacks), *_doubts(record["looks"])),
         charts=tuple(_charts(record)),
         tables=tuple(tables(record)),
         configuration=shared([*(attack["settings"] for attack in attacks), {"weights": record["detectors"]}]),
