@@ -91,7 +91,7 @@ def fingerprint(arrays: Arrays) -> str:
 
     Moments are sums over the Gaussians, weighted by opacity, so their order does not count: number, extents along the
     principal axes, how sizes, opacities and colours are distributed, and colours near the middle. Each is rounded to
-    one of 256 steps, by far more than formats round, so that in another format a few of them differ by 1 (`alike`). SH
+    one of 256 steps, by far more than formats round, so that in another format a few of them differ by 1. SH
     above degree 0 have no part in it, and equal fingerprints do not prove that nothing was edited.
     """
     import numpy as np
@@ -116,9 +116,3 @@ def fingerprint(arrays: Arrays) -> str:
     extents = np.sqrt(np.linalg.eigvalsh(covariance).clip(0)) / size
     values = [math.log2(len(means)) / 32, *extents, *middles, *spreads, near.sum(), *(near @ columns / near.sum())]
     return bytes(round(255 * min(max(float(value), 0.0), 1.0)) for value in values).hex()
-
-
-def alike(first: str, second: str) -> bool:
-    """Whether two fingerprints are of the same splat, each moment within the step that a format's rounding may cost."""
-    pairs = zip(bytes.fromhex(first), bytes.fromhex(second), strict=False)
-    return len(first) == len(second) > 0 and all(abs(a - b) <= 1 for a, b in pairs)
