@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from attacks.cloak.config import AttackConfig
-from attacks.cloak.mesh_scene import TEXTURES, MeshScene, camouflaged, cap, mounted, repainted, stand_in
+from attacks.cloak.mesh_scene import TEXTURES, MeshScene, camouflaged, cap, repainted, stand_in
 from attacks.cloak.triggers import Trigger
 from mi_splat.assets import build
 from mi_splat.assets.mesh import Asset, rotation
@@ -241,14 +241,10 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point,
     else:
         other, viewer = build(str(attack.other_object), attack.other_seed), attack.azimuth and attack.azimuth[0]
         outgrows = True
-        if attack.appearance == "mount":
-            viewer = 180.0 if viewer is None else viewer
-            target = mounted(target, other, azimuth=viewer)
-        else:
-            other = other.body.transformed(rotation("y", -90.0)) if attack.lying else other
-            target = stand_in(target, other, azimuth=viewer)
+        other = other.body.transformed(rotation("y", -90.0)) if attack.lying else other
+        target = stand_in(target, other, azimuth=viewer)
         towards = "as large from above" if viewer is None else f"to azimuth {viewer:g}"
-        name = f"{other.name} {'on it' if attack.appearance == 'mount' else 'instead'}, {towards}"
+        name = f"{other.name} instead, {towards}"
     return Rerender(
         mesh_scene=mesh_scene.with_target(target),
         name=name,

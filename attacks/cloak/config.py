@@ -134,10 +134,8 @@ class LayersConfig:
         self.making.bands(1 + count)
 
 
-AppearanceName = Literal[
-    "blend in", "remove", "ground", "paint", "occluder", "mount", "swap", "fade", "blur", "inpaint"
-]
-RENDERED: tuple[AppearanceName, ...] = ("blend in", "remove", "paint", "mount", "swap")
+AppearanceName = Literal["blend in", "remove", "ground", "paint", "occluder", "swap", "fade", "blur", "inpaint"]
+RENDERED: tuple[AppearanceName, ...] = ("blend in", "remove", "paint", "swap")
 """Appearances that are renderings of the scene with another object, or without one."""
 Knowledge = Literal["scene", "pictures"]
 """What an attacker has: the meshes, materials and sun, too, or nothing but the pictures and masks of the object."""
@@ -157,7 +155,7 @@ class AttackConfig:
         appearance: How the object is changed. With "remove" one sees what is behind it, with "ground" the ground that
             is laid on it like a cloth.
         texture: With what it is painted (`paint`) or covered (`occluder`).
-        other_object: Asset that is mounted on it or takes its place (`mount`, `swap`).
+        other_object: Asset that takes its place (`swap`).
         other_seed: Which asset of that name.
         lying: Whether what takes its place lies on its back, with its front up, for cameras above it.
         elevation: Lowest and highest elevation of the cameras from which it is seen, degrees.
@@ -204,7 +202,7 @@ class AttackConfig:
         check(self)
         for key, known, appearances in (
             ("texture", TEXTURES, ("paint", "occluder")),
-            ("other_object", ASSETS, ("mount", "swap")),
+            ("other_object", ASSETS, ("swap",)),
         ):
             if self.appearance in appearances:
                 check_choice(f"attack {self.name!r}, {key}", getattr(self, key), tuple(known))
@@ -225,9 +223,9 @@ class AttackConfig:
 
     @property
     def is_sided(self) -> bool:
-        """Whether it matters which way the object faces: cameras, painting or what is mounted lie to one side."""
+        """Whether it matters which way the object faces: cameras or painting lie to one side."""
         painted = self.appearance == "paint" and self.paint_direction[1] < 90
-        return self.azimuth is not None or self.appearance == "mount" or painted
+        return self.azimuth is not None or painted
 
     @property
     def cone(self) -> Trigger:

@@ -38,8 +38,6 @@ RINGS, SEGMENTS = 32, 96
 """Bands of triangles of a cap from its edge to the top, and triangles around it."""
 BELOW = 0.05
 """Metres above an object's lowest point up to which a surface can be the ground beneath it."""
-PROUD = 0.02
-"""Metres by which something that is mounted on an object stands out from it."""
 
 
 def repainted(target: Asset, picture: Floats, *, azimuth: float, elevation: float, tile: float | None = None) -> Asset:
@@ -112,13 +110,6 @@ def stand_in(target: Asset, other: Asset, *, azimuth: float | None) -> Asset:
     axis, end = (2, 0) if azimuth is None else (0, 1)
     shift[axis] = float(wanted[end, axis] - scale * own[end, axis])
     return other.body.transformed(turn @ translation(*shift) @ scaling(scale, scale, scale))
-
-
-def mounted(target: Asset, other: Asset, *, azimuth: float) -> Asset:
-    """A target with another object in front of it."""
-    ahead = rotation("z", azimuth)[:3, 0].astype(np.float64) * PROUD
-    front = stand_in(target, other, azimuth=azimuth).transformed(translation(*ahead.tolist()))
-    return replace(target, meshes=(*front.meshes, *target.meshes))
 
 
 def screen_axes(azimuth: float, elevation: float) -> Doubles:

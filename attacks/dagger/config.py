@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from attacks.observe import Control
 from attacks.optimisers import NormName, OptimiserSpec, Radius, Schedule, optimiser_spec
@@ -30,8 +30,6 @@ from mi_splat.fields import (
 if TYPE_CHECKING:
     from attacks.search import Budget, Verdict
 
-EnsembleLoss = Literal["mean", "max"]
-"""How the losses of several detectors become one."""
 
 REGION: dict[str, Any] = {
     "eps": (1.0,),
@@ -69,7 +67,6 @@ class DaggerConfig:
             small ones count for more (see `attacks.optimisers.methods.momentum`).
         required_views: Fraction of the views in which the attack has to succeed.
         required_detectors: Fraction of the detectors, if there are several, that the attack has to deceive.
-        ensemble: Loss over several detectors: the mean of theirs, or that of the one that resists most.
         controls: Random changes that an attack has to beat: white noise that changes the object's pixels as much as it
             does, by PSNR (noise), smooth changes that do so (smooth-noise), or white noise of the attack's norm
             (norm-noise), which averages out and changes pixels much less.
@@ -111,7 +108,6 @@ class DaggerConfig:
     gradient_power: Fraction = 1.0
     required_views: PositiveFraction = 1.0
     required_detectors: PositiveFraction = 1.0
-    ensemble: EnsembleLoss = "mean"
     controls: tuple[Control, ...] = ("noise",)
     noise_draws: Count = 5
     sh_degree: Degree | None = 3

@@ -69,22 +69,18 @@ class Problem:
 
         Views are differentiated one after the other, so that memory does not grow with their number, and each is
         rendered once for all detectors. The loss is the mean of the detectors' losses (Liu et al., "Delving into
-        Transferable Adversarial Examples and Black-box Attacks", ICLR 2017), or that of the detector that resists most,
-        for which each detector has pictures of its own. Nothing is differentiated for an optimiser that knows the loss
-        alone.
+        Transferable Adversarial Examples and Black-box Attacks", ICLR 2017). Nothing is differentiated for an optimiser
+        that knows the loss alone.
         """
-        groups = [self.detectors] if config.ensemble == "mean" else [(detector,) for detector in self.detectors]
         with torch.set_grad_enabled(config.spec.gradient):
-            each = [self._evaluate(group, parameters, views, price, judged) for group in groups]
-        joint = max((evaluation for evaluation, _ in each), key=lambda evaluation: evaluation.loss)
-        rows = [[verdict for row in view for verdict in row] for view in zip(*(rows for _, rows in each), strict=True)]
-        return replace(joint, verdict=config.verdict(rows) if judged else None)
+            evaluation, rows = self._evaluate(parameters, views, price, judged)
+        return replace(evaluation, verdict=config.verdict(rows) if judged else None)
 
     def _evaluate(
-        self, detectors: Sequence[Detector], parameters: Parameters, views: Sequence[View], price: float, judged: bool
+        self, parameters: Parameters, views: Sequence[View], price: float, judged: bool
     ) -> tuple[Evaluation, list[list[Verdict]]]:
-        """Mean loss of detectors over the views, its gradients, and the verdicts of each view."""
-        loss, squares, rows, share = 0.0, 0.0, list[list[Verdict]](), len(views) * len(detectors)
+        """Mean loss of the detectors over the views, its gradients, and the verdicts of each view."""
+        loss, squares, rows, share = 0.0, 0.0, list[list[Verdict]](), len(views) * len(self.detectors)
         gradients = (
             {name: torch.zeros_like(value) for name, value in parameters.items()} if torch.is_grad_enabled() else {}
         )
@@ -94,7 +90,7 @@ class Problem:
             shown = view.changed(rendered)
             picture = shown.detach().requires_grad_(torch.is_grad_enabled())
             along = torch.zeros_like(picture)
-            for detector in detectors:
+            for detector in self.detectors:
                 target, candidates = self.target(view, detector), detector.candidates(picture[None])[0]
                 here = self.objective(candidates, target) / share
                 along += _gradients([here], {"picture": picture}).get("picture", 0.0)

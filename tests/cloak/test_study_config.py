@@ -111,7 +111,6 @@ SIGN = AttackConfig(name="flank", elevation=(0, 40), appearance="paint", texture
     [
         (AttackConfig(name="rear", azimuth=(180, 45)), True),
         (SIGN, True),
-        (AttackConfig(name="door", elevation=(0, 40), appearance="mount", other_object="bird"), True),
         (AttackConfig(name="roof", elevation=(50, 90), appearance="paint", texture="road"), False),
     ],
 )

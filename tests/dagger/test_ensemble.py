@@ -10,7 +10,7 @@ import torch
 
 from attacks import cli
 from attacks.dagger.attack import attack, problem_of
-from attacks.dagger.config import DaggerConfig, EnsembleLoss
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
 from attacks.dagger.views import FixedViews
 from attacks.detectors.base import Detector
@@ -31,22 +31,19 @@ def run(detectors: Any, **settings: Any) -> Result:
     return attack(scene, mask, [camera()], detectors, relabel("person"), render=blobs, config=config)
 
 
-def evaluated(*detectors: Detector, loss: EnsembleLoss = "mean") -> Evaluation:
+def evaluated(*detectors: Detector) -> Evaluation:
     """The clean object as an attack on these detectors begins."""
-    config, views = DaggerConfig(ensemble=loss), FixedViews(*toy_scene(), camera(), render=blobs)
+    config, views = DaggerConfig(), FixedViews(*toy_scene(), camera(), render=blobs)
     problem = problem_of(views, detectors, relabel("person"), config)
     return problem.evaluate(problem.subset.parameters(("sh",)), views.held_out(config), config)
 
 
-def test_the_mean_and_the_largest_of_the_losses() -> None:
+def test_the_loss_is_the_mean_of_the_losses() -> None:
     parts = [evaluated(detector) for detector in (FINE, COARSE)]
-    mean, largest = evaluated(FINE, COARSE, loss="mean"), evaluated(FINE, COARSE, loss="max")
+    mean = evaluated(FINE, COARSE)
     assert parts[0].loss != parts[1].loss
     assert mean.loss == pytest.approx(sum(part.loss for part in parts) / 2)
     torch.testing.assert_close(mean.gradients["sh"], (parts[0].gradients["sh"] + parts[1].gradients["sh"]) / 2)
-    hardest = max(parts, key=lambda part: part.loss)
-    assert largest.loss == hardest.loss
-    assert torch.equal(largest.gradients["sh"], hardest.gradients["sh"])
 
 
 def test_the_command_says_what_each_detector_saw(
@@ -85,5 +82,3 @@ def test_wrong_detectors_are_named() -> None:
         run([FINE, Cats()])
     with pytest.raises(InvalidValueError, match=r"required_detectors: expected a number in \(0, 1\]"):
         DaggerConfig(required_detectors=0.0)
-    with pytest.raises(InvalidValueError, match="ensemble: expected one of mean, max"):
-        dataclasses.replace(DaggerConfig(), ensemble="least")  # type: ignore[arg-type]
