@@ -15,7 +15,6 @@ from attacks.observe.rates import (
     OVER_CAMERAS,
     REPORTED,
     blocks_of,
-    control_rates,
     count,
     joint_views,
     transfer_measures,
@@ -116,7 +115,7 @@ def _of_attacks(attacks: Record, judged: pl.DataFrame) -> dict[str, dict[str, An
             rates = count(joint_views(rows), AIMS)[()]
             held = rates["success"].fraction >= config["required_views"] - 1e-9
             seen = {key: rates[measure].as_dict() for key, measure in RATES.items()}
-            each[name] = {"success": held, **seen, **control_rates(rates)}
+            each[name] = {"success": held, **seen}
         else:
             needed = {key: config[key] for key in ("required_views", "required_detectors")}
             told = verdict_figures(rows, attacks[name]["sources"], DaggerConfig(**needed))
@@ -162,7 +161,7 @@ def _group(
         group |= {name: _median(stated, name) for name in ("loss", "evaluations", "cpu_seconds")}
     if "rate" in known[0]:
         rates = _pooled(judged.filter(pl.col("attack").is_in(members)), several=len(members) > 1)
-        return {**group, **{key: rates[name].as_dict() for key, name in RATES.items()}, **control_rates(rates)}
+        return {**group, **{key: rates[name].as_dict() for key, name in RATES.items()}}
     aims = ("success", "strict", "unambiguous")
     frame = pl.DataFrame([{"splat": ATTACKED, **{key: attack[key] for key in aims}} for attack in known])
     rates = count(frame, {key: AIMS[key] for key in aims})[()]
@@ -175,7 +174,6 @@ def _group(
         "noise_successes": sum(_known(noise, "successes")),
         "noise_draws": sum(_known(noise, "draws")),
         "noise_best": max(_known(noise, "best"), default=None),
-        **_controls(known),
     }
 
 
@@ -199,16 +197,6 @@ def _over_cameras(members: Sequence[str], attacks: Record, judged: pl.DataFrame)
 
 
 _REACHED = ("strict", "success", "lost")
-
-
-def _controls(attacks: Sequence[Record]) -> dict[str, Any]:
-    """How often other random changes than noise reach the aim of attacks, where some were made."""
-    rates: dict[str, list[Any]] = {}
-    for attack in attacks:
-        for name, control in attack.get("controls", {}).items():
-            rates.setdefault(name, []).append({"successes": control["successes"], "total": control["draws"]})
-    known = {name: pooled(controls).as_dict() for name, controls in rates.items()}
-    return {"control_rates": known} if known else {}
 
 
 def _known(lines: Sequence[Record], name: str) -> list[Any]:
@@ -282,7 +270,7 @@ def tables(record: Record) -> Iterator[Table]:
         if "found" in groups[0]:
             yield over_cameras(title, groups, record["together"])
             continue
-        columns = {**_axes(groups), **(_OF_VIEWS if "rate" in groups[0] else _OF_ATTACKS), **_of_controls(groups)}
+        columns = {**_axes(groups), **(_OF_VIEWS if "rate" in groups[0] else _OF_ATTACKS)}
         yield from compared or [Table.of(title or "The attacks", columns, groups)]
     for title, searched in by_part(record["smallest"]).items():
         caption = f"The smallest that suffices{f': {title}' if title else ''}"
@@ -358,17 +346,6 @@ def by_part(lines: Sequence[Record]) -> dict[str, list[Record]]:
 def _axes(lines: Sequence[Record]) -> dict[str, Column[Any]]:
     names = dict.fromkeys(name for line in lines for name in line["labels"])
     return {title_of(name): lambda line, name=name: line["labels"].get(name) for name in names}  # type: ignore[misc]
-
-
-def _of_controls(groups: Sequence[Record]) -> dict[str, Column[Any]]:
-    """A column for each random change besides noise."""
-
-    def rate(group: Record, name: str) -> str | None:
-        known = group.get("control_rates", {}).get(name)
-        return None if known is None else Rate.of(known).short()
-
-    names = dict.fromkeys(name for group in groups for name in group.get("control_rates", ()))
-    return {name: functools.partial(rate, name=name) for name in names}
 
 
 def title_of(axis: str) -> str:
