@@ -72,16 +72,8 @@ def test_the_gaussian_in_front_has_a_border_and_its_colours() -> None:
     round_one = scene.replace(scales=torch.full_like(scene.scales, 0.01))
     radii = (border(round_one, row, camera) - centre).norm(dim=1)
     assert radii.tolist() == pytest.approx([2 * camera.fx * 0.01 / float(depth)] * len(radii), rel=0.05)
-    assert (
-        len(
-            border(
-                scene,
-                row,
-                START.camera((480, 320)).turned(torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))),
-            )
-        )
-        == 0
-    )
+    behind = scene.replace(means=scene.means + 3 * camera.position.to(scene.means))
+    assert len(border(behind, row, camera)) == 0
     red, green, blue = (255 * colours(scene, row, [START.changed(elevation=0.0).camera((1, 1))])[0]).int().tolist()
     assert f"to right, rgb({red}, {green}, {blue})" in one_gaussian(scene, row, START)
 
