@@ -55,7 +55,6 @@ GROUPS: dict[str, dict[str, str]] = {
         "gate": "accept, quarantine or refuse many splat files, for uploads and pipelines",
         "detect": "what detectors report on images, splats and scenes",
         "evaluate": "detection rates and attack success rates of a result, clean and attacked",
-        "dagger --sanity": "gradient-masking and sanity checks of DAGGER on an object and a detector",
         "study": "many attacks from one TOML file: plan, run, resume, status",
         "bench": "robustness benchmark: one suite of attacks, the same for every detector",
         "report": "one HTML page of results: rates with intervals, controls, warnings, how to repeat them",
@@ -77,7 +76,7 @@ WITHOUT_TORCH = ("detectors", "doctor", "gate", "info", "rows", "study")
 
 
 OTHER_MODULES = {
-    **dict.fromkeys(("dagger --region", "dagger --sanity", "demo"), "dagger"),
+    **dict.fromkeys(("dagger --region", "demo"), "dagger"),
     "artifact-check": "artifact",
     "rows": "report",
 }

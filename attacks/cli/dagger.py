@@ -1,4 +1,4 @@
-"""`mi-splat dagger`: attack one object of a scene, from chosen cameras or all of a region, or check such attacks."""
+"""`mi-splat dagger`: attack one object of a scene, from chosen cameras or all of a region."""
 
 from __future__ import annotations
 
@@ -11,15 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from attacks.aims import OBJECTIVES, objective_of
 from attacks.cli.options import DEFAULT_OBJECT, DEFAULT_TARGET, ClassName, Confidence, DetectorOptions
 from attacks.dagger.config import DaggerConfig
-from attacks.detectors import load_detector
-from attacks.detectors.registry import DETECTORS
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
-from mi_splat.cli.console import Advance, UsageError, limit_threads, progress, show, show_json, warn
+from mi_splat.cli.console import Advance, limit_threads, progress, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions, check_no_input_in
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Metavar, OutFolder, at_least
-from mi_splat.io.parsing import read_json
+from mi_splat.fields import Metavar, OutFolder
 from mi_splat.processes import deferred_interrupt
 from mi_splat.selection.config import Selection
 
@@ -29,7 +26,6 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from attacks.dagger.result import Result
-    from attacks.dagger.sanity import Case, Finding
     from attacks.detectors.base import Detector
     from attacks.objectives import Objective
     from attacks.search import Step
@@ -44,13 +40,9 @@ EXAMPLES = (
     "dagger YOUR.ply --mask mask.npy --cameras orbit:4@25 --target person --out out/desk",
     "dagger --region scenes/car_street.xml --object car --target person --out out/dagger-eot",
     "dagger --region scenes/car_street.xml --object car --elevations 10 30 --jpeg 50 --blur 1 --out out/photographed",
-    "dagger --sanity scenes/car_street.xml --object car --target person --out out/sanity",
-    "dagger --sanity YOUR.ply --mask mask.npy --azimuth 40 --detectors yolov8n_small --seeds 5 --out out/sanity",
     "demo",
     "demo --out out/first --force",
 )
-SANITY_ATTACKS = 15
-"""Attacks of the sanity checks for each seed."""
 EVALUATIONS = 3
 """Evaluations from a camera that a step takes as long as: what is seen, and the gradient."""
 
@@ -113,27 +105,6 @@ class DaggerRegionOptions(AttackOptions):
     checkpoint: Path | None = None
     """File that keeps the search while it runs; None is one beside --out."""
     out: OutFolder = Path("out/dagger-eot")
-
-
-@dataclass(frozen=True, kw_only=True)
-class DaggerSanityOptions(AttackOptions):
-    """Check whether DAGGER is a sane attack on an object and a detector, so that its failures can be believed.
-
-    Success has to rise with the radius, many steps, white boxes and gradients have to do no worse than one step,
-    another detector and random search, gradients have to equal finite differences, and so on. Each check is a line,
-    green or red. Writes sanity.md and result.json into --out. The exit status is 1 if a line is red.
-    """
-
-    view: CameraOptions = field(default_factory=CameraOptions)
-    """The camera; of several, the first. Each seed but 0 moves it about the object."""
-    surrogate: Annotated[str, Metavar("DETECTOR")] = "auto"
-    """Name of another detector, from which attacks are transferred; auto takes one that can be loaded, none leaves it
-    out."""
-    seeds: Annotated[int, at_least(1)] = 3
-    """Number of seeds; each but 0 moves the camera and starts at a random point of the ball."""
-    config: DaggerConfig = field(default_factory=lambda: DaggerConfig(steps=20))
-    """How to attack; the checks also take fractions and multiples of the radius, and seeds of their own."""
-    out: OutFolder = Path("out/sanity")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,75 +171,6 @@ def run_region(options: DaggerRegionOptions) -> None:
         origin = {"selection": selection.as_dict(), "cameras": [name], "reference": describe(name, camera)}
         _write(options, result, loaded, chosen.mask, origin)
     _show(options)
-
-
-def run_sanity(options: DaggerSanityOptions) -> int:
-    """Make the checks."""
-    from attacks.dagger.sanity import CHECKS, Runs, write_findings
-    from mi_splat.io.folders import RECORD, new_folder
-
-    findings: list[Finding] = []
-    with progress("loading the scene and the detectors", total=SANITY_ATTACKS * options.seeds) as advance:
-        case, conditions = _sanity_case(options)
-        runs = Runs(case, on_run=lambda: advance(f"check {len(findings) + 1} of {len(CHECKS)}"))
-        advance("attacking", 0)
-        for check in CHECKS.values():
-            findings.append(check(runs))
-        with new_folder(options.out, force=options.force) as folder:
-            write_findings(findings, runs, folder, **conditions)
-    red = sum(finding.passed is False for finding in findings)
-    if options.json:
-        show_json(read_json(options.out / RECORD))
-    else:
-        for finding in findings:
-            show(f"{finding.colour:5}  {finding.claim}: {finding.figures}")
-            if finding.passed is False:
-                show(f"{'':5}  -> {finding.meaning}")
-        show(f"{red} of {len(findings)} lines are red. The report is {options.out / 'sanity.md'}.")
-    return 1 if red else 0
-
-
-def _sanity_case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
-    """What is checked, and what the record says of it."""
-    from attacks.dagger.sanity import Case
-    from attacks.objectives import Relabel
-    from attacks.studies.attack import jittered
-    from mi_splat.io.camera_records import describe
-    from mi_splat.selection.select import require_visible
-
-    loaded, selection, chosen = _opened(options)
-    require_visible(chosen.weights(loaded))
-    detectors, objective = _detectors_and_objective(options)
-    if not isinstance(objective, Relabel):
-        raise UsageError.of("--objective", "relabel", options.objective, "leave it out")
-    if len(detectors) > 1:
-        raise UsageError.of("--detectors", "one detector", " ".join(options.detectors), "check them one by one")
-    name, camera = next(iter(chosen.cameras.items()))
-    centre = loaded.scene.means[chosen.mask].mean(0)
-    case = Case(
-        scene=loaded.scene,
-        mask=chosen.mask,
-        cameras=tuple(jittered(camera, centre, seed=seed) for seed in range(options.seeds)),
-        detector=detectors[0],
-        objective=objective,
-        render=chosen.render,
-        config=options.config,
-        surrogate=_surrogate(options),
-    )
-    record = {"scene": str(options.scene), "selection": selection.as_dict(), "cameras": [describe(name, camera)]}
-    return case, record
-
-
-def _surrogate(options: DaggerSanityOptions) -> Detector | None:
-    if options.surrogate != "auto":
-        return None if options.surrogate == "none" else load_detector(options.surrogate)
-    for name, spec in DETECTORS.items():
-        if name.endswith(("_small", "_coco")) and name not in options.detectors:
-            missing = spec.missing()
-            if not missing:
-                return load_detector(name)
-            warn(f"{name} is left out: {missing}")
-    return None
 
 
 def run_demo(options: DemoOptions) -> None:

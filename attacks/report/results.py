@@ -45,7 +45,6 @@ class ResultKind:
 RESULT_KINDS = (
     ResultKind("dagger", "dagger:read_attack", "dagger.result:figures", "dagger:RESCORING"),
     ResultKind("dagger-eot", "dagger:read_attack", "dagger.result:figures", "dagger:RESCORING"),
-    ResultKind("dagger-sanity", "dagger:read_sanity"),
     ResultKind("study", "dagger:read_study", "studies.result:figures"),
     ResultKind("cloak", "cloak:read_cloak", "report.kinds.cloak:cloak_figures", "cloak:RESCORING"),
     ResultKind("cloak-study", "cloak:read_study", "report.kinds.cloak:study_figures_of_points"),

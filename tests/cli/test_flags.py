@@ -37,7 +37,7 @@ NEEDED = {
     "compare": ["a.ply"],
     "select": ["a.ply"],
     "poison": ["set", "a.ply"],
-    **{name: ["a.ply"] for name in ("dagger", "dagger --region", "dagger --sanity")},
+    **{name: ["a.ply"] for name in ("dagger", "dagger --region")},
     "detect": ["a.ply"],
     "evaluate": ["a.ply", "b.ply"],
     "info": ["a.ply"],

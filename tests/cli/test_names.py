@@ -48,7 +48,6 @@ def test_wrong_inputs_are_refused_before_torch_is_imported(
         ),
         ("dagger a.ply --region --objective untargeted --target car", "none beside --objective untargeted, got car"),
         ("dagger a.ply --detectors fasterrcn_small", "did you mean fasterrcnn_small?"),
-        ("dagger a.ply --sanity --detectors fasterrcnn", "detector: expected"),
         ("view a.ply --detectors yolo8n", "did you mean yolov8n?"),
         ("evaluate a.ply b.ply --original car --target car", "another class than the object's, car"),
         ("evaluate a.ply b.ply --detectors yolov8n_small yolov8n_small", "--detectors: expected different names"),

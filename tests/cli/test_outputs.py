@@ -34,7 +34,6 @@ COMMANDS = {
     "select a.ply --cluster 1": ("a.npy", "mi_splat.cli.cameras.choose"),
     "dagger a.ply --cluster 1": ("", "attacks.dagger.attack.attack_views"),
     "dagger --region a.ply --cluster 1": ("", "attacks.dagger.attack.attack_views"),
-    "dagger --sanity a.ply --cluster 1": ("", "attacks.dagger.sanity.Runs"),
     "study run study.toml": ("", "attacks.cli.study.engine_of"),
     "cloak study.toml": ("", "attacks.cli.study.engine_of"),
     "artifact set": ("", "attacks.report.checking.pack"),

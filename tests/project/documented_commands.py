@@ -47,7 +47,6 @@ FAST = {
 """Commands that are run by `make commands`, for every change."""
 NIGHTLY = {
     *("cloak", "doctor", "view", "python"),
-    "dagger --sanity",
     *("study run pairs", "study run eot_pairs", "study run cloak"),
 }
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""
@@ -192,7 +191,6 @@ TINY: dict[str, dict[str, Change]] = {
     "evaluate": {"--cameras": fewer_cameras(2), "--size": to("64"), "--pictures": to("1")},
     "view": {"--no-open": to()},
     "demo": {"--force": to()},
-    "dagger --sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
 }
 """Name of a command to what is changed in it, so that it takes seconds; what counts is that it runs."""
 

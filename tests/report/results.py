@@ -15,7 +15,6 @@ from attacks.cli import main
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import write_report
-from attacks.dagger.sanity import Finding, Runs, write_findings
 from attacks.objectives import relabel
 from attacks.observe.conditions import OWN
 from attacks.observe.rows import frame_of, write_rows
@@ -23,12 +22,10 @@ from attacks.rate import Rate
 from mi_splat import provenance
 from mi_splat.audit.files import write as write_files
 from mi_splat.io import save_splat
-from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import write_manifest
 from tests.audit.accounts import account, look
 from tests.cloak.test_own_pictures import BALL, write_set
-from tests.dagger import test_sanity
 from tests.dagger.toy import quick
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
 from tests.project.documented_commands import ROOT
@@ -102,17 +99,6 @@ def write_cloak_study(folder: Path) -> Path:
     }
     record = {"story": "cloak-study", "study": "cloak", "name": "tiny", "question": "", "points": points}
     save_json({**record, **provenance.origin()}, folder / "result.json")
-    return folder
-
-
-def write_sanity(folder: Path) -> Path:
-    folder.mkdir()
-    findings = [
-        Finding(check=name, claim=name, passed=passed, figures="0.5", meaning="it is broken", values={})
-        for name, passed in (("clean", True), ("noise", False), ("white_box", None))
-    ]
-    more = {"selection": {"object": "thing"}, "cameras": [describe("front", camera())]}
-    write_findings(findings, Runs(test_sanity.case()), folder, scene="toy.xml", near=0.3, background=[0, 0, 1], **more)
     return folder
 
 
@@ -203,7 +189,6 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "dagger-eot": write_eot,
     "cloak": write_cloak,
     "cloak-study": write_cloak_study,
-    "dagger-sanity": write_sanity,
     "audit": write_audit,
     "audit-study": partial(write_shipped, "tables/audit.json"),
     "bench": write_bench,

@@ -36,7 +36,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 LINE = ["mi-splat", "some command", "a b.ply", "--out", "x"]
-UNCONTROLLED = {"dagger-sanity", "compare", "detect", "audit", "train", "poison"}
+UNCONTROLLED = {"compare", "detect", "audit", "train", "poison"}
 """Kinds without a control."""
 
 

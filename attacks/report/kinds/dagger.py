@@ -1,4 +1,4 @@
-"""What `mi-splat dagger` leaves behind: an attack on one object, its sanity checks, and studies of many attacks."""
+"""What `mi-splat dagger` leaves behind: an attack on one object, and studies of many attacks."""
 
 import re
 from collections import Counter
@@ -9,7 +9,6 @@ from typing import Any
 import polars as pl
 
 from attacks.aims import PluggedObjective
-from attacks.dagger.sanity import Finding
 from attacks.detectors.base import Detector
 from attacks.objectives import Hide, Objective, Relabel, Target, Untargeted
 from attacks.observe.observations import verdict_cells
@@ -252,50 +251,6 @@ RESCORING = Rescoring(
     splats=lambda record: {(ATTACKED, int(record["seed"])): "attacked.ply"}, cells=_cells, rates=_rescored, batch=1
 )
 """One picture at a time, as attacks are judged: the same bits."""
-
-
-# Sanity checks
-
-_ELSEWHERE = ("story", "checks", "command", "versions", "variant", "commit")
-_WORDS = {True: "holds", False: "does not hold", None: "not checked"}
-
-
-def read_sanity(folder: Path, record: Record) -> Section:
-    """The section of `mi-splat dagger --sanity`: whether an attack that fails may be believed."""
-    checks = [Finding(**{key: check[key] for key in check if key != "colour"}) for check in record["checks"]]
-    passed, red, skipped = ([check for check in checks if check.passed is state] for state in _WORDS)
-    columns: dict[str, Column[Finding]] = {
-        "a sane attack": lambda check: check.claim,
-        "here": lambda check: _WORDS[check.passed],
-        "measured": lambda check: check.figures,
-        "if it does not hold": lambda check: check.meaning,
-    }
-    return Section(
-        kind="sanity of DAGGER",
-        title=f"{record['detector']}, {record['target']}",
-        done=(
-            f"{counted(len(checks), 'check')} asked whether DAGGER behaves as a sane attack does on one object and "
-            f"{record['detector']}, with {counted(record['seeds'], 'seed')}: whether success rises with the radius, "
-            "whether gradients are right, whether noise and random search do worse, and so on."
-        ),
-        conclusion=(
-            "Every check that was made holds: where the attack fails here, the reason is not a broken attack."
-            if not red
-            else f"{counted(len(red), 'check')} did not hold: do not take a failure of the attack for robustness."
-        ),
-        headline=Figure(
-            label="checks that hold",
-            words=f"{len(passed)} of {len(passed) + len(red)}",
-            note=f"{len(skipped)} not made" if skipped else "",
-        ),
-        figures=(Figure(label="checks that do not hold", words=listed([check.check for check in red]) or "none"),),
-        warnings=(
-            *(f"{check.claim}: {check.figures}. {check.meaning}" for check in red),
-            *(f"Not checked: {check.claim}" for check in skipped),
-        ),
-        tables=(Table.of("Every check", columns, checks),),
-        configuration=settings({key: value for key, value in record.items() if key not in _ELSEWHERE}),
-    )
 
 
 # Studies of many attacks, and what others see of them
