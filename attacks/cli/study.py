@@ -51,14 +51,13 @@ class StudyOptions(JobOptions):
 
     plan: what is to be done, and how long it takes by what was measured. run: do what is not done yet, and write
     result.json, rows.csv.xz and table.md into --out. status: how far it is. retry: let jobs that have failed three
-    times be tried again. export: arrays of SLURM, one for each level of jobs. clean: delete what the store keeps of
-    this study alone.
+    times be tried again. clean: delete what the store keeps of this study alone.
 
     The shipped studies are in scenes/studies. Finished jobs are kept in --store, which several studies may share: what
     one has done, no other does again, and what was interrupted goes on where it stopped.
     """
 
-    action: Positional[Literal["plan", "run", "status", "retry", "export", "clean"]]
+    action: Positional[Literal["plan", "run", "status", "retry", "clean"]]
     """What to do."""
     study: Positional[Path]
     """TOML file of the study."""
@@ -66,8 +65,6 @@ class StudyOptions(JobOptions):
     """Folder for the result; None is out/studies/NAME."""
     parts: tuple[str, ...] = ()
     """Names of cases to do; all if none is named."""
-    sbatch: Annotated[tuple[str, ...], Metavar("OPTION")] = ()
-    """Options of each array without their dashes, as time=02:00:00 (export)."""
 
     def folder(self, study: Study) -> Path:
         """Folder for the result of a study."""
@@ -187,19 +184,6 @@ def follow(advance: Advance) -> Callable[[Event], None]:
     return told
 
 
-def _export(options: StudyOptions, study: Study) -> None:
-    """Write what SLURM runs; then `run` finds everything done and writes the result."""
-    from mi_splat.ledger.slurm import SUBMIT, export
-
-    work, out = _work(study), options.folder(study)
-    folder = out.with_name(f"{out.name}-slurm")
-    levels = export(work.jobs().values(), folder, options.store, options=[f"--{option}" for option in options.sbatch])
-    if work.searches:
-        warn("a search looks at some of its values only; all of them are exported")
-    line = f"{sum(levels)} jobs in {len(levels)} arrays: sh {folder / SUBMIT}"
-    show_result({"levels": levels, "file": str(folder / SUBMIT)}, line, as_json=options.json)
-
-
 def _status(options: StudyOptions, study: Study) -> None:
     from mi_splat.ledger import Store
     from mi_splat.ledger.plans import STATES, status
@@ -248,6 +232,5 @@ _ACTIONS: Mapping[str, Callable[[StudyOptions, Study], int | None]] = {
     "run": _run,
     "status": _status,
     "retry": _retry,
-    "export": _export,
     "clean": _clean,
 }

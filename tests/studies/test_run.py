@@ -189,12 +189,6 @@ def test_a_search_over_views_of_a_region(folder: Path, toys: None) -> None:
     assert json.loads(json.dumps(derived["groups"])) == record["groups"]
 
 
-def test_jobs_are_exported_to_slurm(folder: Path, toys: None, capsys: pytest.CaptureFixture[str]) -> None:
-    assert study(folder, "export", "toy", "--sbatch", "time=02:00:00", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["levels"] == [8, 32]
-    assert "#SBATCH --time=02:00:00" in (folder / "toy-slurm" / "level-0.sbatch").read_text()
-
-
 def test_failed_jobs_are_named_and_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
