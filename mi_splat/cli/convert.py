@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = (
     "convert YOUR.ply YOUR.spz",
-    "convert YOUR.ksplat out/web.ply",
+    "convert YOUR.sog out/web.ply",
     "convert YOUR.ply small.sog --sh-degree 1",
     "convert YOUR.ply upright.ply --up -y --scale 0.1",
     "convert YOUR_SCENE.ply both.ply --add car.ply sign.ply",
@@ -39,7 +39,7 @@ class ConvertOptions(JsonOptions):
     """
 
     source: Positional[Path]
-    """Splat to read: .ply, .compressed.ply, .spz, .sog, .glb, .usdc, .usda, .usdz, .splat or .ksplat."""
+    """Splat to read: .ply, .compressed.ply, .spz, .sog, .glb, .usdc, .usda, .usdz or .splat."""
     out: Positional[OutFile]
     """Splat to write: .ply, .compressed.ply, .spz, .sog, .glb, .usdc, .usda, .usdz or .splat."""
     force: bool = False

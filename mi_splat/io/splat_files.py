@@ -34,7 +34,7 @@ HEAD = 32
 USD = (".usdc", ".usda", ".usdz")
 """OpenUSD in binary, as text and as a package; what is called `.usd` is read by its mark."""
 
-SUFFIXES = (".ply", ".glb", *USD, ".compressed.ply", ".sog", ".spz", ".splat", ".ksplat")
+SUFFIXES = (".ply", ".glb", *USD, ".compressed.ply", ".sog", ".spz", ".splat")
 
 _MAGIC = {b"ply": ".ply", b"NGSP": ".spz", b"\x1f\x8b": ".spz", b"PK\x03\x04": ".sog", b"glTF": ".glb"}
 _MAGIC |= {b"PXR-USDC": ".usdc", b"#usda": ".usda"}
@@ -73,7 +73,7 @@ def format_to_read(path: str, head: bytes) -> str:
         raise _unknown(path)
     if named in (None, marked) and marked is not None:
         return marked
-    if marked is not None and named in (".splat", ".ksplat", META, *_MAGIC.values()):
+    if marked is not None and named in (".splat", META, *_MAGIC.values()):
         raise SplatFileError.of(path, f"a {named} file", f"the mark of a {marked} file", f"rename it to {marked}")
     return str(named)
 
@@ -85,9 +85,6 @@ def format_to_write(path: str) -> str:
         raise _unknown(path)
     if named == META:
         raise SplatFileError.of(path, "a format that is written", "an unbundled SOG", "save it as .sog")
-    if named == ".ksplat":
-        do = "save it as .ply and convert that with create-ksplat of GaussianSplats3D"
-        raise SplatFileError.of(path, "a format that is written", ".ksplat, which is only read", do)
     if named in USD:
         require_usd(path)
     return named
@@ -119,7 +116,6 @@ _FORMATS = {
     ".sog": ("mi_splat.io.formats.sog", "read_sog", "write_sog"),
     META: ("mi_splat.io.formats.sog", "read_sog_folder", ""),
     ".splat": ("mi_splat.io.formats.splat32", "read_splat", "write_splat"),
-    ".ksplat": ("mi_splat.io.formats.ksplat", "read_ksplat", ""),
     **dict.fromkeys(USD, ("mi_splat.io.formats.usd", "read_usd", "write_usd")),
 }
 """Module, reader and writer of each format; the PLY is written a part at a time."""
@@ -129,7 +125,7 @@ _NEVER_EMPTY = (".glb", ".sog", ".splat")
 
 
 def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "drop"] = "raise") -> GaussianScene:
-    """Load a splat: 3DGS PLY, compressed PLY, SPZ, SOG, glTF, OpenUSD, .splat or .ksplat.
+    """Load a splat: 3DGS PLY, compressed PLY, SPZ, SOG, glTF, OpenUSD or .splat.
 
     The name and the first bytes of the file say which. Quaternions are normalised. The tensors are float32 on the CPU.
     Every size that the file claims is held against the bytes that are there before memory is taken for it. Where axes

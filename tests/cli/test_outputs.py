@@ -195,7 +195,6 @@ REFUSED = {
     "render missing.xml": (1, "missing.xml"),
     "convert a.ply link.ply --force": (1, "another file than the input"),
     "convert a.ply w.sog --spz-version 2": (1, "--spz-version: expected a file to write that ends in .spz, got .sog"),
-    "convert a.ply b.ksplat": (1, "create-ksplat"),
     "convert a.ply b.txt": (1, "a name that ends in"),
     "convert a.ply no.ply --crop 1 0 0 0 1 1": (2, "lower corner"),
     "convert a.ply no.ply --crop 900 900 900 901 901 901": (1, "they lie in"),

@@ -1,6 +1,5 @@
 """Small valid files of every format, and some with other contents, for the tests of damaged files."""
 
-import gzip
 import io
 import json
 import math
@@ -8,7 +7,6 @@ import struct
 import zipfile
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -26,16 +24,13 @@ from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc, dc_to_colour
 from tests.gaussians import random_scene
 
-DATA = Path(__file__).parent / "data"
 WRITTEN = [".ply", ".glb", ".compressed.ply", ".sog", ".spz", ".splat"]
 """Endings of the formats that are written; OpenUSD, each of whose files is read by a new process, is in test_usd.py."""
 
 
 @cache
 def valid(name: str) -> bytes:
-    """A small valid file: 20 Gaussians of SH degree 1, or 40 of degree 2 for ksplat."""
-    if name.endswith(".ksplat"):
-        return gzip.decompress((DATA / f"{name}.gz").read_bytes())
+    """A small valid file: 20 Gaussians of SH degree 1."""
     scene = arrays_of(tame_scene(20, 1))
     writers: dict[str, Callable[[], bytes]] = {
         "a.compressed.ply": lambda: write_compressed_ply(scene).data,

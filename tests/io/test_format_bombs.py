@@ -104,13 +104,6 @@ def repeated_mesh() -> bytes:
     return gltf_with(lambda document: document.update(nodes=nodes, scenes=[{"nodes": list(range(count))}]))
 
 
-def ksplat_of(count: int) -> bytes:
-    data = bytearray(valid("level1.ksplat"))
-    struct.pack_into("<I", data, 16, count)
-    struct.pack_into("<II", data, 4096, count, count)
-    return bytes(data)
-
-
 BOMBS: dict[str, Callable[[], bytes]] = {
     "claims.spz": lambda: gzipped(spz_header(3, EXPANDED // 20)),
     "hides.spz": lambda: gzipped(spz_header(3, 1)),
@@ -122,7 +115,6 @@ BOMBS: dict[str, Callable[[], bytes]] = {
     "wide.sog": lambda: sog_of(20),
     "wide_count.sog": lambda: sog_of(1 << 28),
     "nodes.glb": repeated_mesh,
-    "count.ksplat": lambda: ksplat_of(1 << 30),
     "count.compressed.ply": lambda: valid("a.compressed.ply").replace(b"vertex 20", b"vertex 999999999"),
 }
 

@@ -19,7 +19,6 @@ from tests.io.ply_files import BODY, FACE, HEAD, LINE, LISTS, ROWS, TEXT_HEAD, l
 MEMORY = 24 << 20
 
 NAMES = ["a.compressed.ply", "a.glb", "a.sog", "a.splat", "v2.spz", "v3.spz", "v4.spz"]
-NAMES += [f"level{level}.ksplat" for level in range(3)]
 PLY = {
     "a.ply": HEAD + BODY,
     "faces.ply": with_elements(FACE, b"\0\0"),

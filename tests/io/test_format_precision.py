@@ -1,6 +1,5 @@
 """Each format keeps what the table of formats says, for any scene, and a second round trip loses nothing more."""
 
-import gzip
 import warnings
 from pathlib import Path
 
@@ -16,13 +15,12 @@ from mi_splat.io import SplatFileError, SplatLossWarning, load_splat, save_splat
 from mi_splat.io.formats import sog
 from mi_splat.io.splat_files import write_splat_file
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc, dc_to_colour
+from mi_splat.sh import dc_to_colour
 from tests.gaussians import random_scene
 from tests.io.format_files import WRITTEN, assert_close, differences, tame_scene
 from tests.io.test_round_trip import scenes as wild_scenes
 from tests.project.layers import ROOT
 
-DATA = Path(__file__).parent / "data"
 SLACK = 1.02
 """For float32, in which scenes are."""
 
@@ -156,26 +154,6 @@ def test_versions_of_spz(version: int, tmp_path: Path) -> None:
     write_splat_file(scene, tmp_path / "a.spz", spz_version=version)  # type: ignore[arg-type]
     assert_close(load_splat(tmp_path / "a.spz"), scene, scales=1 / 31, rotations=13 if version == 2 else 0.3,
                  opacities=0.002, colours=0.0037, sh=1 / 255)  # fmt: skip
-
-
-@pytest.mark.parametrize(("level", "scales", "sh"), [(0, 2e-5, 2e-5), (1, 1e-3, 3e-3), (2, 1e-3, 0.04)])
-def test_ksplat_of_the_program_that_the_format_comes_from(level: int, scales: float, sh: float, tmp_path: Path) -> None:
-    """Written by GaussianSplats3D 0.4.7 from 40 random Gaussians, in buckets of 5 and blocks of 1.
-
-    It rounds colours down.
-
-    Recipe: `SplatBufferGenerator.getStandardGenerator(0, level, 0, undefined, 1.0, 5, 2)` of
-    @mkkellogg/gaussian-splats-3d on what `PlyParser` makes of the scene below, saved as PLY.
-    """
-    (tmp_path / "a.ksplat").write_bytes(gzip.decompress((DATA / f"level{level}.ksplat.gz").read_bytes()))
-    loaded, scene = load_splat(tmp_path / "a.ksplat"), random_scene(40, 2, seed=5)
-    rows = torch.cdist(scene.means.double(), loaded.means.double()).argmin(dim=1)
-    assert sorted(rows.tolist()) == list(range(40))
-    shown = dc_to_colour(scene.sh[:, :1]).clamp(0, 1)
-    scene = scene.replace(sh=torch.cat([colour_to_dc(shown), scene.sh[:, 1:]], dim=1))
-    assert_close(
-        loaded.select(rows), scene, means=1e-4, scales=scales, rotations=0.06, opacities=0.004, colours=0.004, sh=sh
-    )
 
 
 def test_a_palette_for_more_gaussians_than_it_has_rows(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -81,7 +81,6 @@ BAD = {
             "KHR_gaussian_splatting:SH_DEGREE_1_COEF_1")),
         "whole degrees of SH",
     ),
-    "short.ksplat": (bytes(100), "a header of 4096 bytes"),
     "a.spz": (valid("a.glb"), "a .spz file, got the mark of a .glb file; rename it to .glb"),
     "a.obj": (b"v 0 0 0", "this is a mesh"),
     "noname": (b"{}", "got no ending"),
