@@ -118,7 +118,7 @@ class PoisonOptions(ResultOptions):
     """Poison a set of pictures with cameras, so that a splat of it hides an object, costs more, or is misread.
 
     Writes a set of the same cameras into --out, some of whose pictures are changed. A victim trains on it as on any
-    other. poison.json says what was changed, and mi-splat report shows it. Pictures that are held out stay as they are,
+    other. poison.json and before_and_after.png say what was changed. Pictures that are held out stay as they are,
     so that the splat can be compared with them.
 
     Kinds: cloak shows something else in the place of an object, in the pictures from --hide-from. poison-splat makes a

@@ -23,7 +23,6 @@ class ResultKind:
     reader: str  # in attacks.report.kinds: makes the section of a folder and of what its record holds
     counter: str = ""  # derives its figures from its rows; empty for a kind without rows
     scorer: str = ""  # in attacks.report.kinds: how its splats are scored again; empty for a kind that is not
-    file: str = RECORD  # the record, in its folder; one of another name than result.json says what wrote it
 
     @property
     def read(self) -> Callable[[Path, Record], Section]:
@@ -48,30 +47,26 @@ RESULT_KINDS = (
     ResultKind("study", "dagger:read_study", "studies.result:figures"),
     ResultKind("cloak", "cloak:read_cloak", "report.kinds.cloak:cloak_figures", "cloak:RESCORING"),
     ResultKind("cloak-study", "cloak:read_study", "report.kinds.cloak:study_figures_of_points"),
-    ResultKind("poison", "poison:read_poisoned", file="poison.json"),
     ResultKind("poison-study", "poison:read_study", "studies.poison_figures:figures"),
     ResultKind("audit", "audit:read_audit"),
     ResultKind("audit-study", "audit:read_study"),
     ResultKind("evaluate", "detectors:read_evaluation", "report.kinds.detectors:evaluation_figures"),
-    ResultKind("detect", "detectors:read_detections"),
     ResultKind("bench", "detectors:read_bench", "bench.row:figures"),
     ResultKind("compare", "splats:read_comparison"),
-    ResultKind("train", "splats:read_training", file="metrics.json"),
 )
 """Every kind of result that a page can show."""
 
 
 def read_section(path: Path) -> Section:
     """What a page says of one result; whatever is broken in it is told in one line."""
-    names = (kind.file for kind in RESULT_KINDS if (path / kind.file).is_file())
-    file, commands = path / next(names, RECORD), ", ".join(f"mi-splat {kind.name}" for kind in RESULT_KINDS)
+    file, commands = path / RECORD, ", ".join(f"mi-splat {kind.name}" for kind in RESULT_KINDS)
     if not file.is_file():
         got, do = ("one without a result" if path.is_dir() else "nothing there"), "check the path"
         if path.is_file():
             got, do = "a file", f"pass {path.parent}"
         raise InvalidValueError.of(str(path), f"a folder that one of {commands} has written", got, do)
     record = read_json(file)
-    kind = _kind(record, file.name)
+    kind = _kind(record)
     if kind is None:
         raise InvalidValueError.of(str(file), f"a result of {commands}", "something else", "make the result again")
     try:
@@ -110,6 +105,5 @@ def kind_of(result: Result) -> ResultKind:
     return kind
 
 
-def _kind(record: Record, file: str = RECORD) -> ResultKind | None:
-    kinds = (kind for kind in RESULT_KINDS if kind.file == file)
-    return next((kind for kind in kinds if file != RECORD or kind.name == record.get("story")), None)
+def _kind(record: Record) -> ResultKind | None:
+    return next((kind for kind in RESULT_KINDS if kind.name == record.get("story")), None)

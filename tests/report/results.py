@@ -25,7 +25,6 @@ from mi_splat.io import save_splat
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import write_manifest
 from tests.audit.accounts import account, look
-from tests.cloak.test_own_pictures import BALL, write_set
 from tests.dagger.toy import quick
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
 from tests.project.documented_commands import ROOT
@@ -125,12 +124,6 @@ def write_evaluation(folder: Path) -> Path:
     return _write_by_command(folder, "evaluate", clean, attacked, *aim, *_VIEW)
 
 
-def write_detections(folder: Path) -> Path:
-    """Two pictures, two detectors."""
-    splat = _toy_file(folder.parent / "splats", "a.ply")
-    return _write_by_command(folder, "detect", splat, "--cameras", "orbit:2@0", *_VIEW)
-
-
 def write_comparison(folder: Path) -> Path:
     splat = _toy_file(folder.parent, "toy.ply")
     return _write_by_command(folder, "compare", splat, "--size", "16", "--rounds", "1")
@@ -144,23 +137,6 @@ def write_audit(folder: Path) -> Path:
     change(folder / "result.json", lint=[finding])
     write_manifest(folder)
     return folder
-
-
-def write_training(folder: Path) -> Path:
-    """A training of two looks at pictures that were held out."""
-    folder.mkdir()
-    looks = [{"psnr": 20.0 + step, "ssim": 0.5, "lpips": None} for step in (1, 2)]
-    history = [{"iteration": 10 * i, "loss": 0.1, "count": 50, "held_out": look} for i, look in enumerate(looks, 1)]
-    metrics = {**looks[-1], "held_out_views": 3, "gaussians": 50, "threads": 1, "seed": 0, "history": history}
-    (folder / "metrics.json").write_text(json.dumps({**metrics, **provenance.origin()}))
-    config = {"config": {"iterations": 20, "sh_degree": 3}, "seed": 0, "views": 12}
-    (folder / "config.json").write_text(json.dumps(config))
-    return folder
-
-
-def write_poisoned(folder: Path) -> Path:
-    names = write_set(folder.parent / "ball")
-    return _write_by_command(folder, "poison", *names, "--box", *map(str, BALL), "--hide-from", "elevation:40-90")
 
 
 def write_bench(folder: Path) -> Path:
@@ -195,8 +171,5 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "poison-study": partial(write_shipped, "artifacts/m_ifgsm_sparse/result.json", most=30),
     "evaluate": write_evaluation,
     "compare": write_comparison,
-    "detect": write_detections,
-    "train": write_training,
-    "poison": write_poisoned,
 }
 """By the command that writes it."""

@@ -2,7 +2,6 @@
 
 import json
 import shlex
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 LINE = ["mi-splat", "some command", "a b.ply", "--out", "x"]
-UNCONTROLLED = {"compare", "detect", "audit", "train", "poison"}
+UNCONTROLLED = {"compare", "audit"}
 """Kinds without a control."""
 
 
@@ -48,7 +47,7 @@ def test_every_kind_is_tried() -> None:
 def test_every_kind_is_read_and_its_command_is_stored(name: str, folders: dict[str, Path]) -> None:
     section = read_section(folders[name])
     assert section.folder == str(folders[name])
-    by_command = name in ("compare", "detect", "evaluate", "poison")
+    by_command = name in ("compare", "evaluate")
     assert section.command == shlex.join(LINE) if not by_command else section.command.startswith(f"mi-splat {name} /")
     for text in (section.done, section.conclusion, *section.warnings):
         assert text.endswith(".")
@@ -66,10 +65,7 @@ def test_every_kind_is_read_and_its_command_is_stored(name: str, folders: dict[s
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_what_is_broken_is_told_in_one_line(name: str, folders: dict[str, Path], tmp_path: Path) -> None:
-    record = next(story.file for story in RESULT_KINDS if story.name == name)
-    whole, file = json.loads((folders[name] / record).read_text()), tmp_path / record
-    if name == "train":
-        shutil.copyfile(folders[name] / "config.json", tmp_path / "config.json")
+    whole, file = json.loads((folders[name] / "result.json").read_text()), tmp_path / "result.json"
     file.write_text("{")
     with pytest.raises(InvalidValueError, match="expected a JSON object"):
         read_section(tmp_path)
@@ -165,18 +161,6 @@ def test_azimuths_are_from_the_file_s_x_axis() -> None:
     assert angles((0.0, 0.0, 1.0), side) == (270.0, 0.0)
     assert angles((0.0, 1.0, 0.0), (1.0, 0.0, 0.0)) == (0.0, 0.0)
     assert angles(up, up)[1] == 90.0
-
-
-def test_what_detectors_report(folders: dict[str, Path]) -> None:
-    section = read_section(folders["detect"])
-    assert section.headline.rate == Rate(successes=2, total=4)
-    assert not section.attacked
-    assert "there is no control" in " ".join(section.warnings)
-    assert len(section.pictures) == 4
-    classes, each = section.tables
-    assert classes.rows[0][:3] == ("fake_colour", "car", "2 of 2 = 100\u00a0% (34.2 to 100\u00a0%)")
-    assert classes.rows[-1][:2] == ("fake_coarse", "nothing")
-    assert [row[0] for row in each.rows] == [f"a.ply from orbit-{view}" for view in (0, 1, 0, 1)]
 
 
 def test_detectors_are_counted_apart_from_classifiers(folders: dict[str, Path]) -> None:

@@ -1,7 +1,6 @@
-"""What `mi-splat evaluate`, `mi-splat detect` and `mi-splat bench` leave behind: what detectors report on splats."""
+"""What `mi-splat evaluate` and `mi-splat bench` leave behind: what detectors report on splats."""
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from attacks.observe import rates
 from attacks.observe.comparison import Comparison, compare, contradictions
 from attacks.observe.rates import DEFAULT_OF_YOLO, REPORTED, Confidence, comparison_measures
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS
-from attacks.rate import FEW, Rate, number, percent, pooled
+from attacks.rate import Rate, number, pooled
 from attacks.report.checking import Tables, read_tables
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, listed, settings
 from attacks.tables import Column, Table, cell
@@ -188,96 +187,6 @@ def threshold_charts(
     head = ("detector", "rate", *(f"from {confidence:g}" for confidence in _AT))
     caption = f"By the confidence from which a detection counts{what}"
     return charts, (Table(caption=caption, head=head, rows=lines),)
-
-
-# Pictures, or splats as cameras see them
-
-MOST_PICTURES, MOST_ROWS = 6, 100
-
-
-def read_detections(folder: Path, record: Record) -> Section:
-    """The section of a folder of pictures with boxes."""
-    looks: Sequence[Record] = record["pictures"]
-    by_detector: dict[str, list[Record]] = {}
-    for look in looks:
-        by_detector.setdefault(look["detector"], []).append(look)
-    rate, several = _rate(looks), len(by_detector) > 1
-    names, pictures = listed(list(by_detector)), counted(max(map(len, by_detector.values())), "picture")
-    label = "pictures in which something is reported"
-    return Section(
-        kind="what detectors report",
-        title=f"{names} on {pictures}",
-        done=(
-            f"{names} looked at {pictures}: files, or splats and scenes from cameras. Every detection from a "
-            f"confidence of {record['min_confidence']:g} is listed."
-        ),
-        conclusion=(
-            f"Something is reported in {rate.counts} {'looks of a detector at a picture' if several else 'pictures'}. "
-            "Nothing was attacked, and nothing says what the pictures show: these are reports, not hits."
-        ),
-        headline=Figure(label=label, rate=rate, note="each detector and picture counts once" if several else ""),
-        attacked=False,
-        figures=tuple(
-            Figure(label=f"{name}: {label}", rate=_rate(members)) for name, members in by_detector.items() if several
-        ),
-        warnings=(
-            "Nothing was attacked, and there is no control: whether a report is right is not known",
-            *([f"Few pictures: {rate.total}. The interval is wide; others may give another rate"] * (rate.total < FEW)),
-        ),
-        pictures=tuple(
-            Picture(
-                path=folder / Path(look["picture"]).name,
-                caption=f"{_source(look)}, {look['detector']}: {_reports(look)}.",
-                alt=f"A picture with the boxes of {look['detector']}",
-            )
-            for look in looks[:MOST_PICTURES]
-        ),
-        tables=(
-            Table(
-                caption="By detector and class",
-                head=("detector", "class", "pictures that report it", "detections", "highest confidence"),
-                rows=tuple(_class_rows(by_detector)),
-            ),
-            Table.of(
-                f"Each picture{f', the first {MOST_ROWS} of {len(looks):,}' if len(looks) > MOST_ROWS else ''}",
-                {"picture": _source, "detector": "detector", "reported": _reports},
-                looks[:MOST_ROWS],
-            ),
-        ),
-        configuration=settings(
-            {
-                "inputs": list(dict.fromkeys(look["source"] for look in looks)),
-                "min_confidence": record["min_confidence"],
-                "view": record.get("view", {}),
-                "weights": record["fingerprints"],
-            }
-        ),
-    )
-
-
-def _rate(looks: Sequence[Record], label: str | None = None) -> Rate:
-    """Looks in which something is reported, or one class."""
-    reported = [any(label in (None, item["label"]) for item in look["detections"]) for look in looks]
-    return Rate(successes=sum(reported), total=len(reported))
-
-
-def _source(look: Record) -> str:
-    camera = "" if look["camera"] is None else f" from {look['camera']['name']}"
-    return f"{Path(look['source']).name}{camera}"
-
-
-def _reports(look: Record) -> str:
-    return ", ".join(f"{item['label']} {percent(item['score'])}" for item in look["detections"]) or "nothing"
-
-
-def _class_rows(by_detector: Mapping[str, Sequence[Record]]) -> Iterator[tuple[str, ...]]:
-    """The classes of each detector, those of most looks first."""
-    for name, looks in by_detector.items():
-        counts = Counter(label for look in looks for label in {item["label"] for item in look["detections"]})
-        for label in sorted(counts, key=lambda label: (-counts[label], label)) or ["nothing"]:
-            scores = [item["score"] for look in looks for item in look["detections"] if item["label"] == label]
-            most = percent(max(scores)) if scores else "-"
-            yield name, label, cell(_rate(looks, label if scores else None)), str(len(scores)), most
 
 
 # A row of the scoreboard

@@ -1,134 +1,16 @@
-"""What `mi-splat poison` and studies of it leave behind: which pictures were changed, and what a victim pays."""
+"""What studies of poisoned training pictures leave behind: what a victim pays, and what it sees."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.cloak.own_pictures import BEFORE_AND_AFTER
-from attacks.cloak.poisoning import CloakChange
 from attacks.observe.rows import ATTACKED, CLEAN
-from attacks.poisons.base import Change
-from attacks.rate import Rate, percent, pooled
+from attacks.rate import Rate, pooled
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, listed, settings
 from attacks.studies.poison import HELD_OUT, PICTURES
 from attacks.studies.poison_figures import summary_tables
-from attacks.tables import Column, Table
-from mi_splat.datasets.writing import picture_name
-from mi_splat.errors import counted
-from mi_splat.fields import decode
 
 Record = Mapping[str, Any]
-
-_NO_SETTINGS = (
-    *("views", "changed", "changes", "directions", "poisonings", "centre", "skipped"),
-    *("scene_hash", "start", "start_gaussians", "decoy_gaussians"),
-    *("command", "versions", "variant", "commit", "torch"),
-)
-"""What a record holds besides what was asked for."""
-_WAYS = {
-    "poison-splat": (
-        "The model for them was a splat that had learned pictures of more total variation (Poison-splat).",
-        "may take more Gaussians, memory and time",
-    ),
-    "uniform-noise": (
-        "Noise was added to each, drawn evenly.",
-        "should not be much larger: noise is the control of an attack that makes it larger",
-    ),
-    "raised-variation": (
-        "The total variation of each was raised by itself.",
-        "may take more Gaussians, but fewer than with Poison-splat, whose control this is",
-    ),
-    "m-ifgsm": (
-        "In each an object was changed so that a classifier misreads it (M-IFGSM).",
-        "may be misread by this classifier, or may show nothing of it: each picture was changed by itself",
-    ),
-}
-"""What each kind but CLOAK does to pictures, and what may come of it in a splat that is trained on them."""
-
-
-def read_poisoned(folder: Path, record: Record) -> Section:
-    """The section of a poisoned set."""
-    is_cloak = record["kind"] == "cloak"
-    every = [decode(CloakChange if is_cloak else Change, values, "change") for values in record["changes"]]
-    changes = [change for change in every if change.pixels_changed]
-    shares = [_share(change) for change in changes] or [0.0]
-    most, idle = max((change.largest for change in changes), default=0.0), len(every) - len(changes)
-    figures = {
-        "of each changed picture": f"{percent(min(shares))} to {percent(max(shares))}",
-        "largest change of a channel": _steps(most),
-        "kind": record["kind"],
-    }
-    if is_cloak:
-        what = (
-            f"those from {listed(record['hide_from'])}, and from {record['margin']:g} degrees around it. They show "
-            "something else in the object's place."
-        )
-        outcome = "may hide the object from there; mi-splat audit says whether the splat gives it away"
-        unchanged, why = idle, "from there did not show the object, and stayed as they were"
-        heights = [change.elevation for change in changes if isinstance(change, CloakChange)] or [0.0]
-        figures["elevation of their cameras"] = f"{min(heights):.0f} to {max(heights):.0f} degrees"
-        figures["what is shown"] = str(record["poisonings"][0]["appearance"])
-    else:
-        what, outcome = _WAYS[record["kind"]]
-        unchanged = len(record.get("skipped", ()))
-        why = "stayed as they were: the classifier did not know the object there"
-        if record["kind"] == "m-ifgsm":
-            wanted = "anything else" if record["target"] is None else str(record["target"])
-            figures[f"what {record['classifier']} shall see in it"] = f"{wanted}, not {record['label']}"
-        if "decoy_gaussians" in record:
-            grown = f"{record['decoy_gaussians']:,}, from {record['start_gaussians']:,}"
-            figures["Gaussians of the attacker's model"] = grown
-    columns: dict[str, Column[Any]] = {"picture": lambda change: picture_name("train", change.index)}
-    if is_cloak:
-        columns["azimuth"] = lambda change: f"{change.azimuth:.1f}"
-        columns["elevation"] = lambda change: f"{change.elevation:.1f}"
-    columns["of its pixels changed"] = lambda change: percent(_share(change))
-    columns["a channel by at most"] = lambda change: _steps(change.largest)
-    return Section(
-        kind="poisoned pictures",
-        title=folder.name,
-        done=(
-            f"{len(changes):,} of {counted(record['views'], 'training picture')} of {record['set']} were changed: "
-            f"{what} All others, and those that are held out, are as they were."
-        ),
-        conclusion=(
-            f"Nothing is known yet of a splat: these are pictures alone. One that is trained on them {outcome}. Train "
-            "one on the clean set, too, with the same settings, and let mi-splat evaluate compare the two."
-        ),
-        headline=Figure(label="pictures changed", words=f"{len(changes):,} of {record['views']:,}"),
-        attacked=False,
-        figures=Figure.each(figures),
-        warnings=(f"{counted(unchanged, 'picture')} {why}",) * (unchanged > 0),
-        pictures=(Picture(path=folder / BEFORE_AND_AFTER, caption="Some pictures, before and after.", wide=True),),
-        charts=(_dome(record, {change.index for change in changes}),) if is_cloak else (),
-        tables=(Table.of("Every changed picture", columns, changes),),
-        configuration=settings({name: value for name, value in record.items() if name not in _NO_SETTINGS}),
-    )
-
-
-def _steps(largest: float) -> str:
-    """A change of a channel as people know it from 8 bits."""
-    return f"{round(255 * largest)} of 255"
-
-
-def _share(change: Change) -> float:
-    return change.pixels_changed / change.pixels
-
-
-def _dome(record: Record, changed: Collection[int]) -> Chart:
-    """Which cameras' pictures were changed."""
-    numbered = list(enumerate(record["directions"]))
-    return Chart.directions(
-        "From where pictures were changed",
-        "A mark is a camera. The middle is straight above the object, and a ring is 30 degrees.",
-        {
-            "changed": ("attack", [angles for index, angles in numbered if index in changed]),
-            "as it was": ("control", [angles for index, angles in numbered if index not in changed]),
-        },
-    )
-
-
-# Studies: what the victim pays, and what it sees
 
 _MOST_PICTURES = 12
 _LARGER = "most Gaussians of a poisoned splat, times the clean one's"

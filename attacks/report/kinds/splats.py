@@ -1,62 +1,18 @@
-"""What `mi-splat train` and `mi-splat compare` leave behind: a trained splat, and renderers on one splat."""
+"""What `mi-splat compare` leaves behind: several renderers on one splat."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from attacks.rate import number
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, listed, settings
+from attacks.report.section import Figure, Picture, Section, listed, settings
 from attacks.tables import Column, Table
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import counted
 from mi_splat.io.documents import file_name
-from mi_splat.io.parsing import read_json
-from mi_splat.training.resume import CONFIG
 
 Record = Mapping[str, Any]
 
-
-def read_training(folder: Path, record: Record) -> Section:
-    """The section of a training: how true the splat is to pictures that it was not trained on."""
-    run, history = read_json(folder / CONFIG), record["history"]
-    scored = [(step["iteration"], step["held_out"]["psnr"]) for step in history if step["held_out"] is not None]
-    figures = {
-        "SSIM": record["ssim"] and f"{record['ssim']:.4f}",
-        "PSNR with each picture's exposure": number(record.get("corrected_psnr"), ".2f", "dB"),
-        "Gaussians": f"{record['gaussians']:,}",
-    }
-    return Section(
-        kind="training",
-        title=folder.name,
-        done=(
-            f"A splat was trained on {counted(run['views'], 'picture')} in {history[-1]['iteration']:,} steps, and "
-            f"compared with {counted(int(record['held_out_views']), 'picture')} that it was not trained on."
-        ),
-        conclusion=(
-            "PSNR says how true the splat is to pictures from the cameras that were held out. It says nothing of other "
-            "places, and nothing of whether somebody changed the pictures, which an audit looks for."
-        ),
-        headline=Figure(
-            label="PSNR, held-out pictures",
-            words="no picture was held out" if record["psnr"] is None else number(record["psnr"], ".2f", "dB"),
-        ),
-        attacked=False,
-        figures=Figure.each({label: words for label, words in figures.items() if words not in (None, "-")}),
-        charts=(
-            _over_steps("PSNR of held-out pictures", "dB", scored),
-            _over_steps("Gaussians", "number", [(step["iteration"], step["count"]) for step in history]),
-            _over_steps("Loss", "loss of the step", [(step["iteration"], step["loss"]) for step in history]),
-        ),
-        configuration=settings({**run["config"], "seed": record["seed"], "threads": record["threads"]}),
-    )
-
-
-def _over_steps(title: str, unit: str, points: list[tuple[float, float]]) -> Chart:
-    line = Line(name="training", role="other", points=tuple(Point(float(x), float(y)) for x, y in points))
-    return Chart(title=title, x_label="step", y_label=unit, lines=(line,), caption="", fractions=False)
-
-
-# Several renderers on one splat
 
 _SETTINGS = (
     *("scene", "scene_hash", "gaussians", "background", "near", "gradients", "rounds", "seed", "amplify", "lpips"),
