@@ -242,7 +242,6 @@ EXTRAS = {
     "meshes": ("trimesh",),
     "ocr": ("rapidocr_onnxruntime",),
     "report": ("jinja2", "matplotlib"),
-    "robots": ("mujoco",),
     "tflite": ("tflite",),
     "transformers": ("transformers",),
     "usd": ("pxr",),
