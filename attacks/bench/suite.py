@@ -1,8 +1,7 @@
 """A suite: a folder of study files in which the detector is left out, so that it is the same for every detector.
 
 suite.toml says what is asked, and which detectors are surrogates. Each column is a study file of the column's name. A
-file whose `base` names another one of the folder begins with what stands there. The suite NAME-hidden is NAME with
-every seed drawn from a secret: other cameras, other starts of the attacks, another car.
+file whose `base` names another one of the folder begins with what stands there.
 """
 
 from __future__ import annotations
@@ -55,12 +54,9 @@ from mi_splat.ledger.plans import Result
 _KEYS = ["columns", "commit", "cpu_seconds", "defence", "detector", "missing", "score", "suite", "torch"]
 _KEYS += ["variant", "versions", "warnings"]
 """Keys of a row."""
-SUITES, HEAD, HIDDEN = Path("scenes/suites"), "suite.toml", "-hidden"
+SUITES, HEAD = Path("scenes/suites"), "suite.toml"
 AUDIT = "audit"
 """The study file of those that audit files."""
-ASSETS_FROM = 900_000
-"""Seeds of assets that no detector was trained on begin here (`mi_splat.capture.sources`)."""
-_SEEDS, _DRAWN = ("seed", "seeds", "judge_seed"), 90_000
 _READER = DocumentReader(expected="a TOML file", do="correct it, or get the suite again")
 
 
@@ -73,40 +69,26 @@ class Suite:
     surrogates: tuple[str, ...]  # detectors that the attacks of the column transfer are made on
     studies: Mapping[str, Settings] = field(repr=False)  # tables of the study files, by column
     digest: str  # 32 hex digits that stand for its files, and for the scenes that they name
-    secret: str = ""  # SHA-256 of the file that its seeds were drawn from; empty for none
 
 
-def read_suite(name: str, secret: Path | None = None) -> Suite:
+def read_suite(name: str) -> Suite:
     """A suite by its name."""
-    hidden, folder = name.endswith(HIDDEN), SUITES / name.removesuffix(HIDDEN)
-    if not (folder / HEAD).is_file():
-        folder = Path(name.removesuffix(HIDDEN))
+    folder = next((known for known in (SUITES / name, Path(name)) if (known / HEAD).is_file()), Path(name))
     if not (folder / HEAD).is_file():
         known = sorted(path.parent.name for path in SUITES.glob(f"*/{HEAD}"))
         do = nearest(name, known, "run it in a checkout, or pass a folder of a suite")
         raise InvalidValueError.of("suite", " or ".join(known) or f"a folder with {HEAD}", name, do)
-    if hidden is not (secret is not None):
-        expected, got = ("a file with a secret", "none") if hidden else (f"none with {name}", str(secret))
-        raise InvalidValueError.of("secret", expected, got, "pass --secret FILE with a suite NAME-hidden alone")
-    key = b"" if secret is None else _secret(secret)
     head = _READER.read_toml(folder / HEAD)
     files = {path.name: path for path in sorted(folder.glob("*.toml"))}
     tables = {path.stem: _whole(folder, path) for path in files.values()}
     scenes = {Path(scene).as_posix(): Path(scene) for table in tables.values() for scene in _scenes(table)}
     return Suite(
-        name=f"{folder.name}{HIDDEN}" if hidden else folder.name,
+        name=folder.name,
         question=str(head.get("question", "")),
         surrogates=tuple(map(str, head.get("surrogates", ()))),
-        studies={column: _drawn(tables[column], key) for column in (*COLUMNS, AUDIT) if column in tables},
+        studies={column: tables[column] for column in (*COLUMNS, AUDIT) if column in tables},
         digest=_digest({**files, **_files_of(scenes)}),
-        secret=hashlib.sha256(key).hexdigest() if hidden else "",
     )
-
-
-def _secret(path: Path) -> bytes:
-    if not path.is_file() or len(path.read_bytes().strip()) < 8:
-        raise InvalidValueError.of("secret", "a file of 8 characters or more", str(path), "write a long line into it")
-    return path.read_bytes().strip()
 
 
 def _whole(folder: Path, path: Path) -> Settings:
@@ -141,20 +123,6 @@ def _digest(files: Mapping[str, Path]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def _drawn(table: Any, key: bytes, name: str = "") -> Any:
-    """A table with other seeds, of which equal ones stay equal; the same table without a secret."""
-    if not key:
-        return table
-    if isinstance(table, Mapping):
-        return {at: _drawn(value, key, at) for at, value in table.items()}
-    if isinstance(table, list):
-        return [_drawn(value, key, name) for value in table]
-    if name.rpartition(".")[2] not in _SEEDS or type(table) is not int:
-        return table
-    number = int.from_bytes(hashlib.sha256(key + str(table).encode()).digest()[:6], "big") % _DRAWN
-    return number + (ASSETS_FROM if table >= ASSETS_FROM else 1)
-
-
 def check_row(path: Path) -> dict[str, Any]:
     """A row that somebody hands in, or the one in a folder: what can be checked without its raw rows."""
     path = path / ROW if path.is_dir() else path
@@ -175,12 +143,11 @@ def check_row(path: Path) -> dict[str, Any]:
 def _stated(row: Record) -> dict[str, tuple[object, object]]:
     """What a row states beside what follows from the rest of it."""
     suite, columns = row["suite"], row["columns"]
-    name = str(suite["name"]).removesuffix(HIDDEN)
+    name = str(suite["name"])
     told: dict[str, tuple[object, object]] = {
         "keys": (sorted(row), _KEYS),
         "columns": ([*columns], [*COLUMNS]),
         f"digest of the suite {name}": (suite["digest"], read_suite(name).digest),
-        "a secret": (bool(suite["secret"]), str(suite["name"]).endswith(HIDDEN)),
     }
     for column, counted in columns.items():
         told |= {where: (rate["rate"], Rate.of(rate).as_dict()["rate"]) for where, rate in _rates_in(counted, column)}
@@ -328,7 +295,7 @@ class BenchWork(Work[Entry]):
             attacks[entry.title] = {"column": entry.column, "labels": labels, "knows": entry.knows}
         suite, spec, seconds = self.suite, detector_spec(self.detector.name), self._seconds(done)
         facts = {
-            "suite": {"name": suite.name, "digest": suite.digest, "secret": suite.secret},
+            "suite": {"name": suite.name, "digest": suite.digest},
             "detector": {
                 "name": self.detector.name,
                 "fingerprint": self.detector.fingerprint,

@@ -33,9 +33,7 @@ class BenchOptions(JobOptions):
     detector: Positional[str] = "fasterrcnn_small"
     """Name of the detector (see `mi-splat detectors`)."""
     suite: str = "v1"
-    """Name of the suite; v1-hidden has the seeds of --secret. Or a folder."""
-    secret: Path | None = None
-    """File that the seeds of a hidden suite are drawn from; its SHA-256 stands in the row, and it does not."""
+    """Name of the suite, or its folder."""
     weights: Path | None = None
     """File with weights of the detector; None takes the shipped or published ones."""
     defence: Annotated[str, Metavar("CONDITION")] | None = None
@@ -74,7 +72,7 @@ def _bench(options: BenchOptions) -> int:
     from mi_splat.io.parsing import read_json
 
     limit_threads(1)
-    suite = read_suite(options.suite, options.secret)
+    suite = read_suite(options.suite)
     work = BenchWork(
         suite, options.detector, weights=options.weights, defence=options.defence or "", columns=options.columns
     )

@@ -243,25 +243,6 @@ def test_a_defence_is_judged_on_the_same_views(suite: Path, out: Path) -> None:
     assert defended["robust_who_knows"]["rate"] <= defended["robust"]["rate"]
 
 
-def test_a_hidden_suite_has_other_seeds_and_the_same_digest(suite: Path, tmp_path: Path) -> None:
-    (tmp_path / "secret").write_text("correct horse battery\n")
-    (tmp_path / "other").write_text("another long secret\n")
-    known = read_suite(str(suite))
-    hidden, other = (read_suite(f"{suite}-hidden", tmp_path / name) for name in ("secret", "other"))
-    assert hidden.digest == known.digest
-    assert hidden.name == "tiny-hidden"
-    assert "horse" not in hidden.secret
-    seeds = [one.studies["one_view"]["matrix"]["seed"] for one in (known, hidden, other)]
-    assert seeds[0] == [0, 1, 2]
-    assert len({*seeds[0], *seeds[1], *seeds[2]}) == 9
-    assert hidden.studies["all_views"]["attack"]["judge_seed"] != 77
-    assert hidden.studies["one_view"]["matrix"]["camera"] == [0, 1]
-    with pytest.raises(InvalidValueError, match="secret"):
-        read_suite(f"{suite}-hidden")
-    with pytest.raises(InvalidValueError, match="secret"):
-        read_suite(str(suite), tmp_path / "secret")
-
-
 @pytest.mark.parametrize(
     ("words", "text"),
     [
@@ -287,7 +268,7 @@ def test_the_rows_of_the_repository_are_whole(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_rows_of_other_weights_and_defences_do_not_take_the_folder_of_the_plain_one() -> None:
-    asked: list[dict[str, Any]] = [{}, {"weights": Path("a/mine.pth")}, {"defence": "JPEG 60"}, {"suite": "v1-hidden"}]
+    asked: list[dict[str, Any]] = [{}, {"weights": Path("a/mine.pth")}, {"defence": "JPEG 60"}]
     folders = [usual_folder(BenchOptions(detector="fake", **more)) for more in asked]
-    names = ["v1/fake", "v1/fake_mine", "v1/fake_JPEG_60", "v1-hidden/fake"]
+    names = ["v1/fake", "v1/fake_mine", "v1/fake_JPEG_60"]
     assert folders == [Path("out/bench") / name for name in names]

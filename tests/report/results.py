@@ -142,7 +142,7 @@ def write_audit(folder: Path) -> Path:
 def write_bench(folder: Path) -> Path:
     """A row of a suite of which one column is filled: half of twelve views hold."""
     folder.mkdir()
-    suite = {"name": "tiny", "digest": "0" * 32, "secret": ""}
+    suite = {"name": "tiny", "digest": "0" * 32}
     rows: list[dict[str, Any]] = [
         {"attack": f"camera {view}", "seed": 0, "splat": splat, "view": 0, "azimuth": 30.0 * view, "elevation": 10.0}
         | {"original": "car", "score": score, "original_score": score, "detector": "fake_colour", "condition": OWN}
