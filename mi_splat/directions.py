@@ -17,7 +17,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import from_z
 
 if TYPE_CHECKING:
-    from torch import Tensor
+    pass
 
 
 Point = Sequence[float]
@@ -26,26 +26,6 @@ UP: Point = (0.0, 0.0, 1.0)
 """Where up is, unless something else is said."""
 POLE = 1e-7
 """Radians around straight above and straight below in which a direction has no azimuth."""
-
-
-_ONE_LINE = 0.01
-"""Of the second axis of all rights, its mean square below which cameras are turned about one line alone."""
-
-
-def up_of(turns: Tensor) -> Tensor:
-    """Where up is, as people hold cameras: across the rights of all cameras, on the side of their ups.
-
-    Where cameras were all turned alike, or held on their side, it is the mean of the ups.
-    """
-    import torch
-
-    rights, mean = turns[:, :, 0], -turns[:, :, 1].mean(0)
-    squares, axes = torch.linalg.eigh(rights.T @ rights / len(rights))
-    axis = axes[:, 0] * (1.0 if float(axes[:, 0] @ mean) >= 0 else -1.0)
-    agrees = float(axis @ mean) > 0.5 * float(mean.norm())
-    up: Tensor = axis if agrees and float(squares[1]) > _ONE_LINE else mean
-    up /= up.norm()
-    return up
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -238,7 +238,6 @@ GROUPS: dict[str, tuple[Check, ...]] = {
 }
 EXTRAS = {
     "cluster": ("distributed",),
-    "colmap": ("pycolmap",),
     "meshes": ("trimesh",),
     "ocr": ("rapidocr_onnxruntime",),
     "report": ("jinja2", "matplotlib"),

@@ -52,7 +52,7 @@ _STRATEGY = strategy_name(FitConfig().strategy)
 
 @dataclass(frozen=True, kw_only=True)
 class TrainOptions(JsonOptions):
-    """Train a splat on pictures with cameras: a set of `mi-splat capture` or `prepare`, of COLMAP, or transforms.json.
+    """Train a splat on pictures with cameras: a set of `mi-splat capture`, of COLMAP, or transforms.json.
 
     Lenses with distortion (OPENCV, RADIAL, OPENCV_FISHEYE, ...) are undone as the pictures are read.
 

@@ -55,7 +55,7 @@ def from_os_error(path: str, expected: str, error: OSError) -> SplatFileError:
 
 
 def folder_advice(folder: str | os.PathLike[str], otherwise: str) -> str:
-    """What to do about a folder that cannot be read as it is: photographs have to be prepared first."""
+    """What to do about a folder that cannot be read as it is: photographs need cameras first."""
     if os.path.isdir(folder) and any(name.lower().endswith(_PHOTOGRAPHS) for name in os.listdir(folder)):
-        return f"run mi-splat prepare {os.fspath(folder)} first, which finds the cameras of photographs"
+        return "find the cameras of the photographs with COLMAP first: see docs/how-to/photographs.md"
     return otherwise

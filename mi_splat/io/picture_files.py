@@ -96,18 +96,6 @@ def lies_on_its_side(path: Path) -> bool:
         return picture.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
 
 
-def focal_length_35mm(picture: Image.Image) -> float | None:
-    """The focal length that a camera has written into a picture, in millimetres for the diagonal of 35 mm film."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            written = picture.getexif().get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
-        length = float(written or 0)
-    except (*BROKEN, ArithmeticError):
-        return None
-    return length if 1 <= length <= 2000 else None
-
-
 def check_scans(picture: Image.Image, what: str) -> None:
     """Raise if a picture, opened and not yet decoded, is a JPEG of so many scans that decoding takes minutes."""
     if picture.format == "TIFF" and "jpeg" in str(picture.info.get("compression")):

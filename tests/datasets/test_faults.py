@@ -208,7 +208,7 @@ def test_folders_that_are_no_set(tmp_path: Path) -> None:
         load_dataset(tmp_path)
     Image.new("RGB", (5, 5)).save(tmp_path / "photo.JPG", "JPEG")
     for read in (load_dataset, load_splat):
-        with pytest.raises(MiSplatError, match=f"run mi-splat prepare {tmp_path} first"):
+        with pytest.raises(MiSplatError, match="find the cameras of the photographs"):
             read(tmp_path)
     with pytest.raises(DatasetError, match="no such folder"):
         load_dataset(tmp_path / "nowhere")

@@ -54,7 +54,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "mi_splat.scene_files",
     ),
     "comparison": ("mi_splat.comparison",),
-    "preparation": ("mi_splat.preparation",),
     "training": ("mi_splat.training",),
     "audit": ("mi_splat.audit",),
     "capture": ("mi_splat.capture",),

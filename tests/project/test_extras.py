@@ -76,7 +76,6 @@ def test_notice_names_extras_that_exist() -> None:
     [
         ("report", ["report", "scenes"]),
         ("ocr", ["detect", "scenes/stop_sign.xml", "--detectors", "rapidocr"]),
-        ("colmap", ["prepare", "docs/images"]),
         ("meshes", ["capture", "MESH"]),
         ("meshes", ["cloak", "STUDY"]),
         ("transformers", ["dagger", "scenes/car_street.xml", "--detectors", "rtdetr_r18vd"]),
