@@ -10,15 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import from_z
-
-if TYPE_CHECKING:
-    pass
-
 
 Point = Sequence[float]
 

@@ -33,7 +33,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "info": "what a splat file or a scene XML contains",
         "view": "interactive viewer: a splat or a result in the browser, clean beside attacked",
         "render": "render images or an animation of a splat",
-        "compare": "compare renderers on one splat: images, gradients, time and memory",
+        "compare": "compare renderers on one splat: images, gradients and time",
         "conform": "test a renderer or a converter against the definition of 3D Gaussian Splatting",
         "convert": "convert a splat file to another format",
         "select": "select one object of a splat, and check the selection",

@@ -28,7 +28,7 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class CompareOptions(ResultOptions):
-    """Compare renderers on one splat: pictures, gradients, time and memory.
+    """Compare renderers on one splat: pictures, gradients and time.
 
     Writes result.json, a sheet for each camera (the pictures side by side, and where each two differ), the pictures
     of each method, and compare.html, a page that needs no network (it needs the extra `report`).
@@ -49,7 +49,7 @@ class CompareOptions(ResultOptions):
     gradients: bool = True
     """Compare the gradients of methods that have them."""
     rounds: Annotated[int, between(0, 1000, "rounds", "5 is usual")] = 5
-    """How often each method is timed, in turn; 0 measures neither time nor memory."""
+    """How often each method is timed, in turn; 0 measures no time."""
     lpips: bool = False
     """Measure LPIPS, too; its network is downloaded when it is first used."""
     amplify: Annotated[float, between(1, 1000, "times", "8 is usual"), Metavar("FACTOR")] = 8.0

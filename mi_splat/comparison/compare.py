@@ -1,9 +1,6 @@
 """One splat through several methods: their pictures, and each two of them beside each other."""
 
-import contextlib
-import gc
 import math
-import re
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -30,7 +27,6 @@ from mi_splat.io.images import quantise, to_bytes
 from mi_splat.labels import write_label
 from mi_splat.metrics import Perceptual, mse, ssim
 from mi_splat.scene import GaussianScene
-from mi_splat.variant import release_memory
 
 WIDTH = 256
 """Pixels that a picture is wide on a sheet, at least."""
@@ -199,8 +195,6 @@ FORWARD, GRADIENT = "picture", "picture_and_gradient"
 Agreement = dict[str, GradientAgreement]
 """Of two methods, by attribute."""
 Run = Callable[[], None]
-_MIB = 2.0**20
-_STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -214,7 +208,7 @@ class CompareConfig(Checked):
     gradients: bool = True
     """Compare the gradients of methods that have them."""
     rounds: Count = 5
-    """How often each method is timed; 0 measures neither time nor memory."""
+    """How often each method is timed; 0 measures no time."""
     seed: Seed = 0
     """Seed of the random weights that make one number of a picture, whose gradients are compared."""
 
@@ -235,16 +229,15 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cost:
-    """Seconds of each round, the median ratio to the first method, and MiB that a call takes (None if unknown)."""
+    """Seconds of each round, and the median ratio to the first method."""
 
     seconds: tuple[float, ...]
     ratio: float
-    memory: float | None
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON can hold it."""
         middle = statistics.median(self.seconds)
-        return {"seconds": middle, "rounds": list(self.seconds), "ratio": self.ratio, "memory_mib": self.memory}
+        return {"seconds": middle, "rounds": list(self.seconds), "ratio": self.ratio}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -369,11 +362,9 @@ def costs_of(runs: Mapping[str, Run], *, rounds: int, on_step: Callable[[str], N
 
     In each round all take their turn, since a machine that others use changes its speed within minutes.
     """
-    memory, seconds = {}, {name: list[float]() for name in runs}
-    for name, run in runs.items():
-        on_step(f"{name}: memory")
+    seconds = {name: list[float]() for name in runs}
+    for run in runs.values():  # whatever is compiled is compiled now
         run()
-        memory[name] = peak_memory(run)
     for number in range(1, rounds + 1):
         for name, run in runs.items():
             on_step(f"{name}: time, round {number} of {rounds}")
@@ -385,47 +376,9 @@ def costs_of(runs: Mapping[str, Run], *, rounds: int, on_step: Callable[[str], N
         name: Cost(
             seconds=tuple(times),
             ratio=statistics.median(time / base for time, base in zip(times, first, strict=True)),
-            memory=memory[name],
         )
         for name, times in seconds.items()
     }
-
-
-def peak_memory(run: Run) -> float | None:
-    """MiB by which a call made the process grow at most; of a GPU's memory, if one was used, what torch took there.
-
-    Linux keeps the most memory that a process ever had, and forgets it when asked. What was in use before the call is
-    not counted, so the scene itself is not.
-    """
-    gc.collect()
-    release_memory()
-    on_gpu = torch.cuda.is_available()
-    if on_gpu:
-        torch.cuda.empty_cache()
-        torch.cuda.reset_peak_memory_stats()
-    before = _resident_after_reset()
-    gpu_before = torch.cuda.memory_allocated() if on_gpu else 0
-    run()
-    gpu = (torch.cuda.max_memory_allocated() - gpu_before) / _MIB if on_gpu else 0.0
-    if gpu > 0:
-        return gpu
-    after = _status("VmHWM")
-    return None if before is None or after is None else max(0.0, (after - before) / _MIB)
-
-
-def _resident_after_reset() -> float | None:
-    """Bytes that the process has now, from where its peak counts again; None where that cannot be had."""
-    with contextlib.suppress(OSError):
-        _CLEAR.write_text("5")
-        return _status("VmRSS")
-    return None
-
-
-def _status(key: str) -> float | None:
-    with contextlib.suppress(OSError):
-        match = re.search(rf"^{key}:\s*(\d+) kB", _STATUS.read_text(), flags=re.MULTILINE)
-        return None if match is None else 1024.0 * int(match[1])
-    return None
 
 
 def as_dict(comparison: Comparison, methods: Mapping[str, Method]) -> dict[str, Any]:

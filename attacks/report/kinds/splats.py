@@ -21,7 +21,7 @@ MOST_PICTURES = 8
 """Cameras whose pictures a page shows; a sheet has most of a megabyte."""
 _TIMED = {"picture": "picture", "picture and gradient": "picture_and_gradient"}
 """What was timed: its name on the page, and its key."""
-_COSTS = {"time": ("seconds", ".3f", "s"), "ratio": ("ratio", ".2f", ""), "memory": ("memory_mib", ".0f", "MiB")}
+_COSTS = {"time": ("seconds", ".3f", "s"), "ratio": ("ratio", ".2f", "")}
 """What was measured of it: key, format and unit."""
 
 
@@ -126,7 +126,7 @@ def _tables(record: Record) -> Iterator[Table]:
         for title in _COSTS
     }
     yield Table.of(
-        "Cost of a picture: median time, ratio to the first, growth of memory; the first call may compile",
+        "Cost of a picture: median time, ratio to the first; the first call may compile",
         costs,
         [{"name": name, **method} for name, method in record["methods"].items()],
     )
