@@ -67,11 +67,3 @@ def has_cuda() -> bool:
     import drjit as dr
 
     return bool(dr.has_backend(dr.JitBackend.CUDA))
-
-
-def release_memory() -> None:
-    """Give back the memory that Dr.Jit keeps for later arrays, so that what a call takes can be measured."""
-    import drjit as dr
-
-    dr.sync_thread()
-    dr.flush_malloc_cache()

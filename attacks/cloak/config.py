@@ -272,7 +272,7 @@ class SceneConfig:
         sun_azimuth: Degrees from +x towards +y.
         sun_elevation: Degrees.
         background: sRGB colour in the place of the sky, which the splat is trained with, too.
-        up: Axis that points up in a mesh file; None is y for OBJ and glTF and z for PLY.
+        up: Axis that points up in a mesh file; None is y.
         scale: What one unit of a mesh file is in metres.
         rotate: Degrees by which a mesh file is turned about x, then y, then z, after `up`.
         front: Which way a mesh file's object faces after that; it is turned to face +x. Attacks from one side need it.

@@ -1,4 +1,4 @@
-"""Mesh files (OBJ, PLY, glTF) as assets, with their textures and colours; reading them needs the extra `meshes`."""
+"""Mesh files (glTF) as assets, with their textures and colours; reading them needs the extra `meshes`."""
 
 import io
 import json
@@ -21,8 +21,6 @@ from mi_splat.capture.mesh_materials import (
     MeshFileNotes,
     Surface,
     coloured,
-    obj_notes,
-    ply_notes,
     resolver,
 )
 from mi_splat.capture.settings import Front, MeshSettings
@@ -85,7 +83,7 @@ def _noted(document: dict[str, Any], rest: bytes | None, path: Path) -> MeshFile
     materials.append({"name": str(bare)})
     unread = ", ".join(dict.fromkeys(faults))
     data = _packed(document, rest)
-    return MeshFileNotes(data=data, materials=notes, faults=(unread,) if unread else (), float32=True)
+    return MeshFileNotes(data=data, materials=notes, faults=(unread,) if unread else ())
 
 
 def _read(path: Path) -> tuple[dict[str, Any], bytes | None]:
@@ -185,9 +183,7 @@ def _prepare(document: dict[str, Any], primitive: dict[str, Any], bare: int) -> 
     return []
 
 
-SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
-UP: dict[str, Up] = {".obj": "y", ".ply": "z", ".glb": "y", ".gltf": "y"}
-"""Which axis points up in a file, unless told otherwise; only glTF's is laid down."""
+SUFFIXES = (".glb", ".gltf")
 
 FARTHEST = 1000.0
 """Largest coordinate of a mesh's middle, in radii, that is kept. A float32, as splat files and point clouds hold, then
@@ -223,7 +219,7 @@ def load_mesh(path: Path, settings: MeshSettings | None = None) -> LoadedMesh:
     settings = settings or MeshSettings()
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        do = "export it in one of these formats"
+        do = "let trimesh convert it: trimesh.load_scene('mesh.obj').export('mesh.glb')"
         raise MeshFileError.of(str(path), f"a file that ends in {', '.join(SUFFIXES)}", path.suffix, do)
     surfaces, faults, remarks = _surfaces(path)
     if not surfaces:
@@ -232,7 +228,7 @@ def load_mesh(path: Path, settings: MeshSettings | None = None) -> LoadedMesh:
         do = "put it where the mesh names it, without options, or let missing textures warn, for plain colours"
         error = MeshFileError.of(str(path), "textures and colours that can be shown", "; ".join(faults), do)
         raise error.hinted("--missing-textures warn")
-    turn = turning(settings, up=settings.up or UP[suffix])
+    turn = turning(settings, up=settings.up or "y")
     placed = [surface.vertices @ turn.T for surface in surfaces]
     try:
         offset = _world_offset(placed)
@@ -253,17 +249,12 @@ def turning(settings: MeshSettings, *, up: Up) -> NDArray[np.float64]:
 def _surfaces(path: Path) -> tuple[list[Surface], list[str], list[str]]:
     """The surfaces of a file, and what of its colours cannot be shown and what need not be."""
     pieces, notes = _pieces(path)
-    faults, remarks = list(notes.faults), list[str]()
+    faults = list(notes.faults)
     try:
-        surfaces = [
-            coloured(piece, placed, path, notes, fault=faults.append, remark=remarks.append) for piece, placed in pieces
-        ]
+        surfaces = [coloured(piece, placed, path, notes, fault=faults.append) for piece, placed in pieces]
     except Exception as error:
         raise _not_finite(path, error) from error
-    if notes.float32:
-        remarks += _too_coarse(pieces, surfaces)
-    if path.suffix.lower() == ".obj" and all(surface.texture.shape[:2] != (1, 1) for surface in surfaces):
-        faults = [fault for fault in faults if fault not in notes.faults]  # colours of vertices do for lost materials
+    remarks = _too_coarse(pieces, surfaces)
     return surfaces, list(dict.fromkeys(faults)), list(dict.fromkeys(remarks))
 
 
@@ -278,12 +269,12 @@ def _pieces(path: Path) -> tuple[list[tuple[Any, NDArray[np.float64]]], MeshFile
         raise MeshFileError.of(str(path), "a mesh file", "no such file", "check the path")
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # what it would print, is said here
     suffix = path.suffix.lower()
-    read = {".obj": obj_notes, ".ply": ply_notes}.get(suffix, gltf_notes)
     try:
-        notes = read(path)
-        given = str(path) if notes.data is None else io.BytesIO(notes.data)
+        notes = gltf_notes(path)
         with pixels_bounded():
-            scene = trimesh.load_scene(given, file_type=suffix[1:], resolver=resolver(path), process=False)
+            scene = trimesh.load_scene(
+                io.BytesIO(notes.data), file_type=suffix[1:], resolver=resolver(path), process=False
+            )
         placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
     except GltfError as error:
         raise MeshFileError(str(error)) from error
@@ -311,7 +302,7 @@ def _too_coarse(pieces: list[tuple[Any, NDArray[np.float64]]], surfaces: list[Su
     if not coarsest > COARSE * size > 0:
         return []
     extent = f"coordinates up to {where:.7g} in steps of {coarsest:.3g} (float32), which tear a mesh of size {size:.3g}"
-    return [f"{extent}; export it around its own origin, or as OBJ or a PLY of doubles"]
+    return [f"{extent}; export it around its own origin"]
 
 
 def _world_offset(pieces: list[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -1,12 +1,11 @@
-"""What a mesh file says and trimesh leaves out: names of pictures, second texture coordinates, how exact it is.
+"""What a mesh file says and trimesh leaves out: names of pictures, and second texture coordinates.
 
 trimesh reads on in silence where a picture is missing, so the names are read here, and `mesh_colours` compares.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -14,18 +13,6 @@ from numpy.typing import NDArray
 
 from mi_splat.assets.mesh import Floats, skin, to_linear, to_srgb
 from mi_splat.io.picture_files import BROKEN, PictureFileError, check_scans
-
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_OPTION = re.compile(
-    rf"(?:-(?:[ost](?:[ \t]+{_NUMBER.pattern}){{1,3}}|mm(?:[ \t]+{_NUMBER.pattern}){{2}}"
-    r"|(?:blendu|blendv|cc|clamp|texres|bm|boost|imfchan|type)[ \t]+\S+))[ \t]+(?=\S)",
-    re.IGNORECASE,
-)
-_USUAL: dict[str, tuple[object, ...]] = {
-    **{"-s": (1.0, 1.0, 1.0), "-o": (0.0, 0.0, 0.0), "-t": (0.0, 0.0, 0.0), "-mm": (0.0, 1.0)},
-    **{"-clamp": ("off",), "-cc": ("off",), "-type": ()},
-}
-"""Values of the options of a texture in an MTL file at which they change nothing; others change none of ours."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,123 +22,21 @@ class MaterialNotes:
     picture: str | None = None  # name of its texture
     factor: NDArray[np.float64] | None = None  # (3,) linear colour that multiplies texture and colours of vertices
     uv_transform: NDArray[np.float64] | None = None  # (3, 3) matrix that acts on texture coordinates first, v down
-    options: str = ""  # what the file wants of the texture and is not done, in the file's words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeshFileNotes:
     """What a file says of its materials."""
 
-    data: bytes | None = None  # the file's bytes as trimesh shall read them; None is the file itself
-    materials: dict[str, MaterialNotes] = field(default_factory=dict)  # by trimesh's name; "" is that of an only one
+    data: bytes  # the file as trimesh shall read it
+    materials: dict[str, MaterialNotes] = field(default_factory=dict)  # by trimesh's name
     faults: tuple[str, ...] = ()  # what cannot be shown, in words
-    float32: bool = False  # whether the file holds coordinates as 32-bit numbers
-
-
-def obj_notes(path: Path) -> MeshFileNotes:
-    """Pictures that the material file of an OBJ file names, and materials that are not to be found."""
-    text = _text(path)
-    used = list(dict.fromkeys(re.findall(r"^[ \t]*usemtl[ \t]+(.*\S)", text, re.MULTILINE)))
-    libraries = list(dict.fromkeys(re.findall(r"^[ \t]*mtllib[ \t]+(.*\S)", text, re.MULTILINE)))
-    materials: dict[str, MaterialNotes] = {}
-    faults = []
-    for number, name in enumerate(libraries):
-        file = beside(path, name)
-        if file is None:
-            faults.append(f"{name} (material file): no such file")
-        elif number > 0:
-            faults.append(f"{name} (material file): a second one, which is not read")
-        else:
-            materials = _mtl_materials(_text(file))
-    missing = [name for name in used if name not in materials]
-    if missing and not faults:
-        where = libraries[0] if libraries else "the file, which names no material file"
-        faults.append(f"material {', '.join(missing[:5])}: not in {where}")
-    shown = {name: notes for name, notes in materials.items() if name in used}
-    return MeshFileNotes(data=text.encode(), materials=shown, faults=tuple(faults))
-
-
-def _text(path: Path) -> str:
-    """The text of an OBJ or MTL file: UTF-8, or Latin-1 where it is not, as older programs write."""
-    data = path.read_bytes()
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
-
-
-def _mtl_materials(text: str) -> dict[str, MaterialNotes]:
-    """The materials of an MTL file and their pictures."""
-    materials: dict[str, MaterialNotes] = {}
-    name = None
-    for line in text.splitlines():
-        key, rest = (*line.split(None, 1), "", "")[:2]
-        if key.lower() == "newmtl":
-            name = " ".join(rest.split())
-            materials[name] = MaterialNotes()
-        elif key.lower() == "map_kd" and name is not None:
-            options, picture = _texture_options(rest.strip())
-            materials[name] = MaterialNotes(picture=picture, options=options)
-    return materials
-
-
-def _texture_options(rest: str) -> tuple[str, str]:
-    """Options behind `map_Kd` that change the picture, in the file's words, and the name of the picture."""
-    asked = []
-    while match := _OPTION.match(rest):
-        rest = rest[match.end() :]
-        tokens = match.group().split()
-        numbers = [float(word) for word in tokens[1:] if _NUMBER.fullmatch(word)]
-        usual = _USUAL.get(tokens[0].lower())
-        if usual is not None and (tuple(numbers) != usual[: len(numbers)] if numbers else tokens[1] not in usual):
-            asked.append(" ".join(tokens))
-    return ", ".join(asked), rest
-
-
-def ply_notes(path: Path) -> MeshFileNotes:
-    """The picture that a comment in the header of a PLY file names, and how exact its coordinates are."""
-    with path.open("rb") as file:
-        header = file.read(1 << 16).partition(b"end_header")[0].decode("utf-8", "replace")
-    match = re.search(r"^comment[ \t]+texturefile[ \t]+(.*\S)", header, re.IGNORECASE | re.MULTILINE)
-    materials = {"": MaterialNotes(picture=match.group(1) if match else None)}
-    exact = re.search(r"^property[ \t]+(?:double|float64)[ \t]+x\b", header, re.MULTILINE)
-    return MeshFileNotes(materials=materials, float32=exact is None)
 
 
 def beside(path: Path, name: str) -> Path | None:
-    """The file that a mesh file names: under its folder, or by its bare name in it.
-
-    Backslashes may stand for slashes, and letters may differ in case if one file alone is meant.
-    """
-    folder = path.parent.resolve()
-    given = name.strip()
-    slashed = given.replace("\\", "/")
-    names = dict.fromkeys((given, *(form for text in (given, slashed) for form in (text, text.lstrip("/")))))
-    names |= dict.fromkeys((PurePosixPath(given).name, PurePosixPath(slashed).name))
-    for find in (Path.joinpath, _but_for_case):
-        for candidate in filter(None, names):
-            file = find(folder, candidate).resolve()
-            if file.is_relative_to(folder) and file.is_file():
-                return file
-    return None
-
-
-def lies_outside(path: Path, name: str) -> bool:
-    """Whether a file that a mesh file names is there, but not under its folder."""
-    return any((path.parent / text).is_file() for text in (name, name.replace("\\", "/")))
-
-
-def _but_for_case(folder: Path, name: str) -> Path:
-    """The path under a folder whose letters differ from a name in case alone; the name's own if not exactly one."""
-    path = folder
-    for part in PurePosixPath(name).parts:
-        candidates = [path / part]
-        if part != ".." and not candidates[0].exists() and path.is_dir() and path.resolve().is_relative_to(folder):
-            candidates = [file for file in path.iterdir() if file.name.casefold() == part.casefold()]
-        if len(candidates) != 1:
-            return folder / name
-        path = candidates[0]
-    return path
+    """The file that a mesh file names, under its folder."""
+    file = (path.parent / name).resolve()
+    return file if file.is_relative_to(path.parent.resolve()) and file.is_file() else None
 
 
 def resolver(path: Path) -> Any:
@@ -159,14 +44,14 @@ def resolver(path: Path) -> Any:
     from trimesh.resolvers import FilePathResolver
 
     class Beside(FilePathResolver):  # type: ignore[misc]  # trimesh may not be installed
-        """Finds files as `beside` does, whatever the options before their names."""
+        """Finds files as `beside` does."""
 
         def get(self, name: str) -> bytes:
-            """The bytes of a file; of a material file in UTF-8."""
-            file = beside(path, name) or beside(path, _texture_options(name)[1])
+            """The bytes of a file."""
+            file = beside(path, name)
             if file is None:
                 raise FileNotFoundError(f"{name}: no such file in {path.parent}")
-            return _text(file).encode() if file.suffix.lower() == ".mtl" else file.read_bytes()
+            return file.read_bytes()
 
     return Beside(str(path))
 
@@ -190,9 +75,7 @@ class Surface:
     texture: Floats  # (h, w, 3) float32 sRGB
 
 
-def coloured(
-    piece: Any, placed: NDArray[np.float64], path: Path, notes: MeshFileNotes, *, fault: Report, remark: Report
-) -> Surface:
+def coloured(piece: Any, placed: NDArray[np.float64], path: Path, notes: MeshFileNotes, *, fault: Report) -> Surface:
     """One of trimesh's meshes in the file's frame, with its colours as a texture."""
     vertices = np.asarray(piece.vertices, np.float64) @ placed[:3, :3].T + placed[:3, 3]
     faces = np.asarray(piece.faces, np.int64)
@@ -200,15 +83,13 @@ def coloured(
         faces = faces[:, ::-1]
     material = _material(piece)
     name = str(getattr(material, "name", "") or "")
-    stated = notes.materials.get(name) or notes.materials.get("") or MaterialNotes()
-    linear = path.suffix.lower() in (".glb", ".gltf")  # as that format lays down
+    stated = notes.materials.get(name, MaterialNotes())
     picture = _picture(material, stated, path, fault)
     colours = _corner_colours(piece, faces)
     if picture is not None:
         if colours is not None:
             what = stated.picture or "a texture"
-            (fault if linear else remark)(f"{what}: colours of vertices beside it, which are not multiplied with it")
-        # An OBJ's picture stands in for its diffuse colour, which exporters often leave at black or grey.
+            fault(f"{what}: colours of vertices beside it, which are not multiplied with it")
         shown = stated.factor is None
         texture = picture if shown else to_srgb(to_linear(picture) * np.float32(cast("Any", stated.factor)))
         uvs = _texture_coordinates(piece, stated.uv_transform)
@@ -218,7 +99,7 @@ def coloured(
         texture = texture.mean((0, 1), keepdims=True)
     elif colours is not None:
         factor = stated.factor if stated.factor is not None else 1.0
-        return _baked(vertices, faces, to_srgb(colours * np.float32(factor)) if linear else colours)
+        return _baked(vertices, faces, to_srgb(colours * np.float32(factor)))
     else:
         texture = _plain(material, stated)
     return Surface(vertices=vertices, faces=faces, uvs=np.zeros((len(vertices), 2)), texture=texture)
@@ -250,12 +131,9 @@ def _picture(material: Any | None, stated: MaterialNotes, path: Path, fault: Rep
         if stated.picture is not None:
             exists = stated.picture.startswith("picture ") or beside(path, stated.picture)
             outside = "lies outside of the mesh's folder, where it is not read"
-            lost = outside if lies_outside(path, stated.picture) else "no such file"
+            lost = outside if (path.parent / stated.picture).is_file() else "no such file"
             unread = "cannot be read as a picture, has too many pixels, or has no coordinates"
             fault(f"{stated.picture} (texture): {unread if exists else lost}")
-        return None
-    if stated.options:
-        fault(f"{stated.picture} (texture): options {stated.options}, which are not followed")
         return None
     try:
         check_scans(picture, stated.picture or "a texture")
@@ -269,18 +147,11 @@ def _picture(material: Any | None, stated: MaterialNotes, path: Path, fault: Rep
 
 
 def _plain(material: Any, stated: MaterialNotes) -> Floats:
-    """(1, 1, 3) sRGB colour of a material without a picture.
-
-    glTF's colour factors are linear; those of OBJ's material files are taken as sRGB.
-    """
+    """(1, 1, 3) sRGB colour of a material without a picture, whose factor is linear."""
     if stated.factor is not None:
         return skin(to_srgb(stated.factor))
-    physical = hasattr(material, "baseColorFactor")
-    factor = material.baseColorFactor if physical else getattr(material, "diffuse", None)
-    if factor is None:
-        return skin(GREY)
-    values = _unit(np.asarray(factor).ravel()[:3])
-    return skin(to_srgb(values) if physical else values)
+    factor = getattr(material, "baseColorFactor", None)
+    return skin(GREY) if factor is None else skin(to_srgb(_unit(np.asarray(factor).ravel()[:3])))
 
 
 def _unit(values: NDArray[Any]) -> Floats:
@@ -292,9 +163,7 @@ def _unit(values: NDArray[Any]) -> Floats:
 
 def _corner_colours(piece: Any, faces: NDArray[np.int64]) -> Floats | None:
     """(F, 3, 3) colour of every corner of every face; None if there are none, or all are white."""
-    if piece.visual.kind == "face":
-        colours = np.repeat(_unit(np.asarray(piece.visual.face_colors)[:, :3])[:, None], 3, axis=1)
-    elif piece.visual.kind == "vertex":
+    if piece.visual.kind == "vertex":
         colours = _unit(np.asarray(piece.visual.vertex_colors)[:, :3])[faces]
     else:  # beside a material
         values = piece.vertex_attributes.get("color")

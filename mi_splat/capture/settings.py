@@ -43,7 +43,7 @@ class MeshSettings(Checked):
     """How a mesh file is read and turned: first --up, then --rotate, then --front, then --scale.
 
     Attributes:
-        up: Axis that points up in the file; None is y for OBJ and glTF and z for PLY.
+        up: Axis that points up in the file; None is y.
         scale: What one unit of the file is in metres, more than 0; 0.01 for centimetres.
         rotate: Degrees about x, then about y, then about z; the axes stay where they are.
         front: Which way the object faces after --up and --rotate; it is turned to face +x. None turns nothing.

@@ -38,7 +38,7 @@ class CaptureOptions(JsonOptions):
     """
 
     scene: Positional[Annotated[str, Metavar("SCENE")]]
-    """Mitsuba mesh XML; an OBJ, PLY, GLB or glTF mesh (needs the extra `meshes`); car_street or stop_sign; or one of
+    """Mitsuba mesh XML; a GLB or glTF mesh (needs the extra `meshes`); car_street or stop_sign; or one of
     the project's objects by name and seed, for instance car:900004."""
     cameras: Annotated[str, Metavar("CAMERAS")] = "hemisphere:210"
     """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x elevations), or a transforms .json."""

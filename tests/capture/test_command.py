@@ -118,7 +118,7 @@ def test_the_command_refuses_before_it_begins(
     ("name", "content", "says"),
     [
         ("lorry", None, "car_street, stop_sign"),
-        ("none.obj", None, "none.obj"),
+        ("none.glb", None, "none.glb"),
         ("bad.xml", "<scene", "bad.xml"),
         ("empty.xml", '<scene version="3.0.0"/>', "empty.xml"),
         ("splats.xml", '<scene version="3.0.0"><integrator type="splat_tile"/></scene>', "mi-splat render"),
@@ -128,7 +128,7 @@ def test_the_command_refuses_before_it_begins(
 def test_the_command_refuses_scenes(
     name: str, content: str | None, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if name.endswith(".obj"):
+    if name.endswith(".glb"):
         pytest.importorskip("trimesh")
     scene = tmp_path / name
     if content is not None:

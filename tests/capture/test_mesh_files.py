@@ -1,11 +1,13 @@
 """Mesh files: geometry, axes, textures the right way up, colours, and what is wrong with a file."""
 
 import io
+import json
 import random
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,15 +42,6 @@ def colour_at(asset: Asset, corner: int) -> list[float]:
     return [float(value) for value in mesh.texture[row, column]]
 
 
-def write_obj(folder: Path, *, material: str = "map_Kd t.png") -> Path:
-    lines = ["mtllib m.mtl", *(f"v {x} {y} {z}" for x, y, z in SQUARE), *(f"vt {u} {v}" for u, v in UVS), "usemtl m"]
-    lines += ["f " + " ".join(f"{i + 1}/{i + 1}" for i in face) for face in FACES]
-    (folder / "m.obj").write_text("\n".join([*lines, ""]))
-    (folder / "m.mtl").write_text(f"newmtl m\n{material}\n")
-    picture().save(folder / "t.png")
-    return folder / "m.obj"
-
-
 def write_glb(folder: Path, *, move: float = 0.0) -> Path:
     """A GLB written by hand: in glTF, v runs down from the top of the picture."""
     buffer = io.BytesIO()
@@ -81,20 +74,8 @@ def write_glb(folder: Path, *, move: float = 0.0) -> Path:
     return folder / "m.glb"
 
 
-def write_ply(folder: Path, *, faces: bool = True, value: str = "0") -> Path:
-    rows = [f"{value} 0 0 255 0 0", "1 0 0 0 255 0", "0 1 0 0 0 255"]
-    names = [*(f"property float {axis}" for axis in "xyz"), *(f"property uchar {c}" for c in ("red", "green", "blue"))]
-    head = ["ply", "format ascii 1.0", "element vertex 3", *names]
-    if faces:
-        head += ["element face 1", "property list uchar int vertex_indices"]
-        rows += ["3 0 1 2"]
-    (folder / "m.ply").write_text("\n".join([*head, "end_header", *rows, ""]))
-    return folder / "m.ply"
-
-
-@pytest.mark.parametrize("kind", ["obj", "glb"])
-def test_textures_are_the_right_way_up(kind: str, tmp_path: Path) -> None:
-    asset = load_mesh(write_obj(tmp_path) if kind == "obj" else write_glb(tmp_path)).asset
+def test_textures_are_the_right_way_up(tmp_path: Path) -> None:
+    asset = load_mesh(write_glb(tmp_path)).asset
     (mesh,) = asset.meshes
     corners = {tuple(np.round(vertex, 5).tolist()): i for i, vertex in enumerate(mesh.vertices)}
     # y up becomes z up: (x, y, z) -> (x, -z, y)
@@ -108,36 +89,22 @@ def test_textures_are_the_right_way_up(kind: str, tmp_path: Path) -> None:
 
 def test_axes_scale_and_placement(tmp_path: Path) -> None:
     path = write_glb(tmp_path, move=3.0)
-    ply = write_ply(tmp_path)
     for asset, bounds in (
         (load_mesh(path).asset, [[3, 0, 0], [3, 1, 1]]),
         (load_mesh(path, MeshSettings(scale=2.0)).asset, [[6, 0, 0], [6, 2, 2]]),
         (load_mesh(path, MeshSettings(up="z")).asset, [[3, 0, -1], [3, 1, 0]]),
-        (load_mesh(ply).asset, [[0, 0, 0], [1, 1, 0]]),
     ):
         assert np.allclose(asset.bounds, bounds, atol=1e-6)
-
-
-def test_vertex_colours_blend_over_the_face(tmp_path: Path) -> None:
-    (mesh,) = load_mesh(write_ply(tmp_path)).asset.meshes
-    assert len(mesh.vertices) == 3
-    asset = Asset("m", (mesh,))
-    for vertex, colour in (((0, 0, 0), [1, 0, 0]), ((1, 0, 0), [0, 1, 0]), ((0, 1, 0), [0, 0, 1])):
-        corner = int(np.abs(mesh.vertices - vertex).sum(1).argmin())
-        assert colour_at(asset, corner) == pytest.approx(colour, abs=1e-6)
 
 
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
-        ("m.stl", b"", "ends in .obj"),
-        ("m.obj", None, "no such file"),
-        ("m.obj", b"", r"m\.obj"),
-        ("m.obj", b"v 0 0 0\nv 1 0 0\n", r"m\.obj"),
+        ("m.obj", b"", "ends in .glb.*let trimesh convert it"),
+        ("m.glb", None, "no such file"),
         ("m.glb", b"glTF", r"m\.glb"),
         ("m.glb", b"", r"m\.glb"),
         ("m.gltf", b"{}", r"m\.gltf"),
-        ("m.ply", b"ply\nformat ascii 1.0\n", r"m\.ply"),
     ],
 )
 def test_files_that_are_no_mesh(name: str, content: bytes | None, says: str, tmp_path: Path) -> None:
@@ -164,9 +131,8 @@ def broken(kind: str, data: bytes) -> Iterator[bytes]:
         )[number % 4]
 
 
-@pytest.mark.parametrize("write", [write_obj, write_ply, write_glb])
-def test_broken_files_are_meshes_or_refused(write: Callable[[Path], Path], tmp_path: Path) -> None:
-    path = write(tmp_path)
+def test_broken_files_are_meshes_or_refused(tmp_path: Path) -> None:
+    path = write_glb(tmp_path)
     errors = []
     for mutant in broken(path.suffix, path.read_bytes()):
         path.write_bytes(mutant)
@@ -178,10 +144,55 @@ def test_broken_files_are_meshes_or_refused(write: Callable[[Path], Path], tmp_p
     assert all(path.name in error for error in errors)
 
 
-def test_points_and_nans_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(MiSplatError, match=r"m\.ply.*no faces"):
-        load_mesh(write_ply(tmp_path, faces=False))
-    with pytest.raises(MiSplatError, match=r"m\.ply.*finite"):
-        load_mesh(write_ply(tmp_path, value="nan"))
+# glTF files whose parts do not fit together are refused in plain words
+
+
+PRIMITIVE = ("meshes", 0, "primitives", 0)
+
+
+def parts(path: Path) -> tuple[dict[str, Any], bytes]:
+    """The document of a GLB, and what follows it."""
+    data = path.read_bytes()
+    (length,) = struct.unpack_from("<I", data, 12)
+    return json.loads(data[20 : 20 + length]), data[20 + length :]
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "says"),
+    [
+        ((*PRIMITIVE, "attributes", "POSITION"), 99, ""),
+        ((*PRIMITIVE, "attributes"), {}, ""),
+        (("nodes", 0, "mesh"), 7, ""),
+        (("accessors", 0, "count"), 4000, ""),
+        (("accessors", 0), {"componentType": 5126, "type": "VEC3", "count": 10**9}, "1000000000 zeros"),
+        (("bufferViews", 0, "byteLength"), 10**7, ""),
+        (("materials", 0, "pbrMetallicRoughness", "baseColorTexture", "index"), 7, ""),
+        (("accessors",), "x", ""),
+        (("meshes",), [], "no faces"),
+    ],
+    ids=lambda value: ".".join(map(str, value)) if isinstance(value, tuple) else "",
+)
+def test_parts_that_do_not_fit_are_refused(keys: tuple[Any, ...], value: object, says: str, tmp_path: Path) -> None:
+    path = write_glb(tmp_path)
+    document, rest = parts(path)
+    node: Any = document
+    for key in keys[:-1]:
+        node = node[key]
+    node[keys[-1]] = value
+    path.write_bytes(packed(document, rest))
+    with pytest.raises(MiSplatError, match=rf"m\.glb: expected .*{says}"):
+        load_mesh(path)
+
+
+def test_faces_of_vertices_that_are_not_there(tmp_path: Path) -> None:
+    path = write_glb(tmp_path)
+    faces = struct.pack("<6H", 0, 1, 2, 0, 2, 3)
+    assert faces in path.read_bytes()
+    path.write_bytes(path.read_bytes().replace(faces, struct.pack("<6H", 60000, 1, 2, 0, 2, 3)))
+    with pytest.raises(MiSplatError, match="a face with vertex 60000 of 4"):
+        load_mesh(path)
+
+
+def test_a_scale_of_nothing_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="scale"):
-        load_mesh(write_ply(tmp_path), MeshSettings(scale=0.0))
+        load_mesh(write_glb(tmp_path), MeshSettings(scale=0.0))

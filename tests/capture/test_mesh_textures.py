@@ -13,7 +13,7 @@ from mi_splat.capture.mesh_files import LoadedMesh, load_mesh
 from mi_splat.capture.settings import MeshSettings
 from mi_splat.errors import MiSplatError
 from mi_splat.io.picture_files import pixel_limit
-from tests.capture.trucks import COLOURS, TEXTURE, save_texture, truck, write_glb, write_obj, write_ply
+from tests.capture.trucks import COLOURS, TEXTURE, truck, write_glb
 
 pytest.importorskip("trimesh")
 
@@ -43,9 +43,8 @@ def blue_is_at_the_back(loaded: LoadedMesh) -> bool:
     return bool(bed.any() and cab.any() and points[bed, 0].max() < points[cab, 0].min() + 0.1)
 
 
-@pytest.mark.parametrize("write", [write_glb, write_obj, write_ply])
-def test_a_texture_in_a_file_of_its_own_is_shown(write: Callable[..., Path], tmp_path: Path) -> None:
-    loaded = load_mesh(write(tmp_path, truck()))
+def test_a_texture_in_a_file_of_its_own_is_shown(tmp_path: Path) -> None:
+    loaded = load_mesh(write_glb(tmp_path, truck()))
     assert loaded.warnings == ()
     assert blue_is_at_the_back(loaded)
 
@@ -64,42 +63,16 @@ def half_a_picture(path: Path) -> None:
     texture.write_bytes(texture.read_bytes()[:4000])
 
 
-def texture_elsewhere(path: Path) -> None:
-    folder = path.parent.with_name(path.parent.name + "_textures")
-    folder.mkdir()
-    path.with_name(TEXTURE).rename(folder / "other.png")
-    path.with_name("truck.mtl").write_text(f"newmtl paint\nmap_Kd ../{folder.name}/other.png\n")
-
-
-def another_material(path: Path) -> None:
-    path.with_name("truck.mtl").write_text("newmtl chrome\nKd 1 1 1\n")
-
-
-def map_with_options(path: Path) -> None:
-    path.with_name("truck.mtl").write_text(f"newmtl paint\nmap_Kd -s 2 2 2 {TEXTURE}\n")
-
-
 @pytest.mark.parametrize(
-    ("write", "spoil", "says"),
+    ("spoil", "says"),
     [
-        (write_glb, no_texture, f"{TEXTURE}.*no such file"),
-        (write_glb, no_picture, f"{TEXTURE}.*cannot be read as a picture"),
-        (write_glb, half_a_picture, TEXTURE),
-        (write_obj, no_texture, f"{TEXTURE}.*no such file"),
-        (write_obj, no_picture, f"{TEXTURE}.*cannot be read as a picture"),
-        (write_obj, half_a_picture, TEXTURE),
-        (write_obj, texture_elsewhere, r"other\.png.*outside of the mesh's folder"),
-        (write_obj, lambda path: path.with_name("truck.mtl").unlink(), r"truck\.mtl.*no such file"),
-        (write_obj, another_material, r"material paint: not in truck\.mtl"),
-        (write_obj, map_with_options, "-s 2 2 2"),
-        (write_ply, no_texture, f"{TEXTURE}.*no such file"),
-        (write_ply, half_a_picture, TEXTURE),
+        (no_texture, f"{TEXTURE}.*no such file"),
+        (no_picture, f"{TEXTURE}.*cannot be read as a picture"),
+        (half_a_picture, TEXTURE),
     ],
 )
-def test_a_texture_that_cannot_be_shown_is_named(
-    write: Callable[..., Path], spoil: Callable[[Path], None], says: str, tmp_path: Path
-) -> None:
-    path = write(tmp_path, truck())
+def test_a_texture_that_cannot_be_shown_is_named(spoil: Callable[[Path], None], says: str, tmp_path: Path) -> None:
+    path = write_glb(tmp_path, truck())
     spoil(path)
     with pytest.raises(MiSplatError, match=rf"{path.name}.*{says}.*let missing textures warn"):
         load_mesh(path)
@@ -171,24 +144,6 @@ def test_colours_of_vertices_are_those_of_the_surface(kind: str, tmp_path: Path)
         )  # 8 bits of a dark linear value
 
 
-def test_colours_of_vertices_in_obj_and_ply(tmp_path: Path) -> None:
-    for path in (
-        write_obj(tmp_path, truck(), colours=True, textured=False),
-        write_ply(tmp_path, truck(), textured=False),
-    ):
-        loaded = load_mesh(path)
-        assert loaded.warnings == ()
-        assert np.abs(corner_colours(loaded) - expected()).max() < 3
-    beside = load_mesh(write_obj(tmp_path, truck(), colours=True))
-    assert np.abs(corner_colours(beside) - expected()).max() < 3
-    assert "colours of vertices" in beside.warnings[0]  # the texture is as good: said, not refused
-    save_texture(tmp_path)
-    (tmp_path / "truck.mtl").write_text("newmtl paint\nKd 0.5 0.5 0.5\n")
-    assert np.abs(corner_colours(load_mesh(tmp_path / "truck.obj")) - expected()).max() < 3
-    (tmp_path / "truck.mtl").unlink()
-    assert load_mesh(tmp_path / "truck.obj").warnings == ()  # colours of vertices do for lost materials
-
-
 def test_pictures_of_16_bits_and_names_with_spaces(tmp_path: Path) -> None:
     path = write_glb(tmp_path, truck(), image={"uri": "my%20truck.png"})
     levels = np.linspace(1000, 60000, 32).astype(np.uint16)[None].repeat(4, axis=0)
@@ -209,9 +164,8 @@ def test_webp_is_shown_and_named_when_it_is_missing(tmp_path: Path) -> None:
         load_mesh(path)
 
 
-@pytest.mark.parametrize("write", [write_glb, write_obj, write_ply])
-def test_textures_of_too_many_pixels_are_not_decoded(write: Callable[..., Path], tmp_path: Path) -> None:
-    path = write(tmp_path, truck())
+def test_textures_of_too_many_pixels_are_not_decoded(tmp_path: Path) -> None:
+    path = write_glb(tmp_path, truck())
     with Image.open(tmp_path / TEXTURE) as texture:
         pixels = texture.width * texture.height
     with pixel_limit(pixels):

@@ -1,7 +1,6 @@
 """Meshes of any size, and far from their origin: the same pictures, and coordinates that lose nothing."""
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from mi_splat.capture.sources import open_source
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import MiSplatError
 from mi_splat.metrics import psnr
-from tests.capture.trucks import truck, write_glb, write_obj, write_ply
+from tests.capture.trucks import truck, write_glb
 
 pytest.importorskip("trimesh")
 
@@ -47,7 +46,7 @@ def captured(path: Path, out: Path, *more: str) -> Captured:
 @pytest.fixture(scope="module")
 def usual(tmp_path_factory: pytest.TempPathFactory) -> Captured:
     folder = tmp_path_factory.mktemp("usual")
-    return captured(write_ply(folder, truck()), folder / "out")
+    return captured(write_glb(folder, truck()), folder / "out")
 
 
 def assert_in_proportion(scaled: Captured, usual: Captured, *, size: float) -> None:
@@ -60,37 +59,21 @@ def assert_in_proportion(scaled: Captured, usual: Captured, *, size: float) -> N
 
 
 @pytest.mark.parametrize(
-    ("write", "factor", "scale"),
-    [(write_glb, 100.0, 0.01), (write_ply, 1000.0, 1.0), (write_obj, 0.0005, 1.0)],
-    ids=["centimetres", "5 km", "2.5 mm"],
+    ("factor", "scale"), [(100.0, 0.01), (1000.0, 1.0), (0.0005, 1.0)], ids=["centimetres", "5 km", "2.5 mm"]
 )
-def test_size_changes_no_picture(
-    write: Callable[..., Path], factor: float, scale: float, usual: Captured, tmp_path: Path
-) -> None:
-    dataset = captured(write(tmp_path, truck().placed(scale=factor)), tmp_path / "out", "--scale", str(scale))
+def test_size_changes_no_picture(factor: float, scale: float, usual: Captured, tmp_path: Path) -> None:
+    dataset = captured(write_glb(tmp_path, truck().placed(scale=factor)), tmp_path / "out", "--scale", str(scale))
     assert_in_proportion(dataset, usual, size=factor * scale)
     assert "world_offset" not in dataset.document
 
 
-@pytest.mark.parametrize(
-    ("write", "move", "node"),
-    [(write_obj, UTM, {}), (write_glb, (0, 0, 0), {"translation": [UTM[0], UTM[2], -UTM[1]]})],
-    ids=["OBJ", "GLB"],
-)
 def test_a_mesh_far_away_is_brought_to_the_origin(
-    write: Callable[..., Path],
-    move: tuple[float, float, float],
-    node: dict[str, object],
-    usual: Captured,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    usual: Captured, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = {"node": node} if node else {}
-    path = write(tmp_path, truck().placed(move=move), **words)
+    path = write_glb(tmp_path, truck(), node={"translation": [UTM[0], UTM[2], -UTM[1]]})
     dataset = captured(path, tmp_path / "out")
     assert psnr(dataset.pictures, usual.pictures) > 60
-    low, high = truck().vertices.min(0), truck().vertices.max(0)
-    middle = (low + high) / 2 + (UTM if node else move)
+    middle = (truck().vertices.min(0) + truck().vertices.max(0)) / 2 + UTM
     offset = dataset.document["world_offset"]
     assert np.allclose(np.array(offset), middle, atol=1e-6)
     record = json.loads((tmp_path / "out" / "capture.json").read_text())
@@ -104,21 +87,11 @@ def test_a_mesh_far_away_is_brought_to_the_origin(
     assert torch.equal(again.pictures, dataset.pictures)
 
 
-def as_float32(path: Path) -> Path:
-    """A PLY of the truck whose header names 32-bit coordinates."""
-    path.write_text(path.read_text().replace("property double", "property float"))
-    return path
-
-
 def test_a_file_too_coarse_for_its_place_is_warned_of(tmp_path: Path) -> None:
-    far = truck().placed(move=UTM)
-    for path in (as_float32(write_ply(tmp_path, far)), write_glb(tmp_path, truck().placed(move=UTM))):
-        (warning,) = load_mesh(path).warnings
-        assert "coordinates up to 45000" in warning
-        assert "in steps of 0.5 (float32)" in warning
-    assert load_mesh(write_ply(tmp_path, far)).warnings == ()
-    assert load_mesh(write_obj(tmp_path, far)).warnings == ()
-    assert load_mesh(as_float32(write_ply(tmp_path, truck().placed(move=(500, 0, 0))))).warnings == ()
+    (warning,) = load_mesh(write_glb(tmp_path, truck().placed(move=UTM))).warnings
+    assert "coordinates up to 45000" in warning
+    assert "in steps of 0.5 (float32)" in warning
+    assert load_mesh(write_glb(tmp_path, truck().placed(move=(500, 0, 0)))).warnings == ()
 
 
 CUBE = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>

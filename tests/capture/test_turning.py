@@ -19,7 +19,7 @@ from mi_splat.datasets import load_dataset
 from mi_splat.errors import MiSplatError
 from mi_splat.placement import Up
 from tests.capture.test_mesh_textures import blue_is_at_the_back
-from tests.capture.trucks import truck, write_glb, write_ply
+from tests.capture.trucks import truck, write_glb
 
 pytest.importorskip("trimesh")
 
@@ -57,7 +57,7 @@ def picture(source: Any, *, size: int = 32) -> Tensor:
 
 
 def test_ground_sun_and_environment_show(tmp_path: Path) -> None:
-    path = str(write_ply(tmp_path, truck()))
+    path = str(write_glb(tmp_path, truck()))
     plain = picture(open_source(path))
     for kind, brightest in (("road", None), ("grass", 1)):
         shown = picture(open_source(path, surroundings=SurroundingsSettings(ground=kind)))  # type: ignore[arg-type]
@@ -93,7 +93,7 @@ def command(folder: Path, path: str, *more: str) -> list[str]:
 
 
 def test_near_cuts_what_is_near(tmp_path: Path) -> None:
-    path = str(write_ply(tmp_path, truck().placed(scale=0.01)))
+    path = str(write_glb(tmp_path, truck().placed(scale=0.01)))
     assert cli.main(command(tmp_path, path, "--rgba", "--near", "0.07")) == 0
     cut = load_dataset(tmp_path / "out").mask(0)
     assert cli.main(command(tmp_path / "b", path, "--rgba")) == 0
@@ -114,7 +114,7 @@ OPTIONS: dict[str, tuple[list[str], str]] = {
 
 
 def test_what_differs_is_said_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = str(write_ply(tmp_path, truck()))
+    path = str(write_glb(tmp_path, truck()))
     first = command(tmp_path, path)
     assert cli.main(first) == 0
     for words, says in OPTIONS.values():
@@ -128,6 +128,6 @@ def test_what_differs_is_said_in_words(tmp_path: Path, capsys: pytest.CaptureFix
     assert (done["rendered"], done["warnings"]) == (0, [])
     record = json.loads((tmp_path / "out" / "capture.json").read_text())
     assert record["inputs"]["scene"]["scene"] == path
-    write_ply(tmp_path, truck().placed(scale=1.01))
+    write_glb(tmp_path, truck().placed(scale=1.01))
     assert cli.main(first) == 1
     assert "another scene (what its files hold)" in capsys.readouterr().err

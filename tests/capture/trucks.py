@@ -1,4 +1,4 @@
-"""A low-poly truck as other people's files have it: GLB, OBJ and PLY with a texture in a file of its own."""
+"""A low-poly truck as other people's files have it: a GLB with a texture in a file of its own."""
 
 from __future__ import annotations
 
@@ -93,41 +93,6 @@ def save_texture(folder: Path, name: str = TEXTURE) -> None:
     Image.fromarray(np.repeat(np.array([list(COLOURS.values())], np.uint8), 4, axis=0).repeat(8, axis=1)).save(
         folder / name
     )
-
-
-def write_obj(folder: Path, made: Truck, *, colours: bool = False, textured: bool = True) -> Path:
-    """y up, with its MTL and its texture."""
-    made = made.placed(y_up=True)
-    tails = [" {:.6f} {:.6f} {:.6f}".format(*(row / 255)) for row in made.colours] if colours else [""] * len(made.uvs)
-    lines = ["mtllib truck.mtl"] if textured else []
-    lines += [f"v {x!r} {y!r} {z!r}{tail}" for (x, y, z), tail in zip(made.vertices.tolist(), tails, strict=True)]
-    lines += [f"vt {u!r} {v!r}" for u, v in made.uvs.tolist()] if textured else []
-    lines += ["usemtl paint"] if textured else []
-    form = "{0}/{0}" if textured else "{0}"
-    lines += ["f " + " ".join(form.format(i + 1) for i in face) for face in made.faces.tolist()]
-    (folder / "truck.obj").write_text("\n".join([*lines, ""]))
-    (folder / "truck.mtl").write_text(f"newmtl paint\nKd 0.5 0.5 0.5\nmap_Kd {TEXTURE}\n")
-    save_texture(folder)
-    return folder / "truck.obj"
-
-
-def write_ply(folder: Path, made: Truck, *, textured: bool = True) -> Path:
-    """z up; with texture coordinates and a comment that names the picture, or with colours of vertices."""
-    names = ["property double x", "property double y", "property double z"]
-    names += (
-        ["property float u", "property float v"]
-        if textured
-        else [f"property uchar {c}" for c in ("red", "green", "blue")]
-    )
-    head = ["ply", "format ascii 1.0", *([f"comment TextureFile {TEXTURE}"] if textured else [])]
-    head += [f"element vertex {len(made.vertices)}", *names]
-    head += [f"element face {len(made.faces)}", "property list uchar int vertex_indices", "end_header"]
-    beside = made.uvs.tolist() if textured else made.colours.tolist()
-    rows = [" ".join(map(repr, [*p, *q])) for p, q in zip(made.vertices.tolist(), beside, strict=True)]
-    rows += ["3 " + " ".join(map(str, face)) for face in made.faces.tolist()]
-    (folder / "truck.ply").write_text("\n".join([*head, *rows, ""]))
-    save_texture(folder)
-    return folder / "truck.ply"
 
 
 def write_glb(

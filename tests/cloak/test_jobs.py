@@ -22,7 +22,7 @@ from attacks.cloak.steps import StudySteps
 from mi_splat.import_closure import closure
 from mi_splat.ledger import Job, Part
 from mi_splat.ledger.job import canonical
-from tests.capture.trucks import truck, write_ply
+from tests.capture.trucks import truck, write_glb
 from tests.cloak.tiny_study import Redness
 
 ATTACK = AttackConfig(name="overhead", appearance="remove", texture="grass", elevation=(40.0, 90.0))
@@ -182,8 +182,8 @@ def test_without_a_near_plane_it_follows_the_object() -> None:
 def test_a_mesh_file_is_an_input_by_its_content(tmp_path: Path) -> None:
     """Its path counts nowhere, and the jobs read the file."""
     (tmp_path / "moved").mkdir()
-    files = [write_ply(folder, truck()) for folder in (tmp_path, tmp_path / "moved")]
-    one, other = (replace(STUDY, scene=SceneConfig(object=str(file), label="truck", up="z")) for file in files)
+    files = [write_glb(folder, truck()) for folder in (tmp_path, tmp_path / "moved")]
+    one, other = (replace(STUDY, scene=SceneConfig(object=str(file), label="truck", up="y")) for file in files)
     assert changed(one, other) == set()
     for name, job in jobs(one).items():
         reads = [source for source in job.inputs.values() if isinstance(source, Path)]

@@ -24,7 +24,7 @@ from attacks.cloak.setup import Setup, nearest
 from attacks.cloak.steps import StudySteps
 from attacks.cloak.study import check_disk, check_study, forecast
 from mi_splat.errors import InvalidValueError, MiSplatError
-from tests.capture.trucks import TEXTURE, truck, write_ply
+from tests.capture.trucks import TEXTURE, truck, write_glb
 from tests.cloak.tiny_study import STUDY
 from tests.project.layers import ROOT
 
@@ -125,8 +125,8 @@ def test_an_attack_from_one_side_has_to_know_where_a_mesh_faces(
 
 def test_a_study_turns_and_scales_its_own_mesh(tmp_path: Path) -> None:
     pytest.importorskip("trimesh")
-    mesh = write_ply(tmp_path, truck().placed(scale=100.0, move=(5e7, 4.5e8, 1e4)))
-    scene = SceneConfig(object=str(mesh), label="truck", scale=0.01, rotate=(0.0, 0.0, 90.0), front="+y", up="z")
+    mesh = write_glb(tmp_path, truck().placed(scale=100.0), node={"translation": [5e7, 1e4, -4.5e8]})
+    scene = SceneConfig(object=str(mesh), label="truck", scale=0.01, rotate=(0.0, 0.0, 90.0), front="+y")
     target = Setup.of(replace(SMALL, scene=scene)).target
     low, high = truck().vertices.min(0), truck().vertices.max(0)
     assert (high - low).tolist() == pytest.approx((target.bounds[1] - target.bounds[0]).tolist(), abs=1e-4)

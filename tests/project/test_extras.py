@@ -89,7 +89,7 @@ def test_notice_names_extras_that_exist() -> None:
 def test_a_missing_extra_is_told_before_anything_is_written(
     extra: str, words: list[str], tmp_path: Path, warm: Warm
 ) -> None:
-    mesh, study = tmp_path / "m.obj", tmp_path / "study.toml"
+    mesh, study = tmp_path / "m.glb", tmp_path / "study.toml"
     out = tmp_path / {"report": "out.html", "video": "out.mp4"}.get(extra, "out")
     mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     study.write_text(STUDY.format(mesh=mesh))
