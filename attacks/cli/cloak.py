@@ -28,7 +28,7 @@ class CloakOptions(JsonOptions):
     """
 
     study: Positional[Path]
-    """TOML file of the study, for instance scenes/cloak_car_occluder.toml."""
+    """TOML file of the study, for instance scenes/cloak_car_stealthy.toml."""
     out: OutFolder = Path("out/cloak")
     """Folder for the results: a new one, or that of the same study."""
     stages: OutFolder | None = None

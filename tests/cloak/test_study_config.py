@@ -50,7 +50,7 @@ def test_shipped_studies_can_be_done(path: Path) -> None:
 
 
 def test_the_study_of_the_paper_has_its_numbers() -> None:
-    setup = Setup.of(read_study(ROOT / "scenes" / "cloak_car_occluder.toml"))
+    setup = Setup.of(read_study(ROOT / "scenes" / "cloak_car_colour.toml"))
     names = [attack.name for attack in assign(setup.training_cameras, setup.poisonings(), centre=setup.centre).values()]
     assert (len(setup.training_cameras), names.count("overhead"), names.count("rear")) == (210, 80, 20)
     cameras = setup.held_out_cameras

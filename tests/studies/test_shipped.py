@@ -24,10 +24,8 @@ COUNTS = {
     "cloak": (57, 0),
     "cloak_controls": (8, 0),
     "cloak_design": (17, 0),
-    "cloak_distances": (1, 48),
     "cloak_elsewhere": (1, 132),
     "cloak_new_cars": (5, 0),
-    "cloak_renderers": (1, 30),
     "cloak_two_cars": (2, 0),
     "coco": (72, 0),
     "coco_demo": (12, 0),
@@ -49,6 +47,7 @@ COUNTS = {
     "pairs": (6, 0),
     "poison_demo": (3, 0),
     "poison_splat": (63, 0),
+    "sanity": (78, 156),
     "sun": (12, 72),
     "transfer": (144, 576),
 }
