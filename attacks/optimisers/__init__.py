@@ -45,7 +45,6 @@ class OptimiserSpec:
         about: What it does, in a line.
         gradient: Whether it looks at gradients; without, none are computed.
         momentum: Share of the earlier gradients that it keeps where a configuration says nothing.
-        takes_step: Whether its steps are as long as it is told; otherwise their length follows from the radius.
         smallest: Whether of two successes the smaller change is kept; otherwise it is the one with the higher score.
     """
 
@@ -54,7 +53,6 @@ class OptimiserSpec:
     about: str
     gradient: bool = True
     momentum: float = 0.0
-    takes_step: bool = True
     smallest: bool = False
 
 
@@ -90,13 +88,13 @@ def _ship(name: str, about: str, function: str = "", **more: Any) -> None:
 
 
 _ship("pgd", "steps of fixed length along the steepest slope", "momentum")
-_ship("fgsm", "one step, as long as the radius", takes_step=False)
+_ship("fgsm", "one step, as long as the radius")
 _ship("momentum", "the same steps along a decaying sum of slopes", momentum=0.9)
 _ship("adam", "steps of Adam", momentum=0.9)
 _about = "long steps that halve where the loss no longer falls, from the best point"
-_ship("apgd", _about, momentum=0.25, takes_step=False)
+_ship("apgd", _about, momentum=0.25)
 _about = "steps of Adam on the loss and a price of the change, with a search over the price"
 _ship("cw", _about, momentum=0.9, smallest=True)
 _about = "blocks of neighbouring Gaussians at random, kept where the loss falls"
-_ship("square", _about, gradient=False, takes_step=False)
+_ship("square", _about, gradient=False)
 _ship("random", "points at random, half of them near the best one", "random_points", gradient=False)
