@@ -244,7 +244,6 @@ EXTRAS = {
     "tflite": ("tflite",),
     "transformers": ("transformers",),
     "usd": ("pxr",),
-    "video": ("imageio_ffmpeg",),
     "view": ("viser",),
     "yolo": ("ultralytics",),
 }

@@ -48,9 +48,8 @@ class RenderOptions(JsonOptions):
     scene: Positional[Path]
     """Scene XML of splats, alone or among meshes, or a splat file of any format that is read."""
     out: Annotated[OutFile, Metavar("PATH")] = Path("picture.png")
-    """What to write: NAME.png or NAME.jpg; NAME.exr with linear values as 32-bit floats; NAME.gif, NAME.webp or
-    NAME.mp4 (needs the extra `video`) of several cameras one after the other; a folder, or a name with {} for the
-    camera's, for a picture from each."""
+    """What to write: NAME.png or NAME.jpg; NAME.exr with linear values as 32-bit floats; NAME.gif or NAME.webp of
+    several cameras one after the other; a folder, or a name with {} for the camera's, for a picture from each."""
     view: CameraOptions = field(default_factory=CameraOptions)
     """Where from."""
     fps: Rate = 24.0
@@ -179,12 +178,11 @@ def _pixels(render: RenderFn, scene: GaussianScene, camera: Camera, options: Ren
 
 def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
     from mi_splat.io.folders import check_new_folder, check_writable
-    from mi_splat.io.images import check_animation, is_animation, is_floats, is_picture
+    from mi_splat.io.images import is_animation, is_floats, is_picture
 
     out = options.out
     check_writable(out.parent)
     if is_animation(out):
-        check_animation(out)
         if _NAME_MARK in out.name:
             do = f"leave {_NAME_MARK} out, or end the name in .png or .jpg"
             raise InvalidValueError.of("--out", "one name, since an animation is one file", out, do)
@@ -196,10 +194,10 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
             raise InvalidValueError.of("--out", "cameras of one size", ", ".join(sorted(sizes)), "pass --size")
     elif is_picture(out) or is_floats(out):
         if len(cameras) > 1 and _NAME_MARK not in out.name:
-            do = f"name a folder, {out.stem}-{_NAME_MARK}{out.suffix}, or a .gif, .webp or .mp4"
+            do = f"name a folder, {out.stem}-{_NAME_MARK}{out.suffix}, or a .gif or .webp"
             raise InvalidValueError.of("--out", f"room for {len(cameras)} pictures", out, do)
     elif out.suffix:
-        expected = "a name that ends in .png, .jpg, .exr, .gif, .webp or .mp4, or a folder"
+        expected = "a name that ends in .png, .jpg, .exr, .gif or .webp, or a folder"
         raise InvalidValueError.of("--out", expected, out, "change the ending")
     else:
         check_new_folder(out, force=options.force, record=RECORD)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
-import subprocess
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from mi_splat.errors import InvalidValueError, MiSplatError, install
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_bytes
 
 if TYPE_CHECKING:
@@ -22,14 +19,10 @@ if TYPE_CHECKING:
 
 PICTURES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
 """Format of a picture by the ending of its name."""
-ANIMATIONS = (".gif", ".webp", ".mp4")
+ANIMATIONS = (".gif", ".webp")
 FLOATS = ".exr"
 """Ending of a picture of floats."""
 _JPEG_QUALITY, _WEBP_QUALITY = 95, 80
-
-
-class VideoError(MiSplatError):
-    """What writes videos is not installed, or does not work."""
 
 
 def is_picture(path: Path) -> bool:
@@ -58,15 +51,8 @@ def save_picture(pixels: NDArray[np.uint8], path: Path) -> None:
     save_bytes(buffer.getvalue(), path)
 
 
-def check_animation(path: Path) -> None:
-    """Raise, before any work is done, if an animation of that name cannot be written here."""
-    if path.suffix.lower() == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
-        do = f"{install('video')}, or end the name in .gif or .webp"
-        raise VideoError.of(str(path), "imageio-ffmpeg, which writes videos", "no such package", do)
-
-
 def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: float) -> None:
-    """Write (H, W, 3) pictures one after the other, as GIF or WebP (in a loop) or as MP4 (H.264)."""
+    """Write (H, W, 3) pictures one after the other, as GIF or WebP, in a loop."""
     sizes = {frame.shape for frame in frames}
     if len(sizes) != 1:
         got = f"{len(sizes)} sizes" if sizes else "none"
@@ -76,44 +62,24 @@ def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: floa
     if not 0 < fps <= 1000:
         raise InvalidValueError.of("fps", "pictures a second, up to 1000", fps, "24 is usual")
     if not is_animation(path):
-        do = "end it in .gif, .webp or .mp4"
+        do = "end it in .gif or .webp"
         raise InvalidValueError.of(str(path), "the name of an animation", path.suffix or "no ending", do)
-    write = {".gif": _gif, ".webp": _webp, ".mp4": _mp4}[path.suffix.lower()]
-    save_bytes(write(frames, path, fps), path)
+    write = _gif if path.suffix.lower() == ".gif" else _webp
+    save_bytes(write(frames, fps), path)
 
 
-def _gif(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
+def _gif(frames: Sequence[NDArray[np.uint8]], fps: float) -> bytes:
     first, *rest = (Image.fromarray(frame).quantize(256, dither=Image.Dither.FLOYDSTEINBERG) for frame in frames)
     buffer = io.BytesIO()
     first.save(buffer, format="GIF", save_all=True, append_images=rest, duration=1000 / fps, loop=0)
     return buffer.getvalue()
 
 
-def _webp(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
+def _webp(frames: Sequence[NDArray[np.uint8]], fps: float) -> bytes:
     first, *rest = map(Image.fromarray, frames)
     buffer, duration = io.BytesIO(), round(1000 / fps)
     first.save(buffer, "WEBP", save_all=True, append_images=rest, duration=duration, loop=0, quality=_WEBP_QUALITY)
     return buffer.getvalue()
-
-
-def _mp4(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
-    """The file; H.264 wants even sizes, so the last row and column are written twice where they are not."""
-    check_animation(path)
-    import imageio_ffmpeg
-
-    height, width = frames[0].shape[:2]
-    padding = ((0, height % 2), (0, width % 2), (0, 0))
-    pixels = b"".join(np.pad(frame, padding, mode="edge").tobytes() for frame in frames)
-    size = f"{width + width % 2}x{height + height % 2}"
-    with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / "video.mp4"
-        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
-        command += ["-s", size, "-r", f"{fps:g}", "-i", "-", "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p"]
-        done = subprocess.run([*command, str(target)], input=pixels, capture_output=True)
-        if done.returncode or not target.is_file():
-            got = " ".join(done.stderr.decode(errors="replace").split()) or f"status {done.returncode}"
-            raise VideoError.of(str(path), "a video out of ffmpeg", got, "end the name in .gif or .webp")
-        return target.read_bytes()
 
 
 def quantise(image: Tensor) -> Tensor:

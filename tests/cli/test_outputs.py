@@ -169,7 +169,7 @@ REFUSED = {
     "render a.ply --out link.png": (1, "another file than the input"),
     "render a.ply --cameras orbit:3@20 --out w{}.gif": (1, "--out: expected one name"),
     "render a.ply --cameras orbit:2@0 --out a.png": (1, "room for 2 pictures, got a.png; name a folder, a-{}.png"),
-    "render a.ply --out a.tga": (1, "a name that ends in .png, .jpg, .exr, .gif, .webp or .mp4, or a folder"),
+    "render a.ply --out a.tga": (1, "a name that ends in .png, .jpg, .exr, .gif or .webp, or a folder"),
     "render a.ply --out a.gif": (1, "two cameras or more for an animation, got one, a.gif; pass for instance"),
     "render a.ply --cameras orbit:2@0 --out a.ply/b": (1, "a.ply"),
     "render a.ply --out a.ply/b.png": (1, "a.ply"),

@@ -24,9 +24,7 @@ else:
     import tomli as tomllib
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-ALSO = {"PIL": "pillow", "imageio_ffmpeg": "imageio-ffmpeg", "pxr": "usd-core"} | {
-    "rapidocr_onnxruntime": "rapidocr-onnxruntime"
-}
+ALSO = {"PIL": "pillow", "pxr": "usd-core"} | {"rapidocr_onnxruntime": "rapidocr-onnxruntime"}
 """Modules that are not called as their package is."""
 MODULES = [module for modules in EXTRAS.values() for module in modules]
 
@@ -79,7 +77,6 @@ def test_notice_names_extras_that_exist() -> None:
         ("meshes", ["capture", "MESH"]),
         ("meshes", ["cloak", "STUDY"]),
         ("transformers", ["dagger", "scenes/car_street.xml", "--detectors", "rtdetr_r18vd"]),
-        ("video", ["render", "scenes/stop_sign.xml", "--cameras", "orbit:2@20"]),
         ("yolo", ["dagger", "scenes/car_street.xml", "--detectors", "yolov8n_small"]),
         ("view", ["view", "scenes/car_street.xml"]),
         ("yolo", ["cloak", "scenes/cloak_demo.toml", "--detectors", "yolov8n_small"]),
@@ -90,7 +87,7 @@ def test_a_missing_extra_is_told_before_anything_is_written(
     extra: str, words: list[str], tmp_path: Path, warm: Warm
 ) -> None:
     mesh, study = tmp_path / "m.glb", tmp_path / "study.toml"
-    out = tmp_path / {"report": "out.html", "video": "out.mp4"}.get(extra, "out")
+    out = tmp_path / {"report": "out.html"}.get(extra, "out")
     mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     study.write_text(STUDY.format(mesh=mesh))
     given = [{"MESH": str(mesh), "STUDY": str(study)}.get(word, word) for word in words]
