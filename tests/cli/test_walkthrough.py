@@ -1,7 +1,6 @@
 """Foreign files through every command, as somebody would who has seen none of them before.
 
-A low-poly truck in centimetres, far from the origin, facing -y, with its texture in a file of its own; a set as phones
-and COLMAP leave one, with a lens that bends, pictures that are missing and y down; and a video of a path-traced object.
+A set as phones and COLMAP leave one, with a lens that bends, pictures that are missing and y down.
 """
 
 import importlib.util
@@ -38,8 +37,6 @@ LENS = Intrinsics(
     tangential=(0.002, -0.001),
 )
 MODEL = "1 FULL_OPENCV 40 32 40 40 20 16 -0.15 0.02 0.002 -0.001 0 0.1 0 0\n"
-UTM = (50_000_000.0, 450_000_000.0, 10_000.0)
-"""Centimetres."""
 BALL = "--box -0.4 -1 -0.4 0.4 -0.2 0.4"
 """Where the ball is with y down."""
 TRAINED = "train set --out run --iterations 20 --max-gaussians 1300 --sh-degree 1"
