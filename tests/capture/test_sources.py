@@ -5,18 +5,17 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.settings import MeshSettings
 from mi_splat.capture.sources import open_source
 from mi_splat.errors import InvalidValueError
+from tests.capture.trucks import truck, write_glb
 
 STILL_LIFE = Path(__file__).parents[2] / "scenes" / "meshes" / "still_life.xml"
 
 
 XML = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>
 <shape type="cube"><bsdf type="diffuse"><rgb name="reflectance" value="0.8, 0.1, 0.1"/></bsdf></shape></scene>"""
-
-
-OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
 def test_sources_of_every_kind(tmp_path: Path) -> None:
@@ -32,13 +31,13 @@ def test_sources_of_every_kind(tmp_path: Path) -> None:
     (tmp_path / "cube.xml").write_text(XML.replace("0.8", "0.7"))
     assert open_source(str(tmp_path / "cube.xml")).digest != cube.digest
     pytest.importorskip("trimesh")
-    (tmp_path / "mesh.obj").write_text(OBJ)
-    mesh = open_source(str(tmp_path / "mesh.obj"), mesh=MeshSettings(scale=2.0, up="z"))
-    assert mesh.assets[0].bounds.tolist() == [[0, 0, 0], [2, 2, 2]]
-    assert mesh.digest == open_source(str(tmp_path / "mesh.obj"), mesh=MeshSettings(scale=2.0, up="z")).digest
-    assert mesh.digest != open_source(str(tmp_path / "mesh.obj"), mesh=MeshSettings(scale=2.0)).digest
+    file, settings = str(write_glb(tmp_path, truck())), MeshSettings(scale=2.0, up="z")
+    mesh = open_source(file, mesh=settings)
+    assert mesh.assets[0].bounds == pytest.approx(2 * load_mesh(Path(file), MeshSettings(up="z")).asset.bounds)
+    assert mesh.digest == open_source(file, mesh=settings).digest
+    assert mesh.digest != open_source(file, mesh=MeshSettings(scale=2.0)).digest
     with pytest.raises(InvalidValueError, match="radius"):
-        open_source(str(tmp_path / "mesh.obj"), mesh=MeshSettings(scale=1e9))
+        open_source(file, mesh=MeshSettings(scale=1e9))
 
 
 TEXTURED = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>{before}
