@@ -20,24 +20,18 @@ from attacks.bench.row import (
     COLUMNS,
     DEFENDED,
     KNOWS,
-    LEAST,
     ONE_VIEW,
-    READER,
     ROW,
     STORY,
     TRANSFER,
-    Record,
     figures,
     row_of,
-    score_of,
     table_of,
-    warnings,
 )
 from attacks.cloak.steps import Look, StudySteps
 from attacks.detectors.registry import detector_spec, load_detector, use_weights
 from attacks.observe.conditions import OWN, check_condition
 from attacks.observe.rows import DEPTH, NOISE, NORM_NOISE, ROWS, frame_of
-from attacks.rate import Rate, pooled
 from attacks.studies.cloak import CloakJudge, config_of
 from attacks.studies.dagger import DaggerWork
 from attacks.studies.running import Attempt, Observed, Work
@@ -51,9 +45,6 @@ from mi_splat.io.parsing import DocumentReader, read_json
 from mi_splat.ledger import Done, Job
 from mi_splat.ledger.plans import Result
 
-_KEYS = ["columns", "commit", "cpu_seconds", "defence", "detector", "missing", "score", "suite", "torch"]
-_KEYS += ["variant", "versions", "warnings"]
-"""Keys of a row."""
 SUITES, HEAD = Path("scenes/suites"), "suite.toml"
 AUDIT = "audit"
 """The study file of those that audit files."""
@@ -121,50 +112,6 @@ def _files_of(scenes: Mapping[str, Path]) -> dict[str, Path]:
 def _digest(files: Mapping[str, Path]) -> str:
     text = "\n".join(f"{name} {sha256(path)}" for name, path in sorted(files.items()))
     return hashlib.sha256(text.encode()).hexdigest()[:32]
-
-
-def check_row(path: Path) -> dict[str, Any]:
-    """A row that somebody hands in, or the one in a folder: what can be checked without its raw rows."""
-    path = path / ROW if path.is_dir() else path
-    row = READER.read_json(path)
-    try:
-        for what, (got, expected) in _stated(row).items():
-            if got != expected:
-                do = "hand in row.json as mi-splat bench has written it"
-                raise InvalidValueError.of(f"{path}, {what}", str(expected), str(got), do)
-    except (LookupError, TypeError, ValueError, AttributeError) as error:
-        if isinstance(error, InvalidValueError):
-            raise
-        expected, got = "a row that mi-splat bench has written", f"{type(error).__name__}: {error}"
-        raise InvalidValueError.of(str(path), expected, got, "hand in row.json as it is") from error
-    return row
-
-
-def _stated(row: Record) -> dict[str, tuple[object, object]]:
-    """What a row states beside what follows from the rest of it."""
-    suite, columns = row["suite"], row["columns"]
-    name = str(suite["name"])
-    told: dict[str, tuple[object, object]] = {
-        "keys": (sorted(row), _KEYS),
-        "columns": ([*columns], [*COLUMNS]),
-        f"digest of the suite {name}": (suite["digest"], read_suite(name).digest),
-    }
-    for column, counted in columns.items():
-        told |= {where: (rate["rate"], Rate.of(rate).as_dict()["rate"]) for where, rate in _rates_in(counted, column)}
-        parts, robust = pooled(counted["by"].values()), counted["robust"]
-        if robust is not None:
-            told[f"{column}, its parts"] = (robust["successes"], robust["total"]), (parts.successes, parts.total)
-        told[f"{column}, judged"] = counted["judged"], parts.total
-        told[f"{column}, filled"] = robust is not None, counted["judged"] >= LEAST
-    return told | {"score": (row["score"], score_of(row)), "warnings": (row["warnings"], warnings(columns))}
-
-
-def _rates_in(value: Any, where: str) -> Iterator[tuple[str, Record]]:
-    if isinstance(value, Mapping) and "interval" in value:
-        yield where, value
-    elif isinstance(value, Mapping):
-        for key, part in value.items():
-            yield from _rates_in(part, f"{where}, {key}")
 
 
 # The jobs of a suite

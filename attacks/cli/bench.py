@@ -17,7 +17,6 @@ EXAMPLES = (
     "bench fasterrcnn_small --weights YOUR.safetensors --out out/bench/mine",
     "bench fasterrcnn_small --defence .spz",
     "bench --rescore out/bench/v1/fasterrcnn_small",
-    "bench --check docs/bench/v1/fasterrcnn_small/row.json",
 )
 
 
@@ -47,21 +46,16 @@ class BenchOptions(JobOptions):
     --weights or --defence."""
     rescore: Folder | None = None
     """Derive the row of a finished folder again from its raw rows, and compare; nothing else is done."""
-    check: tuple[Path, ...] = ()
-    """Check rows that somebody hands in, files or the folders that hold them; nothing else is done."""
 
 
 def run(options: BenchOptions) -> int:
     """Do what is asked for; the exit status is 1 if a job has failed."""
     from attacks.bench.row import markdown
-    from attacks.bench.suite import check_row
 
-    if options.check or options.rescore:
-        rows = [check_row(path) for path in options.check]
-        rows += [rescored(options.rescore)] if options.rescore else []
-        show_result({"rows": rows}, markdown(rows), as_json=options.json)
-    else:
+    if options.rescore is None:
         return _bench(options)
+    row = rescored(options.rescore)
+    show_result({"rows": [row]}, markdown([row]), as_json=options.json)
     return 0
 
 
