@@ -23,7 +23,7 @@ from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD, check_own_folder, own_folder, write_manifest
 from mi_splat.ledger import Done, Job
 from mi_splat.ledger.engines import InProcess, Processes
-from mi_splat.ledger.job import nobody
+from mi_splat.ledger.job import by_depth, nobody
 from mi_splat.ledger.plans import Driver, Plan, Result, grid
 
 if TYPE_CHECKING:
@@ -97,8 +97,8 @@ class Work(ABC, Generic[_Attempt]):
 
     @property
     def size(self) -> int:
-        """Number of different jobs."""
-        return len({job.identity for job in self.jobs().values()})
+        """Number of different jobs, with those that others read."""
+        return sum(map(len, by_depth(self.jobs().values())))
 
     def plans(self) -> list[Plan]:
         """What is to be done, in plans that do not depend on each other."""
