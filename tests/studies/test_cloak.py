@@ -18,6 +18,7 @@ from attacks.report.results import read_section
 from attacks.studies.cloak import CloakWork, tables
 from attacks.studies.study_file import read_study as read_file
 from mi_splat.ledger import Store
+from mi_splat.ledger.plans import status
 from tests.cloak.tiny_study import STUDY, known
 from tests.project.layers import ROOT
 from tests.report.results import cloak_record, rate
@@ -55,7 +56,9 @@ def test_the_disk_has_room_for_all_points(
         monkeypatch.setattr(
             "attacks.studies.cloak._is_trained", lambda steps, store: steps.study.training.sh_degree < 2
         )
-        CloakWork(read_file(tiny)).check_room(folder / "store")
+        work, store = CloakWork(read_file(tiny)), folder / "store"
+        work.check_room(store)
+    assert work.size == len(status(Store(store), work.jobs()))  # with those that others read
 
 
 @pytest.mark.slow
