@@ -11,9 +11,10 @@ from torch import Tensor
 
 from attacks import cli
 from attacks.dagger.attack import attack
-from attacks.dagger.config import Control, DaggerConfig
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result, observed
 from attacks.objectives import Objective, hide, relabel, untargeted
+from attacks.observe import Control
 from attacks.optimisers import NORM_NAMES, NormName
 from attacks.search import NORMS
 from mi_splat import variant
