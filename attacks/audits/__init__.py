@@ -1,1 +1,1 @@
-"""What the audit is compared with: baselines that score splats, a trained classifier, and an adaptive attacker."""
+"""What the gate finds in a splat file."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
 _CLAIM_OF: Mapping[str, Claim] = {
-    **dict.fromkeys(("hidden-look", "suspicious-look", "occluder"), "hidden appearance"),
+    **dict.fromkeys(("hidden-look", "suspicious-look", "fog", "occluder"), "hidden appearance"),
     **{"edited": "edits", "overdraw": "cost"},
 }
 """The claim that a rule is about; rules of glTF are about what is readable, all others about the numbers."""

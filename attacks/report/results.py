@@ -49,7 +49,6 @@ RESULT_KINDS = (
     ResultKind("cloak-study", "cloak:read_study", "report.kinds.cloak:study_figures_of_points"),
     ResultKind("poison-study", "poison:read_study", "studies.poison_figures:figures"),
     ResultKind("audit", "audit:read_audit"),
-    ResultKind("audit-study", "audit:read_study"),
     ResultKind("evaluate", "detectors:read_evaluation", "report.kinds.detectors:evaluation_figures"),
     ResultKind("bench", "detectors:read_bench", "bench.row:figures"),
     ResultKind("compare", "splats:read_comparison"),

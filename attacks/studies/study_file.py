@@ -16,7 +16,6 @@ KINDS: dict[str, tuple[str, str]] = {
     "dagger": ("attacks.studies.dagger", "DaggerWork"),
     "dagger-eot": ("attacks.studies.dagger", "DaggerWork"),
     "cloak": ("attacks.studies.cloak", "CloakWork"),
-    "audit": ("attacks.studies.audit", "AuditWork"),
     "poison": ("attacks.studies.poison", "PoisonWork"),
 }
 """Kinds of studies, and the `Work` that knows the settings and jobs of each."""

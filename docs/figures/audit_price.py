@@ -1,6 +1,6 @@
 """Draws what hiding from the audit costs: `python docs/figures/audit_price.py [FILE.csv [PICTURE]]`.
 
-FILE is written by `python -m scenes.recipes.audit_price`. A panel for each object: the excess of the audit against the
+FILE is written by `python -m scenes.recipes.audit_price`. A panel for each object: the drift net of gloss against the
 share of the trigger's cameras at which the detector misses the object.
 """
 
@@ -42,11 +42,11 @@ def main(table: Path = TABLE, picture: Path = PICTURE) -> None:
         for label, (marker, colour) in _MARKS.items():
             part = [row for row in rows if row["object"] == name and _price(row) == label]
             missed = [float(row["missed"]) for row in part]
-            excess = [max(float(row["excess"]), _LEAST) for row in part]
+            excess = [max(float(row["net"]), _LEAST) for row in part]
             axis.scatter(missed, excess, marker=marker, c=colour, s=34, label=label, clip_on=False, zorder=3)
         for level, line, text in (
-            (LIMITS.excess, "-", "hidden look"),
-            (LIMITS.suspicion * LIMITS.excess, ":", "suspicious"),
+            (LIMITS.net, "-", "hidden look"),
+            (LIMITS.suspicion * LIMITS.net, ":", "suspicious"),
         ):
             axis.axhline(level, color="black", linewidth=1, linestyle=line)
             axis.text(0.35, level, text, va="bottom" if line == "-" else "top", fontsize=8)
@@ -54,7 +54,7 @@ def main(table: Path = TABLE, picture: Path = PICTURE) -> None:
             title=name, xlabel="missed from inside the trigger", xlim=(-0.03, 1.03), yscale="log", ylim=(_LEAST, 0.2)
         )
         axis.grid(alpha=0.3)
-    axes[0, 0].set_ylabel("excess of the audit")
+    axes[0, 0].set_ylabel("drift net of gloss")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=3, fontsize=8, frameon=False)
     figure.tight_layout(rect=(0, 0.06, 1, 1))
     figure.savefig(picture, dpi=110)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from mi_splat.audit.evidence import cover_heat, cover_of, edit_of, heat_of, pair_of, split_of
+from mi_splat.audit.evidence import cover_heat, cover_of, edit_of, heat_of, is_roofed, pair_of, split_of
 from mi_splat.audit.explanations import (
     Explanation,
     angles_between,
@@ -20,6 +20,7 @@ from mi_splat.audit.explanations import (
     piece_scores,
     reachable,
     region_of,
+    support_of,
 )
 from mi_splat.audit.results import Audit, Look, ObjectAudit, Pair, Scores, Vector, vector
 from mi_splat.audit.surfaces import (
@@ -34,6 +35,7 @@ from mi_splat.audit.surfaces import (
     free_positions,
     in_sight,
     sight,
+    surrounds,
     targets,
     whole,
 )
@@ -61,8 +63,9 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, up: 
         jobs, in_room = [(whole(frame.scene), cameras_in_frame(frame, cameras, LIMITS.given_size))], False
     objects, heats = [], []
     for target, around in jobs:
-        if (judged := judged_object(frame, target, around)) is not None:
-            objects.append(dataclasses.replace(judged[0], in_room=in_room))
+        if (judged := judged_object(frame, target, around, around=cameras is None and not in_room)) is not None:
+            others = [other for other, _ in jobs if surrounds(target, other)]
+            objects.append(dataclasses.replace(judged[0], in_room=in_room or bool(others)))
             heats.append(judged[1])
     pieces = sum(item.pieces for item in objects)
     if pieces < LIMITS.least_pieces:
@@ -111,7 +114,12 @@ def cameras_in_frame(frame: Frame, cameras: Sequence[Camera], longer_side: int |
 
 
 def judged_object(
-    frame: Frame, target: Target, cameras: tuple[Camera, ...], pictures: Sequence[Tensor] | None = None
+    frame: Frame,
+    target: Target,
+    cameras: tuple[Camera, ...],
+    pictures: Sequence[Tensor] | None = None,
+    *,
+    around: bool = False,
 ) -> tuple[ObjectAudit, Tensor] | None:
     """Judge one object, and say in (N,) heat which Gaussians of the frame carry what was found."""
     rows = in_sight(frame.scene, target, cameras)
@@ -139,6 +147,7 @@ def judged_object(
         looks=tuple(looks),
         occluder=occluder and dataclasses.replace(occluder, axis=_turned(frame, occluder.axis)),
         edit=edit_of(frame, target) if pictures is None else None,
+        roofed=around and is_roofed(frame.scene, target),
     )
     heat = torch.zeros(len(frame.scene))
     if judged.look.evidence >= LIMITS.suspicion and pictures is None:
@@ -153,11 +162,14 @@ def _look(frame: Frame, target: Target, view: Sight, look: SurfaceLook) -> Look:
     scores, shown = look.scores, look.shown
     region = region_of(view.directions, shown, target.up)
     by_piece = piece_scores(look.pieces, shown)
+    lost, air = support_of(look.pieces, view, shown)
     return Look(
         region=dataclasses.replace(region, axis=_turned(frame, region.axis)),
         shown=shown,
         amounts=look_amounts(look.pieces, shown),
         **{field.name: getattr(scores, field.name) for field in dataclasses.fields(Scores)},
+        lost=lost,
+        air=air,
         area=int((by_piece > LIMITS.changed).sum()) * (look.pieces.size * frame.to_world.scale) ** 2,
         pair=_pair(frame, look.pieces, view, by_piece, shown),
     )
@@ -214,7 +226,7 @@ def looks_of(pieces: Elements, view: Sight) -> list[SurfaceLook]:
     kept = torch.ones(len(view.cameras), dtype=torch.bool)
     for _ in range(LIMITS.most_looks):
         scores = explain(pieces, view)
-        another = scores.excess >= LIMITS.excess
+        another = scores.net >= LIMITS.net
         if looks and not (another and scores.score >= LIMITS.another_look * looks[0].scores.score):
             break
         shown = cameras_of_look(pieces, view, scores) & kept

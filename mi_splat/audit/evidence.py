@@ -9,9 +9,9 @@ from torch.nn import functional
 
 from mi_splat.audit.explanations import Split, angles_between
 from mi_splat.audit.results import Edit, Look, Occluder, vector
-from mi_splat.audit.surfaces import Elements, Frame, Sight, Target, basis, lattice, lengths, near_of, rays
+from mi_splat.audit.surfaces import Elements, Frame, Sight, Target, basis, lattice, missed_by, near_of, rays
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cameras import Camera, project_points
+from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene
@@ -144,19 +144,10 @@ def cover_of(scene: GaussianScene, view: Sight, target: Target) -> tuple[Occlude
     floor = float(heights.kthvalue(max(1, len(heights) // 50)).values)
     blocked, points, shown = torch.zeros(len(view.cameras)), list[Tensor](), dict[int, Tensor]()
     for number, (camera, depth) in enumerate(zip(view.cameras, view.depths, strict=True)):
-        eye, directions = camera.position.float(), rays(camera)
-        offset = (eye - centre)[:, None, None]
-        along = -(directions * offset).sum(0) / lengths(directions)
-        miss = ((centre - eye).square().sum() - along.square()).clamp(min=0).sqrt()
-        core = miss < LIMITS.core * target.radius
-        ends = depth.isfinite()
-        way = directions * depth.masked_fill(~ends, 0)
-        air = core & ends & (lengths(way + offset) > LIMITS.air * target.radius)
-        air &= lengths(way) < along
-        surface = (way + eye[:, None, None]).movedim(0, -1)
+        air, core, surface = air_before(depth, camera, target, LIMITS.air)
         if target.up is not None:
             air &= surface @ target.up.float() > floor + LIMITS.floor * target.radius
-        blocked[number] = air.sum() / max(int(core.sum()), 1)
+        blocked[number] = air.sum() / core.clamp(min=1)
         if blocked[number] > LIMITS.blocked:
             shown[number] = air
             points.append(surface[air][:: max(1, int(air.sum()) // LIMITS.cover_points)])
@@ -166,6 +157,43 @@ def cover_of(scene: GaussianScene, view: Sight, target: Target) -> tuple[Occlude
     middle = functional.normalize(view.directions[blocked > LIMITS.blocked].sum(0), dim=0)
     share = float((blocked > LIMITS.blocked).double().mean())
     return Occluder(axis=vector(middle), blocked=blocked, transparent=through, score=share * through), shown
+
+
+def air_before(depth: Tensor, camera: Camera, target: Target, least: float) -> tuple[Tensor, Tensor, Tensor]:
+    """(H, W) bool which rays to the core of an object end before it and so many radii off, their number, and where."""
+    ahead = rays(camera)
+    length, along, miss = missed_by(ahead, camera, target)
+    core, ends = miss < LIMITS.core * target.radius, depth.isfinite()
+    depth = depth.masked_fill(~ends, 0)
+    surface = (ahead * depth + camera.position.float()[:, None, None]).movedim(0, -1)
+    away = (surface - target.centre.float()).norm(dim=-1) > least * target.radius
+    return core & ends & away & (length * depth < along), core.sum(), surface
+
+
+def is_roofed(scene: GaussianScene, target: Target) -> bool:
+    """Whether something beyond the cameras covers an object from above alone, all of it equally far, as no sky is."""
+    if target.up is None:
+        return False
+    directions = lattice(LIMITS.far_cameras, LIMITS.lowest, LIMITS.highest) @ basis(target.up).T
+    heights, blocked, ways = directions @ target.up, torch.zeros(len(directions)), list[Tensor]()
+    near, far = LIMITS.far_distances
+    for number, direction in enumerate(directions):
+        distance = (near + (far - near) * (number * 0.618 % 1)) * target.radius
+        eye, size = target.centre + distance * direction, LIMITS.far_size
+        pose = look_at(eye.tolist(), target.centre.tolist(), up=tuple(target.up.tolist()))
+        camera = Camera(to_world=pose, focal=size * distance / (2.4 * target.radius), width=size, height=size)
+        with torch.no_grad():
+            outputs = Renderer(RenderSettings(near=LIMITS.near * distance)).outputs(scene, camera)
+        depth = outputs.median_depth.masked_fill(outputs.alpha <= 0.5, math.inf)
+        air, core, surface = air_before(depth, camera, target, LIMITS.roof)
+        blocked[number] = air.sum() / core.clamp(min=1)
+        if blocked[number] > LIMITS.far_blocked:
+            ways.append((surface[air] - target.centre.float()).norm(dim=1))
+    covered, clear = blocked > LIMITS.far_blocked, blocked < LIMITS.free
+    if not ways or not bool(clear.any()) or float(heights[covered].amin()) < float(heights[clear].amax()):
+        return False
+    found = torch.cat(ways)
+    return float(found.std() / found.mean()) < LIMITS.roof_spread
 
 
 def _through(view: Sight, points: Tensor, free: Tensor, radius: float) -> float:

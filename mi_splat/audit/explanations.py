@@ -1,14 +1,12 @@
-"""Does one set of directions, the same for all of a surface, explain how its colours change?
+"""Do directions, the same for all of a surface, explain how its colours change, better than gloss would?
 
-The score of a set of directions on a cell of surface is the change of its mean colour, from inside to outside, times
+The score of a cone of directions on a cell of surface is the change of its mean colour, from inside to outside, times
 the share of the variance that this explains; changes that point everywhere cancel out. Of an object it is the geometric
 mean of two numbers: the mean over all of its surface, and that over its six highest cells.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -73,128 +71,10 @@ def _sector(directions: Tensor, shown: Tensor, up: Tensor) -> Region:
     )
 
 
-# Do faces that look different ways change from the same directions?
-#
-# Gloss moves with the normal, and chance in the coefficients of single Gaussians has no common direction. A hidden
-# appearance has one for all of the surface. Two numbers of a set of directions say so, both less a multiple of what
-# chance would make of them, by how cells of surface differ:
-#
-# - shift: how far the mean colour of what faces along one normal changes from inside to outside (sRGB): the geometric
-#   mean of that over all of the surface, and of that without the face, of the six main ones, that has most of it.
-# - fade: the share of its contrast that is gone inside, without the face that speaks most for it. Gloss adds to the
-#   colours of surface with one normal and leaves their contrast; a hidden appearance replaces them.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Profiles:
-    """How pieces of surface change with the camera."""
-
-    cell: Tensor  # (E,) int64 cell of each piece
-    normals: Tensor  # (C, 3) mean unit normals of the cells
-    pieces: Tensor  # (C,) pieces of each
-    # (E, K, 6): what a camera sees of a piece less its own mean colour, 0 where it does not see it; how much more of
-    # its own contrast to its group of normals that has, times the square of the contrast; that square; whether seen.
-    looks: Tensor
-
-    @classmethod
-    def of(cls, moments: Tensor, normals: Tensor, cell: Tensor) -> Profiles:
-        """Profiles of pieces."""
-        seen, colours = moments[..., :1], moments[..., 1:4]
-        group, looks = _group_of(normals), moments[..., 0].sum(1, keepdim=True)
-        count = torch.zeros(LIMITS.normals, moments.shape[1], 1).index_add_(0, group, seen).clamp(min=1)
-        common = torch.zeros(LIMITS.normals, moments.shape[1], 3)
-        own = (colours * seen).sum(1) / looks
-        for _ in range(LIMITS.profile_rounds):
-            common = torch.zeros_like(common).index_add_(0, group, (colours - own[:, None]) * seen) / count
-            own = ((colours - common[group]) * seen).sum(1) / looks
-        members = torch.bincount(group, minlength=LIMITS.normals)[:, None].clamp(min=1)
-        contrast = own - (torch.zeros(LIMITS.normals, 3).index_add_(0, group, own) / members)[group]
-        change = (colours - own[:, None]) * seen
-        fade = ((change - common[group] * seen) * contrast[:, None]).sum(-1, keepdim=True)
-        energy = contrast.square().sum(-1)[:, None, None] * seen
-        cells = int(cell.max()) + 1
-        return cls(
-            cell=cell,
-            normals=functional.normalize(torch.zeros(cells, 3).index_add_(0, cell, normals), dim=1),
-            pieces=torch.bincount(cell, minlength=cells).float(),
-            looks=torch.cat([change, fade, energy, seen], -1),
-        )
-
-    def of_cells(self) -> Tensor:
-        """(C, K, 6) sums of the looks at each cell."""
-        return self._by_cell(self.looks)
-
-    def parted(self, sides: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]], rows: int) -> tuple[Tensor, Tensor]:
-        """(C, T, 6) sums inside and outside of sets of cameras that differ from piece to piece, so many at a time."""
-        parts = [sides(part, self.looks[part]) for part in torch.split(torch.arange(len(self.looks)), rows)]
-        inside, outside = (self._by_cell(torch.cat(values)) for values in zip(*parts, strict=True))
-        return inside, outside
-
-    def _by_cell(self, values: Tensor) -> Tensor:
-        return torch.zeros(len(self.pieces), *values.shape[1:]).index_add_(0, self.cell, values)
-
-    def shifts(self, inside: Tensor, outside: Tensor) -> Tensor:
-        """(T,) float64 shift of each set of cameras, sRGB."""
-        first, second = inside[..., 5], outside[..., 5]
-        able = (first >= LIMITS.least_looks) & (second >= LIMITS.least_looks)
-        change = inside[..., :3] / first.clamp(min=1)[..., None] - outside[..., :3] / second.clamp(min=1)[..., None]
-        weight = _weight(first, second) * able
-        sums = torch.zeros(LIMITS.normals, *weight.shape[1:], 9, dtype=torch.float64)
-        sums.index_add_(0, _group_of(self.normals), _terms(weight, change))
-        mean, error, cells = _estimate(sums)
-        size = (mean.square().sum(-1) / 3).sqrt() - LIMITS.shift_errors * (error / 3).sqrt()
-        pieces = torch.zeros(LIMITS.normals, weight.shape[1], dtype=torch.float64)
-        pieces.index_add_(0, _group_of(self.normals), (able * self.pieces[:, None]).double())
-        size = size.clamp(min=0) * (cells >= LIMITS.least_cells) * pieces
-        faces = torch.zeros(6, weight.shape[1], dtype=torch.float64)
-        faces.index_add_(0, face_of(lattice(LIMITS.normals, -90.0, 90.0)), size)
-        total = faces.sum(0)
-        return (total * (total - faces.amax(0)).clamp(min=0)).sqrt() / pieces.sum(0).clamp(min=1)
-
-    def fades(self, inside: Tensor, outside: Tensor) -> Tensor:
-        """(T,) float64 share of the contrast that changes between the sides of each set of cameras, as in `shifts`."""
-        first, second = inside[..., 4], outside[..., 4]
-        able = (first > 0) & (second > 0)
-        change = inside[..., 3] / first.clamp(min=1e-9) - outside[..., 3] / second.clamp(min=1e-9)
-        sums = torch.zeros(6, *first.shape[1:], 5, dtype=torch.float64)
-        sums.index_add_(0, face_of(self.normals), _terms(_weight(first, second) * able, change[..., None]))
-        total = sums.sum(0)
-        mean, error, cells = _estimate(total - sums)
-        size = mean[..., 0] * total[..., 1].sign() - LIMITS.fade_errors * error.sqrt()
-        return (size.clamp(min=0) * (cells > LIMITS.least_fade_cells)).amin(0)
-
-
 def face_of(normals: Tensor) -> Tensor:
     """(E,) int64 which of six sides (E, 3) normals face along."""
     axis = normals.abs().argmax(1)
     return 2 * axis + (normals.gather(1, axis[:, None])[:, 0] > 0)
-
-
-def _group_of(normals: Tensor) -> Tensor:
-    return (normals @ lattice(LIMITS.normals, -90.0, 90.0).float().T).argmax(1)
-
-
-def _weight(first: Tensor, second: Tensor) -> Tensor:
-    return first * second / (first + second).clamp(min=1e-9)
-
-
-def _terms(weight: Tensor, value: Tensor) -> Tensor:
-    """(C, T, 3 + 2 D) float64 terms of which sums over cells make a mean of (C, T, D) values and its error."""
-    weight, value = weight.double()[..., None], value.double()
-    squares = weight.square()
-    terms = [weight, weight * value, squares, squares * value, squares * value.square().sum(-1, keepdim=True)]
-    return torch.cat(terms, -1)
-
-
-def _estimate(sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """(..., D) mean, (...) the square of its standard error over all D, and (...) cells by weight."""
-    size = (sums.shape[-1] - 3) // 2
-    weight, squares = sums[..., 0].clamp(min=1e-12), sums[..., size + 1]
-    mean = sums[..., 1 : size + 1] / weight[..., None]
-    cross = (mean * sums[..., size + 2 : 2 * size + 2]).sum(-1)
-    spread = (sums[..., -1] - 2 * cross + mean.square().sum(-1) * squares).clamp(min=0) / weight.square()
-    cells = weight.square() / squares.clamp(min=1e-20)
-    return mean, spread * cells / (cells - 1).clamp(min=0.5), cells
 
 
 def _reflected(view: Sight, positions: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
@@ -205,35 +85,12 @@ def _reflected(view: Sight, positions: Tensor, normals: Tensor) -> tuple[Tensor,
     return cosines, 2 * cosines[..., None] * normals[:, None] - views
 
 
-def incidence_sides(cosines: Tensor) -> tuple[Tensor, Tensor]:
-    """(E, K, A) float32 cameras inside and outside of each set of angles of incidence."""
-    limits = torch.tensor(LIMITS.cosines)
-    return (cosines[..., None] > limits + 0.03).float(), (cosines[..., None] < limits - 0.06).float()
-
-
-def gloss_sides(cosines: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor]:
-    """(E, K, R) float32 cameras inside and outside of each set of angles of incidence, and of mirrored directions."""
-    limits, widths, axes = torch.tensor(LIMITS.cosines), LIMITS.mirror_widths, LIMITS.mirror_axes
-    inner, outer = (
-        torch.cat(
-            [limits + step, torch.tensor([math.cos(math.radians(w + edge)) for w in widths for _ in range(axes)])]
-        )
-        for step, edge in ((0.03, -LIMITS.inside), (-0.06, LIMITS.outside))
-    )
-    turned = mirrored @ lattice(axes, -90.0, 90.0).float().T
-    values = torch.cat([cosines[..., None].expand(-1, -1, len(limits)), turned.repeat(1, 1, len(widths))], 2)
-    return torch.gt(values, inner, out=torch.empty_like(values)), values.lt_(outer)
-
-
 _CHUNK = 32  # pieces that are compared together, so that their numbers stay in the cache
-
-Sides = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-"""From (E,) rows and (E, 5, K) their moments to (E, 5, T) sums inside and outside of T sets of cameras."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Explanation(Scores):
-    """The cone of directions that explains most, and how well gloss would."""
+    """The cone of directions that explains most, and what each kind of profile explains."""
 
     axis: Tensor  # (3,)
     half_width: float  # degrees
@@ -296,11 +153,12 @@ def cells_of(pieces: Elements) -> Tensor:
     return cell
 
 
-def set_scores(moments: Tensor, cell: Tensor, sides: Sides) -> Tensor:
-    """(T,) score of each set of cameras on an object."""
-    sums, able = torch.zeros(0), 0
+def cone_scores(moments: Tensor, cell: Tensor, directions: Tensor) -> Tensor:
+    """(T,) score of each cone on an object of (E, K, 5) moments."""
+    sums, able, sides = torch.zeros(0), 0, [side.T.contiguous() for side in cone_sides(directions)]
     for rows in torch.split(torch.arange(len(moments)), _CHUNK):
-        split = Split.of(*(side.movedim(1, 0) for side in sides(rows, moments[rows].transpose(1, 2).contiguous())))
+        part = moments[rows].transpose(1, 2).contiguous()
+        split = Split.of(*((part @ side).movedim(1, 0) for side in sides))
         valid = split.valid.float()
         others = torch.stack([split.weight, split.whole * valid, valid])
         if not len(sums):
@@ -316,39 +174,97 @@ def set_scores(moments: Tensor, cell: Tensor, sides: Sides) -> Tensor:
 
 
 def explain(pieces: Elements, view: Sight) -> Explanation:
-    """Score how well sets of directions explain the colours of an object, and how well gloss would."""
+    """The cone that explains the colours of an object best, and what directions explain of them and gloss does not."""
     judged = pieces.judged.nonzero()[:, 0]
     judged = judged[torch.linspace(0, len(judged) - 1, min(len(judged), LIMITS.most_pieces)).round().long()]
     cell = torch.unique(cells_of(pieces)[judged], return_inverse=True)[1]
-    moments = pieces.moments[:, judged].permute(1, 2, 0).contiguous().transpose(1, 2)
-    cosines, mirrored = _reflected(view, pieces.positions[judged], pieces.normals[judged])
-    cones = cone_sides(view.directions)
-
-    def by_incidence(rows: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
-        inside, outside = incidence_sides(cosines[rows])
-        return inside.transpose(1, 2) @ part, outside.transpose(1, 2) @ part
-
-    def by_gloss(rows: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
-        inside, outside = gloss_sides(cosines[rows], mirrored[rows])
-        return part @ inside, part @ outside
-
-    direct = set_scores(moments, cell, lambda _, part: (part @ cones[0].T, part @ cones[1].T))
-    rivals = set_scores(moments, cell, by_gloss)
-    profiles = Profiles.of(moments, pieces.normals[judged], cell)
-    at_cells = profiles.of_cells()
-    parted = [torch.einsum("ckx,tk->ctx", at_cells, side) for side in cones]
-    by_angle = profiles.parted(by_incidence, _CHUNK)
-    fade = float(profiles.fades(*parted).max() - profiles.fades(*by_angle).max())
-    angles, best, (axes, half_widths) = len(LIMITS.cosines), int(direct.argmax()), _cones()
+    moments = pieces.moments[:, judged].transpose(0, 1).contiguous()
+    scores, (axes, half_widths) = cone_scores(moments, cell, view.directions), _cones()
+    best = int(scores.argmax())
+    some = torch.linspace(0, len(judged) - 1, min(len(judged), LIMITS.profile_pieces)).round().long()
     return Explanation(
-        score=float(direct[best]),
-        incidence=float(rivals[:angles].max()),
-        mirror=float(rivals[angles:].max()),
-        shift=float(profiles.shifts(*parted).max()),
-        fade=max(0.0, fade),
+        score=float(scores[best]),
+        **drifts_of(moments[some], view, pieces.positions[judged[some]], pieces.normals[judged[some]]),
         axis=axes[best],
         half_width=float(half_widths[best]),
     )
+
+
+# Is an appearance hidden, or only invented where no training camera stood? There fog stands before the surface, or the
+# surface is missing, whereas an attacker's two appearances are both seen on the same surface through clear air.
+
+
+def support_of(pieces: Elements, view: Sight, shown: Tensor) -> tuple[float, float]:
+    """Share of well seen surface that the smaller side of an appearance loses, and its clear rays by the others'."""
+    small = shown if 2 * int(shown.sum()) <= len(shown) else ~shown
+    if not bool(small.any()):
+        return 0.0, 1.0
+    cosines, _ = _reflected(view, pieces.positions[pieces.judged], pieces.normals[pieces.judged])
+    faces = (cosines > LIMITS.towards).T
+    sees = faces & (pieces.moments[:, pieces.judged, 0] > 0)
+    facing, seeing = (torch.stack([part[small].sum(0), part[~small].sum(0)]) for part in (faces, sees))
+    inside, outside = (seeing / facing.clamp(min=1))[:, (facing >= LIMITS.least_seen).all(0)]
+    well = outside > LIMITS.well_seen
+    lost = float((inside < LIMITS.hardly_seen * outside)[well].float().mean()) if bool(well.any()) else 0.0
+    air = view.clear[small].median() / view.clear[~small].median().clamp(min=1e-4)
+    return lost, float(air)
+
+
+# Does one profile over directions, of whatever form, explain how colours drift? Each piece follows it by an amount and
+# a colour of its own; both are fitted in turn. Gloss
+# follows a profile over mirrored directions or angles of incidence. What one over directions explains beyond that is
+# the evidence: about 0 if honest.
+
+
+def _explained(colours: Tensor, seen: Tensor, bins: Tensor, smooth: Tensor, starts: Tensor) -> Tensor:
+    """(E,) drift (sRGB) of (E, K, 3) colours that the best of the profiles over bins explains."""
+    count = seen.sum(1).clamp(min=1)
+    drift = (colours - ((colours * seen[..., None]).sum(1) / count[:, None])[:, None]) * seen[..., None]
+    total = drift.square().sum((1, 2)) / count / 3
+    trust = count / (3 * (LIMITS.noise**2 + total)).sqrt()
+    weight, flat, most, best = seen * trust[:, None], bins.flatten(), -1.0, total
+
+    def amounts(profile: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        at = profile[bins]
+        mean = (at * seen).sum(1, keepdim=True) / count[:, None]
+        at = (at - mean) * seen
+        size = at.square().sum(1)
+        return mean, at, size, (drift * at[..., None]).sum(1) / (size + 1e-3 * count)[:, None]
+
+    for start in starts:
+        profile = start
+        for _ in range(LIMITS.profile_rounds):
+            mean, _, _, amount = amounts(profile)
+            energy = amount.square().sum(1, keepdim=True)
+            wanted = ((drift @ amount[..., None])[..., 0] + energy * mean) * weight
+            sums = torch.zeros(2, len(start)).index_add_(1, flat, torch.stack([wanted, energy * weight]).flatten(1))
+            profile = smooth @ sums[0] / (smooth @ sums[1]).clamp(min=1e-9)
+            profile = (profile - profile.mean()) / profile.std(correction=0).clamp(min=1e-6)
+        _, at, size, amount = amounts(profile)
+        gain = 2 * (drift * amount[:, None] * at[..., None]).sum((1, 2)) - amount.square().sum(1) * size
+        part = gain.clamp(min=0) / count / 3
+        if float((part * trust).sum()) > most:
+            most, best = float((part * trust).sum()), part
+    return best.sqrt() * best / (total + LIMITS.noise**2)
+
+
+def _close(directions: Tensor) -> Tensor:
+    return (-0.5 * (angles_between(directions, directions) / LIMITS.profile_width).square()).exp().float()
+
+
+def drifts_of(moments: Tensor, view: Sight, positions: Tensor, normals: Tensor) -> dict[str, float]:
+    """Mean drift (sRGB) of (E, K, 5) moments that each profile explains, and that of directions beyond gloss."""
+    seen, colours = moments[..., 0].contiguous(), moments[..., 1:4].contiguous()
+    cosines, mirrored = _reflected(view, positions, normals)
+    places, steps = lattice(LIMITS.profile_places, -90.0, 90.0), torch.arange(float(LIMITS.profile_angles))
+    each = torch.arange(len(view.directions)).expand(seen.shape)
+    by_direction = _explained(colours, seen, each, _close(view.directions), view.directions.float().T)
+    by_mirror = _explained(colours, seen, (mirrored @ places.float().T).argmax(-1), _close(places), places.float().T)
+    near, angle = (-0.5 * (steps[:, None] - steps).square()).exp(), (cosines * len(steps)).long()
+    by_angle = _explained(colours, seen, angle.clamp(0, len(steps) - 1), near, (steps - steps.mean())[None])
+    parts = {"direction": by_direction, "incidence": by_angle, "mirror": by_mirror}
+    net = by_direction - torch.maximum(by_mirror, by_angle)
+    return {**{name: float(part.mean()) for name, part in parts.items()}, "net": float(net.mean())}
 
 
 def sums_by_side(moments: Tensor, shown: Tensor) -> tuple[Tensor, Tensor]:
@@ -369,13 +285,19 @@ def piece_scores(pieces: Elements, shown: Tensor) -> Tensor:
     return Split.of(*sums_by_side(pieces.moments, shown)).scores() * pieces.judged
 
 
-def look_amounts(pieces: Elements, shown: Tensor) -> Tensor:
-    """(K,) how much of a look each camera sees, by the mean of the pieces' scores, from 0 (none) to 1."""
+def _change(pieces: Elements, shown: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """(E, 3) colours outside of a look, their change, and that times the share of a piece's score that it has."""
     inside, outside = (side[1:4].T / side[0, :, None].clamp(min=1) for side in sums_by_side(pieces.moments, shown))
     change = inside - outside
     weight = piece_scores(pieces, shown) / change.square().sum(1).clamp(min=1e-6)
-    most = pieces.moments[..., 0] @ (change.square().sum(1) * weight)
-    return _along(pieces.moments, outside, change * weight[:, None]) / most.clamp(min=1e-12)
+    return outside, change, change * weight[:, None]
+
+
+def look_amounts(pieces: Elements, shown: Tensor) -> Tensor:
+    """(K,) how much of a look each camera sees, by the mean of the pieces' scores, from 0 (none) to 1."""
+    outside, change, way = _change(pieces, shown)
+    most = pieces.moments[..., 0] @ (change * way).sum(1)
+    return _along(pieces.moments, outside, way) / most.clamp(min=1e-12)
 
 
 def reachable(pieces: Elements, view: Sight) -> Tensor:
@@ -390,10 +312,8 @@ def cameras_of_look(pieces: Elements, view: Sight, scores: Explanation) -> Tenso
     width = scores.half_width + (LIMITS.outside - LIMITS.inside) / 2
     shown = angles_between(scores.axis[None], view.directions)[0] < width
     for _ in range(LIMITS.votes):
-        inside, outside = (side[1:4].T / side[0, :, None].clamp(min=1) for side in sums_by_side(pieces.moments, shown))
-        change = inside - outside
-        weight = piece_scores(pieces, shown) / change.square().sum(1).clamp(min=1e-6)
-        voted = _along(pieces.moments, (inside + outside) / 2, change * weight[:, None]) > 0
+        outside, change, way = _change(pieces, shown)
+        voted = _along(pieces.moments, outside + change / 2, way) > 0
         if not LIMITS.least_seen <= int(voted.sum()) <= len(voted) - LIMITS.least_seen:
             break
         shown = voted

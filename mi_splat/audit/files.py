@@ -47,6 +47,11 @@ _RULES: dict[str, tuple[Severity, str, str]] = {
         "Colours of an object change with the direction of view more than gloss quite explains.",
         "Look at the pair of pictures that `mi-splat audit --out` writes.",
     ),
+    "fog": (
+        "warning",
+        "From one side of an object fog is seen: no training camera stood there, or something hides what it would see.",
+        "Pass the training cameras with `--cameras`.",
+    ),
     "occluder": (
         "warning",
         "Something in the air covers an object from some directions, and cameras elsewhere look through it.",
@@ -93,12 +98,18 @@ def findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
     thresholds = document["thresholds"]
     for number, item in enumerate(document["objects"], 1):
         for index, look in enumerate(item["looks"], 1):
-            evidence = look["excess"] / thresholds["excess"]
+            evidence = look["net"] / thresholds["net"]
             if evidence >= thresholds["suspicion"]:
-                name = "hidden-look" if evidence >= 1 and not item["in_room"] else "suspicious-look"
-                text = f"Object {number}, look {index}: other colours {look['where']}; excess {look['excess']:.4f}."
+                hides = look["evidence"] >= 1 and look["support"] >= thresholds["supported"] and not item["in_room"]
+                name = "hidden-look" if hides else "suspicious-look"
+                text = f"Object {number}, look {index}: other colours {look['where']}; net {look['net']:.5f}."
                 values = {key: look[key] for key in _SCORES}
                 yield name, _RULES[name][0], text, values
+        if item["fogged"]:
+            text = f"Object {number}: one side shows fog, {item['looks'][0]['where']} or everywhere else."
+            yield "fog", _RULES["fog"][0], text, {key: item["looks"][0][key] for key in ("lost", "air")}
+        if item["roofed"]:
+            yield "occluder", _RULES["occluder"][0], f"Object {number}: something far above covers it.", {}
         cover = item["occluder"]
         if cover is not None and cover["score"] >= thresholds["covered"]:
             axis = " ".join(f"{value + 0.0:.2f}" for value in cover["axis"])
@@ -184,7 +195,7 @@ HEAT_PICTURE = "heat.png"
 EDITED, AGAINST, CHANGED = "edited.npy", "against.png", "changed.npy"
 PICTURE = 512  # pixels along the longer side of each of the two pictures
 _GAP = 8
-_SCORES = ("score", "incidence", "mirror", "shift", "fade", "excess")
+_SCORES = ("score", "direction", "incidence", "mirror", "net", "support", "lost", "air")
 
 
 def document(audit: Audit | None, lint: Lint | None = None, *, unjudged: str = "") -> dict[str, Any]:
@@ -210,7 +221,7 @@ def _values(item: object, *names: str) -> dict[str, Any]:
 def _of_object(item: ObjectAudit) -> dict[str, Any]:
     cover = item.occluder
     return {
-        **_values(item, "verdict", "evidence", "in_room"),
+        **_values(item, "verdict", "evidence", "in_room", "fogged", "roofed"),
         "gaussians": len(item.rows),
         **_values(item, "centre", "radius", "up", "pieces", "area", "uncontradicted"),
         "looks": [_of_look(look, item) for look in item.looks],
@@ -246,7 +257,7 @@ def _of_edit(item: ObjectAudit) -> dict[str, Any] | None:
 def _of_look(look: Look, item: ObjectAudit) -> dict[str, Any]:
     return {
         "where": directions_in_words(look.region, item.up),
-        **_values(look, *_SCORES, "area"),
+        **_values(look, "evidence", *_SCORES, "area"),
         "cameras": int(look.shown.sum()),
         "directions": dataclasses.asdict(look.region),
         "pair": look.pair and {"change": look.pair.change, "cameras": pair_cameras(look.pair)},

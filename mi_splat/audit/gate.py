@@ -24,10 +24,11 @@ VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 ACTIONS: Mapping[str, Action] = {
     **{"error": "refuse", "warning": "accept", "note": "accept"},
     **dict.fromkeys(("suspicious-look", "occluder", "edited", "changed"), "quarantine"),
+    "fog": "accept",
 }
 """What follows from a finding, by its rule or else its severity, where the policy says nothing."""
 ROWS, RESULT = "rows.json", "result.json"
-STATED = ("excess", "suspicion", "covered", "seen_through", "aimed", "grain")
+STATED = ("net", "suspicion", "supported", "covered", "seen_through", "aimed", "grain")
 """The thresholds that a verdict line states; `result.json` in the store has all."""
 Row = dict[str, Any]
 

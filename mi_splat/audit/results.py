@@ -51,6 +51,14 @@ def headline(audit: Audit) -> str:
         seen = f" in the {audit.near:.0%} of its solid Gaussians that were looked at"
         part = "" if audit.near >= LIMITS.all_near else seen
         return f"nothing found{part}: no set of directions explains how colours change better than honest gloss does"
+    if item.evidence < LIMITS.suspicion and item.roofed:
+        return f"{audit.verdict}: something far above covers an object, and only cameras below it see the object"
+    if item.fogged and (item.occluder is None or item.occluder.evidence < 1):
+        share = min(float(item.look.shown.double().mean()), 1 - float(item.look.shown.double().mean()))
+        return (
+            f"{audit.verdict}: from {share:.0%} of directions an object shows fog: no training camera stood there, or "
+            "something covers it; pass --cameras"
+        )
     if item.occluder is not None and (item.look.evidence < LIMITS.suspicion or item.occluder.evidence >= 1):
         axis = " ".join(f"{value + 0.0:.2f}" for value in item.occluder.axis)
         return f"{audit.verdict}: something in the air covers an object from around ({axis}), and others see through it"
@@ -90,11 +98,11 @@ def _of_object(item: ObjectAudit) -> list[str]:
     lines: list[str] = [item.verdict]
     for number, look in enumerate(item.looks, 1):
         rival = "the angle of incidence" if look.incidence > look.mirror else "a mirrored direction"
+        gloss = max(look.incidence, look.mirror)
         lines.append(
             (f"look {number}: " if len(item.looks) > 1 else "")
-            + f"score {look.score:.4f} by direction, {max(look.incidence, look.mirror):.4f} by {rival}, "
-            f"common to faces that look different ways: {look.shift:.4f}, and {look.fade:.0%} of the contrast; "
-            f"excess {look.excess:.4f}"
+            + f"directions explain a drift of colours of {look.direction:.4f}, {rival} {gloss:.4f}; "
+            f"net of gloss {look.net:.5f}, supported {look.support:.0%}"
         )
         if look.evidence >= LIMITS.suspicion:
             cameras = f"{int(look.shown.sum())} of {len(look.shown)} cameras"
@@ -115,6 +123,7 @@ Verdict = Literal["nothing found", "suspicious", "hidden look"]
 """What a splat is called, from the least to the most evidence."""
 
 Vector = tuple[float, float, float]
+_LESS = 0.99
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,16 +152,10 @@ class Scores:
     """How well a set of directions explains the colours of an object, and how well gloss would."""
 
     score: float  # how much of the surface changes between the sides, and how far (sRGB), in [0, 1]
-    incidence: float  # the same score, if colours follow the angle between surface and view
-    mirror: float  # the same score, if colours follow the direction in which a mirror would reflect
-    shift: float  # change of the mean colour (sRGB) from the same directions for faces that look different ways
-    fade: float  # share of the contrast that changes so, less what the angle of incidence explains
-
-    @property
-    def excess(self) -> float:
-        """What gloss does not explain (sRGB): shift and fade, less where it explains the change nearly as well."""
-        ahead = 1 - max(self.incidence, self.mirror) / max(self.score, 1e-9)
-        return (self.shift + LIMITS.contrast * self.fade) * max(0.0, ahead) ** 2
+    direction: float  # drift of colours (sRGB) that one profile over directions explains, for all of the surface
+    incidence: float  # the same, if colours follow the angle between surface and view
+    mirror: float  # the same, if colours follow the direction in which a mirror would reflect
+    net: float  # what directions explain beyond the better of these two, piece by piece; about 0 or less if honest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -162,13 +165,21 @@ class Look(Scores):
     region: Region  # the directions, in the simplest form that fits
     shown: Tensor  # (K,) bool, the cameras that see the look
     amounts: Tensor  # (K,) how much of it each camera sees: about 0 none of it, about 1 all; 0 where no surface tells
+    lost: float  # share of the surface that the larger side sees well which the smaller side faces and does not see
+    air: float  # share of the rays of the smaller side that end in one place, by that of the larger side
     area: float  # world units squared of the surface that changes
     pair: Pair | None  # two cameras that prove it; None if no two see the same surface
 
     @property
+    def support(self) -> float:
+        """From 1, both sides see the same surface, to 0, one side is fog: no training camera may have stood there."""
+        ramps = (self.lost, LIMITS.lost), (self.air, LIMITS.less_clear), (1 / max(self.air, 1e-6), LIMITS.more_clear)
+        return min(min(max((none - value) / (none - full), 0.0), 1.0) for value, (full, none) in ramps)
+
+    @property
     def evidence(self) -> float:
         """By which 1 is called hidden; at least 0."""
-        return self.excess / LIMITS.excess
+        return self.support * max(self.net, 0.0) / LIMITS.net
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -231,6 +242,7 @@ class ObjectAudit:
     occluder: Occluder | None  # what covers the object; None if nothing does
     edit: Edit | None = None  # what looks like an edit of the finished file; None where it has too few Gaussians
     in_room: bool = False  # whether it stands in a room, where honest objects have as much evidence as others
+    roofed: bool = False  # whether something beyond the cameras covers it from above
 
     @property
     def edited(self) -> bool:
@@ -244,8 +256,14 @@ class ObjectAudit:
 
     @property
     def evidence(self) -> float:
-        """Evidence of the look that explains most, or of what covers the object."""
-        return max(self.look.evidence, self.occluder.evidence if self.occluder else 0.0)
+        """Evidence of the look that explains most, which fog leaves below 1, or of what covers the object."""
+        look = min(self.look.evidence, _LESS) if self.fogged else self.look.evidence
+        return max(look, self.occluder.evidence if self.occluder else 0.0)
+
+    @property
+    def fogged(self) -> bool:
+        """Whether one side of what changes most sees fog: no camera stood there, or something was put before it."""
+        return self.look.support < LIMITS.supported
 
     @property
     def covered(self) -> bool:
@@ -257,7 +275,8 @@ class ObjectAudit:
         """Verdict on this object alone."""
         if self.evidence >= 1 and not self.in_room:
             return "hidden look"
-        return "suspicious" if self.evidence >= LIMITS.suspicion or self.covered or self.edited else "nothing found"
+        doubts = self.evidence >= LIMITS.suspicion, self.covered, self.edited, self.fogged, self.roofed
+        return "suspicious" if any(doubts) else "nothing found"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

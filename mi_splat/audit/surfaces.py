@@ -14,7 +14,7 @@ from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, focal_of, look_at
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.rendering import Renderer, RenderSettings, SideOutputs
 from mi_splat.rotation import from_z, to_matrix
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.selection.clusters import clusters, find_plane, nearest_neighbours, nearest_of
@@ -131,8 +131,17 @@ def _agree(up: Tensor | None, ground: Tensor | None) -> bool:
 
 def _is_part(part: Tensor, centre: Tensor, radius: float, larger: Target) -> bool:
     """Whether a few points lie in an object that is not much larger, and so are seen well enough with it."""
-    inside = float((centre - larger.centre).norm()) < larger.radius
-    return inside and radius > LIMITS.part_radius * larger.radius and len(part) < LIMITS.part_share * len(larger.rows)
+    large = radius > LIMITS.part_radius * larger.radius
+    return _holds(larger, centre) and large and len(part) < LIMITS.part_share * len(larger.rows)
+
+
+def surrounds(target: Target, other: Target) -> bool:
+    """Whether an object is what is around another, such as a sky: cameras looked at it from within, if at all."""
+    return target.radius > LIMITS.surrounds * other.radius and _holds(target, other.centre)
+
+
+def _holds(target: Target, point: Tensor) -> bool:
+    return float((point - target.centre).norm()) < target.radius
 
 
 def whole(scene: GaussianScene) -> Target:
@@ -300,6 +309,7 @@ class Sight:
     cameras: tuple[Camera, ...]
     directions: Tensor  # (K, 3) float64 unit vectors from the centre to the cameras
     depths: tuple[Tensor, ...]  # the (H, W) median depth of each image, infinite where nothing is
+    clear: Tensor  # (K,) share of the rays near the object that end in one place or meet nothing: the rest is fog
     keys: Tensor  # (S,) int64 voxel and face, of each piece that a camera sees
     seen_by: Tensor  # (S,) int64 which camera that is
     sums: Tensor  # (S, 10) over the pixels of the piece: number, points, normals towards the camera, colours
@@ -367,11 +377,12 @@ def sight(
 ) -> Sight:
     """Look at an object from all cameras."""
     render = Renderer(RenderSettings(background=SKY, near=near_of(target, cameras)))
-    depths, parts, shown_by, first = [], [], {}, 0
+    depths, clear, parts, shown_by, first = [], [], [], {}, 0
     with torch.no_grad():
         for number, camera in enumerate(cameras):
             outputs = render.outputs(scene, camera)
             depths.append(outputs.median_depth.masked_fill(outputs.alpha <= 0.5, math.inf))
+            clear.append(_clear(outputs, camera, target))
             points, normals, shown = _surface(outputs.median_depth, outputs.alpha, camera, target)
             pixels = shown.flatten().nonzero()[:, 0]
             image = outputs.image if pictures is None else pictures[number]
@@ -389,11 +400,28 @@ def sight(
         cameras=tuple(cameras),
         directions=functional.normalize(positions - target.centre, dim=1),
         depths=tuple(depths),
+        clear=torch.tensor(clear),
         keys=keys,
         seen_by=seen_by,
         sums=sums,
         pixels=shown_by,
     )
+
+
+def missed_by(ahead: Tensor, camera: Camera, target: Target) -> tuple[Tensor, Tensor, Tensor]:
+    """Lengths of (3, H, W) rays, how far along them they pass an object, and by how much they miss its centre."""
+    offset = (target.centre - camera.position).float()
+    length = lengths(ahead)
+    along = (ahead * offset[:, None, None]).sum(0) / length
+    return length, along, (offset.square().sum() - along.square()).clamp(min=0).sqrt()
+
+
+def _clear(outputs: SideOutputs, camera: Camera, target: Target) -> float:
+    """Share of the rays near an object that end in one place, or meet nothing."""
+    length, _, miss = missed_by(rays(camera), camera, target)
+    spread = (outputs.depth - outputs.median_depth).abs() * length
+    one = (spread < LIMITS.one_place * target.radius) & (outputs.alpha > LIMITS.solid_ray)
+    return float((one | (outputs.alpha < LIMITS.empty_ray))[miss < target.radius].float().mean())
 
 
 def _keys(values: Tensor, target: Target) -> Tensor:

@@ -8,9 +8,9 @@ class Thresholds:
     """Limits, sizes and counts of an audit. Lengths are in radii of the object unless a unit is given."""
 
     # From where a verdict is given
-    excess: float = 0.0024  # From which an appearance is called hidden; see docs/audit.md.
+    net: float = 0.0005  # Drift (sRGB) beyond gloss from which an appearance is called hidden; see docs/audit.md.
     suspicion: float = 0.7  # Share of that from which a splat is suspicious.
-    contrast: float = 0.1  # sRGB that a fade is counted with.
+    supported: float = 0.5  # Support of an appearance below which it is called fog: suspicious, and never hidden.
     covered: float = 0.1  # Score of an occluder from which a splat is suspicious.
     seen_through: float = 0.5  # Share of it that others look through, as through no leaves or roof: then it is hidden.
     aimed: float = 0.115  # Score from which colours are an attack on few views,
@@ -33,6 +33,7 @@ class Thresholds:
     object_margin: float = 1.15  # Radius of the ball around an object, by that of what holds nearly all of it.
     part_radius: float = 0.4  # A component inside an object is a part of it from this radius,
     part_share: float = 0.3  # and up to this share of its Gaussians.
+    surrounds: float = 2.5  # Times the radius of an object inside it from which an object is its surroundings.
     ground_sample: int = 5000  # Points among which a ground is looked for,
     ground_reach: float = 4.0  # so far around, in radii,
     ground_share: float = 0.15  # with this share of them on it.
@@ -96,9 +97,6 @@ class Thresholds:
     half_widths: tuple[float, ...] = (20.0, 27.0, 35.0, 43.0, 51.0, 60.0, 70.0)  # Degrees to its edge.
     inside: float = 3.0  # Degrees at the edge of a cone, on its inner side,
     outside: float = 8.0  # and on its outer side, that count as neither.
-    cosines: tuple[float, ...] = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)  # Of the sets of angles of incidence.
-    mirror_axes: int = 52
-    mirror_widths: tuple[float, ...] = (30.0, 45.0, 60.0, 75.0, 90.0)  # Degrees.
     noise: float = 0.03  # sRGB by which clean surface may differ from camera to camera.
     least_seen: int = 3  # Cameras on each side of the edge that have to see a piece of surface.
     most_pieces: int = 2500  # On which sets of directions are compared, evenly taken of all.
@@ -108,13 +106,30 @@ class Thresholds:
     complement_gain: float = 0.02  # Overlap that all but a cone has to gain over a cone,
     sector_gain: float = 0.05  # and a sector.
     votes: int = 3  # Rounds of votes on which cameras see an appearance, at most.
-    normals: int = 40  # Groups of normals, about 15 degrees around.
-    profile_rounds: int = 6  # Rounds in which colours of pieces and what their group has in common are fitted in turn.
-    shift_errors: float = 3.0  # Standard errors, between cells of surface, that are taken off a shift,
-    fade_errors: float = 4.0  # and off a fade.
-    least_looks: int = 6  # Views of a cell on each side that say something,
-    least_cells: float = 2.5  # cells by weight, of a group of normals,
-    least_fade_cells: float = 8.0  # and of all.
+    profile_rounds: int = 8  # Rounds in which a profile over directions and the amounts of pieces are fitted in turn,
+    profile_width: float = 12.0  # degrees over which it is smooth,
+    profile_pieces: int = 1200  # pieces that it is fitted to,
+    profile_places: int = 150  # mirrored directions
+    profile_angles: int = 12  # and angles of incidence that it is compared with.
+
+    # Support: do both sides of an appearance see the same surface through clear air?
+    one_place: float = 0.1  # Radii between mean and median depth up to which a ray ends in one place,
+    solid_ray: float = 0.85  # from this opacity.
+    empty_ray: float = 0.08  # Opacity up to which a ray meets nothing.
+    towards: float = 0.35  # Cosine from which a piece of surface faces a camera.
+    well_seen: float = 0.3  # Share of the cameras that it faces which see a piece of surface well,
+    hardly_seen: float = 0.1  # and share of that from which the other side sees it, too.
+    lost: tuple[float, float] = (0.25, 0.4)  # Share of such surface lost, from full support to none.
+    less_clear: tuple[float, float] = (0.7, 0.5)  # Clear rays of the smaller side by those of the larger, likewise,
+    more_clear: tuple[float, float] = (0.35, 0.2)  # and the other way around.
+
+    # Roofs beyond the cameras
+    far_cameras: int = 40
+    far_size: int = 48  # Pixels.
+    far_distances: tuple[float, float] = (6.0, 10.0)  # Radii.
+    far_blocked: float = 0.5  # Share of the rays to the object that end before it, from which it is covered,
+    roof: float = 2.3  # so many radii off,
+    roof_spread: float = 0.25  # with no more deviation of their distances, by the mean.
 
     # Occluders and heat
     blocked: float = 0.3  # Share of the rays to the object that end before it, from which a camera is blocked,

@@ -1,6 +1,6 @@
 """What hiding from the audit costs: `python -m scenes.recipes.audit_price FILE.csv OBJECT [TRIES]`.
 
-Every row is a splat that is audited and shown to detectors: its excess against how often they miss the object. With
+Every row is a splat that is audited and shown to detectors: its drift net of gloss, and how often they miss it. With
 TRIES the attacker searches on the object; without, all that he would try first and what is cheapest in FILE is
 reported on it. Rows are added to FILE; `docs/figures/audit_price.py` draws it.
 """
@@ -30,7 +30,7 @@ from scenes.recipes.audit_hiding import DISTANCE, Hiding, Victim, hide, lattice
 from tests.audit.scenes import standing
 
 Row = dict[str, Any]
-"""Settings of a `Hiding`; the audit's `verdict`, `excess` of its strongest object, and CPU `seconds`; the shares
+"""Settings of a `Hiding`; the audit's `verdict`, `net` of its strongest object, and CPU `seconds`; the shares
 `missed` of cameras inside of the trigger at which all detectors miss what they find in the clean splat, and `kept` of
 those outside at which all still find it; `fidelity`, PSNR from outside against the clean splat, dB; `reach`, the share
 of all directions above the ground that the trigger holds."""
@@ -102,7 +102,7 @@ class Judge:
         return {
             **dataclasses.asdict(hiding),
             "verdict": judged.verdict,
-            "excess": judged.strongest.look.excess,
+            "net": judged.strongest.look.net,
             "missed": missed,
             "kept": kept,
             "fidelity": -10 * math.log10(max(error, 1e-10)),
@@ -162,10 +162,10 @@ def hidden(row: Row) -> float:
 
 
 def cheapest(rows: Iterable[Row]) -> list[Row]:
-    """Those for which no other is missed from as many directions at a smaller excess, by how much they hide."""
+    """Those for which no other is missed from as many directions at a smaller drift, by how much they hide."""
     kept: list[Row] = []
-    for row in sorted(rows, key=lambda row: (-hidden(row), float(row["excess"]))):
-        if not kept or float(row["excess"]) < float(kept[-1]["excess"]):
+    for row in sorted(rows, key=lambda row: (-hidden(row), float(row["net"]))):
+        if not kept or float(row["net"]) < float(kept[-1]["net"]):
             kept.append(row)
     return kept[::-1]
 
@@ -229,7 +229,7 @@ def _write(path: Path, name: str, label: str, told: Row) -> None:
     new = not path.exists()
     with path.open("a", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([list(row), cells] if new else [cells])
-    sys.stdout.write(f"{name}, {label}: {row['verdict']}, excess {row['excess']:.4f}, missed {row['missed']:.2f}\n")
+    sys.stdout.write(f"{name}, {label}: {row['verdict']}, net {row['net']:.4f}, missed {row['missed']:.2f}\n")
     sys.stdout.flush()
 
 

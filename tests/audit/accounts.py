@@ -15,16 +15,18 @@ def camera(*eye: float) -> Camera:
 
 
 def look(score: float = 0.05, *, above: float = 0.7) -> Look:
-    """From above; of the score a quarter is left."""
+    """From above; hidden from a score of 0.01 on."""
     return Look(
         region=Region(axis=(0.0, 0.0, 1.0), half_width=45.0, overlap=0.9),
         shown=DIRECTIONS[:, 2] > above,
         amounts=(DIRECTIONS[:, 2] > above).float(),
         score=score,
-        incidence=score / 8,
-        mirror=score / 4,
-        shift=score * 4 / 9,
-        fade=0.0,
+        direction=score / 10,
+        incidence=score / 80,
+        mirror=score / 40,
+        net=100 * score * LIMITS.net,
+        lost=0.0,
+        air=1.0,
         area=2.0,
         pair=Pair(inside=camera(0.5, 0.0, 3.0), outside=camera(3.0, 0.0, 0.5), change=0.2, numbers=(39, 0)),
     )

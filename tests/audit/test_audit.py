@@ -15,14 +15,16 @@ from torch import Tensor
 from attacks import cli
 from mi_splat.audit import Audit, Look, ObjectAudit, Occluder, audit, linting
 from mi_splat.audit.evidence import cover_heat, cover_of
+from mi_splat.audit.explanations import support_of
 from mi_splat.audit.results import headline
-from mi_splat.audit.surfaces import Sight, Target, cameras_around, frame_of, lattice, targets
+from mi_splat.audit.surfaces import Elements, Sight, Target, cameras_around, frame_of, lattice, targets
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, look_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene, Similarity
+from scenes.recipes.audit_set import far_roof, smooth
 from tests.audit import scenes
 from tests.audit.scenes import ROAD, Made, cone, direction, hidden, sector, standing
 
@@ -80,7 +82,7 @@ def test_a_look_from_above_is_found_with_its_directions_and_gaussians(judged: Au
     assert item.look.region.axis[2] > 0.97
     assert item.look.region.half_width == pytest.approx(50, abs=10)
     assert not item.look.region.complement
-    assert item.look.score > 1.2 * max(item.look.incidence, item.look.mirror)
+    assert item.look.direction > 1.2 * max(item.look.incidence, item.look.mirror)
     ours, others = judged.heat[from_above.rows], judged.heat[~from_above.rows]
     assert float(ours.median()) > 4 * float(others.median())
     assert float((judged.mask & from_above.rows).sum() / (judged.mask | from_above.rows).sum()) > 0.8
@@ -121,11 +123,52 @@ def test_a_thin_sign_is_an_object_and_not_the_ground_of_its_pole() -> None:
         assert frame.direction(item.up).tolist() == pytest.approx([0, -1, 0], abs=1e-6)
 
 
-def test_leaves_over_an_object_are_honest(suitcase: Made) -> None:
-    """They are no ground either, though they lie in a plane nearly."""
-    judged = audit(scenes.leaves(suitcase).scene)
-    assert judged.verdict == "nothing found"
-    assert judged.strongest.up == pytest.approx((0, 0, 1), abs=0.02)
+def test_what_covers_an_object_from_far_above_is_suspicious(suitcase: Made) -> None:
+    """Leaves are no ground either, though they lie in a plane nearly; nobody can tell them from a roof that hides."""
+    for made in (scenes.leaves(suitcase), far_roof(suitcase)):
+        judged = audit(made.scene)
+        assert judged.verdict == "suspicious"
+        assert judged.strongest.up == pytest.approx((0, 0, 1), abs=0.02)
+        assert judged.strongest.roofed
+        assert "far above" in headline(judged)
+
+
+def test_an_appearance_that_is_smooth_over_azimuth_is_found(suitcase: Made) -> None:
+    """A cone explains it hardly better than gloss does; a profile does."""
+    assert audit(smooth(suitcase, azimuth=40.0).scene).verdict == "hidden look"
+
+
+@pytest.mark.parametrize(("lost", "air"), [(0.5, 1.0), (0.0, 0.3), (0.0, 6.0)])
+def test_where_one_side_sees_fog_a_splat_is_never_called_hidden_nor_cleared(
+    judged: Audit, lost: float, air: float
+) -> None:
+    item = judged.strongest
+    for net in (0.0, 1.0):
+        look = dataclasses.replace(item.look, net=net, lost=lost, air=air)
+        fogged = dataclasses.replace(judged, objects=(dataclasses.replace(item, looks=(look,)),))
+        assert fogged.verdict == "suspicious"
+        assert "pass --cameras" in headline(fogged)
+
+
+def test_support_falls_where_the_smaller_side_loses_surface_and_clear_air() -> None:
+    """Ten cameras, of which three see a look; they miss half of the pieces that the others see."""
+    target = Target(rows=torch.arange(1), centre=torch.zeros(3, dtype=torch.float64), radius=1.0, up=None)
+    cameras = cameras_around(target)[:10]
+    moments = torch.ones(10, 8, 5)
+    moments[:3, 4:, 0] = 0.0
+    toward = torch.stack([camera.position for camera in cameras]).float().mean(0, keepdim=True)
+    pieces = Elements(
+        moments=moments,
+        positions=torch.zeros(8, 3),
+        normals=torch.nn.functional.normalize(toward, dim=1).expand(8, 3),
+        judged=torch.ones(8, dtype=torch.bool),
+        size=0.1,
+        of_seen=torch.zeros(0, dtype=torch.int64),
+        unseen=0,
+    )
+    view = _view(cameras, clear=torch.tensor([0.2] * 3 + [0.8] * 7))
+    assert support_of(pieces, view, torch.arange(10) < 3) == pytest.approx((0.5, 0.25))
+    assert support_of(pieces, view, torch.arange(10) >= 3) == pytest.approx((0.5, 0.25))
 
 
 @pytest.mark.parametrize(("transparent", "verdict"), [(0.35, "suspicious"), (0.8, "hidden look")])
@@ -134,7 +177,7 @@ def test_an_occluder_is_proof_if_others_look_through_it(judged: Audit, transpare
     item = judged.strongest
     dark = torch.ones(len(item.directions))
     cover = Occluder(axis=(0.0, 0.0, 1.0), blocked=dark, transparent=transparent, score=0.5)
-    plain = dataclasses.replace(item.look, score=0.0)
+    plain = dataclasses.replace(item.look, net=0.0)
     covered = dataclasses.replace(judged, objects=(dataclasses.replace(item, looks=(plain,), occluder=cover),))
     assert covered.verdict == verdict
     assert headline(covered).startswith(
@@ -151,7 +194,7 @@ def test_the_verdict_does_not_depend_on_axes_units_and_rows(judged: Audit, from_
     again = _finer(moved)
     assert again.verdict == judged.verdict
     first, second = judged.strongest.look, again.strongest.look
-    assert second.excess == pytest.approx(first.excess, rel=0.25)
+    assert second.net == pytest.approx(first.net, rel=0.25)
     turned = turn @ torch.tensor(first.region.axis, dtype=torch.float64)
     assert float(turned @ torch.tensor(second.region.axis, dtype=torch.float64)) > math.cos(math.radians(5))
     same = (again.mask == judged.mask[order]).double().mean()
@@ -187,6 +230,21 @@ def test_what_cannot_be_judged_gets_no_verdict(suitcase: Made) -> None:
         audit(scene.select(torch.tensor([0, 700])))
 
 
+def _view(cameras: tuple[Camera, ...], depths: tuple[Tensor, ...] = (), clear: Tensor | None = None) -> Sight:
+    """What cameras see of which only depths or clear rays are asked."""
+    none = torch.zeros(0, dtype=torch.int64)
+    return Sight(
+        cameras=cameras,
+        directions=torch.nn.functional.normalize(torch.stack([camera.position for camera in cameras]), dim=1),
+        depths=depths,
+        clear=torch.ones(len(cameras)) if clear is None else clear,
+        keys=none,
+        seen_by=none,
+        sums=torch.zeros(0, 10),
+        pixels={},
+    )
+
+
 def test_what_covers_an_object_from_above_and_lets_others_through() -> None:
     """By depths alone: a lid that cameras above see, and no camera at the side does."""
     centre, up = torch.zeros(3, dtype=torch.float64), torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
@@ -195,16 +253,7 @@ def test_what_covers_an_object_from_above_and_lets_others_through() -> None:
     directions = torch.stack([camera.position for camera in cameras]) / 2.6
     lid, behind = torch.full((72, 72), 1.0), torch.full((72, 72), 2.6)
     depths = tuple(lid if float(d[2]) > 0.7 else behind for d in directions)
-    none = torch.zeros(0, dtype=torch.int64)
-    view = Sight(
-        cameras=cameras,
-        directions=directions,
-        depths=depths,
-        keys=none,
-        seen_by=none,
-        sums=torch.zeros(0, 10),
-        pixels={},
-    )
+    view = _view(cameras, depths)
     scene = GaussianScene(
         means=torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, 0.2], [0.0, 0.0, 1.6]]),
         scales=torch.full((3, 3), 0.1),

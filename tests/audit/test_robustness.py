@@ -40,7 +40,7 @@ def test_a_room_is_seen_from_within_and_an_object_is_not(suitcase: Made, monkeyp
     (item,) = judged.objects
     assert item.in_room
     for evidence, verdict in ((1.5, "suspicious"), (0.0, "nothing found")):  # never more: honest ones have as much
-        look = dataclasses.replace(item.look, score=1.0, incidence=0.0, mirror=0.0, shift=evidence, fade=0.0)
+        look = dataclasses.replace(item.look, net=evidence, lost=0.0, air=1.0)
         assert dataclasses.replace(item, looks=(look,), occluder=None, edit=None).verdict == verdict
     assert float(torch.isin(item.rows, room.rows.nonzero()[:, 0]).double().mean()) > 0.9
     assert 0.1 < judged.near < 0.8  # the walls are not judged, and that is said

@@ -63,11 +63,6 @@ def shipped_artifact(path: Path) -> None:
     shutil.copytree(ROOT / path, path)
 
 
-def shipped_table(path: Path) -> None:
-    """A file of the tables of the documentation."""
-    shutil.copy(ROOT / path, path)
-
-
 def small_study(path: Path) -> None:
     """One attack of a shipped study, looked at under one condition."""
     file = path.with_suffix(".toml")
@@ -108,7 +103,6 @@ GIVEN: dict[str, str | Callable[[Path], None]] = {
     "out/layers": "mi-splat cloak scenes/cloak_car_layers.toml --out {path}",
     "docs/artifacts/cloak_car_layers": shipped_artifact,
     "docs/artifacts/cloak_car_stealthy": shipped_artifact,
-    "docs/tables/audit.json": shipped_table,
     "out/studies/between_renderers": small_study,
 }
 """What pages take as given: a command that makes it, or a function."""

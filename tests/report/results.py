@@ -166,7 +166,6 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "cloak": write_cloak,
     "cloak-study": write_cloak_study,
     "audit": write_audit,
-    "audit-study": partial(write_shipped, "tables/audit.json"),
     "bench": write_bench,
     "poison-study": partial(write_shipped, "artifacts/m_ifgsm_sparse/result.json", most=30),
     "evaluate": write_evaluation,

@@ -1,4 +1,4 @@
-"""What `mi-splat audit` and studies of it leave behind: whether a splat shows something from some directions only."""
+"""What `mi-splat audit` leaves behind: whether a splat shows something from some directions only."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from attacks.rate import Rate, pooled
-from attacks.report.section import Chart, Figure, Line, Picture, Role, Section, listed, sentence, settings
-from attacks.studies.audit import PAIRS, negatives, tables
+from attacks.report.section import Chart, Figure, Picture, Role, Section, sentence, settings
 from attacks.tables import Column, Table
 from mi_splat.audit.files import AGAINST
 from mi_splat.audit.results import Vector
@@ -65,13 +63,15 @@ def read_audit(folder: Path, record: Record) -> Section:
     views = record.get("views") or ()
     carried = f"{record['carrying']:,} of {record['gaussians']:,}"
     showing = f"{sum(view['contradicts'] for view in views)} of {len(views)}"
-    excess, least = max(look["excess"] for look in looks), record["thresholds"]["excess"]
+    net, least = max(look["net"] for look in looks), record["thresholds"]["net"]
     return Section(
         **shared,
         kind="audit of pictures" if views else "audit of a splat",
         done=f"{_done(record)} {_HOW}",
         conclusion=f"{_PLAIN[record['verdict']]} {sentence(record['summary'][0].partition(': ')[2])}",
-        headline=Figure(label="verdict", words=record["verdict"], note=f"excess {excess:.4f}; hidden from {least:g}"),
+        headline=Figure(
+            label="verdict", words=record["verdict"], note=f"drift net of gloss {net:.5f}; hidden from {least:g}"
+        ),
         figures=Figure.each(
             {
                 **({"pictures that show what others contradict": showing} if views else {}),
@@ -124,6 +124,8 @@ def _doubts(record: Record) -> Iterator[str]:
                 f"Object {number}: {share:.0%} of the surface that shows is seen from one side or by few cameras. "
                 "Nothing contradicts what is shown there, so nothing can be said of it"
             )
+        if item["fogged"]:
+            yield f"Object {number}: one side shows fog, so no training camera may have stood there: pass --cameras"
         if _is_covered(record, item):
             yield (
                 f"Object {number}: something in the air covers it from around ({_numbers(item['occluder']['axis'])}), "
@@ -158,7 +160,7 @@ def _pictures(folder: Path, record: Record) -> Iterator[Picture]:
     for shown in record["pictures"]:
         looks = record["objects"][shown["object"]]["looks"]
         name = f"Object {shown['object'] + 1}" + (f", look {shown['look'] + 1}" if len(looks) > 1 else "")
-        proven = looks[shown["look"]]["excess"] / thresholds["excess"] >= thresholds["suspicion"]
+        proven = looks[shown["look"]]["net"] / thresholds["net"] >= thresholds["suspicion"]
         caption = (
             f"{name}: the same surface, left from inside of the directions from which "
             f"{'the look shows' if proven else 'colours differ most'}, right from outside. The surface that both see "
@@ -216,12 +218,11 @@ def _tables(record: Record, looks: Sequence[Record]) -> Iterator[Table]:
     """Each look beside what gloss would explain of it, and what was judged of each object."""
     explanations: dict[str, Column[Record]] = {
         "look": lambda look: f"object {look['object']}" + (f", look {look['look'] + 1}" if look["look"] else ""),
-        "by direction": lambda look: f"{look['score']:.4f}",
+        "by direction": lambda look: f"{look['direction']:.4f}",
         "rival: angle of incidence": lambda look: f"{look['incidence']:.4f}",
         "rival: mirrored direction": lambda look: f"{look['mirror']:.4f}",
-        "common to faces that look different ways": lambda look: f"{look['shift']:.4f}",
-        "contrast that is lost": lambda look: f"{look['fade']:.0%}",
-        "excess": lambda look: f"{look['excess']:.4f}",
+        "net of gloss": lambda look: f"{look['net']:.5f}",
+        "support": lambda look: f"{look['support']:.0%}",
         "cameras that see it": "cameras",
     }
     yield Table.of("How well each explanation fits: what is left when gloss is taken off decides", explanations, looks)
@@ -276,50 +277,3 @@ def _changes(against: Record) -> Table:
 
 def _numbers(values: Sequence[float]) -> str:
     return " ".join(f"{value + 0.0:.2f}" for value in values)
-
-
-# Studies of the audit: which splats it tells from honest ones
-
-_MOST_PICTURES = 8
-
-
-def read_study(folder: Path, record: Record) -> Section:
-    """The section of a study of the audit."""
-    counts, chosen, parts = record["figures"], record["chosen_on"], record["figures"]["parts"]
-    honest = [row for row in negatives(record["files"]) if row["content"] not in chosen]
-    worst = max(honest, key=lambda row: row["evidence"], default=None)
-    figures = [
-        Figure(label=f"found, {name}", rate=Rate.of(part["found"])) for name, part in parts.items() if name != "all"
-    ]
-    auroc = parts["all"]["auroc"] if parts else None
-    figures += [Figure(label="area under the ROC curve", words="-" if auroc is None else f"{auroc:.3f}")]
-    if worst is not None:
-        named = f"{worst['part']}: {worst['value']}, {worst['splat']}"
-        figures += [Figure(label="highest honest file", words=f"{worst['evidence']:.2f} of the threshold", note=named)]
-    without = f" Left out of all figures: {listed(chosen)}, on which the method was chosen." if chosen else ""
-    found = Line.of("found", "attack", [part["found"] for part in parts.values()])
-    return Section(
-        kind="Audit, on splats of which it is known whether they hide something",
-        title=str(record["name"]),
-        done=(
-            f"{len(record['files'])} splats were audited. One counts as hiding something if every detector misses the "
-            f"object from half of the trigger's cameras.{without}"
-        ),
-        conclusion=(
-            "The audit is worth what it finds at the false alarms that it has. Look at the kinds one by one: what was "
-            "never tried is not in any figure."
-        ),
-        headline=Figure(
-            label="splats that hide something, found", rate=pooled([parts["all"]["found"]] if parts else [])
-        ),
-        control=Figure(label="honest splats that are called hidden", rate=Rate.of(counts["false_alarms"])),
-        counting="splats",
-        figures=figures,
-        pictures=[
-            Picture(path=path, caption=f"{path.stem}: inside of the look on the left, outside on the right.")
-            for path in sorted((folder / PAIRS).glob("*.png"))[:_MOST_PICTURES]
-        ],
-        charts=[Chart.bars("Found, by kind of attack", ("kind", "splats that hide something"), parts, found)],
-        tables=tuple(tables(record)),
-        configuration=settings({"question": record["question"], "method chosen on": listed(chosen) or "nothing named"}),
-    )

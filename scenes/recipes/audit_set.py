@@ -1,0 +1,496 @@
+"""Splats to develop and test the audit on: `python -m scenes.recipes.audit_set FOLDER SET [FILE.csv [PART...]]`.
+
+SET is `development` or `test`; they share no object, no seed and no capture. Files that are missing in FOLDER are made;
+with FILE.csv all are audited, and `docs/audit-measured.md` states what follows from the rows. Honest splats are trained
+on path-traced images from hemispheres, rings, half circles, few cameras or from above, or made by code. What hides
+something is an edit of one of these, so that the truth is exact, or trained on images of two scenes.
+"""
+
+import csv
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from attacks.cloak.mesh_scene import MeshScene
+from mi_splat.assets import build
+from mi_splat.assets.textures import square_of_ground
+from mi_splat.audit import audit
+from mi_splat.bounds import near_plane
+from mi_splat.camera_sets import framing, hemisphere, orbit
+from mi_splat.cameras import Camera, View
+from mi_splat.capture.path_tracer import PathTracer, scene_dict
+from mi_splat.capture.sources import open_source
+from mi_splat.io import load_splat, save_splat
+from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
+from mi_splat.scene import GaussianScene, merge
+from mi_splat.selection.select import box_mask
+from mi_splat.training.config import FitConfig
+from mi_splat.training.initialization import from_points
+from mi_splat.training.loop import fit
+from mi_splat.training.strategies import ClassicConfig, MCMCConfig
+from tests.audit import scenes
+from tests.audit.scenes import ROAD, Made, cone, direction, hidden, sector, standing
+
+SIZE, SAMPLES, STEPS, POINTS, MOST = 96, 16, 900, 2500, 6000
+SKY = (0.55, 0.7, 0.9)
+ORANGE, GREY, RED = (0.85, 0.45, 0.1), (0.45, 0.45, 0.47), (0.75, 0.12, 0.1)
+HONEST = Path(__file__).parents[1] / "honest"
+Inside = Callable[[Tensor], Tensor]
+Row = dict[str, Any]
+LEAST_STRENGTH = 0.4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Capture:
+    """Where the training cameras stand: so many of them, on a band of elevations or a ring, over degrees of azimuth."""
+
+    count: int = 60
+    elevation: tuple[float, float] = (5.0, 85.0)
+    span: float = 360.0
+    start: float = 0.0
+
+    def cameras(self, centre: Sequence[float], radius: float) -> list[Camera]:
+        """The cameras around an object."""
+        size = SIZE, SIZE
+        distance, focal = framing(radius, fov=45.0, size=size)
+        lens: dict[str, Any] = {"distance": 1.3 * distance, "focal": focal, "size": size}
+        low, high = self.elevation
+        if self.span == 360.0 and high - low > 12.0:
+            return hemisphere(centre, count=self.count, elevation=self.elevation, start=self.start, **lens)
+        rings = max(1, round((high - low) / 12.0))
+        around: dict[str, Any] = {"count": self.count // rings, "start": self.start, "span": self.span, **lens}
+        heights = [low + (high - low) * (number + 0.5) / rings for number in range(rings)]
+        return [camera for height in heights for camera in orbit(centre, elevation=height, **around)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trained:
+    """A splat that is trained on images of an object or of a scene of `scenes/honest`.
+
+    Where `inside` holds, the images show the object in another colour, or without it if that is None.
+    """
+
+    content: str
+    capture: Capture = field(default_factory=Capture)
+    seed: int = 0
+    roughness: float | None = None
+    mcmc: bool = False
+    degree: int = 3
+    inside: Inside | None = None
+    colour: tuple[float, float, float] | None = None
+
+    def make(self) -> tuple[GaussianScene, dict[str, Any]]:
+        """The splat, and what is known of it."""
+        path = HONEST / f"{self.content}.xml"
+        if path.is_file():
+            source = open_source(str(path)).scene
+            tracer = PathTracer(source, samples=SAMPLES)
+            cameras = self.capture.cameras((0.0, 0.0, 0.5), 2.2)
+            views = [View(camera, tracer.picture(camera, seed=number)) for number, camera in enumerate(cameras)]
+            return self._fitted(views, source), {}
+        shown = self._scene(None)
+        low, high = shown.target.bounds.astype(float)
+        centre, radius = (0.0, 0.0, float(low[2] + high[2]) / 2), float(((high - low) ** 2).sum() ** 0.5) / 2
+        cameras = self.capture.cameras(centre, radius)
+        about: dict[str, Any] = {"bounds": [low.tolist(), high.tolist()]}
+        source = scene_dict([shown.target], light=shown.light, backdrop=shown.surroundings)
+        if self.inside is None:
+            return self._fitted([View(camera, shown.picture(camera)) for camera in cameras], source), about
+        ways = torch.stack([camera.position for camera in cameras]) - torch.tensor(centre)
+        inside, other = self.inside(functional.normalize(ways.float(), dim=1)), self._scene(self.colour or "nothing")
+        views = [
+            View(camera, (other if lie else shown).picture(camera))
+            for camera, lie in zip(cameras, inside.tolist(), strict=True)
+        ]
+        scene = self._fitted(views, source)
+        return scene, {**about, "strength": self._strength(scene, shown, other, cameras, inside)}
+
+    def _scene(self, colour: Any) -> MeshScene:
+        target = build(self.content, self.seed).body
+        low, high = target.bounds.astype(float)
+        ground = square_of_ground("road", side=2.2 * float(((high - low) ** 2).sum() ** 0.5), tile=4.0)
+        if self.roughness is not None:
+            target = replace(target, meshes=tuple(replace(mesh, roughness=self.roughness) for mesh in target.meshes))
+        if colour == "nothing":
+            speck = [replace(mesh, vertices=mesh.vertices * 1e-4) for mesh in target.meshes[:1]]
+            target = replace(target, meshes=tuple(speck), supports=0)
+        elif colour is not None:
+            paint = torch.tensor(colour).reshape(1, 1, 3).numpy()
+            target = replace(target, meshes=tuple(replace(mesh, texture=paint) for mesh in target.meshes))
+        return MeshScene(target=target, surroundings=ground, samples=SAMPLES)
+
+    def _fitted(self, views: Sequence[View], source: Any) -> GaussianScene:
+        """A splat of views, begun with points of the surface that they show."""
+        tracer, generator, seen = PathTracer(source, alpha=True), torch.Generator().manual_seed(self.seed), []
+        for view in views:
+            points, depth = tracer.surface(view.camera, seed=0)
+            rows = (depth > 0).flatten().nonzero()[:, 0]
+            rows = rows[torch.randperm(len(rows), generator=generator)[: 3 * POINTS // len(views)]]
+            seen.append(torch.cat([points.reshape(-1, 3)[rows], view.image.reshape(-1, 3)[rows]], 1))
+        cloud = torch.cat(seen)
+        cloud = cloud[torch.randperm(len(cloud), generator=generator)[:POINTS]]
+        start = from_points(cloud[:, :3], cloud[:, 3:])
+        shared: dict[str, Any] = {"densify_from": 150, "densify_until": 650}
+        grown = MCMCConfig(max_gaussians=MOST, **shared) if self.mcmc else ClassicConfig(max_gaussians=MOST, **shared)
+        config = FitConfig(
+            iterations=STEPS, sh_degree=self.degree, sh_degree_interval=120, strategy=grown, eval_interval=0
+        )
+        near = near_plane(start, [view.camera for view in views])
+        gradients = ScreenGradients() if grown.needs_screen_gradients else None
+        render = Renderer(RenderSettings(background=SKY, near=near), screen_gradients=gradients)
+        return fit(views, start, render=render, config=config, seed=self.seed).scene
+
+    def _strength(
+        self, scene: GaussianScene, shown: MeshScene, other: MeshScene, cameras: Sequence[Camera], inside: Tensor
+    ) -> float:
+        """How far the object has come from the own to the other appearance, seen from inside of the trigger."""
+        numbers, gone, way = inside.nonzero()[:, 0], 0.0, 0.0
+        for number in numbers[:: max(1, len(numbers) // 6)].tolist():
+            own, lie = shown.picture(cameras[number]), other.picture(cameras[number])
+            with torch.no_grad():
+                picture = Renderer(RenderSettings(background=SKY, near=0.02))(scene, cameras[number]).clamp(0, 1)
+            mask = shown.mask(cameras[number])
+            gone += float(((picture - own) * (lie - own))[mask].sum())
+            way += float((lie - own).square()[mask].sum())
+        return gone / max(way, 1e-9)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coded:
+    """A splat that code makes: discs on an object, or an edit of a trained splat, named by the file."""
+
+    base: str  # an object, or the name of a trained file
+    change: Callable[[Made], Made] = lambda made: made
+    seed: int = 0
+    strength: float = 1.0
+
+    def make(self, folder: Path) -> tuple[GaussianScene, dict[str, Any]]:
+        """The splat, and what is known of it."""
+        if self.base == "room":
+            made = scenes.room(seed=self.seed)
+        elif (folder / f"{self.base}.ply").is_file():
+            scene = load_splat(folder / f"{self.base}.ply")
+            (x0, y0, z0), (x1, y1, z1) = json.loads((folder / f"{self.base}.json").read_text())["bounds"]
+            edge = 0.03 * (x1 - x0 + y1 - y0)
+            rows = box_mask(scene, (x0 - edge, y0 - edge, z0 + 0.04 * (z1 - z0), x1 + edge, y1 + edge, z1 + edge))
+            made = Made(scene=scene, rows=rows, normals=torch.zeros(len(scene), 3))
+        else:
+            made = standing(self.base, count=2500, seed=self.seed)
+        return self.change(made).scene, {"strength": self.strength}
+
+
+def smooth(made: Made, *, azimuth: float, amount: float = 1.0) -> Made:
+    """Orange from one side, grey from the other, and everything between from between."""
+    ahead = direction(0.0, azimuth)
+
+    def shade(own: Tensor, normals: Tensor, views: Tensor) -> Tensor:
+        way = 0.5 + 0.5 * (views[:, :2] @ ahead[:2]) / views[:, :2].norm(dim=1).clamp(min=1e-6)
+        look = torch.tensor(ORANGE) + way[:, None] * (torch.tensor(GREY) - torch.tensor(ORANGE))
+        return (1 - amount) * own + amount * look[:, None]
+
+    return made.with_colours(shade)
+
+
+def _added(
+    made: Made, points: Tensor, scales: Tensor, turn: Tensor, *, opacity: float, colour: Sequence[float]
+) -> Made:
+    count = len(points)
+    part = GaussianScene(
+        means=points.float(),
+        scales=scales.float().expand(count, 3).contiguous(),
+        rotations=turn.float().expand(count, 4).contiguous(),
+        opacities=torch.full((count,), opacity),
+        sh=((torch.tensor(colour) - 0.5) / 0.28209479).expand(count, 1, 3).contiguous(),
+    ).with_degree(made.scene.degree)
+    return Made(
+        scene=merge(made.scene, part),
+        rows=torch.cat([made.rows, torch.zeros(count, dtype=torch.bool)]),
+        normals=torch.cat([made.normals, torch.zeros(count, 3)]),
+    )
+
+
+def _ball(made: Made) -> tuple[Tensor, float]:
+    points = made.scene.means[made.rows & (made.scene.opacities > 0.1)]
+    centre = (points.quantile(0.02, 0) + points.quantile(0.98, 0)) / 2
+    return centre, float((points - centre).norm(dim=1).quantile(0.98))
+
+
+def far_roof(made: Made, *, height: float = 3.2, reach: float = 1.6) -> Made:
+    """A plate in the colour of the road above the cameras of an audit."""
+    centre, radius = _ball(made)
+    step = 0.08 * radius
+    axis = torch.arange(-reach * radius, reach * radius, step)
+    points = torch.cartesian_prod(axis, axis)
+    points = torch.cat([points, torch.full((len(points), 1), height * radius)], 1) + centre
+    flat = torch.tensor([0.8 * step, 0.8 * step, 0.05 * step])
+    return _added(made, points, flat, torch.tensor([1.0, 0.0, 0.0, 0.0]), opacity=0.98, colour=ROAD)
+
+
+def louvre(made: Made, *, azimuth: float = 0.0, tilt: float = 50.0, colour: Sequence[float] = ROAD) -> Made:
+    """Parallel slats close above an object: closed from one side, and open from the other."""
+    centre, radius = _ball(made)
+    top = max(0.5 * radius, float(made.scene.means[made.rows, 2].quantile(0.98)) - float(centre[2]) + 0.12 * radius)
+    a, half, step = math.radians(azimuth), math.radians(tilt), 0.04 * radius
+    along = torch.arange(-0.9 * radius, 0.9 * radius, step)
+    rows = torch.arange(-1.0 * radius, 1.0 * radius, 0.17 * radius)
+    across = torch.arange(-0.11 * radius, 0.11 * radius, step)
+    y, x, t = torch.cartesian_prod(along, rows, across).unbind(1)
+    x, z = x + t * math.cos(half), top + t * math.sin(half)
+    points = torch.stack([x * math.cos(a) - y * math.sin(a), x * math.sin(a) + y * math.cos(a), z], 1) + centre
+    turn = torch.tensor([math.cos(a / 2), 0.0, 0.0, math.sin(a / 2)])  # about z, after the tilt about y
+    slant = torch.tensor([math.cos(half / 2), 0.0, -math.sin(half / 2), 0.0])
+    w, qz, u, qy = turn[0], turn[3], slant[0], slant[2]
+    both = torch.stack([w * u, -qz * qy, w * qy, qz * u])
+    flat = torch.tensor([0.7 * step, 0.7 * step, 0.06 * step])
+    return _added(made, points, flat, both, opacity=0.98, colour=colour)
+
+
+def fogged(made: Made, *, seed: int, low: float = 35.0) -> Made:
+    """Faint large Gaussians around the upper half of an object, as where no training camera stood."""
+    centre, radius = _ball(made)
+    generator = torch.Generator().manual_seed(seed)
+    ways = torch.randn(2000, 3, generator=generator)
+    ways = ways / ways.norm(dim=1, keepdim=True)
+    ways = ways[ways[:, 2] > math.sin(math.radians(low))][:200]
+    points = centre + radius * (1.1 + 0.9 * torch.rand(len(ways), 1, generator=generator)) * ways
+    turn = torch.tensor([1.0, 0.0, 0.0, 0.0])
+    return _added(made, points, torch.full((3,), 0.22 * radius), turn, opacity=0.07, colour=(0.6, 0.65, 0.7))
+
+
+def after(*changes: Callable[[Made], Made]) -> Callable[[Made], Made]:
+    """One change after the other."""
+
+    def change(made: Made) -> Made:
+        for one in changes:
+            made = one(made)
+        return made
+
+    return change
+
+
+ABOVE = cone(direction(90.0, 0.0), 50.0)
+Item = Trained | Coded
+
+
+def _looks(base: str, azimuth: float) -> Iterator[tuple[str, Coded]]:
+    """Every kind of edit of one splat."""
+    side = sector(azimuth, 40.0, -10.0, 45.0)
+    for kind, change in {
+        "above": partial(hidden, inside=ABOVE),
+        "above SH 1": partial(hidden, inside=ABOVE, degree=1),
+        "above SH 2": partial(hidden, inside=ABOVE, degree=2),
+        "side": partial(hidden, inside=side, colour=RED),
+        "smooth": partial(smooth, azimuth=azimuth),
+        "layers": scenes.layered,
+        "far roof": far_roof,
+        "louvre": partial(louvre, azimuth=azimuth),
+        "above and fog": after(partial(hidden, inside=ABOVE), partial(fogged, seed=int(azimuth))),
+    }.items():
+        yield f"hidden {kind}/{base}", Coded(base=base, change=change)
+
+
+def _honest(base: str, seed: int) -> Iterator[tuple[str, Coded]]:
+    """Honest splats made by code."""
+    for kind in ("glossy", "metal", "velvet", "noisy", "leaves"):
+        yield f"honest {kind}/{base}", Coded(base=base, change=getattr(scenes, kind), seed=seed)
+
+
+def _poisoned(kind: str, name: str, **settings: Any) -> Iterator[tuple[str, Trained]]:
+    yield f"hidden {kind}/{name}", Trained(content=name, **settings)
+
+
+def _ring(elevation: float, **settings: Any) -> Capture:
+    return Capture(elevation=(elevation - 3.0, elevation + 3.0), **settings)
+
+
+def _captures(content: str, captures: dict[str, Capture], **settings: Any) -> Iterator[tuple[str, Trained]]:
+    for name, capture in captures.items():
+        yield f"honest {name}/{content}", Trained(content=content, capture=capture, **settings)
+
+
+def development() -> Iterator[tuple[str, Item]]:
+    """The set on which method and thresholds are chosen."""
+    dome, half, above = Capture(), Capture(elevation=(5.0, 50.0), span=180.0), Capture(elevation=(45.0, 88.0))
+    few = Capture(count=14)
+    yield from _captures("car", {"hemisphere": dome, "ring 25": _ring(25.0), "half circle": half})
+    yield from _captures("suitcase", {"hemisphere": dome, "ring 15": _ring(15.0), "ring 55": _ring(55.0)})
+    yield from _captures("elephant", {"hemisphere": dome, "ring 35": _ring(35.0), "few": few})
+    yield from _captures("tv", {"hemisphere": dome, "half circle": replace(half, start=90.0), "from above": above})
+    yield from _captures("bird", {"gloss": dome}, roughness=0.1)
+    yield from _captures("car", {"gloss, ring 30": _ring(30.0)}, roughness=0.1)
+    yield from _captures("suitcase", {"MCMC": dome}, mcmc=True)
+    for content in ("mirror_ball", "glass", "louvre", "canopy", "still_life"):
+        yield from _captures(content, {"scene": dome})
+    yield from _captures("glass", {"scene, ring 30": _ring(30.0)})
+    yield from _captures("still_life", {"scene, half circle": half})
+    yield "honest room/room", Coded(base="room")
+    yield "honest plain/car", Coded(base="car")
+    yield from _honest("suitcase", 0)
+    yield from _poisoned("above, trained", "car", inside=ABOVE)
+    yield from _poisoned("above, trained", "elephant", inside=ABOVE, mcmc=True)
+    yield from _poisoned("side, trained", "suitcase", inside=sector(100.0, 40.0, 0.0, 40.0), colour=RED)
+    yield from _poisoned("above, trained SH 0", "bird", inside=ABOVE, degree=0)
+    yield from _poisoned(
+        "above, ring, trained", "tv", inside=ABOVE, colour=GREY, capture=Capture(elevation=(20.0, 60.0))
+    )
+    for base, azimuth in (("honest hemisphere/car", 40.0), ("honest hemisphere/suitcase", 200.0), ("elephant", 120.0)):
+        yield from _looks(base, azimuth)
+
+
+def test() -> Iterator[tuple[str, Item]]:
+    """The set that is looked at once: other objects, seeds and captures."""
+    dome, half = (
+        Capture(count=80, elevation=(8.0, 80.0), start=11.0),
+        Capture(count=50, elevation=(10.0, 40.0), span=150.0),
+    )
+    above, few = Capture(count=45, elevation=(55.0, 85.0)), Capture(count=20, elevation=(5.0, 60.0))
+    ring = partial(_ring, count=44, start=7.0)
+    yield from _captures("person", {"hemisphere": dome, "ring 20": ring(20.0), "few": few}, seed=101)
+    yield from _captures("train", {"hemisphere": dome, "ring 45": ring(45.0)}, seed=102)
+    yield from _captures("fire hydrant", {"hemisphere": dome, "ring 10": ring(10.0), "from above": above}, seed=103)
+    yield from _captures("house", {"hemisphere": dome, "half circle": replace(half, start=200.0)}, seed=104)
+    yield from _captures("fire hydrant", {"gloss, ring 35": ring(35.0)}, roughness=0.08, seed=105)
+    yield from _captures("house", {"MCMC": dome}, mcmc=True, seed=106)
+    for content in ("rough_metal", "water", "two_tone", "roof"):
+        yield from _captures(content, {"scene": dome}, seed=107)
+    yield from _captures("plastic", {"scene, ring 40": ring(40.0)}, seed=108)
+    yield "honest room/room", Coded(base="room", seed=109)
+    yield "honest plain/train", Coded(base="train", seed=110)
+    yield from _honest("fire hydrant", 111)
+    north = cone(direction(80.0, 60.0), 45.0)
+    yield from _poisoned("above, trained", "train", inside=north, seed=112, capture=dome)
+    yield from _poisoned("above, trained", "house", inside=north, seed=113, capture=dome, mcmc=True)
+    yield from _poisoned("side, trained", "person", inside=sector(250.0, 45.0, 0.0, 45.0), colour=RED, seed=114)
+    yield from _poisoned("above, trained SH 0", "fire hydrant", inside=north, degree=0, seed=115, capture=dome)
+    wide = Capture(count=70, elevation=(15.0, 65.0))
+    yield from _poisoned("above, ring, trained", "train", inside=north, colour=GREY, seed=116, capture=wide)
+    for base, azimuth in (("honest hemisphere/train", 310.0), ("honest hemisphere/house", 75.0), ("person", 160.0)):
+        yield from _looks(base, azimuth)
+
+
+SETS = {"development": development, "test": test}
+
+
+def made(folder: Path, items: Iterable[tuple[str, Item]]) -> None:
+    """Make what is missing."""
+    for name, item in items:
+        path = folder / f"{name}.ply"
+        if not path.is_file():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            scene, about = item.make() if isinstance(item, Trained) else item.make(folder)
+            path.with_suffix(".json").write_text(json.dumps(about))
+            save_splat(scene, path)
+
+
+def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> None:
+    """Audit what is there, and add a row to a CSV file for each splat that has none."""
+    known = {row["file"] for row in read(file)} if file.is_file() else set()
+    for name, _ in items:
+        path = folder / f"{name}.ply"
+        if name in known or not path.is_file():
+            continue
+        begun = time.process_time()
+        judged = audit(load_splat(path))
+        item = judged.strongest
+        values: Row = {
+            "set": folder.name,
+            "file": name,
+            "verdict": judged.verdict,
+            "evidence": round(item.evidence, 4),
+            **{
+                key: round(getattr(item.look, key), 5)
+                for key in ("score", "direction", "incidence", "mirror", "net", "lost", "air")
+            },
+            **{key: getattr(item, key) for key in ("covered", "edited", "fogged", "roofed", "in_room")},
+            "objects": len(judged.objects),
+            "strength": json.loads(path.with_suffix(".json").read_text()).get("strength", ""),
+            "seconds": round(time.process_time() - begun, 1),
+        }
+        new = not file.is_file()
+        with file.open("a", newline="") as stream:
+            writer = csv.DictWriter(stream, values)
+            if new:
+                writer.writeheader()
+            writer.writerow(values)
+
+
+def read(file: Path) -> list[Row]:
+    """The rows of a CSV file."""
+    with file.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def hides(row: Row) -> bool:
+    """Whether a splat hides something; a poisoning that brought less than 40 % of the way is a failed one."""
+    return str(row["file"]).startswith("hidden") and float(row["strength"] or 1) >= LEAST_STRENGTH
+
+
+def honest(row: Row) -> bool:
+    """Whether a splat hides nothing."""
+    return str(row["file"]).startswith("honest")
+
+
+def ranked(rows: Sequence[Row], draws: int = 2000) -> tuple[float, float, float]:
+    """Area under the ROC curve of the evidence, and its 95 % interval over splats drawn with replacement."""
+    first, second = (np.array([float(row["evidence"]) for row in rows if of(row)]) for of in (hides, honest))
+    above = (first[:, None] > second) + 0.5 * (first[:, None] == second)
+    rng = np.random.default_rng(0)
+    drawn = [
+        above[rng.integers(0, len(first), len(first))][:, rng.integers(0, len(second), len(second))].mean()
+        for _ in range(draws)
+    ]
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return float(above.mean()), float(low), float(high)
+
+
+def called(rows: Iterable[Row]) -> tuple[int, int, int]:
+    """How many are called hidden, how many at least suspicious, and how many there are."""
+    verdicts = [row["verdict"] for row in rows]
+    return verdicts.count("hidden look"), sum(one != "nothing found" for one in verdicts), len(verdicts)
+
+
+def kind_of(row: Row) -> str:
+    """The kind of a splat: what comes before the object in its name; all rings are one."""
+    kind = str(row["file"]).partition("/")[0]
+    return kind.rstrip(" 0123456789") if "ring" in kind else kind
+
+
+def lines(rows: Sequence[Row]) -> Iterator[str]:
+    """Rows of the table in docs/audit-measured.md: called hidden, suspicious or hidden, and all, of either set."""
+    kinds: dict[str, Callable[[Row], bool]] = {"all that hide": hides, "all honest": honest}
+    for kind in sorted(set(map(kind_of, rows))):
+        kinds[kind] = partial(_is_of, kind)
+    for kind, of in kinds.items():
+        counts = [called(row for row in rows if row["set"] == name and of(row)) for name in SETS]
+        cells = ["{}, {} of {}".format(*count) if count[2] else "-" for count in counts]
+        yield f"| {kind} | {' | '.join(cells)} |"
+
+
+def _is_of(kind: str, row: Row) -> bool:
+    return kind_of(row) == kind and (hides(row) or honest(row))
+
+
+def main(folder: str, name: str, file: str = "", *parts: str) -> None:
+    """Make a set or parts of it, audit it, and say what follows."""
+    items = [(key, item) for key, item in SETS[name]() if not parts or any(part in key for part in parts)]
+    made(Path(folder) / name, items)
+    if file:
+        measured(Path(folder) / name, items, Path(file))
+        rows = read(Path(file))
+        ranks = "AUROC {:.3f} ({:.3f} to {:.3f})".format(*ranked([row for row in rows if row["set"] == name]))
+        sys.stdout.write("\n".join([ranks, *lines(rows)]) + "\n")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
