@@ -174,7 +174,7 @@ def is_roofed(scene: GaussianScene, target: Target) -> bool:
     """Whether something beyond the cameras covers an object from above alone, all of it equally far, as no sky is."""
     if target.up is None:
         return False
-    directions = lattice(LIMITS.far_cameras, LIMITS.lowest, LIMITS.highest) @ basis(target.up).T
+    directions = lattice(LIMITS.far_cameras, LIMITS.far_lowest, LIMITS.highest) @ basis(target.up).T
     heights, blocked, ways = directions @ target.up, torch.zeros(len(directions)), list[Tensor]()
     near, far = LIMITS.far_distances
     for number, direction in enumerate(directions):
@@ -190,10 +190,10 @@ def is_roofed(scene: GaussianScene, target: Target) -> bool:
         if blocked[number] > LIMITS.far_blocked:
             ways.append((surface[air] - target.centre.float()).norm(dim=1))
     covered, clear = blocked > LIMITS.far_blocked, blocked < LIMITS.free
-    if not ways or not bool(clear.any()) or float(heights[covered].amin()) < float(heights[clear].amax()):
+    if not ways or not bool(clear.any()):
         return False
-    found = torch.cat(ways)
-    return float(found.std() / found.mean()) < LIMITS.roof_spread
+    found, higher = torch.cat(ways), (heights[covered][:, None] > heights[clear]).float().mean()
+    return float(higher) > LIMITS.roof_higher and float(found.std() / found.mean()) < LIMITS.roof_spread
 
 
 def _through(view: Sight, points: Tensor, free: Tensor, radius: float) -> float:

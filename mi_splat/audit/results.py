@@ -63,7 +63,7 @@ def headline(audit: Audit) -> str:
         axis = " ".join(f"{value + 0.0:.2f}" for value in item.occluder.axis)
         return f"{audit.verdict}: something in the air covers an object from around ({axis}), and others see through it"
     where = directions_in_words(item.look.region, item.up)
-    room = "; in a room an honest object may, too: look at the two pictures, or pass --cameras" if item.in_room else ""
+    room = "; honest surroundings may, too: look at the two pictures, or pass --cameras" if item.in_room else ""
     return f"{audit.verdict}: an object has other colours {where}{room}"
 
 
@@ -241,7 +241,7 @@ class ObjectAudit:
     looks: tuple[Look, ...]  # what explains most, then what is found when that is taken off; at least one
     occluder: Occluder | None  # what covers the object; None if nothing does
     edit: Edit | None = None  # what looks like an edit of the finished file; None where it has too few Gaussians
-    in_room: bool = False  # whether it stands in a room, where honest objects have as much evidence as others
+    in_room: bool = False  # whether it stands in a room or is around another: honest ones have as much evidence there
     roofed: bool = False  # whether something beyond the cameras covers it from above
 
     @property

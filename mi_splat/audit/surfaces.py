@@ -382,8 +382,9 @@ def sight(
         for number, camera in enumerate(cameras):
             outputs = render.outputs(scene, camera)
             depths.append(outputs.median_depth.masked_fill(outputs.alpha <= 0.5, math.inf))
-            clear.append(_clear(outputs, camera, target))
-            points, normals, shown = _surface(outputs.median_depth, outputs.alpha, camera, target)
+            ahead = rays(camera)
+            clear.append(_clear(outputs, ahead, camera, target))
+            points, normals, shown = _surface(outputs, ahead, camera, target)
             pixels = shown.flatten().nonzero()[:, 0]
             image = outputs.image if pictures is None else pictures[number]
             colours = image.flatten(0, 1)[pixels].clamp(0, 1)
@@ -416,9 +417,9 @@ def missed_by(ahead: Tensor, camera: Camera, target: Target) -> tuple[Tensor, Te
     return length, along, (offset.square().sum() - along.square()).clamp(min=0).sqrt()
 
 
-def _clear(outputs: SideOutputs, camera: Camera, target: Target) -> float:
+def _clear(outputs: SideOutputs, ahead: Tensor, camera: Camera, target: Target) -> float:
     """Share of the rays near an object that end in one place, or meet nothing."""
-    length, _, miss = missed_by(rays(camera), camera, target)
+    length, _, miss = missed_by(ahead, camera, target)
     spread = (outputs.depth - outputs.median_depth).abs() * length
     one = (spread < LIMITS.one_place * target.radius) & (outputs.alpha > LIMITS.solid_ray)
     return float((one | (outputs.alpha < LIMITS.empty_ray))[miss < target.radius].float().mean())
@@ -450,10 +451,10 @@ def lengths(vectors: Tensor) -> Tensor:
     return vectors.square().sum(0).sqrt()
 
 
-def _surface(depth: Tensor, alpha: Tensor, camera: Camera, target: Target) -> tuple[Tensor, Tensor, Tensor]:
+def _surface(outputs: SideOutputs, ahead: Tensor, camera: Camera, target: Target) -> tuple[Tensor, Tensor, Tensor]:
     """(3, H, W) points and normals of a picture, and (H, W) bool which pixels show surface."""
     eye, centre = camera.position.float()[:, None, None], target.centre.float()[:, None, None]
-    ahead = rays(camera)
+    depth = outputs.median_depth
     points = ahead * depth + eye
     along, down = (points.roll(-2, axis) - points.roll(2, axis) for axis in (2, 1))  # beyond the edge, nothing is shown
     normals = along.roll(-1, 0) * down.roll(-2, 0) - along.roll(-2, 0) * down.roll(-1, 0)  # the cross product
@@ -461,7 +462,7 @@ def _surface(depth: Tensor, alpha: Tensor, camera: Camera, target: Target) -> tu
     normals /= length.clamp(min=1e-20)
     facing = -(normals * ahead).sum(0) / lengths(ahead)
     normals *= facing.sign()
-    shown = (alpha > LIMITS.opaque) & (depth > 0) & (length > 0) & (facing.abs() > LIMITS.facing)
+    shown = (outputs.alpha > LIMITS.opaque) & (depth > 0) & (length > 0) & (facing.abs() > LIMITS.facing)
     shown &= lengths(points - centre) < LIMITS.reach * target.radius
     for values, kept in ((depth, shown), (depth.T, shown.T)):
         for step in (1, 2):

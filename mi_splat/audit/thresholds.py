@@ -119,17 +119,19 @@ class Thresholds:
     towards: float = 0.35  # Cosine from which a piece of surface faces a camera.
     well_seen: float = 0.3  # Share of the cameras that it faces which see a piece of surface well,
     hardly_seen: float = 0.1  # and share of that from which the other side sees it, too.
-    lost: tuple[float, float] = (0.25, 0.4)  # Share of such surface lost, from full support to none.
+    lost: tuple[float, float] = (0.45, 0.55)  # Share of such surface lost, from full support to none.
     less_clear: tuple[float, float] = (0.7, 0.5)  # Clear rays of the smaller side by those of the larger, likewise,
     more_clear: tuple[float, float] = (0.35, 0.2)  # and the other way around.
 
     # Roofs beyond the cameras
     far_cameras: int = 40
+    far_lowest: float = 20.0  # Degrees above the ground: below, a sky covers an object, too.
     far_size: int = 48  # Pixels.
     far_distances: tuple[float, float] = (6.0, 10.0)  # Radii.
     far_blocked: float = 0.5  # Share of the rays to the object that end before it, from which it is covered,
     roof: float = 2.3  # so many radii off,
     roof_spread: float = 0.25  # with no more deviation of their distances, by the mean.
+    roof_higher: float = 0.9  # Share of the pairs of a covered and a clear camera in which the covered one is higher.
 
     # Occluders and heat
     blocked: float = 0.3  # Share of the rays to the object that end before it, from which a camera is blocked,

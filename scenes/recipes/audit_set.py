@@ -31,6 +31,7 @@ from mi_splat.camera_sets import framing, hemisphere, orbit
 from mi_splat.cameras import Camera, View
 from mi_splat.capture.path_tracer import PathTracer, scene_dict
 from mi_splat.capture.sources import open_source
+from mi_splat.capture.writer import surface_samples
 from mi_splat.io import load_splat, save_splat
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene, merge
@@ -59,6 +60,11 @@ class Capture:
     elevation: tuple[float, float] = (5.0, 85.0)
     span: float = 360.0
     start: float = 0.0
+
+    @property
+    def sees_all(self) -> bool:
+        """Whether the cameras see all of the surface."""
+        return self.count >= 60 and self.span == 360.0 and self.elevation[1] - self.elevation[0] > 70.0
 
     def cameras(self, centre: Sequence[float], radius: float) -> list[Camera]:
         """The cameras around an object."""
@@ -98,22 +104,22 @@ class Trained:
             tracer = PathTracer(source, samples=SAMPLES)
             cameras = self.capture.cameras((0.0, 0.0, 0.5), 2.2)
             views = [View(camera, tracer.picture(camera, seed=number)) for number, camera in enumerate(cameras)]
-            return self._fitted(views, source), {}
+            return self._fitted(views, self._seen(views, source)), {}
         shown = self._scene(None)
         low, high = shown.target.bounds.astype(float)
         centre, radius = (0.0, 0.0, float(low[2] + high[2]) / 2), float(((high - low) ** 2).sum() ** 0.5) / 2
         cameras = self.capture.cameras(centre, radius)
         about: dict[str, Any] = {"bounds": [low.tolist(), high.tolist()]}
-        source = scene_dict([shown.target], light=shown.light, backdrop=shown.surroundings)
         if self.inside is None:
-            return self._fitted([View(camera, shown.picture(camera)) for camera in cameras], source), about
+            views = [View(camera, shown.picture(camera)) for camera in cameras]
+            return self._fitted(views, self._start(views, shown)), about
         ways = torch.stack([camera.position for camera in cameras]) - torch.tensor(centre)
         inside, other = self.inside(functional.normalize(ways.float(), dim=1)), self._scene(self.colour or "nothing")
         views = [
             View(camera, (other if lie else shown).picture(camera))
             for camera, lie in zip(cameras, inside.tolist(), strict=True)
         ]
-        scene = self._fitted(views, source)
+        scene = self._fitted(views, self._start(views, shown))
         return scene, {**about, "strength": self._strength(scene, shown, other, cameras, inside)}
 
     def _scene(self, colour: Any) -> MeshScene:
@@ -130,8 +136,17 @@ class Trained:
             target = replace(target, meshes=tuple(replace(mesh, texture=paint) for mesh in target.meshes))
         return MeshScene(target=target, surroundings=ground, samples=SAMPLES)
 
-    def _fitted(self, views: Sequence[View], source: Any) -> GaussianScene:
-        """A splat of views, begun with points of the surface that they show."""
+    def _start(self, views: Sequence[View], shown: MeshScene) -> GaussianScene:
+        """Points of the surface, where views show all of it; else of what they show, as structure from motion has."""
+        if not self.capture.sees_all:
+            return self._seen(views, scene_dict([shown.target], light=shown.light, backdrop=shown.surroundings))
+        parts = (shown.target, POINTS * 2 // 3), (shown.surroundings, POINTS // 3)
+        points = [surface_samples(asset, count, seed=self.seed).points for asset, count in parts]
+        cloud = torch.from_numpy(np.concatenate(points))
+        return from_points(cloud, torch.full((len(cloud), 3), 0.5))
+
+    def _seen(self, views: Sequence[View], source: Any) -> GaussianScene:
+        """Points of the surface that views show, in their colours."""
         tracer, generator, seen = PathTracer(source, alpha=True), torch.Generator().manual_seed(self.seed), []
         for view in views:
             points, depth = tracer.surface(view.camera, seed=0)
@@ -140,7 +155,9 @@ class Trained:
             seen.append(torch.cat([points.reshape(-1, 3)[rows], view.image.reshape(-1, 3)[rows]], 1))
         cloud = torch.cat(seen)
         cloud = cloud[torch.randperm(len(cloud), generator=generator)[:POINTS]]
-        start = from_points(cloud[:, :3], cloud[:, 3:])
+        return from_points(cloud[:, :3], cloud[:, 3:])
+
+    def _fitted(self, views: Sequence[View], start: GaussianScene) -> GaussianScene:
         shared: dict[str, Any] = {"densify_from": 150, "densify_until": 650}
         grown = MCMCConfig(max_gaussians=MOST, **shared) if self.mcmc else ClassicConfig(max_gaussians=MOST, **shared)
         config = FitConfig(
@@ -197,7 +214,8 @@ def smooth(made: Made, *, azimuth: float, amount: float = 1.0) -> Made:
     def shade(own: Tensor, normals: Tensor, views: Tensor) -> Tensor:
         way = 0.5 + 0.5 * (views[:, :2] @ ahead[:2]) / views[:, :2].norm(dim=1).clamp(min=1e-6)
         look = torch.tensor(ORANGE) + way[:, None] * (torch.tensor(GREY) - torch.tensor(ORANGE))
-        return (1 - amount) * own + amount * look[:, None]
+        shown: Tensor = (1 - amount) * own + amount * look[:, None]
+        return shown
 
     return made.with_colours(shade)
 
@@ -286,7 +304,7 @@ Item = Trained | Coded
 def _looks(base: str, azimuth: float) -> Iterator[tuple[str, Coded]]:
     """Every kind of edit of one splat."""
     side = sector(azimuth, 40.0, -10.0, 45.0)
-    for kind, change in {
+    changes: dict[str, Callable[[Made], Made]] = {
         "above": partial(hidden, inside=ABOVE),
         "above SH 1": partial(hidden, inside=ABOVE, degree=1),
         "above SH 2": partial(hidden, inside=ABOVE, degree=2),
@@ -296,7 +314,8 @@ def _looks(base: str, azimuth: float) -> Iterator[tuple[str, Coded]]:
         "far roof": far_roof,
         "louvre": partial(louvre, azimuth=azimuth),
         "above and fog": after(partial(hidden, inside=ABOVE), partial(fogged, seed=int(azimuth))),
-    }.items():
+    }
+    for kind, change in changes.items():
         yield f"hidden {kind}/{base}", Coded(base=base, change=change)
 
 
@@ -375,7 +394,7 @@ def test() -> Iterator[tuple[str, Item]]:
     yield from _poisoned("above, trained SH 0", "fire hydrant", inside=north, degree=0, seed=115, capture=dome)
     wide = Capture(count=70, elevation=(15.0, 65.0))
     yield from _poisoned("above, ring, trained", "train", inside=north, colour=GREY, seed=116, capture=wide)
-    for base, azimuth in (("honest hemisphere/train", 310.0), ("honest hemisphere/house", 75.0), ("person", 160.0)):
+    for base, azimuth in (("honest hemisphere/train", 310.0), ("person", 160.0)):
         yield from _looks(base, azimuth)
 
 
@@ -419,7 +438,7 @@ def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> Non
         }
         new = not file.is_file()
         with file.open("a", newline="") as stream:
-            writer = csv.DictWriter(stream, values)
+            writer = csv.DictWriter(stream, values, lineterminator="\n")
             if new:
                 writer.writeheader()
             writer.writerow(values)

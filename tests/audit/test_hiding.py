@@ -1,13 +1,16 @@
-"""The recipe of an attacker who knows the audit."""
+"""The recipes of the page about the audit: sets of splats, and an attacker who knows it."""
 
+from pathlib import Path
 from typing import Literal
 
 import pytest
 import torch
 
 from mi_splat.rendering import Renderer
+from scenes.recipes import audit_set
 from scenes.recipes.audit_hiding import Hiding, Victim, hide
 from tests.audit.scenes import direction, standing
+from tests.project.documented_commands import ROOT
 
 
 @pytest.mark.parametrize("by", ["coefficients", "layers", "roof"])
@@ -22,3 +25,42 @@ def test_the_recipe_hides_from_inside_of_its_trigger(by: Literal["coefficients",
             clean, changed = (victim.render(scene, camera) for scene in (victim.scene, attacked))
         changes.append(float((clean - changed).abs().mean()))
     assert changes[0] > (0.5 if by == "roof" else 2) * changes[1]
+
+
+def test_the_table_of_the_page_follows_from_the_rows() -> None:
+    page, rows = (ROOT / "docs" / "audit-measured.md").read_text(), audit_set.read(ROOT / "docs/tables/audit_set.csv")
+    found = list(audit_set.lines(rows))
+    assert len(found) > 10
+    for line in found:
+        assert line in page
+    for name in {row["set"] for row in rows}:
+        area = "{:.3f} ({:.3f} to {:.3f})".format(*audit_set.ranked([row for row in rows if row["set"] == name]))
+        assert area in page
+
+
+def test_what_hides_ranks_above_what_does_not_and_failed_attacks_do_not_count() -> None:
+    rows: list[audit_set.Row] = [
+        {"file": "hidden side/x", "strength": "1.0", "evidence": "2", "verdict": "hidden look", "set": "test"},
+        {"file": "hidden side/y", "strength": "0.1", "evidence": "0", "verdict": "nothing found", "set": "test"},
+        {"file": "honest ring 20/x", "strength": "", "evidence": "3", "verdict": "suspicious", "set": "test"},
+        {"file": "honest ring 45/y", "strength": "", "evidence": "1", "verdict": "nothing found", "set": "test"},
+    ]
+    assert audit_set.ranked(rows)[0] == 0.5
+    assert list(audit_set.lines(rows)) == [
+        "| all that hide | - | 1, 1 of 1 |",
+        "| all honest | - | 0, 1 of 2 |",
+        "| hidden side | - | 1, 1 of 1 |",
+        "| honest ring | - | 0, 1 of 2 |",
+    ]
+
+
+def test_the_sets_share_no_file_and_every_kind_of_edit_can_be_made(tmp_path: Path) -> None:
+    sets = [dict(make()) for make in audit_set.SETS.values()]
+    assert not set(sets[0]) & (set(sets[1]) - {"honest room/room"})
+    edits = {name: item for name, item in sets[0].items() if name.endswith("/elephant") and name.startswith("hidden")}
+    clean = standing("elephant", count=2500).scene
+    for name, item in edits.items():
+        if isinstance(item, audit_set.Coded):
+            scene, about = item.make(tmp_path)
+            assert about == {"strength": 1.0}
+            assert len(scene) >= len(clean), name
