@@ -7,7 +7,7 @@ import pytest
 
 from attacks.cloak.study import check_study
 from attacks.detectors.weights import FrozenModel
-from attacks.studies import audit, cloak, dagger, poison
+from attacks.studies import cloak, dagger, poison
 from attacks.studies.cloak import config_of
 from attacks.studies.running import work_of
 from attacks.studies.study_file import read_study
@@ -19,7 +19,6 @@ from tests.studies.toy import Toy
 STUDIES = ROOT / "scenes" / "studies"
 COUNTS = {
     "attack_zoo": (225, 0),
-    "audit": (92, 0),
     "between_renderers": (54, 432),
     "cloak": (57, 0),
     "cloak_controls": (8, 0),
@@ -52,7 +51,7 @@ COUNTS = {
     "transfer": (144, 576),
 }
 """Points of each study, or of poisons the trainings; and looks by judges."""
-LONG = ("cloak", "cloak_design", "cloak_controls", "cloak_new_cars", "cloak_two_cars", "audit")
+LONG = ("cloak", "cloak_design", "cloak_controls", "cloak_new_cars", "cloak_two_cars")
 """Studies whose scenes take seconds to build."""
 
 
@@ -61,7 +60,7 @@ def test_the_points_of_a_long_study_have_settings_that_can_be(name: str, monkeyp
     monkeypatch.chdir(ROOT)
     study = read_study(STUDIES / f"{name}.toml")
     assert len(study.points) == COUNTS[name][0]
-    for point in study.points if study.kind == "cloak" else ():
+    for point in study.points:
         assert config_of(point.settings, name).attack
 
 
@@ -79,10 +78,8 @@ def test_a_shipped_study_is_so_many_jobs(path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(dagger, "weights", lambda detectors: {})  # that were not fetched are not missed
     monkeypatch.setattr(FrozenModel, "fingerprint", "0" * 16)  # takes seconds
     monkeypatch.setattr(cloak, "detectors_of", lambda config, weights: [Redness()])
-    monkeypatch.setattr(audit, "detectors_of", lambda config, weights: [])
-    for module in (cloak, audit):  # the cameras of long studies are checked, too
-        checked = (lambda config, detectors: check_study(config, [])) if path.stem in LONG else lambda *_: None
-        monkeypatch.setattr(module, "check_study", checked)
+    checked = (lambda config, detectors: check_study(config, [])) if path.stem in LONG else lambda *_: None
+    monkeypatch.setattr(cloak, "check_study", checked)  # the cameras of long studies are checked, too
     monkeypatch.setattr(poison, "classifier_of", lambda name: Toy(*ASSETS))
     study = read_study(path)
     work = work_of(study)
