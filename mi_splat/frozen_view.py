@@ -67,13 +67,9 @@ class FrozenView:
         if self._device.type != device:
             raise InvalidValueError.of("scene", f"tensors on {device}", self._device, f'call scene.to("{device}")')
         self.rows = _indices(rows, len(scene)).to(self._device)
-        fixed = torch.ones(len(scene), dtype=torch.bool, device=self._device)
-        fixed[self.rows] = False
-        self._fixed = fixed.nonzero().flatten()
-        self._kept = [
-            tensor.detach().to(torch.float32, copy=True).contiguous()
-            for tensor in (*scene.tensors()[:4], scene.sh[self._fixed])
-        ]
+        self._kept = [tensor.detach().to(torch.float32, copy=True).contiguous() for tensor in scene.tensors()]
+        self._kept[4][self.rows] = 0.0
+        self._kept[4][self.rows, 0] = HIDDEN_DC
         self._look(camera, max_bytes, held=sum(tensor.nbytes for tensor in self._kept))
 
     def at(self, camera: Camera, *, max_bytes: int = MAX_BYTES) -> FrozenView:
@@ -116,13 +112,9 @@ class FrozenView:
 
     def _freeze(self, max_bytes: int, held: int) -> tuple[Any, Tensor, Tensor, int]:
         """The weights (None where nothing free is visible), the constant part of the picture, its alpha, `nbytes`."""
-        others = self._kept[4]
-        sh = others.new_zeros(len(self._kept[0]), *others.shape[1:])
-        sh[self._fixed] = others
-        sh[self.rows, 0] = HIDDEN_DC
         settings = self.settings
         hole = Pinhole(camera=self.camera, near=settings.near, antialiased=settings.antialiased)
-        arrays = tuple(aligned(mi.Float(tensor.flatten())) for tensor in (*self._kept[:4], sh))
+        arrays = tuple(aligned(mi.Float(tensor.flatten())) for tensor in self._kept)
         picture = rasterize(layouts.TENSORS, arrays, hole, settings.background)
         towards = self._kept[0][self.rows].double() - self.camera.position.to(self._device, torch.float64)
         directions = torch.nn.functional.normalize(towards, dim=1).to(torch.float32)
