@@ -35,8 +35,6 @@ from mi_splat.cameras import Camera
 SCENE, OBJECT, WORD = Path("scenes/stop_sign.xml"), "stop_sign", "STOP"
 HEIGHT, WIDTH = 48, 320
 """Pixels of the pictures of words that the network takes; narrower ones end in zeros."""
-MARGINS = (0.94, 1.0, 1.06)
-"""Sizes of the word's box that the gradient is averaged over, as the reader finds it anew in each picture."""
 UNREAD = Hide(confidence=0.5, iou=0.5)
 """Aim of the reader's own rows."""
 _TYPES = {1: np.float32, 6: np.int32, 7: np.int64, 9: np.bool_}
@@ -127,8 +125,12 @@ OPERATIONS: dict[str, Any] = {
 class Recogniser:
     """RapidOCR's recognition network in torch: pictures of words to the probability that a word is read."""
 
-    def __init__(self, path: Path, alphabet: list[str]) -> None:
-        graph, self.nodes = next(parts(path.read_bytes(), 7)), list[tuple[str, list[str], str, dict[str, Any]]]()
+    def __init__(self, reader: Detector) -> None:
+        import rapidocr_onnxruntime as package
+
+        (self.path,) = (Path(package.__file__).parent / "models").glob("*_rec_infer.onnx")
+        alphabet = reader.model._engine.text_rec.postprocess_op.character  # type: ignore[attr-defined]
+        graph, self.nodes = next(parts(self.path.read_bytes(), 7)), list[tuple[str, list[str], str, dict[str, Any]]]()
         for node in parts(graph, 1):
             op = bytes(next(parts(node, 4))).decode()
             inputs, (output, *_) = ([bytes(name).decode() for name in parts(node, field)] for field in (1, 2))
@@ -149,10 +151,8 @@ class Recogniser:
         return self(words)[:, :, self.columns].amax(1).prod(1)
 
 
-def word_picture(image: Tensor, corners: Tensor, margin: float) -> Tensor:
+def word_picture(image: Tensor, corners: Tensor) -> Tensor:
     """(3, 48, 320) the word between four corners of an image (H, W, 3), as the network takes it."""
-    middle = corners.mean(0)
-    corners = middle + margin * (corners - middle)
     sides = corners.roll(-1, 0) - corners
     across, down = (max(float(sides[n].norm()), float(sides[n + 2].norm())) for n in (0, 1))
     width = min(math.ceil(HEIGHT * across / down), WIDTH)
@@ -178,8 +178,7 @@ class Both:
         """Those of the detector, and one whose score for a stop sign is the certainty of the word."""
         found = []
         for image, seen in zip(images, self.detector.candidates(images), strict=True):
-            words = torch.stack([word_picture(image, self.corners, margin) for margin in MARGINS])
-            certainty = self.recogniser.certainty(words).mean()
+            (certainty,) = self.recogniser.certainty(word_picture(image, self.corners)[None])
             scores = certainty * functional.one_hot(torch.tensor(self.classes.index("stop sign")), len(self.classes))
             box = torch.cat([self.corners.amin(0), self.corners.amax(0)])
             boxes = torch.cat([seen.boxes, box.expand(1, len(self.classes), 4)])
@@ -252,8 +251,6 @@ def psnr_of(clean: Tensor, image: Tensor, weight: Tensor) -> float | None:
 
 def main() -> None:
     """Attack from each camera for each target; a table, and rows."""
-    import rapidocr_onnxruntime as package
-
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seed", type=int, default=1)
@@ -264,9 +261,7 @@ def main() -> None:
     parser.add_argument("--weights", type=float, nargs="+", default=[0.0, 1.0])
     options = parser.parse_args()
     scene, reader = attack_scene(SCENE), load_detector("rapidocr")
-    session = reader.model._engine.text_rec  # type: ignore[attr-defined]
-    path = next((Path(package.__file__).parent / "models").glob("*rec*.onnx"))
-    of = load_detector(options.detector), reader, Recogniser(path, session.postprocess_op.character)
+    of = load_detector(options.detector), reader, Recogniser(reader)
     cameras = list((cameras_in(options.cameras) if options.cameras.is_file() else scene.cameras).values())
     lines = []
     for weight in options.weights:

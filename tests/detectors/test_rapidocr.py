@@ -12,6 +12,7 @@ from attacks.observe.views import object_boxes
 from mi_splat.assets.textures import write
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import open_scene
+from scenes.recipes.attack_reader import HEIGHT, WIDTH, Recogniser
 
 pytest.importorskip("rapidocr_onnxruntime", reason="the extra ocr is not installed")
 
@@ -42,3 +43,16 @@ def test_another_word_is_no_sign_and_a_gradient_is_refused(tmp_path: Path) -> No
         reader.candidates(images.requires_grad_())
     with pytest.raises(DetectorError, match="leave --weights out"):
         load_detector("rapidocr", weights=tmp_path / "other.onnx")
+
+
+def test_the_recognition_network_in_torch_is_that_of_onnx_and_has_a_gradient() -> None:
+    onnxruntime = pytest.importorskip("onnxruntime")
+    recogniser = Recogniser(load_detector("rapidocr"))
+    words = 2 * torch.rand(2, 3, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(0)) - 1
+    session = onnxruntime.InferenceSession(str(recogniser.path), providers=["CPUExecutionProvider"])
+    (expected,) = session.run(None, {session.get_inputs()[0].name: words.numpy()})
+    shown = words[:1].requires_grad_(True)
+    seen = recogniser(shown)
+    assert np.abs(seen.detach().numpy() - expected[:1]).max() < 1e-4
+    (slope,) = torch.autograd.grad(seen[0, :, 1].log().mean(), shown)
+    assert float(slope.abs().max()) > 0
