@@ -11,7 +11,7 @@ from typing import Any
 import polars as pl
 import pytest
 
-from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
+from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS, read_rows
 from attacks.rate import Rate, pooled
 from attacks.report.checking import Result, check_result, flat, in_words, read_result
 from attacks.report.results import kind_of, read_section
@@ -112,6 +112,16 @@ def test_the_tables_of_cloak_are_those_of_the_rows() -> None:
         bands = [by_splat(band.filter(detector=name)) for name in ("centernet_coco", "nanodet_coco", "ssd_openimages")]
         cells = [", ".join(f"{part['found'].sum()}/{len(part)}" for part in parts) for parts in bands]
         assert f"| {low} to {high} | {' | '.join(cells)} |" in coco
+
+
+def test_the_attack_on_a_detector_and_a_reader_is_counted() -> None:
+    text = (ROOT / "docs" / "detectors.md").read_text()
+    rows = read_rows(ROOT / "docs" / "tables" / "attack_reader.csv.xz").filter(detector="yolov8n_small and rapidocr")
+    reached = {target: rows.filter(splat=ATTACKED, target=target)["success"] for target in ("tv", "train", "bird")}
+    noise = rows.filter(splat=NOISE)["success"]
+    for cell in (*reached.values(), noise):
+        assert f"{cell.sum()}/{len(cell)}" in text
+    assert not noise.any()
 
 
 def test_the_table_of_outside_judges_is_that_of_the_rows() -> None:
