@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mi_splat import srgb
 from mi_splat.errors import InvalidValueError
 from mi_splat.placement import axis_turn
 
@@ -130,12 +131,9 @@ def join(*meshes: Mesh) -> Mesh:
 
 def to_linear(colour: ArrayLike) -> Floats:
     """Linear intensities from sRGB values."""
-    value = np.asarray(colour, np.float64)
-    low, high = value / 12.92, (np.maximum(value, 0) + 0.055) / 1.055
-    return np.where(value <= 0.04045, low, high**2.4).astype(np.float32)
+    return srgb.to_linear(np.asarray(colour, np.float64)).astype(np.float32)
 
 
 def to_srgb(intensity: ArrayLike) -> Floats:
     """The sRGB values, clipped to [0, 1], from linear intensities."""
-    value = np.clip(np.asarray(intensity, np.float64), 0, 1)
-    return np.where(value <= 0.0031308, value * 12.92, 1.055 * value ** (1 / 2.4) - 0.055).astype(np.float32)
+    return srgb.to_srgb(np.clip(np.asarray(intensity, np.float64), 0, 1)).astype(np.float32)

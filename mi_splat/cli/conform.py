@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,21 +18,31 @@ from mi_splat.fields import Metavar, OutFolder
 
 if TYPE_CHECKING:
     from mi_splat.cameras import Camera
-    from mi_splat.conformance import Cause, ConformanceScene, Setup
-    from mi_splat.oracle import Array, PinholeCamera, Splat
+    from mi_splat.conformance import Cause, Setup
+    from mi_splat.conformance_scenes import ConformanceScene
+    from mi_splat.oracle import Array, PinholeCamera
+    from mi_splat.scene import GaussianScene
 
 EXAMPLES = (
     "conform --list",
     "conform --export out/conformance",
     "conform YOUR_IMAGES",
     "conform YOUR_IMAGES --format .spz --out out/report",
+    "conform IMAGES_TO_MAKE --browser adapter.js",
     "conform --read YOUR_CONVERTED_FILES",
+    "conform --gradients YOUR_GRADIENTS",
 )
 DIFFERS = 3
 """Exit status where something does not conform."""
 _PSNR, _LARGEST = {8: 39.0, 32: 80.0}, {8: 0.06, 32: 1e-3}
 """Least PSNR, dB, and largest difference of a channel at which an image conforms, by its bits; viewers that blend in 8
 bits reach 39 to 50 dB."""
+_GRADIENT = 1e-3
+"""Largest error of a gradient as a part of its length."""
+_PATIENCE = 600.0
+"""Seconds that a viewer may take for all images."""
+_BROWSERS = "chromium", "chromium-browser", "google-chrome"
+_SWITCHES = "--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +63,11 @@ class ConformOptions(JsonOptions):
     """Write splats, cameras, reference images and gradients into a new folder."""
     read: Path | None = None
     """Folder with the splats in another format: compare their values with those exported."""
+    gradients: Path | None = None
+    """Folder with the gradients of a renderer as NAME.npz, called and shaped as those exported, to compare them."""
+    browser: Annotated[Path | None, Metavar("ADAPTER.JS")] = None
+    """JavaScript module that draws a splat with a web viewer: make the images first, in headless Chromium. The page
+    viewer.html of the exported folder says what it has to export, and does the same by hand."""
     formats: tuple[str, ...] = (".ply",)
     """Formats to export, for instance .ply .spz .sog .glb .splat."""
     format: str = ".ply"
@@ -66,11 +84,14 @@ class ConformOptions(JsonOptions):
 
 def run(options: ConformOptions) -> int:
     """List, export or compare."""
-    from mi_splat.conformance import conformance_scenes
+    from mi_splat.conformance_scenes import conformance_scenes
 
-    tasks = [options.images is not None, options.list, options.export is not None, options.read is not None]
+    given = options.images, options.export, options.read, options.gradients
+    tasks = [options.list, *(path is not None for path in given)]
     if sum(tasks) != 1:
-        raise UsageError("expected one of a folder of images, --list, --export and --read: pass one of them")
+        raise UsageError(
+            "expected one of a folder of images, --list, --export, --read and --gradients: pass one of them"
+        )
     every = {scene.name: scene for scene in conformance_scenes(options.size)}
     if options.list:
         document = {"scenes": [{"name": name, "fact": scene.fact} for name, scene in every.items()]}
@@ -80,6 +101,10 @@ def run(options: ConformOptions) -> int:
         return _export(options, options.export, every)
     if options.read is not None:
         return _compare_values(options, options.read, every)
+    if options.gradients is not None:
+        return _compare_gradients(options, options.gradients, every)
+    if options.browser is not None:
+        _draw_in_browser(options, options.browser, every)
     return _compare_images(options, every)
 
 
@@ -87,46 +112,49 @@ def run(options: ConformOptions) -> int:
 
 
 def _export(options: ConformOptions, out: Path, every: Mapping[str, ConformanceScene]) -> int:
+    document = _write_pack(options, out, every)
+    show_result({"out": str(out), **document}, f"{out}: {len(every)} splats with references", as_json=options.json)
+    return 0
+
+
+def _write_pack(options: ConformOptions, out: Path, every: Mapping[str, ConformanceScene]) -> dict[str, Any]:
     from mi_splat.io.documents import save_json, save_text
     from mi_splat.io.folders import new_folder
 
     with progress("writing", len(every)) as advance, new_folder(out, force=options.force) as folder:
         for part in ("splats", "images", "gradients"):
             (folder / part).mkdir()
+        rows = list[dict[str, Any]]()
         for name, scene in every.items():
             advance(name)
-            _write_splat(scene.setup.stored, folder / "splats" / name, options.formats)
+            _write_splat(scene, folder / "splats" / name, options.formats)
             _write_reference(name, scene, options.model, folder)
+            rows.append({"name": name, "fact": scene.fact, "rounding": _rounding(scene, options)})
         _write_cameras(every, folder)
-        lines = [f"- `{name}`: {scene.fact}" for name, scene in every.items()]
-        save_text(
-            "\n".join(["# Conformance scenes for 3D Gaussian Splatting", "", _README, "", *lines, ""]),
-            folder / "README.md",
-        )
         settings = {"size": options.size, "model": options.model, "formats": list(options.formats)}
-        document = {"story": "conformance", **settings, "scenes": [*every]}
+        tolerances = {bits: {"least_psnr": _PSNR[bits], "largest": _LARGEST[bits]} for bits in _PSNR}
+        document = {"story": "conformance", **settings, "tolerances_by_bits": tolerances, "scenes": rows}
         save_json(document, folder / "result.json")
-    show_result({"out": str(out), **document}, f"{out}: {len(every)} splats with references", as_json=options.json)
-    return 0
+        for file in (Path(__file__).parent / "conformance").iterdir():
+            save_text(file.read_text(), folder / file.name)
+    return document
 
 
-_README = """Public domain (CC0). `splats` have the files, padded to 256 Gaussians with others behind the camera.
-`images` have each reference as PNG and as EXR with 32-bit floats of the same values, alpha in channel A. `gradients`
-have, as NumPy archives, `on_image` (H, W, 3) and the derivatives of sum(on_image * image) by means, scales, rotations,
-opacities and sh, as values and not as the logarithms and logits of the file. Cameras: `cameras.json` has OpenCV poses
-(camera to world: x right, y down, z forward) and OpenGL matrices, column by column; the same cameras are in
-`transforms_train.json` and, for COLMAP, in `sparse/0`. The near plane is at a depth of 0.2."""
+def _rounding(scene: ConformanceScene, options: ConformOptions) -> dict[str, Any]:
+    """By format, how far the image of what it keeps of a splat is from the reference."""
+    exact, formats = _reference(scene.setup, options.model)[0], (other for other in options.formats if other != ".ply")
+    return {suffix: _distance(_reference(_as_read(scene, suffix), options.model)[0], exact, 8) for suffix in formats}
 
 
-def _write_splat(stored: Splat, path: Path, formats: tuple[str, ...]) -> None:
+def _write_splat(scene: ConformanceScene, path: Path, formats: tuple[str, ...]) -> None:
     """Write a splat in every format; the PLY has the stored values to the bit."""
     import numpy as np
     from plyfile import PlyData, PlyElement
 
-    from mi_splat.io import load_splat
     from mi_splat.io.ply import rest_names
     from mi_splat.io.splat_files import write_splat_file
 
+    stored = scene.setup.stored
     rest = stored.sh[:, 1:].transpose(0, 2, 1).reshape(len(stored.sh), -1)
     columns = dict(zip("xyz", stored.means.T, strict=True))
     columns |= {f"f_dc_{i}": stored.sh[:, 0, i] for i in range(3)}
@@ -134,24 +162,68 @@ def _write_splat(stored: Splat, path: Path, formats: tuple[str, ...]) -> None:
     columns |= {"opacity": stored.opacities}
     columns |= {f"scale_{i}": column for i, column in enumerate(stored.scales.T)}
     columns |= {f"rot_{i}": column for i, column in enumerate(stored.rotations.T)}
-    rows = np.empty(len(rest), dtype=[(name, "<f4") for name in columns])
+    if scene.file == "other columns":
+        more = {"label": np.zeros(len(rest), dtype=np.uint8), **dict.fromkeys(("nx", "ny", "nz"), np.ones(len(rest)))}
+        columns = more | dict(reversed(columns.items()))
+    rows = np.empty(len(rest), dtype=[(name, "u1" if name == "label" else "<f4") for name in columns])
     for name, column in columns.items():
         rows[name] = column
     ply = path.with_name(f"{path.name}.ply")
     PlyData([PlyElement.describe(rows, "vertex")], byte_order="<").write(str(ply))
+    splat = _load(ply)
     for suffix in formats:
         if suffix != ".ply":
-            write_splat_file(load_splat(ply), path.with_name(path.name + suffix))
+            write_splat_file(splat, path.with_name(path.name + suffix))
+    if scene.file in ("moved by a node", "wrong COLOR_0"):
+        _write_gltf(splat, path.with_name(f"{path.name}.glb"), moved=scene.file == "moved by a node")
     if ".ply" not in formats:
         ply.unlink()
+
+
+def _load(path: Path) -> GaussianScene:
+    """A splat without its broken Gaussians."""
+    import warnings
+
+    from mi_splat.io import load_splat
+    from mi_splat.io.errors import SplatFileWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SplatFileWarning)
+        return load_splat(path, on_invalid="drop")
+
+
+def _write_gltf(splat: GaussianScene, path: Path, *, moved: bool) -> None:
+    """A glTF with a node that puts its splat where it is in other files, or with a wrong COLOR_0."""
+    import torch
+
+    from mi_splat.io.documents import save_bytes
+    from mi_splat.io.splat_files import write_splat_file
+    from mi_splat.scene import Similarity
+
+    if moved:
+        turn = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+        splat = splat.transform(Similarity(turn.T, turn.T @ torch.tensor([-3.0, 1.0, -4.0]), 2.0))
+    write_splat_file(splat, path)
+    content = path.read_bytes()
+    start = 28 + int.from_bytes(content[12:16], "little")
+    document = json.loads(content[20 : start - 8])
+    if moved:  # the axes y and z of glTF point against those of a PLY
+        node = {"translation": [1.5, 0.5, -2.0], "rotation": [0.5**0.5, 0, 0, 0.5**0.5], "scale": [0.5] * 3}
+        document["nodes"][0] |= node
+    else:
+        attributes = document["meshes"][0]["primitives"][0]["attributes"]
+        document["accessors"][attributes["COLOR_0"]]["bufferView"] = 0  # the bytes of the positions
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = content[start - 8 :]
+    head = struct.pack("<4s4I", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A)
+    save_bytes(head + text + rest, path)
 
 
 def _write_reference(name: str, scene: ConformanceScene, model: str, folder: Path) -> None:
     import numpy as np
 
-    from mi_splat.attributes import ATTRIBUTES
     from mi_splat.io.documents import save_png
-    from mi_splat.oracle import gradients
     from mi_splat.rendering import save_floats
 
     image, alpha = _reference(scene.setup, model)
@@ -159,11 +231,21 @@ def _write_reference(name: str, scene: ConformanceScene, model: str, folder: Pat
     planes = {**dict(zip("RGB", np.moveaxis(image, 2, 0), strict=True)), "A": alpha}
     save_floats({key: plane.astype(np.float32) for key, plane in planes.items()}, folder / "images" / f"{name}.exr")
     if model == "tile":
-        setup, on_image = scene.setup, np.random.default_rng(0).normal(size=image.shape)
-        found = gradients(setup.splat, setup.camera, on_image, background=setup.background)
-        by_name: Any = dict(zip(ATTRIBUTES, (values.astype(np.float32) for values in found), strict=True))
+        found: dict[str, Any] = {key: values.astype(np.float32) for key, values in _gradients(scene.setup).items()}
         with (folder / "gradients" / f"{name}.npz").open("wb") as file:
-            np.savez_compressed(file, on_image=on_image, **by_name)
+            np.savez_compressed(file, **found)
+
+
+def _gradients(setup: Setup) -> dict[str, Array]:
+    """Derivatives of the weighted sum of an image by the name of the attribute."""
+    import numpy as np
+
+    from mi_splat.oracle import Splat, gradients
+
+    rows, columns, channels = np.ogrid[: setup.camera.height, : setup.camera.width, :3]
+    weights = np.sin(rows + 2 * columns + 3 * channels)
+    found = gradients(setup.splat, setup.camera, weights, background=setup.background)
+    return dict(zip(Splat._fields, found, strict=True))
 
 
 def _write_cameras(every: Mapping[str, ConformanceScene], folder: Path) -> None:
@@ -213,7 +295,58 @@ def _opengl(view: PinholeCamera) -> dict[str, list[float]]:
 # ------------------------------------------------------------------------------------------------------------- images
 
 
+def _draw_in_browser(options: ConformOptions, adapter: Path, every: Mapping[str, ConformanceScene]) -> None:
+    """Fill the folder of images with those that the page of an exported pack sends back from a headless browser."""
+    import shutil
+    import subprocess
+    import tempfile
+    import threading
+    from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+
+    from mi_splat.io.folders import new_folder
+
+    browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
+    if browser is None or options.images is None or not adapter.is_file():
+        got = "no browser" if browser is None else f"{options.images} and {adapter}"
+        do = f"install {_BROWSERS[0]}, or open viewer.html of the exported folder in another browser"
+        raise InvalidValueError.of("--browser", "Chromium, a folder for the images and an adapter", got, do)
+    ended, errors = threading.Event(), list[str]()
+    with tempfile.TemporaryDirectory() as made, new_folder(options.images, force=options.force) as folder:
+        pack = Path(made) / "pack"
+        _write_pack(options, pack, every)
+        (pack / "adapter.js").write_bytes(adapter.read_bytes())
+
+        class Handler(SimpleHTTPRequestHandler):
+            def do_PUT(self) -> None:
+                body, name = self.rfile.read(int(self.headers["Content-Length"])), self.path.strip("/")
+                if name in every:
+                    (folder / f"{name}.png").write_bytes(body)
+                elif name == "end":
+                    errors.append(body.decode())
+                    ended.set()
+                self.send_response(204)
+                self.end_headers()
+
+            def log_message(self, *_: Any) -> None: ...
+
+        with ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(pack))) as server:
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            address = f"http://127.0.0.1:{server.server_port}/viewer.html?send"
+            words = [browser, *_SWITCHES, f"--user-data-dir={made}/user", address]
+            with subprocess.Popen(words, stderr=subprocess.DEVNULL) as process:
+                ended.wait(_PATIENCE)
+                process.terminate()
+            server.shutdown()
+    if not ended.is_set() or errors[0]:
+        got = errors[0] if errors else f"no end within {_PATIENCE} seconds"
+        raise InvalidValueError.of(
+            str(adapter), "images of every splat", got, "open viewer.html in a browser to see why"
+        )
+
+
 def _compare_images(options: ConformOptions, every: Mapping[str, ConformanceScene]) -> int:
+    import numpy as np
+
     from mi_splat.conformance import find_deviations
 
     assert options.images is not None
@@ -221,13 +354,14 @@ def _compare_images(options: ConformOptions, every: Mapping[str, ConformanceScen
         given = dict(_images(options.images, every))
         if missing := [name for name in every if name not in given]:
             warn(f"no image of {', '.join(missing)}: these facts are not tested")
-        setups = {name: _as_read(every[name].setup, options.format) for name in given}
+        setups = {name: _as_read(every[name], options.format) for name in given}
         rows = []
         for name, (image, bits) in given.items():
             advance(name)
-            reference = _reference(setups[name], options.model)[0]
+            reference = np.dstack(_reference(setups[name], options.model))[..., : image.shape[2]]
             rows.append({"name": name, **_distance(image, reference, bits)})
-        images = {name: image for name, (image, _) in given.items() if image.shape[:2] == (options.size,) * 2}
+        right = [row["name"] for row in rows if row["psnr"] is not None]
+        images = {name: given[name][0][..., :3] for name in right}
         advance("looking for causes")
         causes = find_deviations(images, setups) if options.model == "tile" else []
     found = [
@@ -243,7 +377,7 @@ def _compare_images(options: ConformOptions, every: Mapping[str, ConformanceScen
 
 
 def _images(folder: Path, every: Mapping[str, ConformanceScene]) -> Iterator[tuple[str, tuple[Array, int]]]:
-    """The images of a folder by scene, (H, W, 3) each, with their bits."""
+    """The images of a folder by scene, (H, W, 3 or 4 with alpha that says something) each, with their bits."""
     import numpy as np
 
     from mi_splat.io.picture_files import load_picture
@@ -256,33 +390,35 @@ def _images(folder: Path, every: Mapping[str, ConformanceScene]) -> Iterator[tup
         raise InvalidValueError.of(str(folder), expected, "none", do)
     for name, path in found:
         if path.suffix == ".png":
-            yield name, (np.asarray(load_picture(path).convert("RGB"), dtype=np.float64) / 255, 8)
+            image = np.asarray(load_picture(path).convert("RGBA"), dtype=np.float64) / 255
+            image[..., :3] *= image[..., 3:]
+            yield name, (image if image[..., 3].min() < 1 else image[..., :3], 8)
         else:
             planes = load_floats(path)
             if not {*"RGB"} <= {*planes}:
                 raise InvalidValueError.of(str(path), "channels R, G and B", ", ".join(planes), "write an RGB image")
-            yield name, (np.stack([planes[channel] for channel in "RGB"], axis=2).astype(np.float64), 32)
+            channels = "RGBA" if "A" in planes and planes["A"].min() < 1 else "RGB"
+            yield name, (np.stack([planes[channel] for channel in channels], axis=2).astype(np.float64), 32)
 
 
-def _as_read(setup: Setup, suffix: str) -> Setup:
+def _as_read(scene: ConformanceScene, suffix: str) -> Setup:
     """The setup with what a format keeps of its splat."""
     import tempfile
 
     import numpy as np
 
-    from mi_splat.io import load_splat
     from mi_splat.oracle import Splat
 
     if suffix == ".ply":
-        return setup
+        return scene.setup
     with tempfile.TemporaryDirectory() as folder:
-        _write_splat(setup.stored, Path(folder) / "splat", (".ply", suffix))
-        values = Splat(
-            *(tensor.numpy().astype(np.float64) for tensor in load_splat(f"{folder}/splat{suffix}").tensors())
-        )
+        _write_splat(scene, Path(folder) / "splat", (suffix,))
+        kept = _load(Path(folder) / f"splat{suffix}")
+        values = Splat(*(tensor.numpy().astype(np.float64) for tensor in kept.tensors()))
     opacities = np.clip(values.opacities, 1e-9, 1 - 1e-9)
     logits = np.log(opacities / (1 - opacities))
-    return replace(setup, stored=values._replace(scales=np.log(np.maximum(values.scales, 1e-30)), opacities=logits))
+    stored = values._replace(scales=np.log(np.maximum(values.scales, 1e-30)), opacities=logits)
+    return replace(scene.setup, stored=stored)
 
 
 def _reference(setup: Setup, model: str) -> tuple[Array, Array]:
@@ -371,7 +507,6 @@ def _compare_values(options: ConformOptions, folder: Path, every: Mapping[str, C
     import tempfile
 
     from mi_splat.cli.convert import differences
-    from mi_splat.io import load_splat
     from mi_splat.io.splat_files import suffix_of
 
     rows = list[dict[str, Any]]()
@@ -379,11 +514,12 @@ def _compare_values(options: ConformOptions, folder: Path, every: Mapping[str, C
         for name, scene in every.items():
             files = [path for path in sorted(folder.glob(f"{name}.*")) if suffix_of(path.name)]
             if files:
-                _write_splat(scene.setup.stored, Path(made) / name, (".ply",))
-                before = load_splat(f"{made}/{name}.ply")
+                _write_splat(scene, Path(made) / name, (".ply",))
+                before = _load(Path(made) / f"{name}.ply")
             for path in files:
-                after = load_splat(path)
+                after = _load(path)
                 if len(before) == len(after):
+                    after = after.select(_nearest(before, after))
                     rows.append({"name": name, "file": str(path), "largest_changes": differences(before, after)})
                 else:
                     rows.append({"name": name, "file": str(path), "gaussians": [len(before), len(after)]})
@@ -395,8 +531,50 @@ def _compare_values(options: ConformOptions, folder: Path, every: Mapping[str, C
     return 0 if all("largest_changes" in row for row in rows) else DIFFERS
 
 
+def _nearest(before: GaussianScene, after: GaussianScene) -> Any:
+    """Of each Gaussian the row of its partner, since some formats sort them."""
+    import torch
+    from scipy.optimize import linear_sum_assignment
+
+    first, second = (torch.cat([s.means, s.scales, s.opacities[:, None], s.sh[:, 0]], dim=1) for s in (before, after))
+    return torch.from_numpy(linear_sum_assignment(torch.cdist(first, second).numpy())[1])
+
+
 def _changes(row: dict[str, Any]) -> str:
     if "gaussians" in row:
         before, after = row["gaussians"]
         return f"expected {before} Gaussians, got {after}"
     return ", ".join(f"{name.partition(',')[0]} {value:.2g}" for name, value in row["largest_changes"].items())
+
+
+# ---------------------------------------------------------------------------------------------------------- gradients
+
+
+def _compare_gradients(options: ConformOptions, folder: Path, every: Mapping[str, ConformanceScene]) -> int:
+    """Compare gradients with exact ones, attribute by attribute: the length of the difference, as a part of theirs."""
+    import numpy as np
+
+    rows = list[dict[str, Any]]()
+    for name, scene in every.items():
+        if not (path := folder / f"{name}.npz").is_file():
+            continue
+        exact, off = _gradients(scene.setup), dict[str, float | None]()
+        with np.load(path) as given:
+            for key in (key for key in exact if key in given):
+                same = given[key].shape == exact[key].shape
+                length = float(np.linalg.norm(exact[key])) or 1.0
+                off[key] = float(np.linalg.norm(given[key] - exact[key])) / length if same else None
+        good = bool(off) and all(value is not None and value <= _GRADIENT for value in off.values())
+        rows.append({"name": name, "conforms": good, "relative_errors": off})
+    if not rows:
+        expected = f"gradients such as {next(iter(every))}.npz with arrays such as means"
+        raise InvalidValueError.of(str(folder), expected, "none", "save them as mi-splat conform --export does")
+    lines = []
+    for row in rows:
+        parts = (
+            f"{key} {'of another shape' if value is None else f'{value:.2g}'}"
+            for key, value in row["relative_errors"].items()
+        )
+        lines.append(f"{row['name']:18}{'conforms' if row['conforms'] else 'differs':10}{', '.join(parts)}")
+    show_result({"gradients": rows}, *lines, as_json=options.json)
+    return 0 if all(row["conforms"] for row in rows) else DIFFERS

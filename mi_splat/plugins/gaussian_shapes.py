@@ -1,16 +1,20 @@
 """The `gaussians` shapes of a Mitsuba scene as one set of arrays for the rasteriser, and gradients back to them."""
 
+import functools
 import math
+import warnings
 from typing import Any, Literal
 
 import drjit as dr
 import mitsuba as mi
 import torch
 
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.errors import SplatFileWarning
 from mi_splat.plugins.sensor import own_values
 from mi_splat.scene import GaussianScene, merge
 
+_SHOW_SPLATS = {"SplatRay", "BasicVolumetricPrimitiveRadianceFieldIntegrator", "AOVIntegrator", "DepthIntegrator"}
 _KEYS = ("data", "opacities", "sh_coeffs")
 
 
@@ -79,6 +83,32 @@ class GaussianShapes:
                     part = _with_degree(part, top, degree)
                 dr.backward_from(dr.detach(part) * array)
             row += count
+
+
+def watch_rendering() -> None:
+    """Let `mi.render` check what it is given from now on, as its own errors say no more than "(see above)"."""
+    original = mi.render
+    if hasattr(original, "__wrapped__"):
+        return
+
+    @functools.wraps(original)
+    def render(scene: Any, params: Any = None, sensor: Any = 0, integrator: Any = None, *rest: Any, **more: Any) -> Any:
+        _check_render(scene, scene.integrator() if integrator is None else integrator)
+        return original(scene, params, sensor, integrator, *rest, **more)
+
+    mi.render = render
+
+
+def _check_render(scene: Any, integrator: Any) -> None:
+    """Warn of an integrator that shows splats as grey shells, and raise where `splat_tile` cannot show a scene."""
+    kinds = {kind.__name__ for kind in type(integrator).__mro__} | {integrator.class_name()}
+    splats = [shape for shape in scene.shapes() if shape.is_ellipsoids()]
+    if "SplatTile" in kinds:
+        _check_others([shape for shape in scene.shapes() if not shape.is_ellipsoids()], "nothing")
+    elif splats and not kinds & _SHOW_SPLATS:
+        got, do = f"{integrator.class_name()}, which shows them as grey shells", "splat_tile, or splat_ray among meshes"
+        text = message(f"splat {_name(splats[0])}", "an integrator that shows splats", got, f"use {do}")
+        warnings.warn(text, SplatFileWarning, stacklevel=3)
 
 
 def _check_others(shapes: list[Any], among: str) -> None:

@@ -27,6 +27,7 @@ import torch
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
+from mi_splat.plugins.gaussian_shapes import watch_rendering
 from mi_splat.rasterization.frozen import aligned
 from mi_splat.scene import GaussianScene, Similarity
 
@@ -35,6 +36,7 @@ _PASSED_ON = ("extent", "extent_adaptive_clamping")
 
 def gaussians(props: Any) -> Any:
     """Factory that Mitsuba calls for `<shape type="gaussians">`."""
+    watch_rendering()
     given = [name for name in ATTRIBUTES if name in props]
     if "filename" in props and not given:
         scene = load_splat(Path(str(mi.file_resolver().resolve(props["filename"]))))

@@ -30,7 +30,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
-import mitsuba as mi
 
 from mi_splat.bounds import near_plane
 from mi_splat.errors import InvalidValueError
@@ -118,7 +117,7 @@ def integrator_class(variant: str) -> Any:
                 raise InvalidValueError.of("develop", "True", develop, "take the picture that render() returns")
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             with dr.suspend_grad():
-                shapes = _shapes(scene)
+                shapes = GaussianShapes(scene)
                 self._follow(scene, shapes)
                 cached = self._picture(shapes, sensor)
                 opacity = cached.picture.opacity if self.alpha else None
@@ -146,12 +145,3 @@ def integrator_class(variant: str) -> Any:
 
     _develop = develop
     return SplatTile
-
-
-def _shapes(scene: Any) -> GaussianShapes:
-    """The shapes of a scene; why it is refused is logged, too, as `mi.render` raises no more than "(see above)"."""
-    try:
-        return GaussianShapes(scene)
-    except InvalidValueError as error:
-        mi.Log(mi.LogLevel.Warn, str(error))
-        raise

@@ -31,6 +31,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "labels",
             "oracle",
             "conformance",
+            "conformance_scenes",
+            "srgb",
             "scene",
             "placement",
             "processes",

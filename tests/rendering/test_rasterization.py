@@ -71,13 +71,6 @@ def test_picture_is_the_oracles(count: int, degree: int, size: tuple[int, int], 
     assert largest_error(scene, camera(*size, distance=distance, azimuth=37.0 * degree), on) <= PICTURE_ERROR
 
 
-@on_each_device
-def test_a_dense_pile_stops_where_the_oracle_stops(on: str) -> None:
-    scene = varied_scene(400, degree=0, seed=3)
-    scene = scene.replace(means=scene.means * 0.2, opacities=torch.full((400,), 0.999))
-    assert largest_error(scene, camera(48, 48), on) <= PICTURE_ERROR
-
-
 @pytest.mark.parametrize("angle", [0.0, 45.0, 89.0])
 def test_needles_across_the_picture(angle: float) -> None:
     half = math.radians(angle) / 2

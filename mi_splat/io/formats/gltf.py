@@ -22,6 +22,7 @@ from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats import axes
 from mi_splat.io.loaded import Array, Arrays, Encoded, Loaded, Values, bytes_of, check_count, read_whole, validated
 from mi_splat.io.parsing import Fields, parse
+from mi_splat.srgb import to_linear
 
 EXTENSION = "KHR_gaussian_splatting"
 COLOUR_SPACE = "srgb_rec709_display"
@@ -119,7 +120,7 @@ def write_glb(arrays: Arrays) -> Encoded:
     """
     values = Values.of(arrays)
     means, scales, rotations, opacities, sh = axes.flipped(arrays, axes.Z).values()
-    shown = np.concatenate([_linear(np.clip(values.colours, 0, 1)), values.opacities[:, None]], axis=1)
+    shown = np.concatenate([to_linear(np.clip(values.colours, 0, 1)), values.opacities[:, None]], axis=1)
     columns: dict[str, NDArray[np.generic]] = {
         "POSITION": means,
         "COLOR_0": bytes_of(shown * 255),
@@ -131,10 +132,6 @@ def write_glb(arrays: Arrays) -> Encoded:
         for order in range(2 * degree + 1):
             columns[_sh_name(degree, order)] = sh[:, degree**2 + order]
     return Encoded(_glb_bytes(columns), ())
-
-
-def _linear(colours: Array) -> Array:
-    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
 
 
 def placements(root: Fields, meshes: int) -> Iterator[tuple[int, Array]]:
