@@ -19,9 +19,9 @@ from mi_splat.oracle import DEFAULT, Array, Convention, Image, PinholeCamera, Sp
 from mi_splat.srgb import to_linear, to_srgb
 
 C0 = 0.28209479177387814
-_FLOOR, _GAIN, _RESTARTS = 2e-6, 0.35, 2
+_FLOOR, _GAIN, _RESTARTS, _AT_ONCE = 2e-6, 0.35, 2, 12
 """Mean squared error of 8 bits; least gain of the summed log errors by which a deviation explains something; searches
-without what was found first, where images stay unexplained."""
+without what was found first, where images stay unexplained; images that each step tries to explain, the worst ones."""
 
 
 def look_at(
@@ -40,7 +40,8 @@ def _upright(forward: Array, up: ArrayLike) -> Array:
     if np.linalg.norm(right) < 1e-6 * np.linalg.norm(forward):
         right = np.cross(forward, np.roll(np.asarray(up), -1))
     axes: Array = np.stack([right, np.cross(forward, right), forward], axis=1)
-    return axes / np.linalg.norm(axes, axis=0, keepdims=True)
+    axes /= np.linalg.norm(axes, axis=0)
+    return axes
 
 
 # --------------------------------------------------------------------------------------------------------- deviations
@@ -280,7 +281,8 @@ def find_deviations(images: Mapping[str, Array], setups: Mapping[str, Setup], *,
         return chosen
 
     def unexplained(chosen: frozenset[Deviation]) -> list[str]:
-        return [name for name in images if cost(name, chosen) > math.log(2.5 * _FLOOR)]
+        left = [name for name in images if cost(name, chosen) > math.log(2.5 * _FLOOR)]
+        return sorted(left, key=lambda name: -cost(name, chosen))[:_AT_ONCE]
 
     chosen = descended(frozenset())
     banned: frozenset[Deviation] = frozenset()

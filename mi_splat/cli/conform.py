@@ -28,7 +28,7 @@ EXAMPLES = (
     "conform --export out/conformance",
     "conform YOUR_IMAGES",
     "conform YOUR_IMAGES --format .spz --out out/report",
-    "conform IMAGES_TO_MAKE --browser adapter.js",
+    "conform YOUR_IMAGES --browser adapter.js",
     "conform --read YOUR_CONVERTED_FILES",
     "conform --gradients YOUR_GRADIENTS",
 )
@@ -207,8 +207,8 @@ def _write_gltf(splat: GaussianScene, path: Path, *, moved: bool) -> None:
     content = path.read_bytes()
     start = 28 + int.from_bytes(content[12:16], "little")
     document = json.loads(content[20 : start - 8])
-    if moved:  # the axes y and z of glTF point against those of a PLY
-        node = {"translation": [1.5, 0.5, -2.0], "rotation": [0.5**0.5, 0, 0, 0.5**0.5], "scale": [0.5] * 3}
+    if moved:  # the axes x and y of glTF point against those of a PLY
+        node = {"translation": [-1.5, 0.5, 2.0], "rotation": [-(0.5**0.5), 0, 0, 0.5**0.5], "scale": [0.5] * 3}
         document["nodes"][0] |= node
     else:
         attributes = document["meshes"][0]["primitives"][0]["attributes"]

@@ -8,6 +8,7 @@ beside the file: `plugins/NAME.so` for every plugin type that Mitsuba has not lo
 """
 
 import functools
+import importlib
 import os
 from typing import Any
 
@@ -54,6 +55,7 @@ def _on_variant(old: str | None, new: str | None) -> None:
         if new.startswith("llvm") and not os.environ.get("DRJIT_LIBLLVM_PATH"):
             prepare_llvm()
         _register_in(new)
+        importlib.import_module("mi_splat.plugins.gaussian_shapes").watch_rendering()
     elif new:
         _refuse_in(new)
 

@@ -104,7 +104,8 @@ def test_our_renderer_conforms_from_the_exported_files(pack: Path, capsys: pytes
         splat = load_splat(pack / "splats" / f"{name}.ply")
         image = Renderer(RenderSettings(background=SETUPS[name].background))(splat, cameras[name]).numpy()
         exr = load_floats(pack / "images" / f"{name}.exr")
-        np.testing.assert_allclose(image, np.stack([exr[channel] for channel in "RGB"], axis=2), atol=1e-5)
+        error = np.abs(image - np.stack([exr[channel] for channel in "RGB"], axis=2)).max()
+        assert error < (5e-5 if name == "far_from_origin" else 1e-5), name
         gradients = np.load(pack / "gradients" / f"{name}.npz")
         assert gradients["sh"].shape == tuple(splat.sh.shape)
     capsys.readouterr()
@@ -112,6 +113,7 @@ def test_our_renderer_conforms_from_the_exported_files(pack: Path, capsys: pytes
     files = json.loads(capsys.readouterr().out)["files"]
     assert len(files) == 2 * len(SETUPS) + 2  # two glTF
     assert max(row["largest_changes"]["opacity"] for row in files) < 0.01
+    assert max(row["largest_changes"]["means, world units"] for row in files) < 1e-4  # also by the node of a glTF
     assert cli.main(["conform", "--gradients", str(pack / "gradients")]) == 0
 
 
@@ -128,7 +130,7 @@ def test_images_of_a_wrong_viewer_are_explained(tmp_path: Path, capsys: pytest.C
     assert "quaternion        conforms" in said.out
     assert "needles           differs   64 x 8 pixels" in said.out
     assert "likely cause      order: by distance, not by depth (another choice; explains" in said.out
-    assert "no image of quaternion_length, activation" in said.err
+    assert "no image of quaternion_length, quaternion_sign" in said.err
     assert (tmp_path / "page" / "order.png").is_file()
     assert not (tmp_path / "page" / "quaternion.png").exists()
     assert "| order | **differs** |" in (tmp_path / "page" / "conformance.md").read_text()

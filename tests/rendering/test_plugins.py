@@ -145,8 +145,11 @@ def test_forward_mode_is_refused_in_words() -> None:
 
 
 def test_what_cannot_be_rendered_is_said() -> None:
-    loaded = mi.load_string(scene_xml('<shape type="sphere" id="ball"/>'))
+    sensor = {"type": "perspective", "film": {"type": "hdrfilm", "width": 4, "height": 4}}
+    parts = {"type": "scene", "splat": shape_dict(varied_scene(5, degree=0, seed=0)), "sensor": sensor}
+    beside = mi.load_dict({"integrator": {"type": "splat_tile"}, "ball": {"type": "sphere", "id": "ball"}, **parts})
     with pytest.raises(InvalidValueError, match='gaussians shapes only, got also ball; use the integrator "splat_ray"'):
-        mi.render(loaded)
+        mi.render(beside)
+    shells = mi.load_dict({"integrator": {"type": "path"}, **parts})
     with pytest.warns(SplatFileWarning, match="PathIntegrator, which shows them as grey shells; use splat_tile"):
-        mi.render(loaded, integrator=mi.load_dict({"type": "path"}), spp=1)
+        mi.render(shells, spp=1)
