@@ -59,6 +59,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "[CLOAK on other cars, objects and viewpoints](../cloak-variations.md)",
         (
             "cloak_new_cars",
+            "cloak_second_car",
             "cloak_controls",
             "cloak_controls_steps",
             "cloak_design_sector",

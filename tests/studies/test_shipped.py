@@ -25,7 +25,7 @@ COUNTS = {
     "cloak_design": (17, 0),
     "cloak_elsewhere": (1, 132),
     "cloak_new_cars": (5, 0),
-    "cloak_two_cars": (2, 0),
+    "cloak_second_car": (1, 0),
     "coco": (72, 0),
     "coco_demo": (12, 0),
     "coco_smallest": (252, 0),
@@ -51,7 +51,7 @@ COUNTS = {
     "transfer": (144, 576),
 }
 """Points of each study, or of poisons the trainings; and looks by judges."""
-LONG = ("cloak", "cloak_design", "cloak_controls", "cloak_new_cars", "cloak_two_cars")
+LONG = ("cloak", "cloak_design", "cloak_controls", "cloak_new_cars", "cloak_second_car")
 """Studies whose scenes take seconds to build."""
 
 
