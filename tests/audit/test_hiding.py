@@ -34,8 +34,9 @@ def test_the_table_of_the_page_follows_from_the_rows() -> None:
     for line in found:
         assert line in page
     for name in {row["set"] for row in rows}:
-        area = "{:.3f} ({:.3f} to {:.3f})".format(*audit_set.ranked([row for row in rows if row["set"] == name]))
-        assert area in page
+        for table in (rows, audit_set.read(ROOT / "docs/tables/audit_before.csv")):
+            area = "{:.3f} ({:.3f} to {:.3f})".format(*audit_set.ranked([row for row in table if row["set"] == name]))
+            assert area in page
 
 
 def test_what_hides_ranks_above_what_does_not_and_failed_attacks_do_not_count() -> None:
