@@ -547,7 +547,26 @@ def _changes(row: dict[str, Any]) -> str:
     return ", ".join(f"{name.partition(',')[0]} {value:.2g}" for name, value in row["largest_changes"].items())
 
 
-# ---------------------------------------------------------------------------------------------------------- gradients
+def _read_gradients(path: Path, exact: Mapping[str, Array]) -> dict[str, Array]:
+    """The arrays of a file that are called as exact ones; none may be larger in the file than twice those."""
+    import zipfile
+
+    import numpy as np
+
+    most = 1024 + 16 * max(values.size for values in exact.values())
+    got, found = f"an array of more than {most:,} bytes", dict[str, Any]()
+    try:
+        with zipfile.ZipFile(path) as archive:
+            refused = any(part.file_size > most for part in archive.infolist())
+        if not refused:
+            with np.load(path) as given:
+                found = {key: np.asarray(given[key], dtype=np.float64) for key in exact if key in given}
+    except (zipfile.BadZipFile, ValueError, TypeError, EOFError, MemoryError):
+        refused, got = True, "a file that cannot be read as such"
+    if refused:
+        do = "save it with numpy.savez"
+        raise InvalidValueError.of(str(path), "a NumPy archive with numbers shaped as those exported", got, do)
+    return found
 
 
 def _compare_gradients(options: ConformOptions, folder: Path, every: Mapping[str, ConformanceScene]) -> int:
@@ -559,11 +578,11 @@ def _compare_gradients(options: ConformOptions, folder: Path, every: Mapping[str
         if not (path := folder / f"{name}.npz").is_file():
             continue
         exact, off = _gradients(scene.setup), dict[str, float | None]()
-        with np.load(path) as given:
-            for key in (key for key in exact if key in given):
-                same = given[key].shape == exact[key].shape
-                length = float(np.linalg.norm(exact[key])) or 1.0
-                off[key] = float(np.linalg.norm(given[key] - exact[key])) / length if same else None
+        given = _read_gradients(path, exact)
+        for key, values in given.items():
+            length = float(np.linalg.norm(exact[key])) or 1.0
+            same = values.shape == exact[key].shape
+            off[key] = float(np.linalg.norm(values - exact[key])) / length if same else None
         good = bool(off) and all(value is not None and value <= _GRADIENT for value in off.values())
         rows.append({"name": name, "conforms": good, "relative_errors": off})
     if not rows:

@@ -159,3 +159,13 @@ def test_bad_calls_say_what_to_do(
     assert cli.main(["conform", *(word.replace("EMPTY", str(tmp_path)) for word in words)]) in (1, 2)
     assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_gradients_that_are_no_arrays_or_large_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "quaternion.npz"
+    for content, said in ((np.zeros(10**6), "an array of more than"), (np.array(["a", {}], dtype=object), "cannot be")):
+        np.savez_compressed(file, means=content)
+        assert cli.main(["conform", "--gradients", str(tmp_path)]) == 1
+        assert said in capsys.readouterr().err
+    file.write_bytes(b"PK")
+    assert cli.main(["conform", "--gradients", str(tmp_path)]) == 1
