@@ -71,7 +71,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "dagger_cameras": (
         "DAGGER from cameras drawn by seed",
         "[DAGGER](../dagger.md#six-pairs-at-cameras-drawn-by-seed)",
-        ("dagger_cameras", "dagger_code"),
+        ("dagger_cameras", "dagger_code", "dagger_cameras_random"),
     ),
     "dagger_eot": (
         "DAGGER from many viewpoints",
