@@ -9,6 +9,7 @@ class Thresholds:
 
     # From where a verdict is given
     net: float = 0.0005  # Drift (sRGB) beyond gloss from which an appearance is called hidden; see docs/audit.md.
+    image_net: float = 0.002  # The same for images of a data set, of which a piece of surface has fewer pixels.
     suspicion: float = 0.7  # Share of that from which a splat is suspicious.
     supported: float = 0.5  # Support of an appearance below which it is called fog: suspicious, and never hidden.
     covered: float = 0.1  # Score of an occluder from which a splat is suspicious.

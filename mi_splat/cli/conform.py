@@ -550,22 +550,21 @@ def _changes(row: dict[str, Any]) -> str:
 def _read_gradients(path: Path, exact: Mapping[str, Array]) -> dict[str, Array]:
     """The arrays of a file that are called as exact ones; none may be larger in the file than twice those."""
     import zipfile
+    from tempfile import TemporaryDirectory
 
-    import numpy as np
+    from mi_splat.io.errors import SplatFileError
+    from mi_splat.selection.select import load_array
 
-    most = 1024 + 16 * max(values.size for values in exact.values())
-    got, found = f"an array of more than {most:,} bytes", dict[str, Any]()
+    found, most = dict[str, Any](), 1024 + 16 * max(values.size for values in exact.values())
     try:
-        with zipfile.ZipFile(path) as archive:
-            refused = any(part.file_size > most for part in archive.infolist())
-        if not refused:
-            with np.load(path) as given:
-                found = {key: np.asarray(given[key], dtype=np.float64) for key in exact if key in given}
-    except (zipfile.BadZipFile, ValueError, TypeError, EOFError, MemoryError):
-        refused, got = True, "a file that cannot be read as such"
-    if refused:
-        do = "save it with numpy.savez"
-        raise InvalidValueError.of(str(path), "a NumPy archive with numbers shaped as those exported", got, do)
+        with zipfile.ZipFile(path) as archive, TemporaryDirectory() as folder:
+            for name in (f"{key}.npy" for key in exact if f"{key}.npy" in archive.namelist()):
+                if archive.getinfo(name).file_size > most:
+                    raise SplatFileError.of(name, "a gradient", f"more than {most:,} bytes", "shape it as exported")
+                found[name[:-4]] = load_array(Path(archive.extract(name, folder))).astype(float)
+    except (zipfile.BadZipFile, SplatFileError, ValueError, TypeError, EOFError) as error:
+        do = "save them with numpy.savez"
+        raise InvalidValueError.of(str(path), "arrays shaped as those exported", str(error), do) from error
     return found
 
 

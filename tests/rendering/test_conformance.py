@@ -163,7 +163,7 @@ def test_bad_calls_say_what_to_do(
 
 def test_gradients_that_are_no_arrays_or_large_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "quaternion.npz"
-    for content, said in ((np.zeros(10**6), "an array of more than"), (np.array(["a", {}], dtype=object), "cannot be")):
+    for content, said in ((np.zeros(10**6), "more than"), (np.array(["a", {}], dtype=object), "pickled objects")):
         np.savez_compressed(file, means=content)
         assert cli.main(["conform", "--gradients", str(tmp_path)]) == 1
         assert said in capsys.readouterr().err

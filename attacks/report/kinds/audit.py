@@ -63,7 +63,7 @@ def read_audit(folder: Path, record: Record) -> Section:
     views = record.get("views") or ()
     carried = f"{record['carrying']:,} of {record['gaussians']:,}"
     showing = f"{sum(view['contradicts'] for view in views)} of {len(views)}"
-    net, least = max(look["net"] for look in looks), record["thresholds"]["net"]
+    net, least = max(look["net"] for look in looks), looks[0]["asked"]
     return Section(
         **shared,
         kind="audit of pictures" if views else "audit of a splat",
@@ -160,7 +160,8 @@ def _pictures(folder: Path, record: Record) -> Iterator[Picture]:
     for shown in record["pictures"]:
         looks = record["objects"][shown["object"]]["looks"]
         name = f"Object {shown['object'] + 1}" + (f", look {shown['look'] + 1}" if len(looks) > 1 else "")
-        proven = looks[shown["look"]]["net"] / thresholds["net"] >= thresholds["suspicion"]
+        look = looks[shown["look"]]
+        proven = look["net"] / look["asked"] >= thresholds["suspicion"]
         caption = (
             f"{name}: the same surface, left from inside of the directions from which "
             f"{'the look shows' if proven else 'colours differ most'}, right from outside. The surface that both see "
