@@ -128,9 +128,9 @@ def judged_object(
     pieces = elements(view, target)
     if not bool(pieces.judged.any()):
         return None
-    asked = LIMITS.net if pictures is None else LIMITS.image_net
-    surface_looks = looks_of(pieces, view, asked)
-    looks = [_look(frame, target, view, look, asked) for look in surface_looks]
+    threshold = LIMITS.net if pictures is None else LIMITS.image_net
+    surface_looks = looks_of(pieces, view, threshold)
+    looks = [_look(frame, target, view, look, threshold) for look in surface_looks]
     by_piece = torch.stack([piece_scores(look.pieces, look.shown) for look in surface_looks]).amax(0)
     area = (pieces.size * frame.to_world.scale) ** 2
     able = reachable(pieces, view)
@@ -158,7 +158,7 @@ def judged_object(
     return judged, heat
 
 
-def _look(frame: Frame, target: Target, view: Sight, look: SurfaceLook, asked: float) -> Look:
+def _look(frame: Frame, target: Target, view: Sight, look: SurfaceLook, threshold: float) -> Look:
     """A look in the world."""
     scores, shown = look.scores, look.shown
     region = region_of(view.directions, shown, target.up)
@@ -169,7 +169,7 @@ def _look(frame: Frame, target: Target, view: Sight, look: SurfaceLook, asked: f
         shown=shown,
         amounts=look_amounts(look.pieces, shown),
         **{field.name: getattr(scores, field.name) for field in dataclasses.fields(Scores)},
-        asked=asked,
+        threshold=threshold,
         lost=lost,
         air=air,
         area=int((by_piece > LIMITS.changed).sum()) * (look.pieces.size * frame.to_world.scale) ** 2,
@@ -222,13 +222,13 @@ class SurfaceLook:
     pieces: Elements  # the surface, without what cameras see that were left out
 
 
-def looks_of(pieces: Elements, view: Sight, asked: float) -> list[SurfaceLook]:
+def looks_of(pieces: Elements, view: Sight, threshold: float) -> list[SurfaceLook]:
     """The looks of an object: first the one that explains most, then those that are left without its cameras."""
     looks: list[SurfaceLook] = []
     kept = torch.ones(len(view.cameras), dtype=torch.bool)
     for _ in range(LIMITS.most_looks):
         scores = explain(pieces, view)
-        another = scores.net >= asked
+        another = scores.net >= threshold
         if looks and not (another and scores.score >= LIMITS.another_look * looks[0].scores.score):
             break
         shown = cameras_of_look(pieces, view, scores) & kept

@@ -98,7 +98,7 @@ def findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
     thresholds = document["thresholds"]
     for number, item in enumerate(document["objects"], 1):
         for index, look in enumerate(item["looks"], 1):
-            evidence = look["net"] / look["asked"]
+            evidence = look["net"] / look["threshold"]
             if evidence >= thresholds["suspicion"]:
                 hides = look["evidence"] >= 1 and look["support"] >= thresholds["supported"] and not item["in_room"]
                 name = "hidden-look" if hides else "suspicious-look"
@@ -195,7 +195,7 @@ HEAT_PICTURE = "heat.png"
 EDITED, AGAINST, CHANGED = "edited.npy", "against.png", "changed.npy"
 PICTURE = 512  # pixels along the longer side of each of the two pictures
 _GAP = 8
-_SCORES = ("score", "direction", "incidence", "mirror", "net", "asked", "support", "lost", "air")
+_SCORES = ("score", "direction", "incidence", "mirror", "net", "threshold", "support", "lost", "air")
 
 
 def document(audit: Audit | None, lint: Lint | None = None, *, unjudged: str = "") -> dict[str, Any]:

@@ -165,7 +165,7 @@ class Look(Scores):
     region: Region  # the directions, in the simplest form that fits
     shown: Tensor  # (K,) bool, the cameras that see the look
     amounts: Tensor  # (K,) how much of it each camera sees: about 0 none of it, about 1 all; 0 where no surface tells
-    asked: float  # drift beyond gloss from which it is called hidden
+    threshold: float  # drift beyond gloss from which it is called hidden
     lost: float  # share of the surface that the larger side sees well which the smaller side faces and does not see
     air: float  # share of the rays of the smaller side that end in one place, by that of the larger side
     area: float  # world units squared of the surface that changes
@@ -180,7 +180,7 @@ class Look(Scores):
     @property
     def evidence(self) -> float:
         """By which 1 is called hidden; at least 0."""
-        return self.support * max(self.net, 0.0) / self.asked
+        return self.support * max(self.net, 0.0) / self.threshold
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

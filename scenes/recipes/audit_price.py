@@ -2,7 +2,7 @@
 
 Every row is a splat that is audited and shown to detectors: its drift net of gloss, and how often they miss it. With
 TRIES the attacker searches on the object; without, all that he would try first and what is cheapest in FILE is
-reported on it. Rows are added to FILE; `docs/figures/audit_price.py` draws it.
+reported on it. Rows are added to FILE.
 """
 
 import csv

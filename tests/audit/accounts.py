@@ -25,7 +25,7 @@ def look(score: float = 0.05, *, above: float = 0.7) -> Look:
         incidence=score / 80,
         mirror=score / 40,
         net=100 * score * LIMITS.net,
-        asked=LIMITS.net,
+        threshold=LIMITS.net,
         lost=0.0,
         air=1.0,
         area=2.0,

@@ -63,7 +63,7 @@ def read_audit(folder: Path, record: Record) -> Section:
     views = record.get("views") or ()
     carried = f"{record['carrying']:,} of {record['gaussians']:,}"
     showing = f"{sum(view['contradicts'] for view in views)} of {len(views)}"
-    net, least = max(look["net"] for look in looks), looks[0]["asked"]
+    net, least = max(look["net"] for look in looks), looks[0]["threshold"]
     return Section(
         **shared,
         kind="audit of pictures" if views else "audit of a splat",
@@ -161,7 +161,7 @@ def _pictures(folder: Path, record: Record) -> Iterator[Picture]:
         looks = record["objects"][shown["object"]]["looks"]
         name = f"Object {shown['object'] + 1}" + (f", look {shown['look'] + 1}" if len(looks) > 1 else "")
         look = looks[shown["look"]]
-        proven = look["net"] / look["asked"] >= thresholds["suspicion"]
+        proven = look["net"] / look["threshold"] >= thresholds["suspicion"]
         caption = (
             f"{name}: the same surface, left from inside of the directions from which "
             f"{'the look shows' if proven else 'colours differ most'}, right from outside. The surface that both see "
