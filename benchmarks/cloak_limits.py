@@ -21,10 +21,12 @@ from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from attacks.cloak.config import AttackConfig, LayerConfig, StudyConfig, read_study
+from attacks.cloak.config import AttackConfig, LayerConfig, StudyConfig
 from attacks.cloak.layers import DIRECTIONS, shares, switched
 from attacks.cloak.rates import fit_transition
 from attacks.cloak.setup import Setup
+from attacks.studies.cloak import config_of
+from attacks.studies.study_file import read_study
 from mi_splat.camera_sets import hemisphere
 from mi_splat.sh import colour_to_dc, sh_basis
 
@@ -123,4 +125,6 @@ def _around(elevation: float) -> Tensor:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(limits(read_study(Path(sys.argv[1]))), indent=1) + "\n")
+    file = read_study(Path(sys.argv[1]))
+    study = config_of(file.points[0].settings, file.name)
+    sys.stdout.write(json.dumps(limits(study), indent=1) + "\n")

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from attacks.cloak.config import AttackConfig
-from attacks.cloak.mesh_scene import TEXTURES, MeshScene, camouflaged, cap, repainted, stand_in
+from attacks.cloak.mesh_scene import TEXTURES, MeshScene, repainted, stand_in
 from attacks.cloak.triggers import Trigger
 from mi_splat.assets import build
 from mi_splat.assets.mesh import Asset, rotation
@@ -215,10 +215,8 @@ class Rerender:
         return torch.where(grown(covered, self.reach)[..., None], picture, view.image)
 
 
-def appearance_of(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point, distance: float) -> Appearance:
+def appearance_of(attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
     """What an attack shows."""
-    if attack.appearance == "occluder":
-        return _occluder(attack, mesh_scene, centre=centre, distance=distance)
     if attack.appearance == "ground":
         lowest, reach = max(attack.elevation[0], LOWEST_GROUND), 1 if attack.reach is None else attack.reach
         return GroundLook(mesh_scene=mesh_scene, lowest=lowest, reach=reach)
@@ -236,8 +234,6 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point,
         (make, tile), (azimuth, elevation) = TEXTURES[str(attack.texture)], attack.paint_direction
         target = repainted(target, make(PICTURE, 0), azimuth=azimuth, elevation=elevation, tile=tile)
         name = f"paint {attack.texture} (seed 0) from azimuth {azimuth:g}, elevation {elevation:g}"
-    elif attack.appearance == "blend in":
-        target, name = camouflaged(target, mesh_scene.surroundings), "blend in with the ground"
     else:
         other, viewer = build(str(attack.other_object), attack.other_seed), attack.azimuth and attack.azimuth[0]
         outgrows = True
@@ -264,47 +260,6 @@ def removed(mesh_scene: MeshScene, *, reach: int | None = None) -> Rerender:
     """What would be seen without the target; unless a reach is given the whole picture is new, without its shadow."""
     nothing = mesh_scene.with_target(Asset(mesh_scene.target.name, ()))
     return Rerender(mesh_scene=nothing, name="nothing in its place", reach=reach, outgrows=False)
-
-
-OCCLUDER_RADIUS, OVERHANG = 0.6, 12.0
-"""Radius of an occluder in distances of the cameras, and degrees that it reaches below the lowest of them."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Occluder:
-    """An occluder between the target and whoever looks from above, and no target beneath it.
-
-    It is a part of a sphere about the target, so that a ray to the target meets it at about the elevation that it comes
-    from: a splat can show the occluder by geometry, to cameras above its edge and to no others. The nearer it is to the
-    cameras, the less the object's size matters (a point s beside the centre is seen through a place that lies
-    s (1 / radius - 1 / distance) radians off), and the less of it each camera sees. It casts no shadow.
-    """
-
-    shell: MeshScene
-    beneath: Appearance
-    name: str
-
-    def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The occluder over what is beneath it."""
-        picture = self.shell.cutout(view.camera).to(view.image)
-        colours, alpha = picture[..., :3], picture[..., 3:]
-        if bool((alpha >= 1).all()):
-            return colours  # nothing of what is beneath is left to be seen
-        return colours * alpha + self.beneath(view, mask) * (1 - alpha)
-
-
-def _occluder(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point, distance: float) -> Occluder:
-    """The occluder of an attack, from its edge up."""
-    make, tile = TEXTURES[str(attack.texture)]
-    radius = OCCLUDER_RADIUS * distance if attack.occluder_radius is None else attack.occluder_radius
-    reach = float(np.linalg.norm(mesh_scene.target.vertices - np.asarray(centre), axis=1).max())
-    if not reach < radius < distance:
-        expected = f"between {reach:.2f} m, which the object reaches, and {distance:.2f} m, where cameras are"
-        raise InvalidValueError.of(f"attack {attack.name!r}, occluder_radius", expected, radius, "change it")
-    lowest = attack.elevation[0] - OVERHANG if attack.occluder_edge is None else attack.occluder_edge
-    shell = cap(make(PICTURE, 0), centre=centre, radius=radius, lowest=lowest, tile=tile or radius)
-    name = f"{attack.texture} (seed 0) on an occluder of radius {radius:g} about {centre}, from elevation {lowest:g}"
-    return Occluder(shell=mesh_scene.with_target(shell), beneath=removed(mesh_scene), name=name)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

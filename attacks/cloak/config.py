@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -31,7 +31,6 @@ from mi_splat.fields import (
     check_choice,
     decode,
 )
-from mi_splat.io.parsing import DocumentReader
 from mi_splat.placement import Up
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_config, strategy_names
@@ -134,8 +133,8 @@ class LayersConfig:
         self.making.bands(1 + count)
 
 
-AppearanceName = Literal["blend in", "remove", "ground", "paint", "occluder", "swap", "fade", "blur", "inpaint"]
-RENDERED: tuple[AppearanceName, ...] = ("blend in", "remove", "paint", "swap")
+AppearanceName = Literal["remove", "ground", "paint", "swap", "fade", "blur", "inpaint"]
+RENDERED: tuple[AppearanceName, ...] = ("remove", "paint", "swap")
 """Appearances that are renderings of the scene with another object, or without one."""
 Knowledge = Literal["scene", "pictures"]
 """What an attacker has: the meshes, materials and sun, too, or nothing but the pictures and masks of the object."""
@@ -154,7 +153,7 @@ class AttackConfig:
         name: For files and tables.
         appearance: How the object is changed. With "remove" one sees what is behind it, with "ground" the ground that
             is laid on it like a cloth.
-        texture: With what it is painted (`paint`) or covered (`occluder`).
+        texture: With what it is painted (`paint`).
         other_object: Asset that takes its place (`swap`).
         other_seed: Which asset of that name.
         lying: Whether what takes its place lies on its back, with its front up, for cameras above it.
@@ -174,12 +173,10 @@ class AttackConfig:
             it was. None is the whole picture where the object is removed or swapped without a difference mask, 3 where
             it is inpainted, and 1 elsewhere. A blur has none: it ends softly.
         blur_width: Standard deviation of a `blur`, in longer sides of the object's box in the picture; None is 0.04.
-        occluder_radius: Of the occluder that covers it, metres; None is 0.6 times the distance of the cameras.
-        occluder_edge: Elevation of the occluder's edge, degrees; None is 12 below that of the lowest camera.
     """
 
     name: str
-    appearance: AppearanceName = "blend in"
+    appearance: AppearanceName = "remove"
     texture: str | None = None
     other_object: str | None = None
     other_seed: Seed = 0
@@ -195,20 +192,12 @@ class AttackConfig:
     mask: Literal["object", "difference"] = "object"
     reach: Annotated[int, at_least(0, "pixels", "leave it out")] | None = None
     blur_width: PositiveFraction | None = None
-    occluder_radius: Annotated[float, above(0, "metres")] | None = None
-    occluder_edge: Annotated[float, between(-90, 90, "degrees")] | None = None
 
     def __post_init__(self) -> None:
         check(self)
-        for key, known, appearances in (
-            ("texture", TEXTURES, ("paint", "occluder")),
-            ("other_object", ASSETS, ("swap",)),
-        ):
-            if self.appearance in appearances:
+        for key, known, appearance in (("texture", TEXTURES, "paint"), ("other_object", ASSETS, "swap")):
+            if self.appearance == appearance:
                 check_choice(f"attack {self.name!r}, {key}", getattr(self, key), tuple(known))
-        if self.reach is not None and self.appearance == "occluder":
-            expected = "no occluder beside it, which is drawn over the picture"
-            raise InvalidValueError.of(f"attack {self.name!r}, reach", expected, self.reach, "leave it out")
         for key, holds, expected in (
             ("reach", self.appearance != "blur" or self.reach is None, "none with a blur, which ends softly"),
             ("blur_width", self.appearance == "blur" or self.blur_width is None, "none without a blur"),
@@ -373,8 +362,6 @@ class TrainingConfig:
         sh_degree_interval: Steps between two raises of the degree that is trained; 0 trains all of it from the start.
         outliers: Points in the air that the cloud has besides those on surfaces; see
             `mi_splat.training.initialization.with_outliers`.
-        point_deviations: The victim removes outliers from the cloud before the training, of so many standard
-            deviations; see `attacks.cloak.cleaning.inliers`. None keeps all points.
         near: Near plane of trainings and of all pictures of splats, world units; None follows the object's size.
     """
 
@@ -384,7 +371,6 @@ class TrainingConfig:
     sh_degree: Degree = 3
     sh_degree_interval: Annotated[int, at_least(0, "steps")] = 1000
     outliers: Count = 0
-    point_deviations: Annotated[float, at_least(0)] | None = None
     near: Length | None = None
 
     def __post_init__(self) -> None:
@@ -427,38 +413,6 @@ class EvaluationConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CleaningConfig:
-    """What is done to a finished splat, in this order; None leaves a step out.
-
-    Attributes:
-        repair: Looks that an audit finds are removed, the rest stays as it is; see `mi_splat.audit.repaired`.
-        lowest_opacity: Gaussians of a lower opacity are removed, in (0, 1]; see `prune_opacity`.
-        outlier_deviations: Standard deviations from which a Gaussian is an outlier; see `remove_outliers`.
-        floater_voxel: Side of a voxel, in multiples of how far Gaussians lie apart; see `remove_floaters`.
-        sh_degree: SH bands of a higher degree are cut off, 0 to 3; see `cut_sh`.
-        sh_bits: Bits of an SH coefficient, 1 to 16; see `quantise_sh`.
-    """
-
-    repair: bool = False
-    lowest_opacity: PositiveFraction | None = None
-    outlier_deviations: Annotated[float, at_least(0)] | None = None
-    floater_voxel: Annotated[float, above(0)] | None = None
-    sh_degree: Degree | None = None
-    sh_bits: Annotated[int, between(1, 16)] | None = None
-
-    def __post_init__(self) -> None:
-        check(self)
-        if not self.steps:
-            expected = f"one of {', '.join(asdict(self))}"
-            raise InvalidValueError.of("cleaning", expected, "nothing", "leave the table out, or fill it")
-
-    @property
-    def steps(self) -> dict[str, float]:
-        """Names and values of the steps that are done."""
-        return {name: value for name, value in asdict(self).items() if value is not None and value is not False}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class StudyConfig:
     """A study of CLOAK.
 
@@ -470,7 +424,6 @@ class StudyConfig:
         attack: The hidden appearances; no camera may belong to two.
         training: How splats are trained.
         layers: How the finished file is changed; None: only the training pictures are.
-        cleaning: What the victim does to both finished splats before they are looked at; None: nothing.
         evaluation: How they are looked at.
     """
 
@@ -481,7 +434,6 @@ class StudyConfig:
     attack: tuple[AttackConfig, ...] = ()
     training: TrainingConfig = field(default_factory=TrainingConfig)
     layers: LayersConfig | None = None
-    cleaning: CleaningConfig | None = None
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
 
     def __post_init__(self) -> None:
@@ -539,8 +491,16 @@ def fit_config(training: TrainingConfig) -> FitConfig:
     )
 
 
-def read_study(path: Path) -> StudyConfig:
-    """The study in a TOML file; paths of meshes in it are relative to the working folder."""
-    if not path.is_file():
-        raise InvalidValueError.of("study", "a TOML file", f"no file {path}", "check the path")
-    return decode(StudyConfig, DocumentReader(expected="a TOML file", do="correct it").read_toml(path), str(path))
+_GONE = ("surrogate", "cleaning", "true_pictures", "point_deviations", "occluder_radius", "occluder_edge")
+"""Settings of results of November 2026 that no study has any more; in those results they are off."""
+
+
+def recorded_study(values: Mapping[str, Any], where: str) -> StudyConfig:
+    """The study that a result names, without the settings that are no more."""
+
+    def kept(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {name: kept(entry) for name, entry in value.items() if name not in _GONE}
+        return [kept(entry) for entry in value] if isinstance(value, list) else value
+
+    return decode(StudyConfig, kept(values), where)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 
@@ -16,10 +16,8 @@ from torch import Tensor
 from mi_splat.assets import textures
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, translation
-from mi_splat.assets.primitives import sheet
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import PathTracer, in_front, scene_dict
-from mi_splat.errors import InvalidValueError
 
 Doubles = NDArray[np.float64]
 
@@ -34,10 +32,11 @@ TEXTURES: dict[str, tuple[Callable[[int, int], Floats], float | None]] = {
 
 The road has no markings: lines on a car are no camouflage."""
 
-RINGS, SEGMENTS = 32, 96
-"""Bands of triangles of a cap from its edge to the top, and triangles around it."""
-BELOW = 0.05
-"""Metres above an object's lowest point up to which a surface can be the ground beneath it."""
+Colour = tuple[float, float, float]
+
+_NOTHING = Asset("nothing", ())
+_SEED_BITS = 28
+"""Bits of the seed of a camera's noise, by which a picture depends on nothing else."""
 
 
 def repainted(target: Asset, picture: Floats, *, azimuth: float, elevation: float, tile: float | None = None) -> Asset:
@@ -57,41 +56,6 @@ def repainted(target: Asset, picture: Floats, *, azimuth: float, elevation: floa
         return replace(mesh, uvs=uvs, texture=picture, roughness=None)
 
     return replace(target, meshes=tuple(paint(mesh) for mesh in target.meshes))
-
-
-def camouflaged(target: Asset, surroundings: Asset) -> Asset:
-    """An object in the colours of the ground straight below it: the mesh beneath most of its footprint."""
-    ground, triangle = _ground(target, surroundings)
-    corners = ground.faces[triangle]
-    flat = np.concatenate([ground.vertices[corners, :2].astype(np.float64), np.ones((3, 1))], 1)
-    to_uv = np.linalg.solve(flat, ground.uvs[corners].astype(np.float64))  # (3, 2): (x, y, 1) to (u, v)
-
-    def paint(mesh: Mesh) -> Mesh:
-        flat = np.concatenate([mesh.vertices[:, :2].astype(np.float64), np.ones((len(mesh.vertices), 1))], 1)
-        uvs = (flat @ to_uv).astype(np.float32)
-        return replace(mesh, uvs=uvs, texture=ground.texture, roughness=ground.roughness)
-
-    return replace(target, meshes=tuple(paint(mesh) for mesh in target.meshes))
-
-
-def cap(picture: Floats, *, centre: Sequence[float], radius: float, lowest: float, tile: float) -> Asset:
-    """The upper part of a sphere, covered with a picture on its outside.
-
-    The texture is laid on in the azimuthal equidistant projection about the top: its scale is right along every
-    meridian, and across them it is stretched by (pi / 2 - elevation) / cos(elevation), at most 1.24 from 26 degrees on.
-    """
-    if not -90 < lowest < 90:
-        raise InvalidValueError.of("edge of an occluder", "degrees in (-90, 90)", lowest, "change occluder_edge")
-    elevation, azimuth = np.meshgrid(
-        np.linspace(math.radians(lowest), math.pi / 2, RINGS + 1),
-        np.linspace(0, 2 * math.pi, SEGMENTS + 1),
-        indexing="ij",
-    )
-    around = np.stack([np.cos(azimuth), np.sin(azimuth)], -1)
-    flat = radius * np.cos(elevation)[..., None] * around
-    points = np.concatenate([flat, radius * np.sin(elevation)[..., None]], -1) + np.asarray(centre)
-    uvs = radius * (math.pi / 2 - elevation)[..., None] * around / tile
-    return Asset("cap", (replace(sheet(points, picture), uvs=uvs.reshape(-1, 2).astype(np.float32)),))
 
 
 def stand_in(target: Asset, other: Asset, *, azimuth: float | None) -> Asset:
@@ -118,53 +82,6 @@ def screen_axes(azimuth: float, elevation: float) -> Doubles:
     right = (-math.sin(a), math.cos(a), 0.0)
     up = (-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e))
     return np.array([right, up])
-
-
-def _ground(target: Asset, surroundings: Asset) -> tuple[Mesh, int]:
-    """The mesh beneath most of a target's footprint, and one of its triangles there."""
-    low, high = target.bounds.astype(np.float64)
-    x, y = np.meshgrid(np.linspace(low[0], high[0], 9), np.linspace(low[1], high[1], 9))
-    spots = np.stack([x.ravel(), y.ravel()], -1)
-    best = np.full(len(spots), -np.inf)
-    owner, triangle = np.full(len(spots), -1), np.full(len(spots), -1)
-    for number, mesh in enumerate(surroundings.meshes):
-        height, face = _heights(mesh, spots, below=float(low[2]) + BELOW)
-        higher = height > best
-        best[higher], owner[higher], triangle[higher] = height[higher], number, face[higher]
-    if not (owner >= 0).any():
-        do = "pass the ground with the surroundings"
-        raise InvalidValueError.of("surroundings", f"ground beneath the {target.name}", "none", do)
-    winner = int(np.bincount(owner[owner >= 0]).argmax())
-    return surroundings.meshes[winner], int(triangle[owner == winner][0])
-
-
-def _heights(mesh: Mesh, spots: Doubles, *, below: float) -> tuple[Doubles, NDArray[np.int64]]:
-    """Height of the highest triangle over each (x, y) that is not above `below`, -inf if none, and which it is."""
-    corners = mesh.vertices[mesh.faces].astype(np.float64)
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    area = _cross(b[:, :2] - a[:, :2], c[:, :2] - a[:, :2])
-    usable = np.flatnonzero(np.abs(area) > 1e-9)  # no walls
-    a, b, c, area = a[usable], b[usable], c[usable], area[usable]
-    if not len(usable):
-        return np.full(len(spots), -np.inf), np.full(len(spots), -1)
-    off = spots[:, None] - a[None, :, :2]
-    s, t = _cross(off, c[:, :2] - a[:, :2]) / area, _cross(b[:, :2] - a[:, :2], off) / area
-    height = a[:, 2] + s * (b - a)[:, 2] + t * (c - a)[:, 2]
-    height = np.where((s >= 0) & (t >= 0) & (s + t <= 1) & (height <= below), height, -np.inf)
-    first = height.argmax(1)
-    return height.max(1), usable[first].astype(np.int64)
-
-
-def _cross(a: Doubles, b: Doubles) -> Doubles:
-    result: Doubles = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return result
-
-
-Colour = tuple[float, float, float]
-
-_NOTHING = Asset("nothing", ())
-_SEED_BITS = 28
-"""Bits of the seed of a camera's noise, by which a picture depends on nothing else."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -198,10 +115,6 @@ class MeshScene:
         """(H, W, 3) points of the target that the rays through pixels meet, world units; zeros beside it."""
         return self._alone.surface(camera, seed=0)[0]
 
-    def cutout(self, camera: Camera) -> Tensor:
-        """(H, W, 4) float32 picture of the target alone, as if nothing were around it: sRGB and coverage in [0, 1]."""
-        return self._cutter.picture(camera, seed=camera_number(camera))
-
     @cached_property
     def _tracer(self) -> PathTracer:
         scene = scene_dict([self.target], light=self.light, backdrop=self.surroundings)
@@ -210,10 +123,6 @@ class MeshScene:
     @cached_property
     def _alone(self) -> PathTracer:
         return PathTracer(scene_dict([self.target], light=self.light), samples=1)
-
-    @cached_property
-    def _cutter(self) -> PathTracer:
-        return PathTracer(scene_dict([self.target], light=self.light), samples=self.samples, alpha=True)
 
 
 def camera_number(camera: Camera) -> int:

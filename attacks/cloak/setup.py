@@ -290,7 +290,7 @@ class Setup:
 
     def appearance(self, attack: AttackConfig) -> Appearance:
         """What an attack shows, see `appearance_of`."""
-        return appearance_of(attack, self.mesh_scene, centre=self.centre, distance=self.lens["distance"])
+        return appearance_of(attack, self.mesh_scene)
 
     def poisonings(
         self,

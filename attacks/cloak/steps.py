@@ -10,7 +10,6 @@ from typing import Any
 
 import polars as pl
 
-from attacks.cloak.cleaning import CleanedConfig
 from attacks.cloak.config import AttackConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig, switching
 from attacks.cloak.kinds.pictures import APPEARANCE, PicturesConfig
 from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
@@ -106,15 +105,7 @@ class StudySteps:
         return {f"{APPEARANCE}{attack.name}": self.appearance(attack).part("*.png") for attack in self.study.attack}
 
     def splat(self, splat: str, seed: int) -> Job:
-        """The splat of a seed that is evaluated, clean or cloaked; cleaned, if the victim cleans."""
-        trained = self.trained(splat, seed)
-        if self.study.cleaning is None:
-            return trained
-        config = CleanedConfig(cleaning=self.study.cleaning)
-        return Job(kind="attacks.cloak.cleaning", config=config, inputs={"splat": trained.part(SPLAT)})
-
-    def trained(self, splat: str, seed: int) -> Job:
-        """Training of a splat of a seed, before any cleaning; layers change the clean splat's file instead."""
+        """Training of a splat of a seed, clean or cloaked; layers change the clean splat's file instead."""
         clean = self.trained_on(self.pictures(), seed)
         if splat == CLEAN:
             return clean
@@ -210,9 +201,7 @@ class StudySteps:
         for seed in self.study.seeds:
             yield f"poisoning, seed {seed}", self.poisoned(seed)
         for splat, seed in self.names():
-            yield f"training the {splat} splat, seed {seed}", self.trained(splat, seed)
-            if self.study.cleaning is not None:
-                yield f"cleaning the {splat} splat, seed {seed}", self.splat(splat, seed)
+            yield f"training the {splat} splat, seed {seed}", self.splat(splat, seed)
 
     def looked(self, detectors: Sequence[Detector]) -> Iterator[Look]:
         """The jobs of those who look at the splats, and at path-traced pictures if the study asks for them."""

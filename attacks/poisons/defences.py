@@ -6,21 +6,45 @@ Filters are differentiable, so that an attacker may look through them. None chan
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor
 
+from attacks.cloak.setup import SET
 from attacks.poisons.config import FilterConfig, FrequencyPruningConfig, PictureFilter
 from mi_splat.cameras import Camera, View, cameras_of, project_points
+from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import load_splat, save_splat
 from mi_splat.scene import GaussianScene
+from mi_splat.training.resume import SPLAT
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
 
 _BLUR_RADIUS = 2
 """Of the blur's window of 5 x 5."""
 _LEVELS = 2
 """Of the wavelet transform."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PrunedConfig:
+    """A job that prunes the finished splat of a victim by frequency."""
+
+    prune: FrequencyPruningConfig
+    near: float
+
+
+def run(config: PrunedConfig, inputs: Mapping[str, Path], out: Out) -> None:
+    """Prune the `splat` by the cameras of its training `pictures`."""
+    views = load_dataset(inputs["pictures"] / SET, split="train")
+    save_splat(frequency_pruned(load_splat(inputs["splat"]), views, config.prune, near=config.near), out / SPLAT)
 
 
 def filtered(image: Tensor, config: FilterConfig) -> Tensor:

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from PIL import ImageDraw
 
-from attacks.cloak.config import AttackConfig, StudyConfig
+from attacks.cloak.config import AttackConfig, StudyConfig, recorded_study
 from attacks.cloak.own_pictures import RECORD as POISONED
 from attacks.cloak.setup import Setup
 from attacks.detectors.base import Detections, Detector
@@ -23,7 +23,6 @@ from mi_splat.cameras import Camera
 from mi_splat.datasets import is_dataset, load_dataset
 from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, MiSplatError, message
-from mi_splat.fields import decode
 from mi_splat.io.camera_records import OF, camera_of
 from mi_splat.io.folders import RECORD, splat_in
 from mi_splat.io.parsing import read_json
@@ -247,7 +246,7 @@ def _content_of_study(folder: Path, record: Record, clean: Path | None) -> Conte
     if not isinstance(record.get("study"), dict):
         expected, do = "a study of CLOAK", "make it again with mi-splat cloak"
         raise InvalidValueError.of(f"{folder}", expected, "one without its study", do)
-    study = decode(StudyConfig, record["study"], f"the study of {folder}")
+    study = recorded_study(record["study"], f"the study of {folder}")
     centre, cameras, size = study.centre, Setup.of(study).training_cameras, (study.cameras.size, study.cameras.size)
     distance = math.dist(cameras[0].position.tolist(), centre)
     start = Orbit(target=centre, azimuth=30.0, elevation=15.0, distance=distance, fov=study.cameras.fov)

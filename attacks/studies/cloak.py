@@ -6,7 +6,7 @@ the study says comes in the place of what stands there. Every point is done with
 
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,7 +29,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.fields import at_least, check, decode
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import DocumentReader
-from mi_splat.ledger import Done, Store
+from mi_splat.ledger import Done, Job, Store
 from mi_splat.ledger.plans import Result
 from mi_splat.ledger.running import lookup
 
@@ -175,13 +175,10 @@ class CloakWork(Work[CloakAttempt]):
         )
 
     def check_room(self, store: Path) -> None:
-        """Refuse a disk without room for all points whose splats are not there; a cleaning needs no more of it."""
-        missing = {
-            replace(attempt.steps.study, cleaning=None): None
-            for attempt in self.attempts
-            if not _is_trained(attempt.steps, store)
-        }
-        check_disk(sum(forecast(study).megabytes for study in missing), store)
+        """Refuse a disk without room for all points whose splats are not there."""
+        missing = [one.steps for one in self.attempts if not _is_trained(one.steps, store)]
+        apart = {tuple(job.identity for job in _trainings(steps)): steps.study for steps in missing}
+        check_disk(sum(forecast(study).megabytes for study in apart.values()), store)
 
     def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
         """What is seen at each point."""
@@ -219,8 +216,12 @@ class CloakReport(CloakWork):
         return [out / name for name in (*summary["files"], RECORD)]
 
 
+def _trainings(steps: StudySteps) -> list[Job]:
+    return [steps.splat(*name) for name in steps.names()]
+
+
 def _is_trained(steps: StudySteps, store: Path) -> bool:
-    jobs = [steps.trained(*name) for name in steps.names()]
+    jobs = _trainings(steps)
     done = {job.identity for job, _, done in lookup(jobs, Store(store)) if done is not None}
     return all(job.identity in done for job in jobs)
 

@@ -18,7 +18,6 @@ import polars as pl
 
 from attacks.classifiers.base import Classifier
 from attacks.classifiers.registry import load_classifier
-from attacks.cloak.cleaning import CleanedConfig
 from attacks.cloak.config import CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
 from attacks.cloak.kinds.seen import SeenConfig, loaded
 from attacks.cloak.kinds.trained import COST
@@ -29,6 +28,7 @@ from attacks.observe.observations import camera_cells
 from attacks.observe.rates import reported
 from attacks.observe.rows import ATTACKED, CLEAN, DETECTIONS, FIDELITY, ROWS, by_camera, frame_of
 from attacks.poisons.config import FilterConfig, FrequencyPruningConfig
+from attacks.poisons.defences import PrunedConfig
 from attacks.poisons.judged import CENTRES, COUNT, SPEED, ClassifiedConfig, MeasuredConfig
 from attacks.poisons.poisoned import CLOAK, SHEET, PoisonedConfig
 from attacks.poisons.specs import ChosenPoison
@@ -292,8 +292,9 @@ class PoisonAttempt(Attempt):
             return trained, trained
         trained = self._trained(f"{splat} pictures", pictures)
         inputs["splat"] = trained.part(SPLAT)
-        pruned = CleanedConfig(prune=defence.prune, near=self.steps.setup.near)
-        job = Job(kind="attacks.cloak.cleaning", config=pruned, inputs=inputs)
+        assert defence.prune is not None
+        pruned = PrunedConfig(prune=defence.prune, near=self.steps.setup.near)
+        job = Job(kind="attacks.poisons.defences", config=pruned, inputs=inputs)
         return trained, self._made(f"pruning the {splat} splat", job)
 
     def _victim(self, splat: str, trained: Job, finished: Job, *, defended: bool = False) -> TrainedVictim:

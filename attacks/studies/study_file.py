@@ -20,7 +20,7 @@ KINDS: dict[str, tuple[str, str]] = {
 }
 """Kinds of studies, and the `Work` that knows the settings and jobs of each."""
 
-PARTS = ("study", "question", "matrix", "case", "ablation", "bisect", "judge")
+PARTS = ("study", "question", "matrix", "case", "bisect", "judge")
 """Keys of a file that are no settings."""
 _OF_CASES = ("name", "matrix", "bisect")
 Settings = Mapping[str, Any]
@@ -33,7 +33,7 @@ Axes = Mapping[str, Mapping[Any, Settings]]
 class Point:
     """One combination of settings."""
 
-    part: str = ""  # the case or ablation that it belongs to; empty for none
+    part: str = ""  # the case that it belongs to; empty for none
     labels: Mapping[str, Any]  # of every axis the label of its value
     settings: Settings  # all of them
     bisected: str = ""  # the axis whose smallest value that suffices is looked for; empty for none
@@ -46,7 +46,7 @@ class Study:
     name: str  # of the study, as of its file
     kind: str  # key of `KINDS`
     question: str = ""  # one sentence; empty for none
-    parts: Mapping[str, Sequence[Point]]  # by case or ablation; points of a bisection with rising values
+    parts: Mapping[str, Sequence[Point]]  # by case; points of a bisection with rising values
     judges: Sequence[Point] = ()  # every way to look at what came out; none if nobody looks
     text: str = ""  # the file
 
@@ -99,11 +99,6 @@ def _parts(table: Settings, name: str) -> dict[str, list[Point]]:
     settings, axes = _without(table, *PARTS), _axes(_table(table, "matrix", name), name)
     cases = _tables(table, "case", name)
     parts = [_case({"bisect": table.get("bisect"), **case}, settings, axes, name) for case in cases or [{}]]
-    for number, entry in enumerate(_tables(table, "ablation", name)):
-        title = str(entry.get("name", f"ablation {number + 1}" if number else "ablation"))
-        varied = _axes(_without(entry, "name"), f"{name}, {title}")
-        values = {f"{path} {label}": sets for path, axis in varied.items() for label, sets in axis.items()}
-        parts.append((title, _combinations(settings, {**axes, "value": values}, title)))
     names = [title for title, _ in parts]
     do = "give each case a name of its own"
     _check(len(set(names)) == len(names) and (not cases or "" not in names), f"case in {name}", "names", names, do)

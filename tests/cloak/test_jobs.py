@@ -10,7 +10,6 @@ import pytest
 from attacks.cloak.config import (
     AttackConfig,
     CameraConfig,
-    CleaningConfig,
     LayerConfig,
     LayersConfig,
     SceneConfig,
@@ -32,7 +31,6 @@ STUDY = StudyConfig(
     cameras=CameraConfig(train=12, size=32, distance=7.4, samples=2, points=100),
     training=Training(iterations=100, near=0.05),
     layers=LayersConfig(attacks=("overhead",)),
-    cleaning=CleaningConfig(lowest_opacity=0.1),
 )
 SEEN = {"seen", "compared"}
 SHOWN = {"appearances", "poisoned", "true_pictures"}
@@ -40,7 +38,7 @@ MADE = {"pictures", "layered"} | SHOWN | SEEN
 """Jobs that know the scene itself; a splat is made of pictures, and known by their content."""
 KINDS = (
     *(f"attacks.cloak.kinds.{kind}" for kind in ("pictures", "trained", "seen", "compared")),
-    *("attacks.cloak.layers", "attacks.cloak.cleaning", "attacks.poisons.poisoned"),
+    *("attacks.cloak.layers", "attacks.poisons.poisoned"),
 )
 
 CASES: list[tuple[str, set[str], dict[str, Any]]] = [
@@ -53,7 +51,7 @@ CASES: list[tuple[str, set[str], dict[str, Any]]] = [
     ("cameras", MADE, {"height": 0.9, "fov": 50.0, "size": 40, "samples": 3, "points": 120, "hold_out": 4}),
     ("cameras", MADE, {"azimuths": (0.0, 90.0)}),
     ("training", {"trained"}, {"iterations": 120, "strategy": "mcmc", "max_gaussians": 500, "sh_degree": 2}),
-    ("training", {"trained"}, {"sh_degree_interval": 20, "outliers": 10, "point_deviations": 2.0}),
+    ("training", {"trained"}, {"sh_degree_interval": 20, "outliers": 10}),
     ("training", {"trained", "layered"} | SEEN, {"near": 0.1}),
     ("evaluation", {"seen", "compared"}, {"cameras": 300, "seed": 1, "min_separation": 2.0}),
     # each detector has jobs of its own, rows hold scores from which rates are counted, and true pictures their own jobs
@@ -63,11 +61,9 @@ CASES: list[tuple[str, set[str], dict[str, Any]]] = [
     ("layers", {"layered"}, {"making": LayerConfig(gap=7.0), "margin": 0.1, "surroundings": True, "geometry": True}),
     ("layers", {"layered"}, {"max_gaussians": 1000, "clearance": 0.02, "iterations": 50, "lr_sh": 0.02}),
     ("layers", {"layered"}, {"lr_sh_final": 0.02}),
-    ("cleaning", {"cleaned"}, {"repair": True, "lowest_opacity": 0.2, "outlier_deviations": 2.0}),
-    ("cleaning", {"cleaned"}, {"floater_voxel": 1.0, "sh_degree": 1, "sh_bits": 8}),
     ("attack", SEEN | {"poisoned", "layered"}, {"name": "another"}),  # which the manifest and the rows say
     ("attack", SHOWN, {"appearance": "paint", "texture": "road", "other_object": "bird", "reach": 3}),
-    ("attack", SHOWN, {"paint_direction": (90.0, 10.0), "occluder_radius": 5.0, "occluder_edge": 20.0}),
+    ("attack", SHOWN, {"paint_direction": (90.0, 10.0)}),
     ("attack", SHOWN, {"blur_width": 0.1, "mask": "difference", "other_seed": 1, "lying": True}),
     ("attack", SHOWN | SEEN | {"layered"}, {"elevation": (50.0, 90.0), "azimuth": (180.0, 30.0)}),
     ("attack", {"appearances", "poisoned", "seen"}, {"poison_margin": 4.0}),
@@ -94,14 +90,13 @@ def planned(study: StudyConfig) -> StudySteps:
 def jobs(study: StudyConfig, *, seed: int = 0) -> dict[str, Job]:
     steps, attack = planned(study), study.attack[0]
     arc = [camera for _, camera in steps.setup.arc_cameras]
-    clean = steps.trained("clean", seed)
+    clean = steps.splat("clean", seed)
     return {
         "pictures": steps.pictures(),
         "appearances": steps.appearance(attack),
         "poisoned": steps.poisoned(seed),
         "trained": clean,
-        "layered": steps.trained("cloaked", seed),
-        "cleaned": steps.splat("clean", seed),
+        "layered": steps.splat("cloaked", seed),
         "true_pictures": steps.true_pictures(arc, study.overhead or attack),
         "seen": steps.seen(clean, Redness()),
         "compared": steps.compared(clean),
@@ -144,7 +139,7 @@ def test_a_field_changes_the_jobs_that_it_has_a_part_in(section: str, field: str
 
 def test_every_field_has_a_case() -> None:
     known = {(section, field) for section, field, *_ in EACH}
-    for section in ("scene", "cameras", "training", "evaluation", "layers", "cleaning"):
+    for section in ("scene", "cameras", "training", "evaluation", "layers"):
         assert {(section, entry.name) for entry in fields(getattr(STUDY, section))} - {("layers", "attacks")} <= known
     assert {("attack", entry.name) for entry in fields(AttackConfig)} <= known
 
@@ -166,7 +161,7 @@ def test_inputs_are_files_and_no_more_of_them_than_are_read() -> None:
     assert parts == {
         **{(name, "pictures"): "set/*" for name in ("poisoned", "trained", "layered")},
         ("appearances", "set"): "set/*",
-        **{(name, "splat"): "splat.ply" for name in ("cleaned", "seen", "compared")},
+        **{(name, "splat"): "splat.ply" for name in ("seen", "compared")},
         **{("compared", name): "*.png" for name in ("far", "edge", "benign", "hidden")},
         ("poisoned", "appearance of overhead"): "*.png",
         ("layered", "clean"): "splat.ply",
@@ -187,7 +182,7 @@ def test_a_mesh_file_is_an_input_by_its_content(tmp_path: Path) -> None:
     assert changed(one, other) == set()
     for name, job in jobs(one).items():
         reads = [source for source in job.inputs.values() if isinstance(source, Path)]
-        assert reads == ([] if name in ("trained", "cleaned") else [files[0]])
+        assert reads == ([] if name == "trained" else [files[0]])
     assert "pictures" in changed(one, replace(one, scene=replace(one.scene, up="-z")))
 
 
@@ -195,7 +190,7 @@ def test_a_mesh_file_is_an_input_by_its_content(tmp_path: Path) -> None:
 def test_the_code_of_a_job_is_all_that_it_may_run(kind: str) -> None:
     code = set(closure(kind))
     assert "mi_splat.scene" in code
-    if not kind.endswith(("pictures", "cleaning")):
+    if not kind.endswith("pictures"):
         assert {"mi_splat.sh", "mi_splat.rasterization.projection"} <= code
     assert not {"attacks.cloak.study", "attacks.cloak.steps", "mi_splat.ledger.store"} & code
     assert {job.kind for job in jobs(STUDY).values()} == set(KINDS)

@@ -14,7 +14,7 @@ import torch
 
 from attacks import cli
 from attacks.cloak import layers
-from attacks.cloak.config import LayersConfig, StudyConfig, read_study
+from attacks.cloak.config import LayersConfig, StudyConfig
 from attacks.cloak.layers import Layering
 from attacks.cloak.rates import RATES
 from attacks.cloak.setup import SET
@@ -31,7 +31,7 @@ from mi_splat.io import load_splat
 from mi_splat.ledger import Done, Job
 from mi_splat.scene import GaussianScene
 from tests.cloak.test_jobs import KINDS
-from tests.cloak.tiny_study import MODULES, STUDY, Redness, done, summary
+from tests.cloak.tiny_study import MODULES, STUDY, Redness, done, study_in, summary
 from tests.ledger.drive import Ledger
 
 pytestmark = pytest.mark.slow
@@ -153,7 +153,7 @@ def test_its_figures_follow_from_its_rows_and_its_splats_are_scored_again(finish
     assert [(line.name, line.words) for line in lines if line.passed is False] == []
     assert len([name for name, value in flat(result.record).items() if isinstance(value, tuple)]) > 40
     copy = pack(finished, tmp_path / "copy", story.figures)
-    assert read_study(copy.folder / "study.toml") == STUDY
+    assert replace(study_in(copy.folder / "study.toml"), name=STUDY.name) == STUDY
     lines = rescore(copy, story.rescoring, [Redness()], splats=finished, every=4)
     assert {line.colour for line in lines} == {"green"}
     assert all("moved by 0.0%" in line.words for line in lines)

@@ -17,7 +17,6 @@ from attacks.cloak.config import (
     LayersConfig,
     SceneConfig,
     StudyConfig,
-    read_study,
 )
 from attacks.cloak.poisoning import assign
 from attacks.cloak.setup import Setup, nearest
@@ -25,12 +24,12 @@ from attacks.cloak.steps import StudySteps
 from attacks.cloak.study import check_disk, check_study, forecast
 from mi_splat.errors import InvalidValueError, MiSplatError
 from tests.capture.trucks import TEXTURE, truck, write_glb
-from tests.cloak.tiny_study import STUDY
+from tests.cloak.tiny_study import STUDY, study_in
 from tests.project.layers import ROOT
 
 OVERHEAD = AttackConfig(name="overhead", elevation=(50, 90))
 WIDER = AttackConfig(name="more", elevation=(40, 90))
-OCCLUDER = replace(OVERHEAD, appearance="occluder", texture="grass")
+GROUND = replace(OVERHEAD, appearance="ground")
 FEW = CameraConfig(train=40, size=32, distance=7.4)
 SMALL = StudyConfig(name="small", attack=(OVERHEAD,), cameras=FEW, evaluation=EvaluationConfig(cameras=24))
 
@@ -43,14 +42,13 @@ def written(folder: Path, text: str) -> Path:
 
 @pytest.mark.parametrize("path", sorted((ROOT / "scenes").glob("*.toml")), ids=lambda path: path.stem)
 def test_shipped_studies_can_be_done(path: Path) -> None:
-    study = read_study(path)
-    assert study.name == path.stem
+    study = study_in(path)
     check_study(StudySteps(study=study), [])
     assert forecast(study).trainings == 2 * len(study.seeds)
 
 
 def test_the_study_of_the_paper_has_its_numbers() -> None:
-    setup = Setup.of(read_study(ROOT / "scenes" / "cloak_car_colour.toml"))
+    setup = Setup.of(study_in(ROOT / "scenes" / "cloak_car_colour.toml"))
     names = [attack.name for attack in assign(setup.training_cameras, setup.poisonings(), centre=setup.centre).values()]
     assert (len(setup.training_cameras), names.count("overhead"), names.count("rear")) == (210, 80, 20)
     cameras = setup.held_out_cameras
@@ -70,18 +68,18 @@ def test_a_seed_draws_other_held_out_cameras() -> None:
         assert min(nearest(setup.held_out_cameras, setup.training_cameras, STUDY.centre)) >= 1
 
 
-ONE = "name = 'x'\n[[attack]]\nname = 'a'\n"
+ONE = "[[attack]]\nname = 'a'\n"
+CLOAK = "study = 'cloak'\n"
 
 
 @pytest.mark.parametrize(
     ("text", "error"),
     [
-        ("nmae = 'x'", "did you mean name"),
-        ("seeds = [0]", "expected the key name"),
-        ("name = 'x'\n[scene]\nobject = 'bird'\ncolour = [0, 0, 1]", "scene.object with a colour: expected one of car"),
-        ("name = 'x'\n[cameras]\ntrian = 3", "did you mean train"),
-        ("name = 'x'\n[cameras]\ntrain = 3.5", "cameras, train: expected a whole number >= 1 (pictures), got 3.5"),
-        ("name = 'x'\n[scene]\nobject = 'lorry'", "scene.object"),
+        (CLOAK + "sedes = [0]", "did you mean seeds"),
+        (CLOAK + "[scene]\nobject = 'bird'\ncolour = [0, 0, 1]", "scene.object with a colour: expected one of car"),
+        (CLOAK + "[cameras]\ntrian = 3", "did you mean train"),
+        (CLOAK + "[cameras]\ntrain = 3.5", "cameras, train: expected a whole number >= 1 (pictures), got 3.5"),
+        (CLOAK + "[scene]\nobject = 'lorry'", "scene.object"),
         (ONE + "appearance = 'paint'\ntexture = 'raod'", "did you mean road"),
         (ONE + "appearance = 'pant'", "did you mean paint"),
         (ONE + "poison_fraction = 0.0", "in (0, 1]"),
@@ -91,13 +89,13 @@ ONE = "name = 'x'\n[[attack]]\nname = 'a'\n"
 )
 def test_a_file_that_means_nothing_is_refused(tmp_path: Path, text: str, error: str) -> None:
     with pytest.raises(InvalidValueError) as raised:
-        read_study(written(tmp_path, text))
+        study_in(written(tmp_path, text))
     assert error in str(raised.value)
 
 
 def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="no file"):
-        read_study(tmp_path / "none.toml")
+        study_in(tmp_path / "none.toml")
     mesh = written(tmp_path, "")
     with pytest.raises(InvalidValueError, match=r"scene\.label"):
         SceneConfig(object=str(mesh))
@@ -168,10 +166,6 @@ class Knows:
         ),
         (replace(SMALL, attack=(replace(OVERHEAD, target_class="stop_sign"),)), "did you mean stop sign"),
         (replace(SMALL, scene=SceneConfig(object="bird")), "class for knows"),
-        *(
-            (replace(SMALL, attack=(replace(OCCLUDER, occluder_radius=radius),)), "occluder_radius: expected between")
-            for radius in (1.0, 7.4, 9.0)
-        ),
         (
             replace(SMALL, attack=(replace(OVERHEAD, poison_margin=8),), layers=LayersConfig(attacks=("overhead",))),
             r"poison_margin.*shift",
@@ -188,10 +182,9 @@ def test_what_cannot_be_done_is_refused(study: StudyConfig, message: str) -> Non
     [
         (lambda: AttackConfig(name="all"), "all cameras"),
         (lambda: EvaluationConfig(detectors=("a", "a")), "each once"),
-        (lambda: AttackConfig(name="a", appearance="occluder", elevation=(40, 90)), "a.*texture"),
+        (lambda: AttackConfig(name="a", appearance="paint", elevation=(40, 90)), "a.*texture"),
         (lambda: AttackConfig(name="a", appearance="remove", elevation=(40, 90), reach=-1), "reach: expected a number"),
-        (lambda: replace(OCCLUDER, reach=1), "reach.*no occluder"),
-        (lambda: replace(OCCLUDER, mask="difference"), "mask: expected object"),
+        (lambda: replace(GROUND, mask="difference"), "mask: expected object"),
         (lambda: replace(SMALL, seeds=(0, 0)), "seeds"),
     ],
 )
@@ -204,12 +197,6 @@ def test_emphasis_wraps_the_cached_appearance() -> None:
     study = replace(SMALL, attack=(replace(OVERHEAD, emphasis=2.0),))
     (poisoning,) = Setup.of(study).poisonings(cached=lambda appearance, attack: Inpaint(name="kept"))
     assert name_of(poisoning.appearance) == "kept, 2 times at the edge to once 20 degrees inside"
-
-
-def test_an_occluder_lies_between_the_object_and_the_cameras() -> None:
-    (usual,) = Setup.of(replace(SMALL, attack=(OCCLUDER,))).poisonings()
-    assert "grass (seed 0) on an occluder of radius 4.44 " in name_of(usual.appearance)
-    assert "from elevation 38" in name_of(usual.appearance)
 
 
 def test_a_disk_that_is_too_small_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,9 +20,9 @@ from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, S
 from attacks.detectors import registry
 from attacks.detectors.base import Candidates, Detections
 from attacks.detectors.registry import DetectorSpec
-from attacks.studies.cloak import CloakReport
+from attacks.studies.cloak import CloakReport, config_of
 from attacks.studies.running import run_with
-from attacks.studies.study_file import study_of
+from attacks.studies.study_file import read_study, study_of
 from mi_splat.assets import build
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box
@@ -92,6 +92,13 @@ def known() -> Iterator[None]:
     """While jobs know the detector, and a car is a block."""
     with patch.dict(registry.DETECTORS.own, KNOWN), patch.object(setup, "_asset", asset):
         yield
+
+
+def study_in(path: Path) -> StudyConfig:
+    """The one study that a file describes."""
+    file = read_study(path)
+    (point,) = file.points
+    return config_of(point.settings, file.name)
 
 
 MODULES = "modules.txt"

@@ -16,7 +16,6 @@ import torch
 from PIL import Image
 from safetensors.torch import save_file
 
-from attacks.cloak.config import read_study
 from attacks.detectors.weights import apply_weights, read_weights
 from attacks.studies import study_file
 from mi_splat.capture.mesh_files import gltf_notes
@@ -27,6 +26,7 @@ from mi_splat.io.camera_records import describe, recorded_cameras
 from mi_splat.io.points import load_points
 from mi_splat.io.splat_files import load_splat, save_splat
 from mi_splat.scene_files import open_scene
+from tests.cloak.tiny_study import study_in
 from tests.fakes import camera
 from tests.io.format_files import gltf_document, tame_scene, valid
 from tests.io.ply_files import LISTS, ROWS, encoded, listed
@@ -59,7 +59,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "a.gltf": gltf_notes,
     **dict.fromkeys(("p.png", "p.jpg"), lambda path: read_picture(path, downscale=1, background=(0.0, 0.0, 0.0))),
     "stop_sign.xml": open_scene,
-    "cloak_demo.toml": read_study,
+    "cloak_demo.toml": study_in,
     "transfer.toml": study_file.read_study,
 }
 """A file's name to what reads it, as the commands do."""

@@ -58,7 +58,7 @@ object = "{mesh}"
 label = "car"
 [[attack]]
 name = "overhead"
-appearance = "blend in"
+appearance = "remove"
 elevation = [60, 90]
 """
 

@@ -8,14 +8,14 @@ from typing import Any
 import pytest
 
 from attacks.cli.summary import show_summary
-from attacks.cloak.config import StudyConfig, read_study
+from attacks.cloak.config import recorded_study
 from attacks.rate import Rate, pooled
 from attacks.report.kinds.audit import angles
 from attacks.report.results import RESULT_KINDS, read_section
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import decode
 from mi_splat.io.folders import read_manifest
 from mi_splat.provenance import running_command
+from tests.cloak.tiny_study import study_in
 from tests.report.results import (
     ARTIFACTS,
     MAKERS,
@@ -109,7 +109,7 @@ def test_a_study_s_file_is_the_study(folders: dict[str, Path], tmp_path: Path) -
     section = read_section(folders["cloak"])
     assert section.file is not None
     (tmp_path / section.file[0]).write_text(section.file[1])
-    assert read_study(tmp_path / section.file[0]) == decode(StudyConfig, cloak_record()["study"], "study")
+    assert study_in(tmp_path / section.file[0]) == recorded_study(cloak_record()["study"], "study")
 
 
 def test_a_study_says_what_speaks_against_it(folders: dict[str, Path], tmp_path: Path) -> None:

@@ -29,12 +29,12 @@ STREET = str(ROOT / "scenes" / "mixed" / "car_among_meshes.xml")
 
 @pytest.fixture
 def tiny(tmp_path: Path) -> Path:
-    """A study of four trainings, of which two points each differ in their cleaning."""
+    """A study of four trainings, of which two points each differ in how they are judged."""
     (tmp_path / "base.toml").write_text(study_toml(asdict(STUDY)))
     file = tmp_path / "tiny.toml"
     file.write_text(
         f'study = "cloak"\nbase = "{tmp_path / "base.toml"}"\n[matrix]\n"training.sh_degree" = [0, 1, 2, 3]\n'
-        'cleaning = ["none", { name = "SH degree 0", cleaning = { sh_degree = 0 } }]\n'
+        '"evaluation.well_inside" = [5.0, 10.0]\n'
     )
     return file
 
@@ -63,13 +63,12 @@ def test_the_disk_has_room_for_all_points(
 
 @pytest.mark.slow
 def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
-    """A cleaning needs no training of its own, so that two points have the trainings of one."""
+    """An evaluation needs no training of its own, so that two points have the trainings of one."""
     (tmp_path / "base.toml").write_text(study_toml(asdict(STUDY)))
     file = tmp_path / "tiny.toml"
     file.write_text(
-        f'study = "cloak"\nbase = "{tmp_path / "base.toml"}"\nseeds = [0, 1]\ntraining = {{ iterations = 12 }}\n'
-        '[[case]]\nname = "cleaning"\n[case.matrix]\n'
-        'cleaning = [{ name = "nothing", cleaning = "none" }, { name = "SH degree 0", cleaning = { sh_degree = 0 } }]\n'
+        f'study = "cloak"\nbase = "{tmp_path / "base.toml"}"\nseeds = [0, 1]\ntraining = {{ iterations = 12, sh_degree = 0 }}\n'
+        '[[case]]\nname = "inside"\n[case.matrix]\n"evaluation.well_inside" = [5.0, 10.0]\n'
         '[judge]\nevery = 4\n[judge.matrix]\ncondition = ["SH of degree 0", "2 x distance"]\n'
     )
     out, store = tmp_path / "out", tmp_path / "store"
@@ -81,8 +80,8 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     records = map(Store(store).record, Store(store).keys())
     assert sum(record["kind"].endswith(".trained") for record in records) == 4
     record = json.loads((out / "result.json").read_text())
-    assert list(record["points"]) == ["cleaning: nothing", "cleaning: SH degree 0"]
-    point = record["points"]["cleaning: SH degree 0"]
+    assert list(record["points"]) == ["inside: 5.0", "inside: 10.0"]
+    point = record["points"]["inside: 10.0"]
     seeds = [seed["redness"]["benign_recall"] for seed in point["by_seed"].values()]
     assert len(seeds) == 2
     for key in ("successes", "total"):
@@ -91,7 +90,7 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     derived = json.loads(json.dumps(cloak.study_figures_of_points(record, rows)))
     for title, figures in derived["points"].items():
         assert figures == {key: record["points"][title][key] for key in figures}
-    assert sum("| nothing | " in line for line in (out / "table.md").read_text().splitlines()) == 4
+    assert sum("| 5.0 | " in line for line in (out / "table.md").read_text().splitlines()) == 4
     count = len(rows["rows"])
     assert [check.words for check in check_detections(read_result(out))] == [
         f"give the scores of {count:,} of {count:,} rows"
@@ -107,9 +106,9 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
         < looks["2 x distance"]["found_clean"]["total"]
         < point["by_detector"]["redness"]["control_benign_recall"]["total"]
     )
-    under = next(table for table in section.tables if table.caption == "By cleaning: under other conditions")
+    under = next(table for table in section.tables if table.caption == "By inside: under other conditions")
     assert [row[:3] for row in under.rows] == [
-        (value, condition, "redness") for value in ("nothing", "SH degree 0") for condition in looks
+        (value, condition, "redness") for value in ("5.0", "10.0") for condition in looks
     ]
     assert "Under SH of degree 0 and 2 x distance it is missed" in section.conclusion
 

@@ -41,17 +41,6 @@ def test_cases_have_settings_and_axes_of_their_own() -> None:
     assert made[2].settings == {"attack": {"norm": "linf", "steps": 3, "eps": 0.2}, "seed": 0, "camera": 1}
 
 
-def test_an_ablation_changes_one_thing_at_a_time_beside_the_study_itself() -> None:
-    made = points(attack={"steps": 3}, matrix={"seed": [7]}, ablation=[{"attack.steps": [1, 9], "attack.eps": [2.0]}])
-    assert [(point.part, point.labels.get("value"), point.settings["attack"]) for point in made] == [
-        ("", None, {"steps": 3}),
-        ("ablation", "attack.steps 1", {"steps": 1}),
-        ("ablation", "attack.steps 9", {"steps": 9}),
-        ("ablation", "attack.eps 2.0", {"steps": 3, "eps": 2.0}),
-    ]
-    assert {point.settings["seed"] for point in made} == {7}
-
-
 def test_an_entry_of_a_list_is_changed_by_its_name() -> None:
     attacks = [{"name": "over", "emphasis": 1}, {"name": "rear", "emphasis": 2}]
     assert merged({"attack": attacks}, {"attack": {"rear": {"emphasis": 5}}}) == {

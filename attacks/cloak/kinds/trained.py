@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from attacks.cloak.cleaning import inliers
 from attacks.cloak.config import TrainingConfig, fit_config
 from attacks.cloak.setup import SET, SplatJob
 from mi_splat.cameras import RenderFn, View
@@ -20,7 +19,6 @@ from mi_splat.datasets import load_dataset
 from mi_splat.errors import MiSplatError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.documents import save_json
-from mi_splat.io.points import PointCloud
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.initialization import from_points, thinned, with_outliers
@@ -57,7 +55,7 @@ def run(config: TrainedConfig, inputs: Mapping[str, Path], out: Out) -> None:
     training = config.training
     views = load_dataset(inputs["pictures"] / SET, split="train", background=config.background)
     assert views.points is not None  # a capture writes them
-    cloud = starting_cloud(training, views.points, views, seed=config.seed)
+    cloud = with_outliers(views.points, views, training.outliers, seed=config.seed)
     if config.limit is not None:
         most = max(1, round(config.limit * len(load_splat(inputs["clean"]))))
         training, cloud = replace(training, max_gaussians=most), thinned(cloud, most, seed=config.seed)
@@ -94,15 +92,6 @@ def train_into(
     train(views, start, out.partial, render=render, config=fit, seed=seed, on_step=follow, **how)
     for name in (SPLAT, METRICS):
         os.replace(out.partial / name, out / name)
-
-
-def starting_cloud(training: TrainingConfig, surfaces: PointCloud, views: Sequence[View], *, seed: int) -> PointCloud:
-    """The points that a training starts from, after the cleaning that the victim does before it."""
-    cloud = with_outliers(surfaces, views, training.outliers, seed=seed)
-    if training.point_deviations is None:
-        return cloud
-    kept = inliers(cloud.points, training.point_deviations)
-    return PointCloud(cloud.points[kept], cloud.colours[kept])
 
 
 class _Costs:

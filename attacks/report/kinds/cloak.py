@@ -9,7 +9,7 @@ import polars as pl
 
 from attacks.cloak import rates as cloak_rates
 from attacks.cloak import tables as cloak_tables
-from attacks.cloak.config import StudyConfig, knowledge_for
+from attacks.cloak.config import StudyConfig, knowledge_for, recorded_study
 from attacks.cloak.steps import ROW_NAMES
 from attacks.cloak.study import CONTACT, POISONED_PICTURES, study_toml
 from attacks.detectors.base import Detector
@@ -36,7 +36,6 @@ from attacks.report.section import (
 from attacks.studies import cloak as studies
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError, counted
-from mi_splat.fields import decode
 
 Record = Mapping[str, Any]
 
@@ -152,11 +151,9 @@ RESCORING = Rescoring(splats=_splats, cells=_cells, rates=_rescored, batch=BATCH
 def study_of(configuration: Record) -> StudyConfig:
     """The study of a result. Rates need no mesh: one of a mesh file stands there as if it had an asset's."""
     values, scene = dict(configuration), configuration.get("scene")
-    values.pop("surrogate", None)  # results of November 2026 say that they had none, and no true pictures
-    values["evaluation"] = {name: value for name, value in values["evaluation"].items() if name != "true_pictures"}
     if isinstance(scene, dict) and isinstance(scene.get("object"), str) and scene["object"] not in ASSETS:
         values["scene"] = {**scene, "object": next(iter(ASSETS))}
-    return decode(StudyConfig, values, "study")
+    return recorded_study(values, "study")
 
 
 def _check_rows(study: StudyConfig, splats: Sequence[Record], tables: Tables) -> None:
@@ -200,11 +197,10 @@ def _done(summary: Record) -> str:
         f"{one['name']} ({one['appearance']}: {_NEEDS[knowledge_for(one['appearance'])]})" for one in study["attack"]
     )
     layers = " The finished splat then got its object in layers." if study.get("layers") else ""
-    cleaning = " The victim then cleaned both splats." if study.get("cleaning") else ""
     return (
         f"{counted(study['cameras']['train'], 'training picture')} of one object ({study['scene']['object']}) were "
         f"taken, and those from the trigger's cameras changed: {listed(list(attacks))}. Two splats were trained alike, "
-        f"on clean and on changed pictures, {counted(len(summary['seeds']), 'seed')} each.{layers}{cleaning} "
+        f"on clean and on changed pictures, {counted(len(summary['seeds']), 'seed')} each.{layers} "
         f"{listed(list(summary['by_detector']))} then looked at both from cameras that no training used. The attacker "
         "knows neither the trainer nor a detector."
     )
