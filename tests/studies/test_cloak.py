@@ -67,7 +67,8 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     (tmp_path / "base.toml").write_text(study_toml(asdict(STUDY)))
     file = tmp_path / "tiny.toml"
     file.write_text(
-        f'study = "cloak"\nbase = "{tmp_path / "base.toml"}"\nseeds = [0, 1]\ntraining = {{ iterations = 12, sh_degree = 0 }}\n'
+        f'study = "cloak"\nbase = "{tmp_path / "base.toml"}"\nseeds = [0, 1]\n'
+        "training = { iterations = 12, sh_degree = 0 }\n"
         '[[case]]\nname = "inside"\n[case.matrix]\n"evaluation.well_inside" = [5.0, 10.0]\n'
         '[judge]\nevery = 4\n[judge.matrix]\ncondition = ["SH of degree 0", "2 x distance"]\n'
     )
