@@ -16,8 +16,8 @@ from typing import Protocol
 from mi_splat.errors import MiSplatError, printable
 
 PROGRAM = "mi-splat"
-LINE_SECONDS = float(os.environ.get("MI_SPLAT_PROGRESS_SECONDS", "10"))
-"""Time between two lines of progress where there is no terminal; the viewer sets another for its jobs."""
+LINE_SECONDS = 10.0
+"""Time between two lines of progress where there is no terminal."""
 
 
 class UsageError(MiSplatError):

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from mi_splat.cli.console import UsageError, limit_threads, progress, show_result, warn
+from mi_splat.cli.console import limit_threads, progress, show_result, warn
 from mi_splat.cli.flags import Positional, choice_among
 from mi_splat.cli.options import Colour, JsonOptions
 from mi_splat.errors import InvalidValueError
@@ -24,14 +23,12 @@ if TYPE_CHECKING:
     from mi_splat.rendering import Renderer
     from mi_splat.scene import GaussianScene
     from mi_splat.training.loop import Progress, TrainState
-    from mi_splat.viewer.live import LiveTraining
 
 
 EXAMPLES = (
     "train out/truck --out out/truck-splat --iterations 7000",
     "train YOUR_SET --out out/desk --downscale 2 --max-gaussians 200000",
     "train out/truck --out out/mcmc --strategy mcmc --max-gaussians 50000",
-    "train out/truck --out out/watched --live",
 )
 ALIASES = {
     "--position-lr-init": "--lr-means",
@@ -95,11 +92,6 @@ class TrainOptions(JsonOptions):
     """Steps between two checkpoints."""
     seed: Seed = 0
     """Seed of everything random."""
-    live: bool = False
-    """Serve a page on this machine that follows the training: the splat beside held-out photographs, its curves, and a
-    button to stop and go on. The result is the same to the bit."""
-    port: Annotated[int, between(0, 65535, do="0 takes a free one"), Metavar("PORT")] | None = None
-    """Port of the page of --live; 0 is any free one, None is 8080."""
 
 
 def defaults(words: Sequence[str]) -> dict[str, Any]:
@@ -108,7 +100,6 @@ def defaults(words: Sequence[str]) -> dict[str, Any]:
     return {"strategy": name, "fit": FitConfig(strategy=strategy_config(name))}
 
 
-PORT = 8080
 RANDOM_START = 10_000
 """Gaussians of a start without points."""
 CULLED = 0.001
@@ -121,13 +112,7 @@ def run(options: TrainOptions) -> None:
     from mi_splat.training.resume import CHECKPOINT, CONFIG
     from mi_splat.variant import check_device
 
-    if options.port is not None and not options.live:
-        raise UsageError.of("--port", "--live beside it", "no page", "add --live, or leave it out")
     check_device(options.device)
-    if options.live:
-        from mi_splat.viewer.server import check_port
-
-        check_port("127.0.0.1", PORT if options.port is None else options.port)
     with own_folder(options.out, CONFIG, CHECKPOINT):
         _train(options)
 
@@ -152,8 +137,7 @@ def _train(options: TrainOptions) -> None:
         render = _renderer(options, near)
     _warn_of_culled(start, views, near)
     begun, lpips = time.monotonic(), load_lpips() if options.lpips else None
-    sets = (views, held_out) if len(held_out) else (views,)
-    with _page(options, sets, start, near) as page, progress("training", total=config.iterations) as advance:
+    with progress("training", total=config.iterations) as advance:
         describe = _ProgressText()
 
         def on_resume(state: TrainState) -> None:
@@ -164,8 +148,6 @@ def _train(options: TrainOptions) -> None:
 
         def on_step(step: Progress) -> None:
             advance(describe(step))
-            if page is not None:
-                page.note(step)
 
         trained = train(
             views,
@@ -180,9 +162,7 @@ def _train(options: TrainOptions) -> None:
             settings={"near": near, "background": list(options.background), "device": options.device},
             dataset=options.dataset,
             on_resume=on_resume,
-            on_start=None if page is None else page.begin,
             on_step=on_step,
-            hold=None if page is None else page.hold,
         )
     _show(options, len(trained.scene), time.monotonic() - begun)
 
@@ -200,27 +180,6 @@ def _show(options: TrainOptions, count: int, seconds: float) -> None:
             lines.append(f"with the exposure of each of these pictures: PSNR {figures['corrected_psnr']:.2f} dB")
     lines.append(f"took {seconds:.0f} s; figures are in {options.out / METRICS}")
     show_result({**figures, "out": str(options.out), "seconds": seconds}, *lines, as_json=options.json)
-
-
-@contextlib.contextmanager
-def _page(
-    options: TrainOptions, sets: Sequence[Dataset], start: GaussianScene, near: float
-) -> Iterator[LiveTraining | None]:
-    if not options.live:
-        yield None
-        return
-    from mi_splat.rendering import Renderer, RenderSettings
-    from mi_splat.training.resume import SPLAT
-    from mi_splat.viewer.live import LiveTraining, training_content
-    from mi_splat.viewer.painter import Painter
-    from mi_splat.viewer.server import Page
-
-    settings = RenderSettings(background=options.background, near=near)
-    content = training_content(sets, start, dataset=options.dataset, out=options.out / SPLAT, settings=settings)
-    live = LiveTraining(Painter(content, Renderer(settings)), options.fit.iterations)
-    with Page(live, port=PORT if options.port is None else options.port) as live.page:
-        warn(f"open {live.page.address}")
-        yield live
 
 
 def _renderer(options: TrainOptions, near: float) -> Renderer:

@@ -190,9 +190,7 @@ def train(
     settings: Mapping[str, object] | None = None,
     dataset: Path | None = None,
     on_resume: Callable[[TrainState], None] | None = None,
-    on_start: Callable[[TrainState], None] | None = None,
     on_step: OnStep | None = None,
-    hold: Callable[[], bool] | None = None,
 ) -> Fit:
     """Train in a folder; a run that was stopped there goes on, and ends with the bits it would have had.
 
@@ -226,15 +224,11 @@ def train(
         }
         save_json({"config": to_json(config), "seed": seed, "views": len(views), **given}, folder / CONFIG)
 
-        if on_start is not None:
-            on_start(state)
         with deferred_interrupt() as interrupted:
 
             def after(line: Progress) -> None:
                 if on_step is not None:
                     on_step(line)
-                while hold is not None and hold() and not interrupted():
-                    pass
                 if interrupted() or line.iteration % every == 0 or line.iteration == config.iterations:
                     save_state(state, path)
                 if interrupted():

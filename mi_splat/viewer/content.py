@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import torch
 from PIL import ImageDraw
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera, View
-from mi_splat.datasets import Dataset, is_dataset, load_dataset
+from mi_splat.datasets import is_dataset, load_dataset
 from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
@@ -38,20 +38,7 @@ def photographs_of(
     factor = -(-longest // LONGEST_SIDE)
     if factor > 1 and not any(factor % frame.shrunk for frame in views.frames):
         views = replace(views, downscale=factor)
-    held_out = load_dataset(path, split="test").paths
-    return _listed(views, path, frozenset(held_out), centre)
-
-
-def photographs_in(sets: Sequence[Dataset], path: Path) -> tuple[dict[str, Orbit], Photographs]:
-    """As `photographs_of`, for views that are loaded, the held-out ones first."""
-    views, *held_out = sets
-    frames = tuple(frame for part in (*held_out, views) for frame in part.frames)
-    return _listed(replace(views, frames=frames), path, {file for part in held_out for file in part.paths})
-
-
-def _listed(
-    views: Dataset, path: Path, held_out: Collection[Path], centre: Point | None = None
-) -> tuple[dict[str, Orbit], Photographs]:
+    held_out = frozenset(load_dataset(path, split="test").paths)
     names, first = unique_names(file.stem for file in views.paths), views.cameras[0]
     labels = [f"{name} (held out)" if file in held_out else name for name, file in zip(names, views.paths, strict=True)]
     if centre is None:
@@ -64,19 +51,18 @@ def _listed(
 
 
 def content_of_dataset(path: Path, *, background: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Content:
-    """The photographs of a data set without a splat."""
+    """The photographs of a data set without a splat, from the first of their cameras."""
     orbits, photographs = photographs_of(path, background=background)
-    settings = RenderSettings(background=background)
-    return content_of_photographs(f"{path}: {len(orbits)} photographs", settings, orbits, photographs)
-
-
-def content_of_photographs(
-    title: str, settings: RenderSettings, orbits: Mapping[str, Orbit], photographs: Photographs, *splats: ShownSplat
-) -> Content:
-    """Photographs, and perhaps a splat, from the first of their cameras."""
     first = next(iter(orbits.values()))
-    seen: dict[str, Any] = {"start": first, "size": first.camera_size or (640, 480), "cameras": orbits}
-    return Content(title=title, splats=splats, settings=settings, photographs=photographs, **seen)
+    return Content(
+        title=f"{path}: {len(orbits)} photographs",
+        splats=(),
+        settings=RenderSettings(background=background),
+        start=first,
+        size=first.camera_size or (640, 480),
+        cameras=orbits,
+        photographs=photographs,
+    )
 
 
 def with_cameras(content: Content, path: Path) -> Content:

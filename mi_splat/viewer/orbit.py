@@ -155,14 +155,9 @@ def camera_options(
         options = [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
         options += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
         options += _option("camera-roll", orbit.roll) if orbit.roll else []
-        options += [*up_options(up), *_option("centre", *centre)]
+        options += [*([] if tuple(up) == UP else _option("up", *up)), *_option("centre", *centre)]
     options += ["--size", f"{size[0]}x{size[1]}", *_option("background", *settings.background)]
     return [*options, *_option("near", settings.near)]
-
-
-def up_options(up: Point) -> list[str]:
-    """The option that sets the up direction; none if that is z."""
-    return [] if tuple(up) == UP else _option("up", *up)
 
 
 def _option(name: str, *values: float) -> list[str]:

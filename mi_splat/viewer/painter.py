@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -61,12 +61,6 @@ class Painter:
         self._tinted, self._rows = dict[str, Thinned](), dict[str, int]()
         self._thread = ThreadPoolExecutor(1)  # of the inspector, so that it can be left alone with its picture
         self._last: tuple[Orbit, dict[str, Inspection]] | None = None
-
-    def exchange(self, name: str, scene: GaussianScene) -> None:
-        """Show other Gaussians as a splat from now on, which its file does not have yet."""
-        splats = [replace(splat, scene=scene) if splat.name == name else splat for splat in self.content.splats]
-        self.content = replace(self.content, splats=tuple(splats))
-        self._splats[name], self._last = Thinned(scene), None
 
     def tint(self, picked: Picked | None) -> None:
         """Highlight an object in each splat with as many Gaussians, but not in differences and inspected pictures."""

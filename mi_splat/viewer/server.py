@@ -22,10 +22,9 @@ from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter, Painting
 from mi_splat.viewer.panel import Remark, ViewPanel
 from mi_splat.viewer.picking import Click, clicked
-from mi_splat.viewer.runner import JobRunner
+from mi_splat.viewer.selecting import SelectionPanel, SharedSelection
 from mi_splat.viewer.session import Session, Step, ViewState, display_modes
 
-VIEW = "View"  # name of the tab with the controls of what is shown
 JPEG_QUALITY = {Step.COARSE: 75, Step.HALF: 85, Step.FULL: 92, Step.INSPECTED: 92}
 SETTLING = 1.0
 """Seconds after a control was moved in which reports of the browser's camera, which follows late, are ignored."""
@@ -36,18 +35,21 @@ LONGEST_SIDE = 8192  # pixels of the largest window that is believed
 class Client:
     """One browser window."""
 
-    def __init__(self, handle: Any, runner: JobRunner, wake: Callable[[], None]) -> None:
-        self._handle, self._runner, self._painter, self._wake = handle, runner, runner.painter, wake
+    def __init__(self, handle: Any, shared: SharedSelection, wake: Callable[[], None]) -> None:
+        self._handle, self._shared, self._painter, self._wake = handle, shared, shared.painter, wake
         self._lock, self._settled = threading.Lock(), 0.0
         self._sent: deque[Orbit] = deque(maxlen=ECHOES)
-        first = self._first_state(self._painter.content.start, _canvas(handle.camera))
+        content, canvas = self._painter.content, _canvas(handle.camera)
+        mode = display_modes(content.names)[0]
+        first = ViewState(orbit=content.start, mode=mode, canvas=canvas, revision=shared.revision)
         self._session = Session(state=first, changed=time.monotonic())
-        tabs, names = handle.gui.add_tab_group(), (VIEW, runner.tab)
-        added = {name: tabs.add_tab(name) for name in (reversed(names) if runner.leads else names)}
-        self._view = added[VIEW]
-        self._add_panel()
-        with added[runner.tab]:
-            self._shared_panel = runner.panel(handle.gui, self, wake)
+        tabs, inspector = handle.gui.add_tab_group(), self._painter.inspector is not None
+        with tabs.add_tab("View"):
+            self._panel = ViewPanel(handle.gui, content, first, inspector=inspector, change=self._change)
+        with tabs.add_tab("Tools"):
+            self._selection_panel = SelectionPanel(
+                handle.gui, shared, orbit=lambda: self._session.state.orbit, download=self._download, wake=wake
+            )
         # The pose before the browser has read where to begin is not a move of its user.
         self._sent.append(first.orbit.moved(handle.camera.position, handle.camera.look_at))
         self._send_camera(first.orbit)
@@ -55,24 +57,12 @@ class Client:
         handle.scene.on_click()(self._clicked)
         handle.scene.on_click(modifier="shift")(self._clicked)
 
-    @property
-    def orbit(self) -> Orbit:
-        """The camera."""
-        return self._session.state.orbit
-
     def follow(self) -> None:
         """Show what the windows share as it is now."""
-        if self._painter is not self._runner.painter:
-            with self._lock:  # messages that arrive meanwhile are for the new controls
-                self._painter, state = self._runner.painter, self._session.state
-                self._session = Session(state=self._first_state(state.orbit, state.canvas), changed=time.monotonic())
-                for control in tuple(self._view._children.values()):
-                    control.remove()
-                self._add_panel()
-        self._change(lambda state: replace(state, revision=self._runner.revision))
-        self._shared_panel.follow()
+        self._change(lambda state: replace(state, revision=self._shared.revision))
+        self._selection_panel.follow()
 
-    def download(self, name: str, content: bytes) -> None:
+    def _download(self, name: str, content: bytes) -> None:
         """Send a file to the user."""
         self._handle.send_file_download(name, content, save_immediately=True)
 
@@ -91,7 +81,6 @@ class Client:
                 self._handle.scene.set_background_image(painting.pixels, format="jpeg", jpeg_quality=quality)
                 if step in (Step.FULL, Step.INSPECTED):
                     self._panel.describe(self._remarks(state, painting), self._painter.commands(state.orbit))
-                    self._shared_panel.follow_camera()
         except PictureInterruptedError:
             return
         except MiSplatError as error:  # of this picture; the next one may succeed
@@ -109,22 +98,13 @@ class Client:
         for name, inspection in painting.inspections.items():
             yield name, inspection.text
 
-    def _first_state(self, orbit: Orbit, canvas: tuple[int, int]) -> ViewState:
-        mode = display_modes(self._painter.content.names)[0]
-        return ViewState(orbit=orbit, mode=mode, canvas=canvas, revision=self._runner.revision)
-
-    def _add_panel(self) -> None:
-        inspector, content, state = self._painter.inspector is not None, self._painter.content, self._session.state
-        with self._view:
-            self._panel = ViewPanel(self._handle.gui, content, state, inspector=inspector, change=self._change)
-
     async def _clicked(self, event: Any) -> None:
         """Select what a point of the page shows."""
         state = self._session.state
         hit = clicked(event.screen_pos, self._painter.layout(state), state.mode, self._painter.content, state.orbit)
         if hit is not None:
             click = Click(splat=hit[0], pixel=hit[1], orbit=state.orbit, adds=event.modifier is not None)
-            self._runner.later(lambda: self._runner.pick(click))
+            self._shared.later(lambda: self._shared.pick(click))
             self._wake()
 
     def _change(self, changed: Callable[[ViewState], ViewState]) -> None:
@@ -132,7 +112,7 @@ class Client:
         with self._lock:
             before = self._session.state
             after = changed(before)
-            # A browser may send anything, and values of controls that were removed.
+            # A browser may send anything.
             if after.mode not in display_modes(self._painter.content.names):
                 after = replace(after, mode=before.mode)
             self._session = self._session.change(after, time.monotonic())
@@ -184,16 +164,16 @@ def check_port(host: str, port: int) -> None:
 
 
 class Page(contextlib.AbstractContextManager["Page"]):
-    """Serves the content of a painter, or of a runner with jobs, until it is closed."""
+    """Serves the content of a painter until it is closed."""
 
-    def __init__(self, shown: Painter | JobRunner, *, host: str = "127.0.0.1", port: int = 8080) -> None:
+    def __init__(self, painter: Painter, *, host: str = "127.0.0.1", port: int = 8080) -> None:
         check_port(host, port)  # viser would take another one
-        self._runner = shown if isinstance(shown, JobRunner) else JobRunner(shown)
+        self._shared = SharedSelection(painter)
         self._changed, self._clients = threading.Condition(), dict[int, Client]()
         self._guard = Guard(names=LOOPBACK_NAMES | {host} if is_loopback(host) else None)
-        self._host, self._server = host, _serve(self._guard, host, port, self._runner.label)
+        self._host, self._server = host, _serve(self._guard, host, port)
         self._closed = False
-        content = self._runner.content
+        content = painter.content
         self._server.scene.set_up_direction("+z")
         first = self._server.initial_camera
         first.position, first.look_at, first.up = content.start.position, content.start.target, (0.0, 0.0, 1.0)
@@ -212,16 +192,16 @@ class Page(contextlib.AbstractContextManager["Page"]):
     def run(self, stop: threading.Event | None = None) -> None:
         """Make pictures until `stop` is set, or until Ctrl-C."""
         while stop is None or not stop.is_set():
-            self.turn(stop)
+            self._turn(stop)
 
-    def turn(self, stop: threading.Event | None = None, *, wait: float = 0.05) -> None:
+    def _turn(self, stop: threading.Event | None) -> None:
         """Do what is queued, and make one picture for each window where one is due, coarse ones first."""
-        changed = self._runner.turn()
+        changed = self._shared.turn()
         with self._changed:
             clients = list(self._clients.values())
             due = [(client, step) for client in clients if (step := client.due()) is not None]
             if not (due or changed):
-                self._changed.wait(wait)
+                self._changed.wait(0.05)
         for client in clients if changed else ():
             client.follow()
         coarse = [(client, step) for client, step in due if step is Step.COARSE]
@@ -233,13 +213,12 @@ class Page(contextlib.AbstractContextManager["Page"]):
         """Whether a window waits for a reaction."""
         with self._changed:
             clients = list(self._clients.values())
-        return bool(self._runner.requests) or any(client.due() is Step.COARSE for client in clients)
+        return bool(self._shared.requests) or any(client.due() is Step.COARSE for client in clients)
 
     def close(self) -> None:
         """Close every window's connection and free the port."""
         if not self._closed:
             self._closed = True
-            self._runner.close()
             with contextlib.redirect_stdout(io.StringIO()):  # viser says that it stopped
                 self._server.stop()
 
@@ -248,10 +227,10 @@ class Page(contextlib.AbstractContextManager["Page"]):
 
     async def _enter(self, handle: Any) -> None:
         _accept_values_only(handle)
-        client = Client(handle, self._runner, self._wake)
+        client = Client(handle, self._shared, self._wake)
         with self._changed:
             self._clients[handle.client_id] = client
-        self._runner.later(lambda: None)  # so that it follows what has changed while its controls were made
+        self._shared.later(lambda: None)  # so that it follows what has changed while its controls were made
         self._wake()
 
     async def _leave(self, handle: Any) -> None:
@@ -263,7 +242,7 @@ class Page(contextlib.AbstractContextManager["Page"]):
             self._changed.notify()
 
 
-def _serve(guard: Guard, host: str, port: int, label: str) -> Any:
+def _serve(guard: Guard, host: str, port: int) -> Any:
     """A viser server that connects to nobody and answers only requests that the guard lets pass."""
     import viser
     from viser import _messages
@@ -273,7 +252,7 @@ def _serve(guard: Guard, host: str, port: int, label: str) -> Any:
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)
     # On stdout viser says its address, without the token that is needed.
     with guarding(guard, _infra.websockets.asyncio.server), contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
+        server = viser.ViserServer(host=host, port=port, label="mi-splat view", verbose=False)
     try:
         # Any browser could request it, and it opens the page to the internet.
         server._websock_server.unregister_handler(_messages.ShareUrlRequest)

@@ -1,10 +1,8 @@
-"""Small contents of a page, a detector of mean colours, and a job that does nothing."""
+"""Small contents of a page, and a detector of mean colours."""
 
 import json
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from PIL import ImageDraw
@@ -12,7 +10,6 @@ from torch import Tensor
 
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.study import SUMMARY
-from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
@@ -20,7 +17,6 @@ from mi_splat.sh import colour_to_dc
 from mi_splat.viewer.content import Content, ShownSplat
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
-from mi_splat.viewer.runner import Choice, JobKind, JobRequest, JobResult, JobRunner, Number
 from tests.fakes import blobs
 
 START = Orbit(target=(0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=5.0, fov=45.0)
@@ -92,45 +88,3 @@ class MeanInspector:
 def painter(splats: int = 2, inspector: MeanInspector | None = None) -> Painter:
     """A painter without Mitsuba."""
     return Painter(balls(splats), blobs, inspector)
-
-
-_SCRIPT = """
-import pathlib, sys, time
-verb, eps, mask, out = sys.argv[1:]
-print("mi-splat: working", flush=True)
-try:
-    while verb == "wait":
-        time.sleep(0.01)
-except KeyboardInterrupt:
-    pass
-if verb == "fail":
-    sys.exit("mi-splat: expected to be done, got this")
-pathlib.Path(out).write_text(eps)
-sys.exit(130 if verb == "wait" else 0)
-"""
-
-
-def _arguments(request: JobRequest, mask: Path, out: Path) -> list[str]:
-    if request.picked is None:
-        raise InvalidValueError("Work: expected an object, got none; click on one")
-    return [str(request.values["verb"]), f"--eps={request.values['eps']}", str(mask), str(out)]
-
-
-WORK = JobKind(
-    name="Work",
-    fields=(
-        Choice(name="verb", label="Verb", options=("do", "wait", "fail"), default="do"),
-        Number(name="eps", label="eps", low=0.5, high=20.0, step=0.5, default=5.0),
-    ),
-    out=Path("out/work"),
-    arguments=_arguments,
-    opened=lambda request, out: JobResult(lines=(f"done with {out.read_text()}",), content=balls(2)),
-)
-
-
-def runner(**options: Any) -> JobRunner:
-    """A page with a job that does nothing."""
-    program = [sys.executable, "-c", _SCRIPT]
-    return JobRunner(
-        painter(1), [WORK], renderer=lambda settings: blobs, program=lambda *words: [*program, *words], **options
-    )

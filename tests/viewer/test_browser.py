@@ -22,7 +22,6 @@ from PIL import Image
 from attacks.cloak.config import AttackConfig, CameraConfig, StudyConfig
 from attacks.report.viewer_content import detector_inspector, open_content
 from mi_splat.viewer.painter import Painter
-from mi_splat.viewer.runner import JobRunner
 from tests.browser import CHROMIUM
 from tests.fakes import ColourDetector, blobs
 from tests.viewer.contents import START, MeanInspector, painter, save_study
@@ -85,7 +84,7 @@ class Window:
 
 @contextmanager
 def window(
-    chromium: Any, shown: Painter | JobRunner, size: tuple[int, int] = (1000, 640), *, says: str = "above the ground"
+    chromium: Any, shown: Painter, size: tuple[int, int] = (1000, 640), *, says: str = "above the ground"
 ) -> Iterator[Window]:
     """A window on a page that says something sooner or later, and connects to nobody but the server."""
     with serving(shown) as page:

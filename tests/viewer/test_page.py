@@ -9,7 +9,6 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -27,11 +26,10 @@ from mi_splat.scene import GaussianScene
 from mi_splat.viewer.content import Inspection
 from mi_splat.viewer.guard import COOKIE, MOST_WINDOWS
 from mi_splat.viewer.painter import Painter
-from mi_splat.viewer.runner import JobRunner
 from mi_splat.viewer.server import Page, check_port
 from mi_splat.viewer.session import DIFFERENCE, Pace, Step, ViewState
 from tests.fakes import blobs
-from tests.viewer.contents import ABOVE, START, MeanInspector, balls, painter, runner
+from tests.viewer.contents import ABOVE, START, MeanInspector, balls, painter
 from tests.viewer.wire import PATIENCE, Browser, connection, headers_of, serving
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:websockets")
@@ -39,7 +37,7 @@ FULL = (80, 160)
 
 
 @contextmanager
-def visiting(shown: Painter | JobRunner) -> Iterator[Browser]:
+def visiting(shown: Painter) -> Iterator[Browser]:
     """A browser on a page; it has the first camera and a window of 160 x 80."""
     with serving(shown) as page, connection(page.address, headers_of(page.address)) as browser:
         browser.look(START)
@@ -135,32 +133,15 @@ def test_a_movement_interrupts_a_full_picture() -> None:
         assert np.abs(browser.picture(FULL).astype(int) - expected).mean() < 3  # JPEG
 
 
-def test_a_click_selects_an_object_and_a_button_runs_a_job_on_it() -> None:
-    with visiting(runner()) as browser:
+def test_a_click_selects_an_object_and_a_button_clears_it() -> None:
+    with visiting(painter(1)) as browser:
         browser.picture(FULL)
         ray = {"ray_origin": (0.0, 0.0, 0.0), "ray_direction": (0.0, 0.0, 1.0)}
-        for at in ((float("nan"), 7.0), (0.5, 0.5)):
+        for at in ((float("nan"), 7.0), (0.0, 0.5), (0.5, 0.5)):  # beside the picture, on nothing, on the ball
             browser.say("ScenePointerMessage", event_type="click", screen_pos=(at,), modifier=None, **ray)
-        browser.until(lambda message: "Gaussians of clean" in str(message.get("updates", {})))
-
-        def message_with(text: str) -> dict[str, Any]:
-            """The last message that holds a text, which came already or comes soon."""
-            before = [message for message in browser.messages if text in str(message)]
-            return before[-1] if before else browser.until(lambda message: text in str(message))
-
-        def press(label: str) -> None:
-            message_with(f"'label': '{label}'")
-            button = [m for m in browser.messages if m["type"] == "GuiButtonMessage" and m["props"]["label"] == label]
-            browser.say("GuiUpdateMessage", uuid=button[-1]["uuid"], updates={"value": True})
-
-        message_with("mi-splat select clean.ply --click 24,16")
-        message_with("mi-splat do --eps=5.0")
-        browser.say("GuiUpdateMessage", uuid=browser.control("eps")["uuid"], updates={"value": 7.5})
-        message_with("mi-splat do --eps=7.5")
-        press("Work")
-        message_with("done with --eps=7.5")
-        assert "attacked" in message_with("'label': 'Show'")["props"]["options"]
-        press("Clear")
+        browser.until(lambda message: "mi-splat select clean.ply --click 24,16" in str(message.get("updates", {})))
+        assert any("Gaussians of clean" in str(message.get("updates", {})) for message in browser.messages)
+        browser.say("GuiUpdateMessage", uuid=browser.control("Clear")["uuid"], updates={"value": True})
         browser.until(lambda message: "Click on an object" in str(message.get("updates", {})))
 
 
@@ -219,31 +200,13 @@ def test_a_browser_changes_nothing_of_a_control_but_its_value() -> None:
         assert "FileTransferPartAck" not in [message["type"] for message in browser.messages]
 
 
-def test_a_value_of_controls_that_are_gone_changes_nothing() -> None:
-    """A result that has two splats was shown when it was made, and now there is one."""
+def test_a_mode_that_is_not_there_changes_nothing() -> None:
     with serving(painter(1)) as page, connection(page.address, headers_of(page.address)) as browser:
         browser.look(START)
         browser.picture(FULL)
         (client,) = page._clients.values()
         client._change(lambda state: replace(state, mode=DIFFERENCE, orbit=ABOVE))
         browser.picture(FULL)
-
-
-def test_a_window_is_shown_what_has_changed_while_the_page_was_made_for_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    work = runner()
-    with serving(work) as page, connection(page.address, headers_of(page.address)) as browser:
-        panel = work.panel
-
-        def late(*arguments: Any) -> Any:
-            made = panel(*arguments)
-            work.lines = ("said meanwhile",)
-            return made
-
-        monkeypatch.setattr(work, "panel", late)
-        browser.look(START)
-        browser.until(lambda message: "said meanwhile" in str(message.get("updates", {})))
 
 
 def test_an_error_in_a_picture_is_shown_and_the_next_one_succeeds() -> None:

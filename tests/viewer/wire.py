@@ -16,7 +16,6 @@ from PIL import Image
 
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
-from mi_splat.viewer.runner import JobRunner
 from mi_splat.viewer.server import Page
 
 PATIENCE = 120.0
@@ -124,7 +123,7 @@ def connection(
 
 
 @contextmanager
-def serving(shown: Painter | JobRunner) -> Iterator[Page]:
+def serving(shown: Painter) -> Iterator[Page]:
     """A page whose pictures another thread makes."""
     stop = threading.Event()
     with Page(shown, port=0) as page:

@@ -1,0 +1,101 @@
+"""The object that is selected on a page, which its windows share, and the controls of it in each window."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from mi_splat.errors import MiSplatError
+from mi_splat.viewer.orbit import Orbit
+from mi_splat.viewer.painter import Painter
+from mi_splat.viewer.panel import as_html
+from mi_splat.viewer.picking import MASK, Click, Picked, one_gaussian, pick
+
+HOW_TO_SELECT = "Click on an object in the picture; hold Shift to add to the selection."
+NOTHING_TO_SELECT = "Only splats have objects to select."
+MOST_QUEUED = 100  # requests that wait; more are dropped
+
+
+class SharedSelection:
+    """What a painter shows, and the object that is selected in it.
+
+    Requests of browsers are queued. `turn` carries them out; it is called again and again in the thread that renders.
+    """
+
+    def __init__(self, painter: Painter) -> None:
+        self.painter, self.revision, self.error = painter, 0, ""
+        self.picked: Picked | None = None
+        self.requests: deque[Callable[[], None]] = deque(maxlen=MOST_QUEUED)
+
+    def later(self, task: Callable[[], None]) -> None:
+        """Run an action in the thread that renders; from any thread."""
+        self.requests.append(task)
+
+    def turn(self) -> bool:
+        """Do what is queued; whether there was anything."""
+        waiting = len(self.requests)  # what is queued meanwhile waits, so that pictures are made
+        for _ in range(waiting):
+            task, self.error = self.requests.popleft(), ""
+            try:
+                task()
+            except MiSplatError as error:
+                self.error = str(error)
+        return waiting > 0
+
+    def pick(self, click: Click) -> None:
+        """Select what is at a pixel."""
+        self.select(pick(click, self.painter.content, self.painter.render, self.picked))
+
+    def select(self, picked: Picked | None) -> None:
+        """Select an object, or nothing."""
+        self.picked, self.revision = picked, self.revision + 1
+        self.painter.tint(picked)
+
+
+class SelectionPanel:
+    """The controls of the selection in one window."""
+
+    def __init__(
+        self,
+        gui: Any,
+        shared: SharedSelection,
+        *,
+        orbit: Callable[[], Orbit],
+        download: Callable[[str, bytes], None],
+        wake: Callable[[], None],
+    ) -> None:
+        self._gui, self._shared, self._orbit, self._send, self._wake = gui, shared, orbit, download, wake
+        with gui.add_folder("Object"):
+            self._object = gui.add_html("")
+            self._clear = self._button("Clear", lambda: shared.select(None))
+            self._save = self._button(f"Save {MASK}", self._download)
+            self._command = gui.add_text("command", "", multiline=True, hint="Copy it to select the same Gaussians")
+        self.follow()
+
+    def follow(self) -> None:
+        """Show the present state."""
+        picked, content = self._shared.picked, self._shared.painter.content
+        how = HOW_TO_SELECT if content.splats else NOTHING_TO_SELECT
+        self._object.content = as_html([("", self._shared.error or (how if picked is None else picked.text))])
+        if picked is not None and picked.row is not None:
+            self._object.content += one_gaussian(content.splat(picked.splat).scene, picked.row, self._orbit())
+        self._command.value = "" if picked is None else picked.command
+        self._command.visible = bool(self._command.value)
+        self._clear.disabled = self._save.disabled = picked is None
+
+    def _download(self) -> None:
+        if self._shared.picked is not None:
+            self._send(MASK, self._shared.picked.file)
+
+    def _button(self, label: str, act: Callable[[], None]) -> Any:
+        """A button whose action the thread that renders carries out."""
+        button = self._gui.add_button(label)
+
+        @button.on_click  # type: ignore[untyped-decorator]
+        async def _(event: Any) -> None:
+            if event.client is not None:  # else it was `follow`
+                self._shared.later(act)
+                self._wake()
+
+        return button
