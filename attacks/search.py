@@ -128,22 +128,6 @@ number of the run. See `attacks.optimisers`.
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SearchState:
-    """A search between two steps: all that the rest of it depends on."""
-
-    point: Parameters  # where it is
-    optimiser: OptimiserState  # what the optimiser remembers; its index is the number of steps done
-    best: Parameters  # the best point so far; `point` before anything was judged
-    best_line: Step | None  # its line of the trace; None before anything was judged
-    trace: tuple[Step, ...]  # every point before `point`
-
-    @classmethod
-    def at(cls, point: Parameters) -> SearchState:
-        """A search that begins at a point."""
-        return cls(point=point, optimiser=START, best=point, best_line=None, trace=())
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Hooks:
     """What a search calls while it runs.
 
@@ -153,13 +137,11 @@ class Hooks:
         every: Steps between two judgements.
         on_step: Called with every line of the trace as it happens. Once it says so, the search ends where something
             was judged, with the best point so far.
-        on_state: Called with the search as it stands before every step but the first.
     """
 
     judge: Callable[[Parameters], tuple[Parameters, Verdict]] | None = None
     every: int = 1
     on_step: Callable[[Step], bool | None] | None = None
-    on_state: Callable[[SearchState], None] | None = None
 
 
 def pgd(
@@ -169,7 +151,7 @@ def pgd(
     *,
     steps: int,
     optimiser: Optimiser,
-    starts: Iterable[Parameters] | SearchState | None = None,
+    starts: Iterable[Parameters] | None = None,
     early_stop: bool = True,
     smallest: bool = False,
     hooks: Hooks | None = None,
@@ -182,8 +164,7 @@ def pgd(
         ball: Projection and direction; `Budget` is one.
         steps: Number of steps from each start.
         optimiser: How the next point is chosen (`attacks.optimisers`).
-        starts: First point of each run, taken when the run begins; the reference alone if None; or a search with one
-            start that goes on.
+        starts: First point of each run, taken when the run begins; the reference alone if None.
         early_stop: End everything at the first unambiguous success; otherwise take all steps from all starts.
         smallest: Whether the smaller of two successes is the better one, see `rank`.
         hooks: What is called while the search runs.
@@ -198,19 +179,11 @@ def pgd(
     if steps < 0:
         raise InvalidValueError.of("steps", "a number >= 0", steps, "ask for at least one step")
     hooks = hooks or Hooks()
-    begun = SearchState.at(reference)
-    if isinstance(starts, SearchState):
-        begun, starts = starts, None
-    best, best_line, trace, stopped = begun.best, begun.best_line, list(begun.trace), False
-    for restart, start in enumerate([begun.point] if starts is None else starts):
-        memory = dataclasses.replace(begun.optimiser, restart=restart)
-        point = start
-        for index in range(memory.index, steps + 1):
+    best, best_line, trace, stopped = reference, None, list[Step](), False
+    for restart, start in enumerate([reference] if starts is None else starts):
+        memory, point = dataclasses.replace(START, restart=restart), start
+        for index in range(steps + 1):
             point = ball.project({name: value.detach().clone() for name, value in point.items()}, reference)
-            if hooks.on_state is not None and index > begun.optimiser.index:
-                hooks.on_state(
-                    SearchState(point=point, optimiser=memory, best=best, best_line=best_line, trace=tuple(trace))
-                )
             here = _checked(evaluate(point))
             following, memory = (None, memory) if index == steps else optimiser(point, here, memory)
             judged, verdict = point, here.verdict if hooks.judge is None else None

@@ -17,7 +17,6 @@ from attacks.observe.rates import REPORTED, Measure, blocks_of, count
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
 from attacks.rate import Rate, pooled
 from attacks.tables import Table
-from mi_splat.io.parsing import DocumentReader
 
 STORY, ROW = "bench", "row.json"
 ONE_VIEW, ALL_VIEWS, CLOAK, TRANSFER = COLUMNS = ("one_view", "all_views", "cloak", "transfer")
@@ -34,8 +33,6 @@ HEADS = {"one_view": "one view", "all_views": "all views", "cloak": "CLOAK", "tr
 """Columns in words."""
 NOT_IN_ROW = ("attacks", "command", "name", "question", "story", "study")
 """What the record of a result has, and its row has not."""
-READER = DocumentReader(expected="a row of mi-splat bench", do="pass what mi-splat bench has written", most=1 << 20)
-"""Reads rows."""
 Record = Mapping[str, Any]
 
 

@@ -6,22 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from attacks.cli.options import DetectorOptions, Detectors, check_result_folder
-from mi_splat.cli.console import UsageError, limit_threads, progress, show, show_json, show_result
+from attacks.cli.options import check_result_folder
+from mi_splat.cli.console import UsageError, progress, show, show_json, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions, ResultOptions
 from mi_splat.errors import MiSplatError
-from mi_splat.fields import Folder, Fraction, Metavar, OutFolder, at_least
+from mi_splat.fields import Folder, Metavar, OutFolder
 
 if TYPE_CHECKING:
-    from attacks.report.checking import Check, Result
-    from attacks.report.results import ResultKind
+    from attacks.report.checking import Check
 
 EXAMPLES = (
     "artifact out/cloak --out out/artifact",
     "artifact out/layers --whole --out out/layers-artifact",
     "artifact-check out/artifact",
-    "artifact-check out/layers-artifact --rescore --every 8",
 )
 
 
@@ -69,43 +67,28 @@ def run(options: ArtifactOptions) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArtifactCheckOptions(DetectorOptions, JsonOptions):
+class ArtifactCheckOptions(JsonOptions):
     """Check results: the bytes of every file, and every figure, derived again from the raw rows alone.
 
     Each file and each figure is a line, green, red, or grey where it was left out. The exit status is 1 if one is red.
-    With --rescore the splats are rendered and detectors look at them again.
     """
 
     folders: Positional[tuple[Folder, ...]] = ()
     """Folders of results or of their copies; at least one."""
     manifest: Annotated[tuple[str, ...], Metavar("SHA256")] = ()
     """SHA-256 that the manifest of each folder has to have; none asks for none."""
-    rescore: bool = False
-    """Render the splats from cameras.json, let detectors look, and say how the rates moved."""
-    splats: Folder | None = None
-    """Folder with the splats of --rescore, for instance the result's; None takes those in the folder."""
-    detectors: Detectors = ()
-    """Names of detectors for --rescore; none takes the result's."""
-    every: Annotated[int, at_least(1, "cameras")] = 1
-    """Use every N-th camera (--rescore)."""
-    rate_tolerance: Fraction = 0.02
-    """How far a rate may move (--rescore); on another machine scores differ in their last digits."""
 
 
 def run_check(options: ArtifactCheckOptions) -> int:
     """Check each artifact against the manifest."""
     if not options.folders:
         raise UsageError.of("folders", "folders of results", "none", "name one")
-    rescoring = {"--splats": options.splats, "--detectors": options.detectors, "--weights": options.weights}
-    given = [flag for flag, value in {**rescoring, "--every": options.every != 1}.items() if value]
-    if given and not options.rescore:
-        raise UsageError.of(given[0], "--rescore beside it", "none", "add --rescore")
     if options.manifest and len(options.manifest) != len(options.folders):
         expected = f"one for each of the {len(options.folders)} folders"
         raise UsageError.of("--manifest", expected, len(options.manifest), "name one for each")
     checks: dict[str, list[Check]] = {}
     for number, folder in enumerate(options.folders):
-        checks[str(folder)] = _checked(folder, options.manifest[number] if options.manifest else None, options)
+        checks[str(folder)] = _checked(folder, options.manifest[number] if options.manifest else None)
         if not options.json:
             for line in checks[str(folder)]:
                 show(f"{line.colour:5}  {line.name}: {line.words}")
@@ -116,35 +99,14 @@ def run_check(options: ArtifactCheckOptions) -> int:
     return 1 if any(line.passed is False for lines in checks.values() for line in lines) else 0
 
 
-def _checked(folder: Path, manifest: str | None, options: ArtifactCheckOptions) -> list[Check]:
+def _checked(folder: Path, manifest: str | None) -> list[Check]:
     """Every line of one result; one that cannot be read is one red line, so that the others are still checked."""
     from attacks.report.checking import Check, check_result, read_result
     from attacks.report.results import kind_of
 
     try:
         result = read_result(folder)
-        story = kind_of(result)
-        lines = check_result(result, story.figures, manifest=manifest)
-        return lines + (_rescored(result, story, options) if options.rescore else [])
+        return check_result(result, kind_of(result).figures, manifest=manifest)
     except MiSplatError as error:
         hint = f" ({error.hint})" if error.hint else ""
         return [Check(name=str(folder), words=" ".join(f"{error}{hint}".split()), passed=False)]
-
-
-def _rescored(result: Result, story: ResultKind, options: ArtifactCheckOptions) -> list[Check]:
-    from attacks.cli.options import load_detectors
-    from attacks.report.checking import fingerprints, rescore
-
-    limit_threads()
-    with progress("loading the detectors", total=None) as advance:
-        names = options.detectors or tuple(fingerprints(result.record))
-        detectors = load_detectors(names, options.weights)
-        return rescore(
-            result,
-            story.rescoring,
-            detectors,
-            splats=options.splats,
-            every=options.every,
-            rate_tolerance=options.rate_tolerance,
-            on_view=lambda done, total: advance(f"looking again, {done:,} of {total:,}"),
-        )

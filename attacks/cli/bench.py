@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from attacks.cli.study import JobOptions, run_in
-from mi_splat.cli.console import limit_threads, show, show_json, show_result
+from mi_splat.cli.console import limit_threads, show, show_json
 from mi_splat.cli.flags import Positional
-from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Folder, Metavar, OutFolder
+from mi_splat.fields import Metavar, OutFolder
 
 EXAMPLES = (
     "bench fasterrcnn_small",
     "bench fasterrcnn_small --weights YOUR.safetensors --out out/bench/mine",
     "bench fasterrcnn_small --defence .spz",
-    "bench --rescore out/bench/v1/fasterrcnn_small",
 )
 
 
@@ -44,22 +42,10 @@ class BenchOptions(JobOptions):
     out: OutFolder | None = None
     """Folder for the row and its raw rows; None is out/bench/SUITE/NAME, and another one beside it with
     --weights or --defence."""
-    rescore: Folder | None = None
-    """Derive the row of a finished folder again from its raw rows, and compare; nothing else is done."""
 
 
 def run(options: BenchOptions) -> int:
     """Do what is asked for; the exit status is 1 if a job has failed."""
-    from attacks.bench.row import markdown
-
-    if options.rescore is None:
-        return _bench(options)
-    row = rescored(options.rescore)
-    show_result({"rows": [row]}, markdown([row]), as_json=options.json)
-    return 0
-
-
-def _bench(options: BenchOptions) -> int:
     from attacks.bench.row import ROW
     from attacks.bench.suite import BenchWork, read_suite
     from attacks.studies.running import TABLE
@@ -76,7 +62,7 @@ def _bench(options: BenchOptions) -> int:
         show_json({"failed": done.failed, "out": str(out), "row": read_json(out / ROW) if done.files else None})
     elif done.files:
         show((out / TABLE).read_text())
-        show(f"{out}: {ROW} is the row, rows.csv.xz has every look; mi-splat bench --rescore {out} counts them again.")
+        show(f"{out}: {ROW} is the row, rows.csv.xz has every look; mi-splat artifact-check {out} counts them again.")
     return 1 if done.failed else 0
 
 
@@ -87,21 +73,3 @@ def usual_folder(options: BenchOptions) -> Path:
     weights = options.weights.stem if options.weights else ""
     name = " ".join(filter(None, (options.detector, weights, options.defence)))
     return Path("out/bench") / Path(options.suite).name / file_name(name)
-
-
-def rescored(folder: Path) -> dict[str, Any]:
-    """The row of a folder, derived again from its raw rows."""
-    import json
-
-    from attacks.bench.row import READER, ROW, STORY, figures, row_of
-    from attacks.report.checking import check_result, read_result
-
-    result = read_result(folder)
-    red = next((line for line in check_result(result, figures) if line.passed is False), None)
-    stated = READER.read_json(folder / ROW)
-    again = json.loads(json.dumps(row_of({**result.record, **figures(result.record, result.tables)})))
-    got = f"{red.name}: {red.words}" if red is not None else "another row" if again != stated else ""
-    if result.kind != STORY or got:
-        expected, do = "the row that its rows give", "make it again: it was changed"
-        raise InvalidValueError.of(str(folder), expected, got or f"a {result.kind}", do)
-    return stated

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,13 +24,12 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from attacks.dagger.result import Result
+    from attacks.dagger.views import FixedViews
     from attacks.detectors.base import Detector
     from attacks.objectives import Objective
     from attacks.search import Step
     from mi_splat.cli.cameras import Chosen
     from mi_splat.datasets.frames import Split
-    from mi_splat.scene import GaussianScene
     from mi_splat.scene_files import SplatScene
 
 EXAMPLES = (
@@ -43,8 +41,6 @@ EXAMPLES = (
     "demo",
     "demo --out out/first --force",
 )
-EVALUATIONS = 3
-"""Evaluations from a camera that a step takes as long as: what is seen, and the gradient."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,8 +86,7 @@ class DaggerRegionOptions(AttackOptions):
 
     Views are drawn at random, new ones at each step or from a pool; others judge the result. Writes held_out.png,
     attacked.ply, mask.npy (the object), cameras.json, the rows and result.json into --out; of a scene XML also
-    attacked.xml with its parts. An attack that was interrupted goes on where it stopped when the same command is given
-    again. The exit status is 0 also when the attack fails: that is a result.
+    attacked.xml with its parts. The exit status is 0 also when the attack fails: that is a result.
     """
 
     view: CameraOptions = field(default_factory=CameraOptions)
@@ -102,8 +97,6 @@ class DaggerRegionOptions(AttackOptions):
     """What happens to the pictures between renderer and detector; by default nothing."""
     config: DaggerConfig = field(default_factory=DaggerConfig.for_region)
     """How to attack."""
-    checkpoint: Path | None = None
-    """File that keeps the search while it runs; None is one beside --out."""
     out: OutFolder = Path("out/dagger-eot")
 
 
@@ -121,7 +114,6 @@ class DemoOptions(ResultOptions):
 
 def run(options: DaggerOptions) -> None:
     """Attack from chosen cameras; Ctrl-C ends the search with the best so far."""
-    from attacks.dagger.attack import attack_views
     from attacks.dagger.views import FixedViews
     from mi_splat.selection.select import doubts, require_visible
 
@@ -132,45 +124,27 @@ def run(options: DaggerOptions) -> None:
         if any(Path(text).is_dir() for text in options.view.cameras):
             chosen, weights = _showing(chosen, weights)
         require_visible(weights)
-        detectors, objective = _detectors_and_objective(options)
-        if len(chosen.cameras) > 1:
-            _forecast(loaded.scene, chosen, detectors, config)
         cameras = list(chosen.cameras.values())
         views = FixedViews(loaded.scene, chosen.mask, cameras, render=chosen.render, up=options.view.up)
-        advance("attacking", 0)
-        with deferred_interrupt() as interrupted:
-            on_step = _follow(advance, objective.label, config, interrupted)
-            result = attack_views(views, detectors, objective, config=config, on_step=on_step)
-        result = replace(result, doubts=tuple(doubts(chosen.mask, weights)))
         origin = {"selection": selection.as_dict(), "cameras": list(chosen.cameras)}
-        _write(options, result, loaded, chosen.mask, origin)
-    _show(options)
-    if interrupted():
-        raise KeyboardInterrupt
+        told = tuple(doubts(chosen.mask, weights))
+        interrupted = _attack(options, loaded, chosen, views, origin, advance, told)
+    _end(options, interrupted)
 
 
 def run_region(options: DaggerRegionOptions) -> None:
-    """Attack from all cameras of a region."""
-    from attacks.dagger.attack import attack_views
-    from attacks.dagger.search import Checkpoint
+    """Attack from all cameras of a region; Ctrl-C ends the search with the best so far."""
     from attacks.dagger.views import DrawnViews
     from mi_splat.io.camera_records import describe
 
-    config = options.config
-    checkpoint = Checkpoint(path=options.checkpoint or options.out.with_name(f"{options.out.name}.checkpoint"))
-    with progress("loading the scene and the detectors", total=config.steps + 1) as advance:
+    with progress("loading the scene and the detectors", total=options.config.steps + 1) as advance:
         loaded, selection, chosen = _opened(options)
         name, camera = next(iter(chosen.cameras.items()))
-        detectors, objective = _detectors_and_objective(options)
         drawn = Transformations(cameras=options.region, pictures=options.pictures)
         views = DrawnViews(loaded.scene, chosen.mask, camera, drawn, render=chosen.render, up=options.view.up)
-        advance("drawing views", 0)
-        checkpoint.path.parent.mkdir(parents=True, exist_ok=True)
-        on_step = _follow_region(advance)
-        result = attack_views(views, detectors, objective, config=config, checkpoint=checkpoint, on_step=on_step)
         origin = {"selection": selection.as_dict(), "cameras": [name], "reference": describe(name, camera)}
-        _write(options, result, loaded, chosen.mask, origin)
-    _show(options)
+        interrupted = _attack(options, loaded, chosen, views, origin, advance)
+    _end(options, interrupted)
 
 
 def run_demo(options: DemoOptions) -> None:
@@ -207,25 +181,44 @@ def _detectors_and_objective(options: AttackOptions) -> tuple[Sequence[Detector]
     return detectors, objective_of(options.objective, target, options.confidence)
 
 
-def _write(options: AttackOptions, result: Result, loaded: SplatScene, mask: Tensor, origin: dict[str, Any]) -> None:
-    """Write a result, the object's mask, and of a scene file its parts and the XML that names them."""
+def _attack(
+    options: DaggerOptions | DaggerRegionOptions,
+    loaded: SplatScene,
+    chosen: Chosen,
+    views: FixedViews,
+    origin: dict[str, Any],
+    advance: Advance,
+    doubts: tuple[str, ...] = (),
+) -> bool:
+    """Attack and write the result, the mask, and of a scene file its parts; whether Ctrl-C ended the search."""
+    from attacks.dagger.attack import attack_views
     from attacks.dagger.report import write_files
     from mi_splat.io.folders import new_folder
     from mi_splat.scene_files import write_scene
     from mi_splat.selection.select import save_mask
 
-    result = replace(result, origin={**result.origin, "scene": str(options.scene), **origin})
+    detectors, objective = _detectors_and_objective(options)
+    advance("attacking", 0)
+    with deferred_interrupt() as interrupted:
+        on_step = _follow(advance, objective.label, options.config, interrupted)
+        result = attack_views(views, detectors, objective, config=options.config, on_step=on_step)
+    origin = {**result.origin, "scene": str(options.scene), **origin}
+    result = replace(result, origin=origin, doubts=doubts)
     with new_folder(options.out, force=options.force) as folder:
-        save_mask(mask, folder / "mask.npy")
+        save_mask(chosen.mask, folder / "mask.npy")
         if loaded.cameras:  # a bare splat has none, and so makes no scene file
             write_scene(loaded, result.scene, folder / "attacked.xml")
         write_files(result, folder)
+    return interrupted()
 
 
-def _show(options: AttackOptions) -> None:
+def _end(options: AttackOptions, interrupted: bool) -> None:
+    """Show what came of it, and end as Ctrl-C does if it was given."""
     from attacks.cli.summary import show_summary
 
     show_summary(options.out, as_json=options.json)
+    if interrupted:
+        raise KeyboardInterrupt
 
 
 def _showing(chosen: Chosen, weights: dict[str, Tensor]) -> tuple[Chosen, dict[str, Tensor]]:
@@ -238,48 +231,21 @@ def _showing(chosen: Chosen, weights: dict[str, Tensor]) -> tuple[Chosen, dict[s
     return replace(chosen, cameras={name: chosen.cameras[name] for name in kept}), kept
 
 
-def _forecast(scene: GaussianScene, chosen: Chosen, detectors: Sequence[Detector], config: DaggerConfig) -> None:
-    """Say how many views are attacked and about how long that takes, by one evaluation of one of them."""
-    import torch
-
-    from attacks.report.section import duration
-
-    camera, begun = next(iter(chosen.cameras.values())), 0.0
-    with torch.no_grad():
-        for _ in range(2):  # the first one compiles
-            begun = time.perf_counter()
-            picture = chosen.render(scene, camera).clamp(0, 1)[None]
-            for detector in detectors:
-                detector.detect(picture)
-    seconds = EVALUATIONS * (time.perf_counter() - begun) * len(chosen.cameras) * config.restarts * (config.steps + 1)
-    warn(f"{len(chosen.cameras)} views at once, {config.steps} steps: at most about {duration(seconds)}")
-
-
 def _follow(
     advance: Advance, label: str | None, config: DaggerConfig, interrupted: Callable[[], bool]
 ) -> Callable[[Step], bool]:
-    """Show each step, and end the attack if the clean object is taken for the class wanted."""
+    """Show each step with the last score, and end the attack if the clean object is taken for the class wanted."""
+    from attacks.search import NOT_JUDGED
+
+    score = ""
 
     def note(step: Step) -> bool:
+        nonlocal score
         if label is not None and step.index == step.restart == 0 and step.unambiguous and not config.random_start:
             do = "name another class with --target"
             raise InvalidValueError.of("--target", "another class than is seen before the attack", label, do)
-        advance(f"attacking: loss {step.loss:.3f}, score {step.score:.0%}")
+        score = score if step.score == NOT_JUDGED else f", score {step.score:.0%}"
+        advance(f"attacking: loss {step.loss:.3f}{score}")
         return step.index + step.restart > 0 and interrupted()
-
-    return note
-
-
-def _follow_region(advance: Advance) -> Callable[[Step], None]:
-    """Show each step, and the last score of the validation views."""
-    from attacks.search import NOT_JUDGED
-
-    validation = ""
-
-    def note(step: Step) -> None:
-        nonlocal validation
-        if step.score != NOT_JUDGED:
-            validation = f", validation {step.score:.0%}"
-        advance(f"attacking: step {step.index}, loss {step.loss:.3f}{validation}")
 
     return note

@@ -7,19 +7,15 @@ them (expectation over transformation, Athalye et al. 2018).
 """
 
 import dataclasses
-import hashlib
-import json
 import time
 from collections.abc import Sequence
 from typing import Any
-
-import torch
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.controls import control_scenes
 from attacks.dagger.problem import Problem, check_detectors
 from attacks.dagger.result import Result, counted, judge, observed
-from attacks.dagger.search import Checkpoint, OnStep, search
+from attacks.dagger.search import OnStep, search
 from attacks.dagger.views import DrawnViews, FixedViews, ViewDistribution
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import as_detectors
@@ -30,7 +26,6 @@ from attacks.search import Outcome
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.directions import UP, Point
-from mi_splat.errors import InvalidValueError
 from mi_splat.io.camera_records import values_of
 from mi_splat.scene import GaussianScene, scene_hash
 
@@ -84,37 +79,31 @@ def attack_views(
     *,
     config: DaggerConfig | None = None,
     judged: FixedViews | None = None,
-    checkpoint: Checkpoint | None = None,
     on_step: OnStep | None = None,
 ) -> Result:
     """The same for views that are there, which several attacks may share.
 
-    A search whose `checkpoint` is there goes on from it; `judged` is where the held-out views of a region are drawn
-    from, if they are others.
+    `judged` is where the held-out views of a region are drawn from, if they are others.
     """
     begun, detectors = time.perf_counter(), as_detectors(detectors)
     config = config or (DaggerConfig() if views.transformations is None else DaggerConfig.for_region())
     check_objective(objective)
     check_detectors(detectors, objective)
     views.check(config)
-    if checkpoint is not None and config.restarts > 1:
-        raise InvalidValueError.of("restarts", "1 run with a checkpoint", config.restarts, "leave one of them out")
     problem = problem_of(views, detectors, objective, config)
     searched = views.alone() if config.alone else views
     attacked = problem_of(searched, detectors, objective, config) if config.alone else problem
-    key, clock = _key(views, problem, config), time.process_time()
-    outcome, before = search(attacked, searched, config, key=key, checkpoint=checkpoint, on_step=on_step)
+    clock = time.process_time()
+    outcome = search(attacked, searched, config, on_step)
     spent = time.process_time() - clock
     result = _judged(problem, config, outcome, judged or views)
-    if checkpoint is not None:
-        checkpoint.path.unlink(missing_ok=True)
     return dataclasses.replace(
         result,
         origin=result.origin | _origin(views, detectors),
         redraws=views.redraws(config) if isinstance(views, DrawnViews) else {},
         transformations=views.transformations,
-        seconds=before + time.perf_counter() - begun,
-        cpu_seconds=None if before else spent,
+        seconds=time.perf_counter() - begun,
+        cpu_seconds=spent,
     )
 
 
@@ -190,26 +179,3 @@ def _judged(problem: Problem, config: DaggerConfig, outcome: Outcome, views: Fix
         seconds=0.0,
         judged=drawn,
     )
-
-
-def _key(views: FixedViews, problem: Problem, config: DaggerConfig) -> str:
-    """Hash of everything that the search depends on; what only judges it does not count."""
-    cameras = [
-        [*camera.to_world.flatten().tolist(), camera.fx, camera.fy, camera.width, camera.height]
-        for camera in views.cameras
-    ]
-    drawn = views.transformations
-    settings = {
-        **dataclasses.asdict(config),
-        **dict.fromkeys(("held_out", "judge_seed", "noise_draws", "controls")),
-        "transformations": None if drawn is None else dataclasses.asdict(drawn),
-        "objective": repr(problem.objective),
-        "detectors": {detector.name: detector.fingerprint for detector in problem.detectors},
-        "scene": scene_hash(views.scene),
-        "rows": hashlib.sha256(problem.subset.rows.cpu().numpy().tobytes()).hexdigest(),
-        "cameras": cameras,
-        **_kept_up(views.up),
-        "render": repr(getattr(views.render, "settings", None)),
-        "threads": torch.get_num_threads(),
-    }
-    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()

@@ -1,22 +1,17 @@
 """The search of DAGGER: over all chosen cameras at each step, or over a few views of a region.
 
-It is resumable to the bit. Of a region other views decide which step was best (expectation over transformation, Athalye
-et al., "Synthesizing Robust Adversarial Examples", ICML 2018).
+Of a region other views decide which step was best (expectation over transformation, Athalye et al., "Synthesizing
+Robust Adversarial Examples", ICML 2018).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-import json
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
-import torch
-from safetensors.torch import save
 from torch import Generator
 
 from attacks.dagger.config import DaggerConfig
@@ -28,116 +23,12 @@ from attacks.search import (
     Evaluation,
     Hooks,
     Optimiser,
-    OptimiserState,
     Outcome,
     Parameters,
-    SearchState,
     Step,
     Verdict,
     pgd,
 )
-from mi_splat.errors import MiSplatError
-from mi_splat.io.documents import save_bytes
-from mi_splat.io.noted_tensors import NOTES, check_like, read_line, read_noted_tensors
-from mi_splat.io.parsing import DocumentReader
-
-FORMAT = 3
-_POINT, _BEST, _MEMORY = "point", "best", "memory "
-"""Groups of tensors; what an optimiser remembers has names of its own behind the last."""
-
-
-class CheckpointError(MiSplatError):
-    """A checkpoint that cannot be read, or that belongs to another attack."""
-
-
-_READER = DocumentReader(expected="a checkpoint", do="delete it, or pass another name", error=CheckpointError)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Checkpoint:
-    """Where a search is kept while it runs."""
-
-    path: Path  # the file; removed when the search has ended
-    every: int = 10  # steps between two writings
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class KeptSearch:
-    """A search between two steps, as its file holds it."""
-
-    search: SearchState  # where it is and what it remembers
-    price: ImagePrice | None  # of the pictures' squared error; None where it costs nothing
-    seconds: float  # time spent so far
-
-
-def save_state(kept: KeptSearch, path: Path, *, key: str) -> None:
-    """Write a search; the old checkpoint stays until the new one is on the disk."""
-    state = kept.search
-    remembered = {f"{_MEMORY}{name}": values for name, values in state.optimiser.tensors.items()}
-    groups = {_POINT: state.point, _BEST: state.best, **remembered}
-    tensors = {
-        f"{group}/{name}": value.detach().contiguous().clone()
-        for group, values in groups.items()
-        for name, value in values.items()
-    }
-    notes = {
-        "format": FORMAT,
-        "key": key,
-        "index": state.optimiser.index,
-        "numbers": dict(state.optimiser.numbers),
-        "best_line": None if state.best_line is None else dataclasses.asdict(state.best_line),
-        "price": None if kept.price is None else dataclasses.asdict(kept.price),
-        "trace": [dataclasses.asdict(line) for line in state.trace],
-        "seconds": kept.seconds,
-        "threads": torch.get_num_threads(),
-    }
-    packed = save(tensors, metadata={NOTES: json.dumps(notes)})
-    save_bytes(packed, path)
-
-
-def load_state(path: Path, *, key: str, device: torch.device | str = "cpu") -> KeptSearch | None:
-    """Read a search; None if there is none."""
-    if not path.exists():
-        return None
-    notes, tensors = read_noted_tensors(path, _READER)
-    if notes.values.get("format") != FORMAT or notes.values.get("key") != key:
-        raise _READER.broken(f"checkpoint {path}", "one of another", "one of this very attack")
-    groups: dict[str, Parameters] = {}
-    for key, value in tensors.items():
-        group, _, name = key.partition("/")
-        groups.setdefault(group, {})[name] = value.to(device)
-    point, best = groups.pop(_POINT, {}), groups.pop(_BEST, {})
-    check_like(best, point, f"{notes.where}, best", _READER)
-    for group, memory in groups.items():
-        if not group.startswith(_MEMORY):
-            raise _READER.broken(notes.where, f"tensors {group}", f"{_POINT}, {_BEST} and what begins with {_MEMORY}")
-        check_like(memory, point, f"{notes.where}, {group}", _READER)
-    numbers = notes.object("numbers")
-    line, price = notes.values.get("best_line"), notes.values.get("price")
-    search = SearchState(
-        point=point,
-        optimiser=OptimiserState(
-            index=notes.whole("index", 0, 1 << 31),
-            tensors={group.removeprefix(_MEMORY): memory for group, memory in groups.items()},
-            numbers={name: numbers.number(name) for name in numbers.values},
-        ),
-        best=best,
-        best_line=None if line is None else read_line(Step, notes.object("best_line")),
-        trace=tuple(read_line(Step, entry) for entry in notes.objects("trace")),
-    )
-    return KeptSearch(
-        search=search,
-        price=None if price is None else read_line(ImagePrice, notes.object("price")),
-        seconds=notes.number("seconds"),
-    )
-
-
-def check_point(state: SearchState, reference: Parameters, steps: int) -> None:
-    """Raise unless a search can go on from a state."""
-    check_like(state.point, reference, "checkpoint, point", _READER)
-    if state.optimiser.index > steps:
-        raise _READER.broken("checkpoint, index", state.optimiser.index, f"at most {steps} steps")
-
 
 # A budget in pictures: an attack may keep their PSNR above a limit.
 #
@@ -231,28 +122,20 @@ def search(
     problem: Problem,
     views: FixedViews,
     config: DaggerConfig,
-    *,
-    key: str = "",
-    checkpoint: Checkpoint | None = None,
     on_step: OnStep | None = None,
-) -> tuple[Outcome, float]:
-    """The best point, and how long a search that was taken up again had taken before, in seconds.
-
-    Where each step takes all views, these decide about it; otherwise the validation views decide about some steps. A
-    search whose checkpoint is there goes on from it, to the bits that it would have found without the break, on the
-    same number of torch threads.
-    """
+) -> Outcome:
+    """The best point: where each step takes all views, these decide about it, otherwise the validation views do."""
     if config.attributes == ("sh",):
         problem = dataclasses.replace(problem, frozen=views.frozen(config))
     if not config.in_turn:
-        return _searched(problem, views, config, None, key, checkpoint, on_step)
+        return _searched(problem, views, config, None, on_step)
     outcome: Outcome | None = None
     for view in views.one_by_one(config):
         start = None if outcome is None else outcome.parameters
-        after, _ = _searched(problem, view, config, start, key, None, on_step)
+        after = _searched(problem, view, config, start, on_step)
         outcome = after if outcome is None else dataclasses.replace(after, trace=(*outcome.trace, *after.trace))
     assert outcome is not None  # as `FixedViews` has seen to
-    return outcome, 0.0
+    return outcome
 
 
 def _searched(
@@ -260,20 +143,10 @@ def _searched(
     views: FixedViews,
     config: DaggerConfig,
     start: Parameters | None,
-    key: str,
-    checkpoint: Checkpoint | None,
     on_step: OnStep | None,
-) -> tuple[Outcome, float]:
-    clock, reference = time.perf_counter(), problem.subset.parameters(config.attributes)
-    starts: SearchState | Iterator[Parameters] = _starts(config, reference, start)
-    first, seconds = 0, 0.0
+) -> Outcome:
+    reference, steps = problem.subset.parameters(config.attributes), itertools.count()
     price = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps)
-    device = problem.subset.scene.means.device
-    kept = None if checkpoint is None else load_state(checkpoint.path, key=key, device=device)
-    if kept is not None:
-        check_point(kept.search, reference, config.steps)
-        starts, first, price, seconds = kept.search, kept.search.optimiser.index, kept.price, kept.seconds
-    steps = itertools.count(first)
 
     def evaluate(point: Parameters) -> Evaluation:
         """Loss and gradients over the views of the next step; the price of their pictures' error follows it."""
@@ -283,24 +156,18 @@ def _searched(
         price = price and price.after(here.error)
         return here
 
-    def keep(search: SearchState) -> None:
-        if checkpoint is not None and search.optimiser.index % checkpoint.every == 0:
-            spent = seconds + time.perf_counter() - clock
-            save_state(KeptSearch(search=search, price=price, seconds=spent), checkpoint.path, key=key)
-
     judge = _judge(problem, views, config, reference) if config.batch or config.image_psnr is not None else None
-    outcome = pgd(
+    return pgd(
         evaluate,
         reference,
         config.budget,
         steps=config.steps,
         optimiser=_optimiser(config, problem),
-        starts=starts,
+        starts=_starts(config, reference, start),
         early_stop=config.early_stop if views.transformations is None else config.stop_at is not None,
         smallest=config.spec.smallest,
-        hooks=Hooks(judge=judge, every=config.validate_every, on_step=on_step, on_state=keep),
+        hooks=Hooks(judge=judge, every=config.validate_every, on_step=on_step),
     )
-    return outcome, seconds
 
 
 def _starts(config: DaggerConfig, reference: Parameters, start: Parameters | None) -> Iterator[Parameters]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from attacks.report.checking import Figures, Rescoring, Result
+from attacks.report.checking import Figures, Result
 from attacks.report.section import Section, sentence, versions_of
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.folders import MANIFEST, RECORD, read_manifest
@@ -22,7 +22,6 @@ class ResultKind:
     name: str  # what writes it; also what its record says under `story`
     reader: str  # in attacks.report.kinds: makes the section of a folder and of what its record holds
     counter: str = ""  # derives its figures from its rows; empty for a kind without rows
-    scorer: str = ""  # in attacks.report.kinds: how its splats are scored again; empty for a kind that is not
 
     @property
     def read(self) -> Callable[[Path, Record], Section]:
@@ -35,17 +34,12 @@ class ResultKind:
         """The function that `counter` names."""
         return resolve_name(f"attacks.{self.counter}") if self.counter else None
 
-    @property
-    def rescoring(self) -> Rescoring | None:
-        """The value that `scorer` names."""
-        return resolve_name(f"attacks.report.kinds.{self.scorer}") if self.scorer else None
-
 
 RESULT_KINDS = (
-    ResultKind("dagger", "dagger:read_attack", "dagger.result:figures", "dagger:RESCORING"),
-    ResultKind("dagger-eot", "dagger:read_attack", "dagger.result:figures", "dagger:RESCORING"),
+    ResultKind("dagger", "dagger:read_attack", "dagger.result:figures"),
+    ResultKind("dagger-eot", "dagger:read_attack", "dagger.result:figures"),
     ResultKind("study", "dagger:read_study", "studies.result:figures"),
-    ResultKind("cloak", "cloak:read_cloak", "report.kinds.cloak:cloak_figures", "cloak:RESCORING"),
+    ResultKind("cloak", "cloak:read_cloak", "report.kinds.cloak:cloak_figures"),
     ResultKind("cloak-study", "cloak:read_study", "report.kinds.cloak:study_figures_of_points"),
     ResultKind("poison-study", "poison:read_study", "studies.poison_figures:figures"),
     ResultKind("audit", "audit:read_audit"),

@@ -22,7 +22,6 @@ from attacks.aims import PluggedObjective
 from attacks.dagger.attack import attack_views
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import before_and_after, summary, write_files
-from attacks.dagger.search import Checkpoint
 from attacks.dagger.views import DrawnViews, FixedViews
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
@@ -204,7 +203,6 @@ def run(config: Attack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, 
         config.objective,
         config=config.attack,
         judged=None if config.judged is None else distribution(scene, config.object, config.judged),
-        checkpoint=None if fixed else Checkpoint(path=out.partial / "search.checkpoint"),
         on_step=follow,
     )
     if fixed:

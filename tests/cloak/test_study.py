@@ -22,7 +22,7 @@ from attacks.cloak.steps import StudySteps
 from attacks.cloak.study import study_toml
 from attacks.observe.rows import read_rows
 from attacks.poisons.base import MANIFEST
-from attacks.report.checking import check_result, flat, pack, read_result, rescore
+from attacks.report.checking import check_result, flat, pack, read_result
 from attacks.report.results import kind_of, read_section
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
@@ -146,7 +146,7 @@ def test_another_fraction_needs_no_new_picture(finished: Path) -> None:
     assert len(manifest["changes"]) < len(json.loads((finished / "poison.json").read_text())["changes"])
 
 
-def test_its_figures_follow_from_its_rows_and_its_splats_are_scored_again(finished: Path, tmp_path: Path) -> None:
+def test_its_figures_follow_from_its_rows(finished: Path, tmp_path: Path) -> None:
     result = read_result(finished)
     story = kind_of(result)
     lines = check_result(result, story.figures)
@@ -154,11 +154,6 @@ def test_its_figures_follow_from_its_rows_and_its_splats_are_scored_again(finish
     assert len([name for name, value in flat(result.record).items() if isinstance(value, tuple)]) > 40
     copy = pack(finished, tmp_path / "copy", story.figures)
     assert replace(study_in(copy.folder / "study.toml"), name=STUDY.name) == STUDY
-    lines = rescore(copy, story.rescoring, [Redness()], splats=finished, every=4)
-    assert {line.colour for line in lines} == {"green"}
-    assert all("moved by 0.0%" in line.words for line in lines)
-    with pytest.raises(InvalidValueError, match="expected a splat of the result, got none"):
-        rescore(copy, story.rescoring, [Redness()])
 
 
 def test_a_splat_that_was_edited_is_not_looked_at(finished: Path, tmp_path: Path) -> None:

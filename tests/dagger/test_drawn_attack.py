@@ -17,15 +17,14 @@ from attacks.dagger.views import ViewDistribution
 from attacks.objectives import relabel
 from attacks.observe.rates import AIMS, count, joint_views
 from attacks.observe.views import as_saved
-from attacks.report.checking import pack, read_result, rescore
-from attacks.report.results import kind_of, read_section
+from attacks.report.results import read_section
 from attacks.report.viewer_content import open_content
 from attacks.search import Budget, Parameters
 from attacks.transformations.config import PictureChanges, Transformations
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import through_png
 from tests.dagger.toy import QUICK, REGION, quick, toy_views
-from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
+from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 
 def test_an_attack_holds_on_views_that_it_did_not_see() -> None:
@@ -179,23 +178,6 @@ def test_the_command_is_stored_and_repeats_it(folder: Path, monkeypatch: pytest.
     assert {key: after[key] for key in after if key not in volatile} == {
         key: before[key] for key in before if key not in volatile
     }
-
-
-def test_its_copy_is_scored_again(folder: Path, tmp_path: Path) -> None:
-    story = kind_of(read_result(folder))
-    copy = pack(folder, tmp_path / "copy", story.figures, whole=True)
-    lines = rescore(copy, story.rescoring, [ColourDetector()])
-    assert [line.colour for line in lines] == ["green", "green"]
-    assert all("moved by 0.0%" in line.words for line in lines)
-    assert {line.colour for line in rescore(copy, story.rescoring, [CoarseDetector()], every=2)} == {"grey"}
-
-    class Blind(ColourDetector):
-        min_confidence = 2.0
-
-    looked: list[tuple[int, int]] = []
-    lines = rescore(copy, story.rescoring, [Blind()], every=2, on_view=lambda done, total: looked.append((done, total)))
-    assert lines[0].colour == "red"
-    assert looked == [(1, 2), (2, 2)]
 
 
 def test_its_held_out_views_are_shown(folder: Path) -> None:

@@ -63,7 +63,6 @@ def test_the_command_says_what_each_detector_saw(
     assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr()
     assert "1 of 3 pictures for training do not show the object" in shown.err
-    assert "2 views at once, 11 steps: at most about" in shown.err
     lines = shown.out.splitlines()
     figures = {line.split("  ")[0]: line.partition("  ")[2].split()[:3] for line in lines}
     assert figures["fake_colour"] == figures["fake_coarse"] == ["2", "of", "2"]

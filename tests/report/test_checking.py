@@ -259,9 +259,6 @@ def test_the_commands(attacked: Path, attack: Path, tmp_path: Path, capsys: pyte
     ("words", "message"),
     [
         ([], "expected folders of results, got none"),
-        (["{it}", "--splats", "."], "--splats: expected --rescore beside it"),
-        (["{it}", "--every", "2"], "--every: expected --rescore beside it"),
-        (["{it}", "--detectors", "fasterrcnn_small"], "--detectors: expected --rescore beside it"),
         (["{it}", "--manifest", "a", "b"], "--manifest: expected one for each of the 1 folders, got 2"),
     ],
 )

@@ -9,8 +9,13 @@ import pytest
 
 from attacks.cli.summary import show_summary
 from attacks.cloak.config import recorded_study
+from attacks.cloak.rates import measures
+from attacks.observe.rates import Confidence, Measures
+from attacks.observe.rows import rows
 from attacks.rate import Rate, pooled
 from attacks.report.kinds.audit import angles
+from attacks.report.kinds.cloak import study_of
+from attacks.report.kinds.detectors import threshold_charts
 from attacks.report.results import RESULT_KINDS, read_section
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.folders import read_manifest
@@ -181,3 +186,24 @@ def test_a_command_says_what_its_page_says(folders: dict[str, Path], capsys: pyt
     assert text.startswith("From inside the trigger the ")
     assert "\n## Rates by detector\n\n| rate | fasterrcnn_small | yolov8n_small |\n" in text
     assert text.count("\n## ") == 1
+
+
+SECTOR = ARTIFACTS / "cloak_car_sector_layers"
+
+
+def cloak(confidence: Confidence) -> Measures:
+    study = study_of(json.loads((SECTOR / "result.json").read_text())["study"])
+    return measures(study, confidence=confidence)
+
+
+def test_the_sector_is_missed_less_by_a_lower_confidence() -> None:
+    charts, (table,) = threshold_charts(rows(SECTOR), cloak, {"trigger_miss_rate": ("missed", "attack")})
+    assert [chart.title.split(",")[0] for chart in charts][:2] == ["fasterrcnn_small", "yolov8n_small"]
+    (line,) = charts[1].lines
+    heights = {point.x: point.y for point in line.points}
+    assert 0 < heights[0.2] < heights[0.5]
+    assert all(point.low is not None and point.low <= point.y <= (point.high or 0) for point in line.points)
+    assert table.head == ("detector", "rate", "from 0.5", "from 0.25")
+    assert [row[:2] for row in table.rows][:2] == [("fasterrcnn_small", "missed"), ("yolov8n_small", "missed")]
+    assert threshold_charts(rows(SECTOR), cloak, {"target_rate": ("reported", "attack")}) == ((), ())
+    assert threshold_charts(None, cloak, {"trigger_miss_rate": ("missed", "attack")}) == ((), ())

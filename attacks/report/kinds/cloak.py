@@ -12,13 +12,10 @@ from attacks.cloak import tables as cloak_tables
 from attacks.cloak.config import StudyConfig, knowledge_for, recorded_study
 from attacks.cloak.steps import ROW_NAMES
 from attacks.cloak.study import CONTACT, POISONED_PICTURES, study_toml
-from attacks.detectors.base import Detector
-from attacks.observe.observations import report_cells
 from attacks.observe.rates import Confidence, Measures
-from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, PATH, ROWS, TARGET_SCORE, TRANSITION, Row
-from attacks.observe.views import BATCH, ViewDetections
+from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, PATH, ROWS, TARGET_SCORE, TRANSITION
 from attacks.rate import FEW, Rate, rate_of, spread
-from attacks.report.checking import Rescoring, Tables, read_tables
+from attacks.report.checking import Tables, read_tables
 from attacks.report.kinds.detectors import threshold_charts
 from attacks.report.section import (
     Chart,
@@ -106,7 +103,7 @@ def headline_of(summary: Record) -> tuple[Figure, Figure | None]:
     )
 
 
-# Its figures, derived again from its rows, and its splats scored again
+# Its figures, derived again from its rows
 
 
 def cloak_figures(record: Record, tables: Tables) -> Record:
@@ -120,32 +117,6 @@ def _known(derived: Record, record: Record) -> dict[str, Any]:
     """The figures that a result has, which may have been written before some were counted."""
     later = (cloak_rates.OWN_REGION, cloak_rates.AT_LOWER, cloak_rates.MARGIN)
     return {name: value for name, value in derived.items() if name not in later or name in record}
-
-
-def _splats(record: Record) -> dict[tuple[str, int], str]:
-    """The files of the splats in a result, which are those of the first seed."""
-    first = min(int(splat["seed"]) for splat in record["splats"])
-    return {(CLEAN, first): f"{CLEAN}.ply", (ATTACKED, first): f"{cloak_rates.CLOAKED}.ply"}
-
-
-def _cells(record: Record, seen: ViewDetections, row: Record, detector: Detector) -> Row:
-    """The scores that a detector gives to the object in one picture."""
-    cells = report_cells(seen.detections, seen.box, original=row["original"])
-    wanted = {attack["name"]: attack["target_class"] for attack in record["study"]["attack"] if attack["target_class"]}
-    targets = {f"{TARGET_SCORE}{name}": seen.confidence_of(label, detector.classes) for name, label in wanted.items()}
-    return {**{name: cells[name] for name in ("score", "original_score", "any_overlap")}, **targets}
-
-
-def _rescored(record: Record, rows: pl.DataFrame) -> dict[str, dict[str, Rate]]:
-    """Every rate of each detector, of the splats in the rows."""
-    study = study_of(record["study"])
-    return {
-        name: {cloak_rates.RATES[key]: rate for key, rate in rates.items() if rate is not None}
-        for (name,), rates in cloak_rates.rates(study, rows, ("detector",)).items()
-    }
-
-
-RESCORING = Rescoring(splats=_splats, cells=_cells, rates=_rescored, batch=BATCH)
 
 
 def study_of(configuration: Record) -> StudyConfig:

@@ -6,21 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import polars as pl
-
-from attacks.aims import PluggedObjective
-from attacks.detectors.base import Detector
-from attacks.objectives import Hide, Objective, Relabel, Target, Untargeted
-from attacks.observe.observations import verdict_cells
-from attacks.observe.rates import Measure, count
-from attacks.observe.rows import ATTACKED, NOISE, Row
-from attacks.observe.views import CAMERAS, ViewDetections
+from attacks.objectives import Hide, Relabel, Untargeted
+from attacks.observe.rows import NOISE
 from attacks.rate import Rate, number, percent, pooled
-from attacks.report.checking import Rescoring
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, capital, listed, settings, shared
 from attacks.studies.result import KINDS, attacks_of, by_attack, by_part, tables, title_of, together
 from attacks.tables import Column, Table
-from mi_splat.errors import InvalidValueError, counted
+from mi_splat.errors import counted
 
 Record = Mapping[str, Any]
 
@@ -212,45 +204,6 @@ def _by_angle(record: Record, angle: str, needed: float) -> Chart:
         lines=(Line.over("attacked", "attack", parts if len(parts) > 1 else ()),),
         level=(needed, "asked for"),
     )
-
-
-# Scoring again
-
-
-def _objective_of(record: Record) -> Objective:
-    """The objective of an attack."""
-    try:
-        name, values = str(record["objective"]), record["config"]["objective"]
-        if name not in _AIMS and "kind" not in values:
-            do = "score it again in the program that made it, or bring the objective as a plug-in"
-            raise InvalidValueError.of(f"objective {name[:40]}", "one that is known by its name", "functions", do)
-        objective: Objective = _AIMS.get(name, (PluggedObjective,))[0](**values)
-        return objective
-    except (KeyError, TypeError) as error:
-        do = "get the result again"
-        raise InvalidValueError.of("objective", "its name and its settings", repr(error), do) from error
-
-
-def _cells(record: Record, seen: ViewDetections, row: Record, detector: Detector) -> Row:
-    """What a detector says of an attacked picture: whether the aim is reached."""
-    if seen.box is None:
-        raise InvalidValueError.of(CAMERAS, "a box of the object in each view", "none", "get the result again")
-    classes = tuple(detector.classes)
-    target = Target(box=seen.box, label=record["target"], classes=classes, original=row["original"])
-    return verdict_cells(_objective_of(record).verdict(seen.detections, target))
-
-
-def _rescored(record: Record, rows: pl.DataFrame) -> dict[str, dict[str, Rate]]:
-    """How often the aim is reached with each detector."""
-    names = {"success": "the aim is reached", "unambiguous": "so, and no other class has more confidence"}
-    measures = {words: Measure(holds=pl.col(name)) for name, words in names.items()}
-    return {name: rates for (name,), rates in count(rows.filter(splat=ATTACKED), measures, ("detector",)).items()}
-
-
-RESCORING = Rescoring(
-    splats=lambda record: {(ATTACKED, int(record["seed"])): "attacked.ply"}, cells=_cells, rates=_rescored, batch=1
-)
-"""One picture at a time, as attacks are judged: the same bits."""
 
 
 # Studies of many attacks, and what others see of them
