@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from attacks.detectors.catalogue import weights_of
-from mi_splat.errors import InvalidValueError, install, nearest
+from mi_splat.errors import InvalidValueError, nearest
 
 if TYPE_CHECKING:
     from attacks.classifiers.base import Classifier
@@ -30,14 +29,9 @@ class ClassifierSpec:
     weights: Callable[[], Path] | None = None
     """Gives the file of its usual weights, there or not; None where no one file has them."""
     advice: str = ""  # what to do where that is not there
-    requires: tuple[str, ...] = ()
-    """Packages, by the names they are imported by, that it needs besides those of mi-splat."""
 
     def missing(self) -> str:
         """What keeps its usual weights from being loaded now and what to do about it; empty if nothing does."""
-        absent = [name for name in self.requires if importlib.util.find_spec(name) is None]
-        if absent:
-            return f"needs the package {', '.join(absent)}; {self.advice}"
         return "" if self.weights is not None and self.weights().is_file() else self.advice
 
 
@@ -69,14 +63,6 @@ CLASSIFIERS = {
             licence="BSD-3-Clause",
             networks="resnet50 or another of torchvision.models.list_models()",
             advice="downloaded when first used, or name a file",
-        ),
-        ClassifierSpec(
-            name="clip",
-            load=_loader("clip"),
-            origin="a folder of your own, of CLIP in the form of transformers",
-            licence="its own",
-            advice=f"name a folder, and {install('transformers')}",
-            requires=("transformers",),
         ),
     )
 }
