@@ -78,7 +78,6 @@ def run(options: CloakOptions) -> int:
     study, store = work.attempts[0].steps.study, options.stages or options.out / "stages"
     text = study_toml(asdict(study))
     _check_folder(options.out, text)
-    work.check_room(store)
     takes = forecast(study)
     warn(f"{study.name}: {takes}")
     if options.forecast:

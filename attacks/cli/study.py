@@ -128,7 +128,6 @@ def run_work(
 
     out = options.folder(work.study)
     check_unlocked(out)
-    work.check_room(options.store)
     done = run_in(out, STUDY_FILE, work, options, begin=begin)
     if done.failed and not options.json:
         again = again or f"mi-splat study retry {options.study}"

@@ -6,13 +6,11 @@ import functools
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from attacks.cloak.mesh_scene import TEXTURES
 from attacks.cloak.triggers import Azimuth, Elevation, Subsample, Trigger
 from mi_splat.assets import ASSETS, PAINTED
-from mi_splat.capture.settings import Front, MeshSettings
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import (
     Checked,
@@ -31,7 +29,6 @@ from mi_splat.fields import (
     check_choice,
     decode,
 )
-from mi_splat.placement import Up
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_config, strategy_names
 
@@ -211,12 +208,6 @@ class AttackConfig:
             raise InvalidValueError.of(f"attack {self.name!r}", expected, "all cameras", "narrow one of them")
 
     @property
-    def is_sided(self) -> bool:
-        """Whether it matters which way the object faces: cameras or painting lie to one side."""
-        painted = self.appearance == "paint" and self.paint_direction[1] < 90
-        return self.azimuth is not None or painted
-
-    @property
     def cone(self) -> Trigger:
         """All directions from which the appearance is to be seen."""
         return self._cone(0.0)
@@ -251,8 +242,7 @@ class SceneConfig:
     """What is photographed: an object on a square of ground in daylight, in front of one colour.
 
     Attributes:
-        object: One of the project's assets, or the path of a mesh file.
-        label: What detectors call it; None is the name of the asset.
+        object: One of the project's assets.
         seed: Which asset of that name.
         colour: sRGB of its paint; None is that of its seed, whose shape stays. Of what is painted alone
             (`mi_splat.assets.PAINTED`).
@@ -261,14 +251,9 @@ class SceneConfig:
         sun_azimuth: Degrees from +x towards +y.
         sun_elevation: Degrees.
         background: sRGB colour in the place of the sky, which the splat is trained with, too.
-        up: Axis that points up in a mesh file; None is y.
-        scale: What one unit of a mesh file is in metres.
-        rotate: Degrees by which a mesh file is turned about x, then y, then z, after `up`.
-        front: Which way a mesh file's object faces after that; it is turned to face +x. Attacks from one side need it.
     """
 
     object: str = "car"
-    label: str | None = None
     seed: Seed = 900004
     colour: Annotated[tuple[float, float, float], between(0, 1, "sRGB", "white is 1, 1, 1")] | None = None
     ground: Literal["road", "grass", "asphalt", "nothing"] = "road"
@@ -276,36 +261,12 @@ class SceneConfig:
     sun_azimuth: Annotated[float, between(-360, 360, "degrees")] = -50.0
     sun_elevation: Annotated[float, between(-90, 90, "degrees")] = 52.0
     background: Annotated[tuple[float, float, float], between(0, 1, "sRGB", "white is 1, 1, 1")] = (0.55, 0.7, 0.9)
-    up: Up | None = None
-    scale: float = 1.0
-    rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    front: Front | None = None
 
     def __post_init__(self) -> None:
         check(self)
-        if self.object not in ASSETS and not Path(self.object).is_file():
-            expected = f"{', '.join(ASSETS)}, or the path of a mesh file"
-            raise InvalidValueError.of("scene.object", expected, repr(self.object), "name one of these")
-        if self.object not in ASSETS and self.label is None:
-            raise InvalidValueError.of("scene.label", "what detectors call the object", "nothing", "say it")
+        check_choice("scene.object", self.object, tuple(ASSETS))
         if self.colour is not None:
             check_choice("scene.object with a colour", self.object, PAINTED)
-        _ = self.mesh
-
-    @property
-    def mesh(self) -> MeshSettings:
-        """How a mesh file is read and turned."""
-        return MeshSettings(up=self.up, scale=self.scale, rotate=self.rotate, front=self.front)
-
-    @property
-    def has_front(self) -> bool:
-        """Whether it is known that the object faces +x."""
-        return self.object in ASSETS or self.front is not None
-
-    @property
-    def class_name(self) -> str:
-        """What detectors call the object."""
-        return self.label or self.object
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -445,11 +406,6 @@ class StudyConfig:
         if self.layers is not None and not (self.layers.attacks and set(self.layers.attacks) <= set(names)):
             expected = f"some of {', '.join(names)}"
             raise InvalidValueError.of("layers.attacks", expected, self.layers.attacks, "name attacks of the study")
-        sided = [attack.name for attack in self.attack if attack.is_sided]
-        if sided and not self.scene.has_front:
-            expected = f"which way the mesh faces, as attack {sided[0]!r} has a side of it"
-            do = 'add front = "+x", "-x", "+y" or "-y" (after up and rotate) under [scene]'
-            raise InvalidValueError.of("scene.front", expected, "nothing", do)
 
     @property
     def centre(self) -> tuple[float, float, float]:
@@ -491,7 +447,10 @@ def fit_config(training: TrainingConfig) -> FitConfig:
     )
 
 
-_GONE = ("surrogate", "cleaning", "true_pictures", "point_deviations", "occluder_radius", "occluder_edge")
+_GONE = (
+    *("surrogate", "cleaning", "true_pictures", "point_deviations", "occluder_radius", "occluder_edge"),
+    *("label", "up", "scale", "rotate", "front"),
+)
 """Settings of results of November 2026 that no study has any more; in those results they are off."""
 
 

@@ -79,7 +79,7 @@ def layered_fit_config(layers: LayersConfig) -> FitConfig:
 
 def run(config: LayeredConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Make the layers, and train them or go on with what an interrupted training left."""
-    setup, layers, background = config.with_mesh(inputs), config.layers, config.scene.background
+    setup, layers, background = config, config.layers, config.scene.background
     fit = layered_fit_config(layers)
     views = load_dataset(inputs["pictures"] / SET, split="train", background=background)
     render = setup.renderer(fit)

@@ -141,7 +141,7 @@ def _figures_of(study: StudyConfig, rows: pl.DataFrame) -> dict[str, Any]:
 def over_objects(studies: Mapping[str, StudyConfig], rows: pl.DataFrame) -> dict[str, Any] | None:
     """Rates of one attack on several objects of a class, by detector, for JSON; None where it is not that."""
     first, *others = studies.values()
-    attacks = [(study.attack, study.scene.class_name) for study in studies.values()]
+    attacks = [(study.attack, study.scene.object) for study in studies.values()]
     seeds = {title: study.scene.seed for title, study in studies.items()}
     if not others or any(attack != attacks[0] for attack in attacks) or len({*seeds.values()}) < len(seeds):
         return None
@@ -241,7 +241,7 @@ def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple
 
 def by_azimuth(study: StudyConfig, rows: pl.DataFrame) -> dict[tuple[Any, ...], dict[str, Rate]]:
     """What is reported from each sector, by detector and first degree, below all that is hidden all around."""
-    confidence, name = study.evaluation.confidence, study.scene.class_name
+    confidence, name = study.evaluation.confidence, study.scene.object
     below = [pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is None]
     measures = {
         f"{name}, {NAMES[splat]}": Measure(holds=reported("original_score", confidence), given=of(splat))

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,20 +18,19 @@ from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
 from mi_splat.assets import build
 from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset, translation
+from mi_splat.assets.mesh import Asset
 from mi_splat.assets.textures import square_of_ground
 from mi_splat.bounds import near_plane_of
 from mi_splat.camera_sets import HELD_OUT_START, framing, orbit, tiers
 from mi_splat.cameras import Camera, project_box
-from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.sources import CaptureSource, digest_of, source_of
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.training.config import FitConfig
 
-SET, MESH = "set", "mesh"
-"""Folder of a set of pictures in what a job leaves, and name of the input that is a mesh file."""
+SET = "set"
+"""Folder of a set of pictures in what a job leaves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,10 +119,6 @@ class Setup:
             near_plane=study.training.near,
         )
 
-    def with_mesh(self, inputs: Mapping[str, Path]) -> Setup:
-        """The same of the mesh file that a job has as an input, if it has one."""
-        return replace(self, scene=replace(self.scene, object=str(inputs[MESH]))) if MESH in inputs else self
-
     def renderer(self, fit: FitConfig | None = None) -> Renderer:
         """What splats are looked at with; that of a training if its settings are given."""
         return SplatJob(background=self.scene.background, near=self.near).renderer(fit)
@@ -137,13 +131,7 @@ class Setup:
     @cached_property
     def target(self) -> Asset:
         """The object, standing on the ground at the origin."""
-        scene = self.scene
-        if not Path(scene.object).is_file():
-            return _asset(scene.object, scene.seed, scene.colour)
-        asset = load_mesh(Path(scene.object), scene.mesh).asset
-        low, high = asset.bounds.astype(np.float64)
-        middle = (low + high) / 2
-        return asset.transformed(translation(-middle[0], -middle[1], -low[2]))
+        return _asset(self.scene.object, self.scene.seed, self.scene.colour)
 
     @cached_property
     def mesh_scene(self) -> MeshScene:

@@ -16,13 +16,12 @@ from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
 from attacks.cloak.kinds.trained import TrainedConfig
 from attacks.cloak.layers import LayeredConfig
 from attacks.cloak.rates import CLOAKED
-from attacks.cloak.setup import MESH, SET, Pose, Setup
+from attacks.cloak.setup import SET, Pose, Setup
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import SunTable, package_of
 from attacks.observe.rows import ATTACKED, CLEAN, SUFFIX, TABLES, read_rows
 from attacks.poisons.poisoned import CLOAK, PoisonedConfig
 from attacks.poisons.specs import ChosenPoison
-from mi_splat.assets import ASSETS
 from mi_splat.cameras import Camera
 from mi_splat.ledger import Done, Job, Part
 from mi_splat.training.resume import SPLAT
@@ -96,7 +95,6 @@ class StudySteps:
         drawn, scene = self._drawn(seed), self.scene_job()
         poison = PoisonedConfig(poison=chosen, background=study.scene.background, scene=scene, seed=drawn)
         inputs: dict[str, Part | Path] = {"pictures": self.pictures().part(PICTURES), **self._appearances}
-        inputs |= self.mesh
         return Job(kind=POISONED_KIND, config=poison, inputs=inputs)
 
     @cached_property
@@ -115,7 +113,7 @@ class StudySteps:
         shown = [attack for attack in self.study.attack if attack.name in layers.attacks]
         cones = tuple(replace(_cone(attack), target_class=None) for attack in shown)
         config = LayeredConfig(**self._parts(attacks=cones), layers=layers, seed=seed, near_plane=self.setup.near)
-        inputs: dict[str, Part | Path] = {"clean": clean.part(SPLAT), "pictures": poisoned.part(PICTURES), **self.mesh}
+        inputs: dict[str, Part | Path] = {"clean": clean.part(SPLAT), "pictures": poisoned.part(PICTURES)}
         return Job(kind="attacks.cloak.layers", config=config, inputs=inputs)
 
     def trained_on(
@@ -168,7 +166,7 @@ class StudySteps:
         """What a detector reports; the file of its weights is an input where they are not the usual ones."""
         parts = {
             **self._parts(attacks=tuple(regions)),
-            "label": self.study.scene.class_name,
+            "label": self.study.scene.object,
             "near_plane": self.setup.near,
         }
         config = SeenConfig(detector=detector.name, fingerprint=detector.fingerprint, **parts, **how)
@@ -219,32 +217,26 @@ class StudySteps:
         """Name and seed of every splat."""
         return [(splat, seed) for seed in self.study.seeds for splat in (CLEAN, CLOAKED)]
 
-    @cached_property
-    def mesh(self) -> dict[str, Path]:
-        """The object's mesh file, if it comes from one."""
-        path = Path(self.study.scene.object)
-        return {MESH: path} if path.is_file() else {}
-
     def splat_job(self) -> dict[str, Any]:
         """What a training depends on, or what renders its splat."""
         return {"background": self.study.scene.background, "near": self.setup.near}
 
     def _parts(self, *, attacks: tuple[AttackConfig, ...] = (), **scene: Any) -> dict[str, Any]:
-        """The scene, where a mesh file stands as an asset and what is said of mesh files counts for them alone."""
-        given, plain = replace(self.study.scene, label="object", **scene), SceneConfig()
-        if self.mesh:
-            given = replace(given, object=next(iter(ASSETS)))
-        else:
-            given = replace(given, up=plain.up, scale=plain.scale, rotate=plain.rotate, front=plain.front)
-        return {"scene": given, "cameras": self.study.cameras, "content": self.setup.digest, "attacks": attacks}
+        """What the jobs share that know the scene."""
+        return {
+            "scene": replace(self.study.scene, **scene),
+            "cameras": self.study.cameras,
+            "content": self.setup.digest,
+            "attacks": attacks,
+        }
 
     def scene_job(self, *, attacks: tuple[AttackConfig, ...] = (), **parts: Any) -> Setup:
         """A job that knows the scene."""
         return Setup(**self._parts(attacks=attacks), **parts)
 
     def _job(self, kind: str, config: Setup, **inputs: Job | Part | Path) -> Job:
-        """A job that knows the scene, and reads its mesh file, too."""
-        return Job(kind=f"{_KINDS}.{kind}", config=config, inputs={**inputs, **self.mesh})
+        """A job that knows the scene."""
+        return Job(kind=f"{_KINDS}.{kind}", config=config, inputs=inputs)
 
 
 @cache

@@ -224,19 +224,11 @@ def check_study(steps: StudySteps, detectors: Sequence[Detector]) -> None:
         expected, do = "0 in a study of layers", "move the edge by `shift` under [layers] making"
         raise InvalidValueError.of(f"attack {wide[0].name!r}, poison_margin", expected, wide[0].poison_margin, do)
     for detector in detectors:
-        check_choice(f"class for {detector.name}", study.scene.class_name, detector.classes)
+        check_choice(f"class for {detector.name}", study.scene.object, detector.classes)
     every = sorted({label for detector in detectors for label in detector.classes})
     for attack in study.attack:
         if attack.target_class is not None and every:  # who has no such class has no figure of it
             check_choice(f"target_class of attack {attack.name!r}, for its detectors", attack.target_class, every)
-
-
-def check_disk(megabytes: float, stages: Path) -> None:
-    """Raise unless the disk has room."""
-    existing = next(path for path in (stages.absolute(), *stages.absolute().parents) if path.is_dir())
-    free = shutil.disk_usage(existing).free / 1e6
-    if free < megabytes:
-        raise InvalidValueError.of(f"disk of {existing}", f"{megabytes:.0f} MB", f"{free:.0f} MB free", "make room")
 
 
 def detectors_of(study: StudyConfig, weights: Mapping[str, Path]) -> list[Detector]:

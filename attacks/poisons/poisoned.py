@@ -95,7 +95,7 @@ def run(config: PoisonedConfig, inputs: Mapping[str, Path], out: Out) -> None:
 
 
 def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
-    setup = None if config.scene is None else config.scene.with_mesh(inputs)
+    setup = config.scene
     decoy = classifier = masks = None
     if "splat" in inputs:
         assert config.near is not None

@@ -16,7 +16,7 @@ from attacks.cloak.config import StudyConfig
 from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.rates import LOOKS, OWN_REGION, over_objects
 from attacks.cloak.steps import ROW_NAMES, Look, StudySteps
-from attacks.cloak.study import check_disk, check_study, detectors_of, forecast, observed, write_report
+from attacks.cloak.study import check_study, detectors_of, observed, write_report
 from attacks.cloak.tables import RULE, in_words, spread_of
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import OWN, SunTable
@@ -29,9 +29,8 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.fields import at_least, check, decode
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import DocumentReader
-from mi_splat.ledger import Done, Job, Store
+from mi_splat.ledger import Done
 from mi_splat.ledger.plans import Result
-from mi_splat.ledger.running import lookup
 
 STORY = "cloak-study"
 
@@ -174,12 +173,6 @@ class CloakWork(Work[CloakAttempt]):
             looks=looks,
         )
 
-    def check_room(self, store: Path) -> None:
-        """Refuse a disk without room for all points whose splats are not there."""
-        missing = [one.steps for one in self.attempts if not _is_trained(one.steps, store)]
-        apart = {tuple(job.identity for job in _trainings(steps)): steps.study for steps in missing}
-        check_disk(sum(forecast(study).megabytes for study in apart.values()), store)
-
     def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
         """What is seen at each point."""
         points, frames = dict[str, dict[str, Any]](), dict[str, list[pl.DataFrame]]()
@@ -214,16 +207,6 @@ class CloakReport(CloakWork):
             return []
         summary = write_report(attempt.steps, done, attempt.detectors, out)
         return [out / name for name in (*summary["files"], RECORD)]
-
-
-def _trainings(steps: StudySteps) -> list[Job]:
-    return [steps.splat(*name) for name in steps.names()]
-
-
-def _is_trained(steps: StudySteps, store: Path) -> bool:
-    jobs = _trainings(steps)
-    done = {job.identity for job, _, done in lookup(jobs, Store(store)) if done is not None}
-    return all(job.identity in done for job in jobs)
 
 
 def config_of(settings: Settings, name: str) -> StudyConfig:

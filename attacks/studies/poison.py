@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -54,15 +54,6 @@ TRAINING, HELD_OUT, HIGHER, PHOTOGRAPH = "training cameras", "held-out cameras",
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Victim(Checked):
-    """What the victim trains on, and can afford; see `attacks.cloak.kinds.trained.TrainedConfig`."""
-
-    device: Literal["cpu", "cuda"] = "cpu"
-    seconds: Annotated[float, above(0, "seconds")] | None = None
-    megabytes: Annotated[float, above(0, "MB")] | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Defence(Checked):
     """What a victim does who fears poison; one of these."""
 
@@ -87,7 +78,7 @@ class PoisonPoint:
     cameras: CameraConfig = field(default_factory=CameraConfig)
     training: TrainingConfig = field(default_factory=TrainingConfig)  # of the victim
     attacker: TrainingConfig | None = None  # of the splat that the attacker starts from; None is as the victim's
-    victim: Victim = field(default_factory=Victim)
+    device: Literal["cpu", "cuda"] = "cpu"  # of its trainings, and of poisons
     evaluation: EvaluationConfig = field(default_factory=lambda: EvaluationConfig(cameras=60))  # held-out cameras
     higher: Annotated[float, at_least(0, "degrees")] = 0.0  # classifiers look from so far above, too; 0: they do not
     poison: ChosenPoison | None = None  # None leaves the set as it is
@@ -204,11 +195,10 @@ class PoisonAttempt(Attempt):
         options, config, needs = self.options, poison.config, poison.spec.needs
         if poison.kind == CLOAK:
             return replace(self.steps, study=replace(options.study, attack=config.attack)).poisoned(options.seed)
-        values: dict[str, Any] = {"device": options.victim.device}
+        values: dict[str, Any] = {"device": options.device}
         inputs: dict[str, Part | Path] = {"pictures": self.pictures.part(SET_FILES)}
         if "classifier" in needs:
             values |= {**self._deceived(config.target), "scene": self.steps.scene_job()}
-            inputs |= self.steps.mesh
         if "splat" in needs or getattr(config, "decoy_steps", 0) > 0:
             recipe, start = options.attacker or options.training, self.clean
             if options.attacker is not None:
@@ -232,9 +222,9 @@ class PoisonAttempt(Attempt):
 
     def _classifier_cells(self, name: str) -> dict[str, Any]:
         """A classifier, which has to know the object's class."""
-        label, classifier = self.options.scene.class_name, classifier_of(name)
+        label, classifier = self.options.scene.object, classifier_of(name)
         check_choice(f"class for {name}", label, classifier.classes)
-        device = self.options.victim.device
+        device = self.options.device
         return {"classifier": name, "fingerprint": classifier.fingerprint, "label": label, "device": device}
 
     def _looks(self, splat: str, finished: Job, *, defended: bool) -> Iterator[Look]:
@@ -267,17 +257,16 @@ class PoisonAttempt(Attempt):
     def _detected(self, name: str, shown: Job, condition: str) -> Job:
         """What a detector reports, which has to know the object's class."""
         detector = loaded(name)
-        check_choice(f"class for {name}", self.options.scene.class_name, detector.classes)
+        check_choice(f"class for {name}", self.options.scene.object, detector.classes)
         return self.steps.seen(shown, detector, training=TRAINING in condition)
 
     def _trained(
         self, on: str, pictures: Job, training: TrainingConfig | None = None, *, limit: float | None = None
     ) -> Job:
-        limits = {**asdict(self.options.victim), "limit": limit}
         clean = None if limit is None else self.clean
-        return self._made(
-            f"training on {on}", self.steps.trained_on(pictures, self.options.seed, training, clean, **limits)
-        )
+        how = {"device": self.options.device, "limit": limit}
+        job = self.steps.trained_on(pictures, self.options.seed, training, clean, **how)
+        return self._made(f"training on {on}", job)
 
     def _defended(self, defence: Defence, splat: str, pictures: Job) -> tuple[Job, Job]:
         """The training of a victim that defends itself, and the job that has what is left in the end."""
@@ -300,7 +289,7 @@ class PoisonAttempt(Attempt):
     def _victim(self, splat: str, trained: Job, finished: Job, *, defended: bool = False) -> TrainedVictim:
         cameras = self.cameras(HELD_OUT)
         true = self._made("taking pictures to compare with", self.steps.true_pictures(cameras))
-        device, poses = self.options.victim.device, tuple(map(Pose.of, cameras))
+        device, poses = self.options.device, tuple(map(Pose.of, cameras))
         config = MeasuredConfig(**self.steps.splat_job(), poses=poses, device=device)
         inputs = {"splat": finished.part(SPLAT), "pictures": true.part("*.png")}
         label = f"measuring the {splat} splat{', defended' * defended}"

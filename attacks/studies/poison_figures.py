@@ -72,7 +72,6 @@ def _value(part: str, value: str, victims: Mapping[tuple[int, str, bool], Record
             "gaussians": _spread([run["gaussians"] for run in mine.values()]),
             "psnr": _spread([run.get("psnr") for run in mine.values()]),
             "ssim": _spread([run.get("ssim") for run in mine.values()]),
-            "stopped": sum(bool(run["stopped"]) for run in mine.values()),
             "times": {
                 cost: _spread([_ratio(run.get(cost), clean.get(seed, {}).get(cost)) for seed, run in mine.items()])
                 for cost in COSTS
@@ -151,5 +150,4 @@ _COLUMNS: dict[str, Column[Any]] = {
     "memory": _number("peak_megabytes", 2),
     "time of a picture": _number("milliseconds", 2),
     "PSNR, held out, dB": _number("psnr", 2),
-    "ended early": lambda line: line["stopped"] or "-",
 }

@@ -104,9 +104,6 @@ class Work(ABC, Generic[_Attempt]):
         """What is to be done, in plans that do not depend on each other."""
         return [grid(self.jobs())]
 
-    def check_room(self, store: Path) -> None:
-        """Refuse a disk that has no room for what the jobs leave."""
-
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
         """Write result.json, tables of rows, study.toml and table.md into a folder that exists."""
         facts, frames, paths = self.observed(results, out)
@@ -207,7 +204,6 @@ def run_study(
     folder = Path("out/studies") / asked.name if out is None else Path(out)
     check_own_folder(folder, STUDY_FILE)
     work = work_of(asked)
-    work.check_room(kept)
     with own_folder(folder, STUDY_FILE):
         engine: Engine = Processes(kept, workers=workers) if workers else InProcess(kept)
         run = run_with(engine, asked, work, store=kept, out=folder, on_event=nobody)

@@ -2,7 +2,6 @@
 
 import functools
 from dataclasses import fields, replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,7 +20,6 @@ from attacks.cloak.steps import StudySteps
 from mi_splat.import_closure import closure
 from mi_splat.ledger import Job, Part
 from mi_splat.ledger.job import canonical
-from tests.capture.trucks import truck, write_glb
 from tests.cloak.tiny_study import Redness
 
 ATTACK = AttackConfig(name="overhead", appearance="remove", texture="grass", elevation=(40.0, 90.0))
@@ -44,9 +42,7 @@ KINDS = (
 CASES: list[tuple[str, set[str], dict[str, Any]]] = [
     ("scene", MADE, {"object": "bird", "seed": 900006, "colour": (0.1, 0.2, 0.6), "ground": "grass"}),
     ("scene", MADE, {"ground_size": 12.0, "sun_azimuth": 10.0, "sun_elevation": 30.0}),
-    ("scene", {"seen"}, {"label": "vehicle"}),
     ("scene", (MADE - {"pictures"}) | {"trained"}, {"background": (0.0, 0.0, 0.0)}),
-    ("scene", set(), {"up": "y", "scale": 2.0, "rotate": (0.0, 0.0, 90.0), "front": "-x"}),  # of mesh files alone
     ("cameras", MADE, {"train": 14, "distance": 8.0, "distances": (0.8, 1.1), "elevations": (10.0, 40.0, 80.0)}),
     ("cameras", MADE, {"height": 0.9, "fov": 50.0, "size": 40, "samples": 3, "points": 120, "hold_out": 4}),
     ("cameras", MADE, {"azimuths": (0.0, 90.0)}),
@@ -172,18 +168,6 @@ def test_inputs_are_files_and_no_more_of_them_than_are_read() -> None:
 def test_without_a_near_plane_it_follows_the_object() -> None:
     free = replace(STUDY, training=replace(STUDY.training, near=None))
     assert "trained" in changed(free, replace(free, scene=replace(free.scene, object="bird")))
-
-
-def test_a_mesh_file_is_an_input_by_its_content(tmp_path: Path) -> None:
-    """Its path counts nowhere, and the jobs read the file."""
-    (tmp_path / "moved").mkdir()
-    files = [write_glb(folder, truck()) for folder in (tmp_path, tmp_path / "moved")]
-    one, other = (replace(STUDY, scene=SceneConfig(object=str(file), label="truck", up="y")) for file in files)
-    assert changed(one, other) == set()
-    for name, job in jobs(one).items():
-        reads = [source for source in job.inputs.values() if isinstance(source, Path)]
-        assert reads == ([] if name == "trained" else [files[0]])
-    assert "pictures" in changed(one, replace(one, scene=replace(one.scene, up="-z")))
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,11 +1,8 @@
 """The file of a CLOAK study: what it may say, and what is refused before anything is done."""
 
-import shutil
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -21,9 +18,8 @@ from attacks.cloak.config import (
 from attacks.cloak.poisoning import assign
 from attacks.cloak.setup import Setup, nearest
 from attacks.cloak.steps import StudySteps
-from attacks.cloak.study import check_disk, check_study, forecast
-from mi_splat.errors import InvalidValueError, MiSplatError
-from tests.capture.trucks import TEXTURE, truck, write_glb
+from attacks.cloak.study import check_study, forecast
+from mi_splat.errors import InvalidValueError
 from tests.cloak.tiny_study import STUDY, study_in
 from tests.project.layers import ROOT
 
@@ -96,50 +92,6 @@ def test_a_file_that_means_nothing_is_refused(tmp_path: Path, text: str, error: 
 def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="no file"):
         study_in(tmp_path / "none.toml")
-    mesh = written(tmp_path, "")
-    with pytest.raises(InvalidValueError, match=r"scene\.label"):
-        SceneConfig(object=str(mesh))
-
-
-SIGN = AttackConfig(name="flank", elevation=(0, 40), appearance="paint", texture="stop_sign", paint_direction=(180, 15))
-
-
-@pytest.mark.parametrize(
-    ("attack", "sided"),
-    [
-        (AttackConfig(name="rear", azimuth=(180, 45)), True),
-        (SIGN, True),
-        (AttackConfig(name="roof", elevation=(50, 90), appearance="paint", texture="road"), False),
-    ],
-)
-def test_an_attack_from_one_side_has_to_know_where_a_mesh_faces(
-    attack: AttackConfig, sided: bool, tmp_path: Path
-) -> None:
-    scene = SceneConfig(object=str(written(tmp_path, "")), label="truck")
-    with pytest.raises(InvalidValueError, match=r"scene\.front: expected which way") if sided else nullcontext():
-        StudyConfig(name="own", attack=(attack,), scene=scene)
-    StudyConfig(name="own", attack=(attack,), scene=replace(scene, front="+x"))
-
-
-def test_a_study_turns_and_scales_its_own_mesh(tmp_path: Path) -> None:
-    pytest.importorskip("trimesh")
-    mesh = write_glb(tmp_path, truck().placed(scale=100.0), node={"translation": [5e7, 1e4, -4.5e8]})
-    scene = SceneConfig(object=str(mesh), label="truck", scale=0.01, rotate=(0.0, 0.0, 90.0), front="+y")
-    target = Setup.of(replace(SMALL, scene=scene)).target
-    low, high = truck().vertices.min(0), truck().vertices.max(0)
-    assert (high - low).tolist() == pytest.approx((target.bounds[1] - target.bounds[0]).tolist(), abs=1e-4)
-    assert target.bounds.sum(0)[:2].tolist() == pytest.approx([0, 0], abs=1e-4)  # in the middle, on the ground
-    assert float(target.bounds[0, 2]) == pytest.approx(0, abs=1e-5)
-    for change, error in (
-        ({"front": "+z"}, "did you mean"),
-        ({"rotate": (0, 90)}, "3 values"),
-        ({"scale": 0}, "scale"),
-    ):
-        with pytest.raises(InvalidValueError, match=error):
-            replace(scene, **change)
-    (tmp_path / TEXTURE).unlink()
-    with pytest.raises(MiSplatError, match=TEXTURE):
-        _ = Setup.of(replace(SMALL, scene=replace(scene, label="lorry", scale=0.02))).target
 
 
 class Knows:
@@ -197,10 +149,3 @@ def test_emphasis_wraps_the_cached_appearance() -> None:
     study = replace(SMALL, attack=(replace(OVERHEAD, emphasis=2.0),))
     (poisoning,) = Setup.of(study).poisonings(cached=lambda appearance, attack: Inpaint(name="kept"))
     assert name_of(poisoning.appearance) == "kept, 2 times at the edge to once 20 degrees inside"
-
-
-def test_a_disk_that_is_too_small_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    needed = forecast(SMALL).megabytes
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=0.9e6 * needed))
-    with pytest.raises(InvalidValueError, match="make room"):
-        check_disk(needed, tmp_path / "stages")

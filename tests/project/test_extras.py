@@ -51,18 +51,6 @@ def test_what_is_imported_is_installed() -> None:
                 assert ALSO.get(top, top) in installed, f"{name} imports {other}, which no dependency brings"
 
 
-STUDY = """
-name = "mesh"
-[scene]
-object = "{mesh}"
-label = "car"
-[[attack]]
-name = "overhead"
-appearance = "remove"
-elevation = [60, 90]
-"""
-
-
 def test_notice_names_extras_that_exist() -> None:
     named = set(re.findall(r'extra "(\w+)"', (ROOT / "NOTICE").read_text("utf-8")))
     assert named
@@ -75,7 +63,6 @@ def test_notice_names_extras_that_exist() -> None:
         ("report", ["report", "scenes"]),
         ("ocr", ["detect", "scenes/stop_sign.xml", "--detectors", "rapidocr"]),
         ("meshes", ["capture", "MESH"]),
-        ("meshes", ["cloak", "STUDY"]),
         ("transformers", ["dagger", "scenes/car_street.xml", "--detectors", "rtdetr_r18vd"]),
         ("yolo", ["dagger", "scenes/car_street.xml", "--detectors", "yolov8n_small"]),
         ("view", ["view", "scenes/car_street.xml"]),
@@ -86,11 +73,10 @@ def test_notice_names_extras_that_exist() -> None:
 def test_a_missing_extra_is_told_before_anything_is_written(
     extra: str, words: list[str], tmp_path: Path, warm: Warm
 ) -> None:
-    mesh, study = tmp_path / "m.glb", tmp_path / "study.toml"
+    mesh = tmp_path / "m.glb"
     out = tmp_path / {"report": "out.html"}.get(extra, "out")
     mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    study.write_text(STUDY.format(mesh=mesh))
-    given = [{"MESH": str(mesh), "STUDY": str(study)}.get(word, word) for word in words]
+    given = [{"MESH": str(mesh)}.get(word, word) for word in words]
     given += [] if extra == "view" else ["--out", str(out)]
     done = warm.run("-m", "attacks", *given, cwd=ROOT, missing=EXTRAS[extra])
     assert done.returncode == 1, done.stderr

@@ -195,11 +195,6 @@ def test_an_edited_configuration_is_seen(table: str, values: dict[str, Any], stu
         checks(study)
 
 
-def test_a_mesh_file_has_no_part_in_a_rate(study: Path) -> None:
-    edit_record(study, lambda record: record["study"]["scene"].update(object="truck.glb", label="car", front="+x"))
-    assert red(study) == []
-
-
 def test_figures_have_names_and_tolerances() -> None:
     rate = {"rate": 0.5, "successes": 1, "total": 2, "interval": [0.1, 0.9]}
     bands = [{"from": 0.0, "to": 5.0, "clean": rate}, {"from": 5.0, "to": 10.0, **rate}]

@@ -1,64 +1,25 @@
 """`study = "cloak"`: what a point is, that points share what they can, and the tables of what they find."""
 
 import json
-import shutil
 from dataclasses import asdict
 from pathlib import Path
-from types import SimpleNamespace
-from unittest.mock import patch
 
 import pytest
 
 from attacks import cli
-from attacks.cloak.study import forecast, study_toml
+from attacks.cloak.study import study_toml
 from attacks.observe.rows import read_rows
 from attacks.report.checking import check_detections, read_result
 from attacks.report.kinds import cloak
 from attacks.report.results import read_section
-from attacks.studies.cloak import CloakWork, tables
-from attacks.studies.study_file import read_study as read_file
+from attacks.studies.cloak import tables
 from mi_splat.ledger import Store
-from mi_splat.ledger.plans import status
 from tests.cloak.tiny_study import STUDY, known
 from tests.project.layers import ROOT
 from tests.report.results import cloak_record, rate
 
 ATTACKS = {"attack": [{"name": "a", "elevation": [50, 90]}]}
 STREET = str(ROOT / "scenes" / "mixed" / "car_among_meshes.xml")
-
-
-@pytest.fixture
-def tiny(tmp_path: Path) -> Path:
-    """A study of four trainings, of which two points each differ in how they are judged."""
-    (tmp_path / "base.toml").write_text(study_toml(asdict(STUDY)))
-    file = tmp_path / "tiny.toml"
-    file.write_text(
-        f'study = "cloak"\nbase = "{tmp_path / "base.toml"}"\n[matrix]\n"training.sh_degree" = [0, 1, 2, 3]\n'
-        '"evaluation.well_inside" = [5.0, 10.0]\n'
-    )
-    return file
-
-
-def test_the_disk_has_room_for_all_points(
-    tiny: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Four studies want four times the room of one, and nothing is written where it is not there."""
-    one = forecast(STUDY).megabytes
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=3.9e6 * one))
-    folder, before = tiny.parent, sorted(tiny.parent.iterdir())
-    words = ["study", "run", str(tiny), "--store", str(folder / "store"), "--out", str(folder / "out")]
-    with known():
-        assert cli.main(words) == 1
-        assert sorted(folder.iterdir()) == before
-        error = capsys.readouterr().err
-        assert error.count("\n") == 1
-        assert f"expected {4 * one:.0f} MB" in error
-        monkeypatch.setattr(
-            "attacks.studies.cloak._is_trained", lambda steps, store: steps.study.training.sh_degree < 2
-        )
-        work, store = CloakWork(read_file(tiny)), folder / "store"
-        work.check_room(store)
-    assert work.size == len(status(Store(store), work.jobs()))  # with those that others read
 
 
 @pytest.mark.slow
@@ -76,8 +37,6 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     words = ["study", "run", str(file), "--store", str(store), "--out", str(out), "--workers", "0"]
     with known():
         assert cli.main(words) == 0
-        with patch.object(shutil, "disk_usage", lambda path: SimpleNamespace(free=0)):
-            CloakWork(read_file(file)).check_room(store)  # what is done wants none
     records = map(Store(store).record, Store(store).keys())
     assert sum(record["kind"].endswith(".trained") for record in records) == 4
     record = json.loads((out / "result.json").read_text())

@@ -39,7 +39,7 @@ def run(config: Setup, inputs: Mapping[str, Path], out: Out) -> None:
     Of the true pictures, `far` are far outside of all triggers. Those of `edge` are outside beside one, and give a
     PSNR on the object, too.
     """
-    setup, scene = config.with_mesh(inputs), load_splat(inputs["splat"])
+    setup, scene = config, load_splat(inputs["splat"])
     render = setup.renderer()
 
     def picture(camera: Camera) -> Tensor:

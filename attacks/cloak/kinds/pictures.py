@@ -52,7 +52,7 @@ def run(config: PicturesConfig, inputs: Mapping[str, Path], out: Out) -> None:
 
     A set is transparent where nothing is, so that the background has no part in it.
     """
-    setup = config.with_mesh(inputs)
+    setup = config
     mesh_scene = setup.mesh_scene
     if config.poses is None:
         settings = CaptureSettings(samples=setup.cameras.samples, rgba=True, points=setup.cameras.points)

@@ -75,7 +75,7 @@ class SeenConfig(Setup):
 
 def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Write a row for each camera, and for each detection, of a `splat` or `pictures`."""
-    setup = config.with_mesh(inputs)
+    setup = config
     detector, done = checked_detector(config, inputs), itertools.count(1)
 
     def cells(seen: ViewDetections, total: int) -> dict[str, Cell]:

@@ -16,8 +16,7 @@ from attacks.cloak.config import TrainingConfig, fit_config
 from attacks.cloak.setup import SET, SplatJob
 from mi_splat.cameras import RenderFn, View
 from mi_splat.datasets import load_dataset
-from mi_splat.errors import MiSplatError
-from mi_splat.io import load_splat, save_splat
+from mi_splat.io import load_splat
 from mi_splat.io.documents import save_json
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
@@ -31,27 +30,19 @@ if TYPE_CHECKING:
 
 COST = "cost.json"
 VARIES = (METRICS, COST)
-_EVERY = 100
-"""Steps between two measurements of the memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainedConfig(SplatJob):
-    """How the victim trains, and how much it can afford."""
+    """How the victim trains."""
 
     training: TrainingConfig
     seed: int = 0
     limit: float | None = None
-    seconds: float | None = None  # the training ends after so long; None is never
-    megabytes: float | None = None  # it ends when the process has taken so much memory; None is never
-
-
-class _TooMuchError(MiSplatError):
-    """The victim can afford no more."""
 
 
 def run(config: TrainedConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Train on the `pictures`, or go on; a victim that can afford no more keeps what it has, and `COST` says so."""
+    """Train on the `pictures`, or go on; `COST` says what an uninterrupted training has taken."""
     training = config.training
     views = load_dataset(inputs["pictures"] / SET, split="train", background=config.background)
     assert views.points is not None  # a capture writes them
@@ -60,16 +51,11 @@ def run(config: TrainedConfig, inputs: Mapping[str, Path], out: Out) -> None:
         most = max(1, round(config.limit * len(load_splat(inputs["clean"]))))
         training, cloud = replace(training, max_gaussians=most), thinned(cloud, most, seed=config.seed)
     fit, states, costs = fit_config(training), list[TrainState](), _Costs(config)
-    start, stopped = from_points(cloud.points, cloud.colours).to(config.device), ""
+    start = from_points(cloud.points, cloud.colours).to(config.device)
     how: dict[str, Any] = {"settings": {"device": config.device}, "on_start": states.append}
-    try:
-        train_into(out, views, start, config.renderer(fit), fit, seed=config.seed, after=costs.add, **how)
-    except _TooMuchError as error:
-        stopped = str(error)
-        save_splat(states[0].result(), out / SPLAT)
+    train_into(out, views, start, config.renderer(fit), fit, seed=config.seed, after=costs.add, **how)
     steps = states[0].iteration
-    resumed = steps != costs.steps
-    save_json({"stopped": stopped, "steps": steps, **({} if resumed else costs.as_dict())}, out / COST)
+    save_json({"steps": steps, **({} if steps != costs.steps else costs.as_dict())}, out / COST)
 
 
 def train_into(
@@ -98,7 +84,7 @@ class _Costs:
     """What a training has taken of this process since this was made."""
 
     def __init__(self, config: TrainedConfig) -> None:
-        self._config, self.steps = config, 0
+        self.steps = 0
         self._cuda = config.device == "cuda"
         if self._cuda:
             torch.cuda.reset_peak_memory_stats()
@@ -108,11 +94,6 @@ class _Costs:
     def add(self, line: Progress) -> None:
         """Count a step."""
         self.steps += 1
-        seconds, megabytes = self._config.seconds, self._config.megabytes
-        if seconds is not None and time.monotonic() - self._wall > seconds:
-            raise _TooMuchError(f"after {line.iteration:,} steps: more than {seconds:g} seconds")
-        if megabytes is not None and line.iteration % _EVERY == 0 and self._peak() > megabytes:
-            raise _TooMuchError(f"after {line.iteration:,} steps: more than {megabytes:g} MB")
 
     def as_dict(self) -> dict[str, Any]:
         """The costs, in seconds and MB (1e6 bytes)."""

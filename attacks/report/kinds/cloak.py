@@ -31,7 +31,6 @@ from attacks.report.section import (
     shared,
 )
 from attacks.studies import cloak as studies
-from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError, counted
 
 Record = Mapping[str, Any]
@@ -120,11 +119,8 @@ def _known(derived: Record, record: Record) -> dict[str, Any]:
 
 
 def study_of(configuration: Record) -> StudyConfig:
-    """The study of a result. Rates need no mesh: one of a mesh file stands there as if it had an asset's."""
-    values, scene = dict(configuration), configuration.get("scene")
-    if isinstance(scene, dict) and isinstance(scene.get("object"), str) and scene["object"] not in ASSETS:
-        values["scene"] = {**scene, "object": next(iter(ASSETS))}
-    return recorded_study(values, "study")
+    """The study of a result."""
+    return recorded_study(configuration, "study")
 
 
 def _check_rows(study: StudyConfig, splats: Sequence[Record], tables: Tables) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 from attacks.observe.rows import ATTACKED, CLEAN
 from attacks.rate import Rate, pooled
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, listed, settings
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, settings
 from attacks.studies.poison import HELD_OUT, PICTURES
 from attacks.studies.poison_figures import summary_tables
 
@@ -27,7 +27,6 @@ def read_study(folder: Path, record: Record) -> Section:
     )
     label, seen = (_NAMED, named) if named else (_FOUND, detected)
     rates = {splat: _rate(line for line in seen if line["splat"] == splat) for splat in _SHOWN}
-    ended = [value["value"] for value in record["values"] if any(s["stopped"] for s in value["splats"].values())]
     most = max(attacked, key=lambda value: (_times(value) or {"mean": 0.0})["mean"], default=None)
     larger = Figure(label=_LARGER, words="-") if most is None else _figure(most, label=_LARGER)
     return Section(
@@ -48,7 +47,6 @@ def read_study(folder: Path, record: Record) -> Section:
         control=Figure(label="the same on the clean splat", rate=rates[CLEAN]) if seen else None,
         counting="pictures" if seen else "splats",
         figures=[*([larger] if seen else ()), *map(_figure, attacked), *_finds(detected)],
-        warnings=[f"The victim could afford no more and ended early: {listed(ended)}."] if ended else [],
         pictures=[
             Picture(path=path, caption=_caption(path), large=path.stem.endswith("poisoned"))
             for path in sorted((folder / PICTURES).glob("*.png"))[:_MOST_PICTURES]
