@@ -60,8 +60,6 @@ def run(options: CloakOptions) -> int:
     from attacks.studies.cloak import CloakReport, config_of
     from attacks.studies.study_file import merged, read_study
     from mi_splat.io.documents import save_text
-    from mi_splat.ledger import Store
-    from mi_splat.ledger.running import forgive
 
     limit_threads(1)
     file = read_study(options.study)
@@ -84,10 +82,9 @@ def run(options: CloakOptions) -> int:
         if options.json:
             show_json({study.name: asdict(takes)})
         return 0
-    forgive(work.jobs().values(), Store(store))
     run_options = StudyOptions(action="run", study=options.study, store=store, out=options.out, workers=options.workers)
     begin = partial(save_text, text, options.out / STUDY_FILE)
-    done = run_work(run_options, work, begin=begin, again="give the same command again")
+    done = run_work(run_options, work, begin=begin)
     if done.files:
         show_summary(options.out, as_json=options.json, tables=1)
     return 1 if done.failed else 0

@@ -1,8 +1,7 @@
 """`mi-splat doctor`: check what `mi-splat dagger` needs on this machine, and say what to do where it does not work.
 
-A broken libLLVM, or a torch that does not fit its torchvision, can end the whole process. So each group of checks runs
-in a child process (`python -m attacks.cli.doctor GROUP`), which prints what each check says, one JSON text a line. If
-it ends early, the first check without a line has failed, and the rest of the group needs what failed.
+A broken libLLVM, or a torch that does not fit its torchvision, can end the whole process. So each check runs in a child
+process (`python -m attacks.cli.doctor CHECK`), which prints what it says as a JSON text.
 """
 
 from __future__ import annotations
@@ -47,10 +46,10 @@ class DoctorOptions(JsonOptions):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """What one check found; "absent" is optional and not there, "skipped" needs what failed before."""
+    """What one check found; "absent" is optional and not there."""
 
     name: str
-    state: Literal["works", "fails", "absent", "skipped"]
+    state: Literal["works", "fails", "absent"]
     detail: str
     advice: str = ""
     required: bool = False
@@ -68,8 +67,8 @@ class Check:
 
 def run(options: DoctorOptions) -> int:
     """Examine this machine."""
-    with progress("checking", total=len(GROUPS)) as advance:
-        findings = examine(lambda group: advance(f"checked {group}"))
+    with progress("checking", total=len(CHECKS)) as advance:
+        findings = examine(lambda name: advance(f"checked {name}"))
     healthy = all(finding.state == "works" for finding in findings if finding.required)
     width = max(len(finding.name) for finding in findings)
     lines = []
@@ -89,9 +88,9 @@ def examine(on_done: Callable[[str], None] = lambda name: None) -> list[Finding]
     packages = ", ".join(f"{package} {number}" for package, number in versions().items())
     detail = f"{packages}; {platform.system()} {platform.machine()}"
     findings = [Finding(name="versions", state="works", detail=detail, required=True)]
-    for group, checks in GROUPS.items():
-        findings += examine_group(checks, python_command("attacks.cli.doctor", group))
-        on_done(group)
+    for check in CHECKS:
+        findings.append(checked(check, python_command("attacks.cli.doctor", check.name)))
+        on_done(check.name)
     for extra, modules in EXTRAS.items():
         if missing := [module for module in modules if importlib.util.find_spec(module) is None]:
             detail, advice = f"no {' and '.join(missing)}", f"optional: {install(extra)}"
@@ -101,21 +100,13 @@ def examine(on_done: Callable[[str], None] = lambda name: None) -> list[Finding]
     return [*findings, *map(_plug_in, brought_by_packages())]
 
 
-def examine_group(checks: Sequence[Check], command: Sequence[str]) -> list[Finding]:
-    """The findings of a group of checks that a command makes."""
-    answers, reason = _answers(command)
-    findings = [
-        Finding(name=check.name, state="works", detail=detail, required=check.required)
-        for check, detail in zip(checks, answers, strict=False)
-    ]
-    if len(answers) < len(checks):
-        failed, *others = checks[len(answers) :]
-        state: Literal["fails", "absent"] = "fails" if failed.required else "absent"
-        told = {"detail": reason, "advice": failed.advice, "required": failed.required}
-        findings.append(Finding(name=failed.name, state=state, **told))  # type: ignore[arg-type]  # of each its own
-        rest = "needs what failed before"
-        findings += [Finding(name=c.name, state="skipped", detail=rest, required=c.required) for c in others]
-    return findings
+def checked(check: Check, command: Sequence[str]) -> Finding:
+    """The finding of a check that a command makes."""
+    detail, reason = _answer(command)
+    if detail is not None:
+        return Finding(name=check.name, state="works", detail=detail, required=check.required)
+    state: Literal["fails", "absent"] = "fails" if check.required else "absent"
+    return Finding(name=check.name, state=state, detail=reason, advice=check.advice, required=check.required)
 
 
 def _plug_in(point: tuple[str, str, str]) -> Finding:
@@ -124,26 +115,25 @@ def _plug_in(point: tuple[str, str, str]) -> Finding:
     advice = ""
     if group not in REGISTRIES:
         advice = f"no command looks there; {nearest(group, REGISTRIES, 'see docs/plug-ins.md')}"
-    elif not (done := _answers(python_command("attacks.cli.doctor", f"{group}/{name}")))[0]:
-        advice = done[1]
+    else:
+        advice = _answer(python_command("attacks.cli.doctor", f"{group}/{name}"))[1]
     state: Literal["works", "fails"] = "fails" if advice else "works"
     return Finding(name=f"plug-in {name}", state=state, detail=f"{origin} ({group})", advice=advice)
 
 
-def _answers(command: Sequence[str]) -> tuple[list[str], str]:
-    """What each check of a child said, and why the child ended: a signal, or the last line of its stderr."""
+def _answer(command: Sequence[str]) -> tuple[str | None, str]:
+    """What a child said, or None and why: a signal that ended it, or the last line of its stderr."""
     try:
         child = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIME_LIMIT, check=False)
-    except subprocess.TimeoutExpired as error:
-        output, reason = error.stdout or b"", f"no answer after {TIME_LIMIT:.0f} s"
-    else:
-        output, status = child.stdout, child.returncode
-        lines = [line.strip() for line in child.stderr.decode(errors="replace").splitlines() if line.strip()]
-        if status < 0:
-            reason = " ".join([f"the process was ended by {signal.Signals(-status).name}", *lines[:1]])
-        else:
-            reason = re.sub(r"^(mi_splat|attacks)[\w.]*: ", "", lines[-1]) if lines else f"exit status {status}"
-    return [str(json.loads(line)) for line in output.splitlines() if line.startswith(b'"')], reason
+    except subprocess.TimeoutExpired:
+        return None, f"no answer after {TIME_LIMIT:.0f} s"
+    said = [line for line in child.stdout.splitlines() if line.startswith(b'"')]
+    if said:
+        return str(json.loads(said[0])), ""
+    lines = [line.strip() for line in child.stderr.decode(errors="replace").splitlines() if line.strip()]
+    if child.returncode < 0:
+        return None, " ".join([f"the process was ended by {signal.Signals(-child.returncode).name}", *lines[:1]])
+    return None, re.sub(r"^(mi_splat|attacks)[\w.]*: ", "", lines[-1]) if lines else f"exit status {child.returncode}"
 
 
 def _llvm() -> str:
@@ -214,28 +204,22 @@ def _cuda() -> str:
     return f"{torch.cuda.get_device_name()}; of one Gaussian {_one_gaussian('cuda_ad_rgb')}"
 
 
-GROUPS: dict[str, tuple[Check, ...]] = {
-    "renderer": (
-        Check("LLVM", _llvm, f"{llvm_hint()}; or reinstall mitsuba and drjit"),
-        Check("one Gaussian", _one_gaussian, f"if the process was ended, {llvm_hint()}"),
+CHECKS = (
+    Check("LLVM", _llvm, f"{llvm_hint()}; or reinstall mitsuba and drjit"),
+    Check("one Gaussian", _one_gaussian, f"if the process was ended, {llvm_hint()}"),
+    Check(
+        "torch pair",
+        _torch_pair,
+        "install both together, from one index: pip install --force-reinstall torch torchvision",
     ),
-    "detector": (
-        Check(
-            "torch pair",
-            _torch_pair,
-            "install both together, from one index: pip install --force-reinstall torch torchvision",
-        ),
-        Check("one detector", _detector, "reinstall mi-splat; its weights are part of the package"),
+    Check("one detector", _detector, "reinstall mi-splat; its weights are part of the package"),
+    Check(
+        "CUDA",
+        _cuda,
+        "optional: all runs on the CPU; for a GPU install its driver and a torch built for CUDA",
+        required=False,
     ),
-    "CUDA": (
-        Check(
-            "CUDA",
-            _cuda,
-            "optional: all runs on the CPU; for a GPU install its driver and a torch built for CUDA",
-            required=False,
-        ),
-    ),
-}
+)
 EXTRAS = {
     "cluster": ("distributed",),
     "meshes": ("trimesh",),
@@ -259,14 +243,12 @@ REGISTRIES = {
 """Who reads each group of entry points."""
 
 
-if __name__ == "__main__":  # in the child; a line is there as soon as its check is done
-    for word in sys.argv[1:]:
-        if "/" in word:
-            point_group, point = word.split("/")
-            module, registry = REGISTRIES[point_group]
-            value = getattr(importlib.import_module(module), registry).chosen(point)
-            answers = (type(value).__name__ for _ in "1")
-        else:
-            answers = (check.run() for check in GROUPS[word])
-        for answer in answers:
-            os.write(sys.stdout.fileno(), (json.dumps(answer) + "\n").encode())
+if __name__ == "__main__":  # in the child
+    word = sys.argv[1]
+    if "/" in word:
+        point_group, point = word.split("/")
+        module, registry = REGISTRIES[point_group]
+        answer = type(getattr(importlib.import_module(module), registry).chosen(point)).__name__
+    else:
+        answer = next(check for check in CHECKS if check.name == word).run()
+    os.write(sys.stdout.fileno(), (json.dumps(answer) + "\n").encode())

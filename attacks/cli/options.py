@@ -40,13 +40,11 @@ def check_names(options: Any) -> None:
     names = (named,) if isinstance(named, str) else named
     if isinstance(weights, tuple):
         check_detectors(names, weights)
-    surrogate = given.get("surrogate", "none")
-    asked = (*names, *([surrogate] if surrogate not in ("none", "auto") else []))
-    if not asked:
+    if not names:
         return
     from attacks.detectors.registry import detector_spec  # not for commands that have none
 
-    known = {name: detector_spec(name).classes for name in asked}
+    known = {name: detector_spec(name).classes for name in names}
     for flag in ("original", "target"):
         for name in names if not weights else ():  # a file of weights may have other classes
             check_class(given.get(flag), name, known[name], what=f"--{flag}")

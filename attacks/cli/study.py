@@ -50,14 +50,14 @@ class StudyOptions(JobOptions):
     """Do a study: a TOML file that says what is attacked, and what of it varies.
 
     plan: what is to be done, and how long it takes by what was measured. run: do what is not done yet, and write
-    result.json, rows.csv.xz and table.md into --out. status: how far it is. retry: let jobs that have failed three
-    times be tried again. clean: delete what the store keeps of this study alone.
+    result.json, rows.csv.xz and table.md into --out; jobs that have failed are tried again. status: how far it is.
+    clean: delete what the store keeps of this study alone.
 
     The shipped studies are in scenes/studies. Finished jobs are kept in --store, which several studies may share: what
     one has done, no other does again, and what was interrupted goes on where it stopped.
     """
 
-    action: Positional[Literal["plan", "run", "status", "retry", "clean"]]
+    action: Positional[Literal["plan", "run", "status", "clean"]]
     """What to do."""
     study: Positional[Path]
     """TOML file of the study."""
@@ -119,9 +119,7 @@ def _run(options: StudyOptions, study: Study) -> int:
     return 1 if done.failed else 0
 
 
-def run_work(
-    options: StudyOptions, work: Work[Any], *, begin: Callable[[], object] = lambda: None, again: str = ""
-) -> Run:
+def run_work(options: StudyOptions, work: Work[Any], *, begin: Callable[[], object] = lambda: None) -> Run:
     """Do the jobs of a study, write the result, and say which have failed; `begin` comes first."""
     from attacks.studies.running import STUDY_FILE
     from mi_splat.io.folders import check_unlocked
@@ -130,19 +128,21 @@ def run_work(
     check_unlocked(out)
     done = run_in(out, STUDY_FILE, work, options, begin=begin)
     if done.failed and not options.json:
-        again = again or f"mi-splat study retry {options.study}"
-        warn(f"{len(done.failed)} jobs have failed; mend the cause, then: {again}")
+        warn(f"{len(done.failed)} jobs have failed; mend the cause, then give the same command again")
     return done
 
 
 def run_in(
     out: Path, record: str, work: Work[Any], options: JobOptions, *, begin: Callable[[], object] = lambda: None
 ) -> Run:
-    """Do jobs, and write their result into a folder that is known by its record."""
+    """Do jobs, also those that have failed earlier, and write their result into a folder known by its record."""
     from attacks.studies.running import run_with
     from mi_splat.io.folders import check_own_folder, own_folder
+    from mi_splat.ledger import Store
+    from mi_splat.ledger.running import forgive
 
     check_own_folder(out, record)
+    forgive(work.jobs().values(), Store(options.store))
     with own_folder(out, record), progress("preparing", total=None if work.searches else work.size) as advance:
         begin()
         on_event = follow(advance)
@@ -200,17 +200,6 @@ def _title(entry: Entry) -> str:
     return entry.labels[0] if entry.labels else f"{entry.kind} {entry.key}"
 
 
-def _retry(options: StudyOptions, study: Study) -> None:
-    from mi_splat.ledger import Store
-    from mi_splat.ledger.plans import status
-
-    store = Store(options.store)
-    entries = status(store, _work(study).jobs())
-    forgiven = [_title(entry) for entry in entries if entry.key and store.forgive(entry.key)]
-    line = f"{len(forgiven)} jobs will be tried again by: mi-splat study run {options.study}"
-    show_result({"forgiven": forgiven}, line, as_json=options.json)
-
-
 def _clean(options: StudyOptions, study: Study) -> None:
     """Delete the results that no other study of the store uses."""
     from mi_splat.ledger import Store
@@ -230,6 +219,5 @@ _ACTIONS: Mapping[str, Callable[[StudyOptions, Study], int | None]] = {
     "plan": _plan,
     "run": _run,
     "status": _status,
-    "retry": _retry,
     "clean": _clean,
 }

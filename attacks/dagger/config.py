@@ -65,11 +65,10 @@ class DaggerConfig:
         schedule: How the steps become shorter (pgd, momentum, adam).
         gradient_power: Power of the gradients' absolute values before a step of pgd or momentum, in [0, 1]; below 1,
             small ones count for more (see `attacks.optimisers.methods.momentum`).
-        required_views: Fraction of the views in which the attack has to succeed.
-        required_detectors: Fraction of the detectors, if there are several, that the attack has to deceive.
+        required_views: Fraction of the views in which the attack has to succeed, with every detector.
         controls: Random changes that an attack has to beat: white noise that changes the object's pixels as much as it
-            does, by PSNR (noise), smooth changes that do so (smooth-noise), or white noise of the attack's norm
-            (norm-noise), which averages out and changes pixels much less.
+            does, by PSNR (noise), or white noise of the attack's norm (norm-noise), which averages out and changes
+            pixels much less.
         noise_draws: Draws of each control.
         sh_degree: Highest degree of the SH coefficients that may change, if SH may; the file gets it if it has less,
             with new coefficients that start at 0. 3 is what 3DGS writes and what the paper attacked; 0 changes a
@@ -107,7 +106,6 @@ class DaggerConfig:
     schedule: Schedule = "constant"
     gradient_power: Fraction = 1.0
     required_views: PositiveFraction = 1.0
-    required_detectors: PositiveFraction = 1.0
     controls: tuple[Control, ...] = ("noise",)
     noise_draws: Count = 5
     sh_degree: Degree | None = 3
@@ -171,10 +169,10 @@ class DaggerConfig:
         return Budget(radius=self.radius, norm=self.norm)
 
     def verdict(self, rows: Sequence[Sequence[Verdict]], *, drawn: bool = False) -> Verdict:
-        """One verdict of all views and detectors: success where enough views succeed with enough detectors.
+        """One verdict of all views and detectors: success where enough views succeed with every detector.
 
         From chosen cameras each detector needs enough views of its own, and the score is what so many reach. Of drawn
-        views a view needs enough detectors, and the score orders by the number of these views, and between equals by
+        views a view needs all detectors, and the score orders by the number of these views, and between equals by
         the mean of what is reached in them.
 
         Args:
@@ -189,8 +187,8 @@ class DaggerConfig:
 
         if not drawn:
             each = [joint_verdict(verdicts, self.required_views) for verdicts in zip(*rows, strict=True)]
-            return joint_verdict(each, self.required_detectors)
-        views = [joint_verdict(row, self.required_detectors) for row in rows]
+            return joint_verdict(each, 1.0)
+        views = [joint_verdict(row, 1.0) for row in rows]
         successes, unambiguous = (sum(getattr(view, name) for view in views) for name in ("success", "unambiguous"))
         return Verdict(
             success=successes / len(views) >= self.required_views - 1e-9,

@@ -120,9 +120,9 @@ def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> di
     """Every figure of a result that follows from its rows."""
     settings, drawn = record["config"], record["story"] == DRAWN
     judged = settings["judged"]["cameras"]["elevations"] if drawn else None
-    needed = {name: settings[name] for name in ("required_views", "required_detectors") if name in settings}
     detectors = [str(judged["detector"]) for judged in record["detectors"]]
-    return counted(tables[ROWS], detectors, record["target"], DaggerConfig(**needed), judged)
+    config = DaggerConfig(required_views=settings["required_views"])
+    return counted(tables[ROWS], detectors, record["target"], config, judged)
 
 
 def counted(
@@ -142,7 +142,7 @@ def counted(
     confidences = [judged["target_confidence"] for judged in each if target is not None]
     return {
         **verdict_figures(rows, detectors, config, drawn=elevations is not None),
-        "target_confidence": reached_by(confidences, config.required_detectors) if confidences else None,
+        "target_confidence": min(confidences) if confidences else None,
         **aim_figures(rows, detectors, elevations),
         "detectors": each,
         "views": [_of_view(view) for _, view in rows.group_by("detector", "view", maintain_order=True)],

@@ -117,8 +117,8 @@ def _of_attacks(attacks: Record, judged: pl.DataFrame) -> dict[str, dict[str, An
             seen = {key: rates[measure].as_dict() for key, measure in RATES.items()}
             each[name] = {"success": held, **seen}
         else:
-            needed = {key: config[key] for key in ("required_views", "required_detectors")}
-            told = verdict_figures(rows, attacks[name]["sources"], DaggerConfig(**needed))
+            needed = DaggerConfig(required_views=config["required_views"])
+            told = verdict_figures(rows, attacks[name]["sources"], needed)
             if views == "drawn":
                 each[name] = {key: told[key] for key in ("success", "strict")}
                 continue

@@ -210,5 +210,7 @@ def run_study(
     if run.failed:
         label, text = next(iter(run.failed.items()))
         expected, got = f"{run.jobs} jobs that are done", f"{len(run.failed)} that failed; {label}: {text.strip()}"
-        raise InvalidValueError.of(str(study), expected, got, "mend the cause, and let mi-splat study retry it")
+        raise InvalidValueError.of(
+            str(study), expected, got, "mend the cause, and run it again with mi-splat study run"
+        )
     return folder

@@ -10,37 +10,36 @@ from attacks.cli import doctor
 from attacks.cli.doctor import Check, Finding
 from mi_splat.processes import python_command
 
-CHECKS = tuple(Check(name, lambda: "", f"mend {name}", name != "third") for name in ("first", "second", "third"))
-FINE = "import os; os.write(1, b'\"fine\"\\n'); "
+FINE = "import os; os.write(1, b'\"fine\"\\n')"
 RAISE = "from mi_splat.errors import MiSplatError; raise MiSplatError('libLLVM: expected one, got none; install it')"
 
 
 @pytest.mark.parametrize(
-    ("code", "states", "detail"),
+    ("code", "required", "state", "detail"),
     [
-        (FINE * 3, ["works", "works", "works"], "fine"),
-        (FINE + "os.abort()", ["works", "fails", "skipped"], "SIGABRT"),
-        (FINE * 2 + RAISE, ["works", "works", "absent"], "libLLVM: expected one, got none; install it"),
-        (RAISE, ["fails", "skipped", "skipped"], "libLLVM: expected one, got none; install it"),
-        ("import time; time.sleep(60)", ["fails", "skipped", "skipped"], "no answer"),
+        (FINE, True, "works", "fine"),
+        ("import os; os.abort()", True, "fails", "SIGABRT"),
+        (RAISE, True, "fails", "libLLVM: expected one, got none; install it"),
+        (RAISE, False, "absent", "libLLVM: expected one, got none; install it"),
+        ("import time; time.sleep(60)", True, "fails", "no answer"),
     ],
 )
-def test_a_child_says_what_works(code: str, states: list[str], detail: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_child_says_what_works(
+    code: str, required: bool, state: str, detail: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(doctor, "TIME_LIMIT", 0.5 if "sleep" in code else 60)
-    findings = doctor.examine_group(CHECKS, [sys.executable, "-c", code])
-    assert [finding.state for finding in findings] == states
-    worst = next((finding for finding in findings if finding.state in ("fails", "absent")), findings[0])
-    assert detail in worst.detail
-    assert worst.advice == ("" if worst.state == "works" else f"mend {worst.name}")
-    assert [finding.required for finding in findings] == [True, True, False]
+    finding = doctor.checked(Check("one", lambda: "", "mend it", required), [sys.executable, "-c", code])
+    assert (finding.state, finding.required) == (state, required)
+    assert detail in finding.detail
+    assert finding.advice == ("" if state == "works" else "mend it")
 
 
 def test_an_old_llvm_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/nowhere/libLLVM-14.so.1")
-    findings = doctor.examine_group(doctor.GROUPS["renderer"], python_command("attacks.cli.doctor", "renderer"))
-    assert [finding.state for finding in findings] == ["fails", "skipped"]
-    assert "/nowhere/libLLVM-14.so.1" in findings[0].detail
-    assert "apt install" in findings[0].advice
+    finding = doctor.checked(doctor.CHECKS[0], python_command("attacks.cli.doctor", "LLVM"))
+    assert finding.state == "fails"
+    assert "/nowhere/libLLVM-14.so.1" in finding.detail
+    assert "apt install" in finding.advice
 
 
 def test_this_machine_is_healthy(capsys: pytest.CaptureFixture[str]) -> None:

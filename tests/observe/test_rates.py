@@ -175,12 +175,9 @@ def test_a_view_counts_where_every_detector_is_deceived() -> None:
     assert counts(count(JUDGED, REPORTED_AS_ORIGINAL)[()]) == {"found_clean": (2, 4), "found_attacked": (2, 4)}
 
 
-@pytest.mark.parametrize(
-    ("views", "detectors", "success", "aim"), [(1.0, 1.0, False, 0.0), (0.5, 1.0, True, 0.6), (1.0, 0.5, True, 1.0)]
-)
-def test_an_attack_counts_as_its_settings_ask(views: float, detectors: float, success: bool, aim: float) -> None:
-    config = DaggerConfig(required_views=views, required_detectors=detectors)
-    told = verdict_figures(JUDGED, ["a", "b"], config)
+@pytest.mark.parametrize(("views", "success", "aim"), [(1.0, False, 0.0), (0.5, True, 0.6)])
+def test_an_attack_counts_as_its_settings_ask(views: float, success: bool, aim: float) -> None:
+    told = verdict_figures(JUDGED, ["a", "b"], DaggerConfig(required_views=views))
     assert (told["success"], told["score"], told["noise"]["draws"]) == (success, aim, 2)
 
 
