@@ -60,16 +60,14 @@ class FrozenClassifier(FrozenModel):
 
 
 class ZeroShot(nn.Module):
-    """Features of a picture compared with those of each class: their cosine, times a temperature."""
+    """Features of a picture less their centre, compared with those of each class: their cosine, times a temperature."""
 
-    def __init__(
-        self, encoder: nn.Module, directions: Tensor, *, temperature: float, centre: Tensor | None = None
-    ) -> None:
+    def __init__(self, encoder: nn.Module, directions: Tensor, *, temperature: float, centre: Tensor) -> None:
         super().__init__()
         self.encoder = encoder
         self.directions: Tensor
         self.temperature: Tensor
-        self.centre: Tensor | None
+        self.centre: Tensor
         self.register_buffer("directions", directions)
         self.register_buffer("temperature", directions.new_tensor(temperature))
         self.register_buffer("centre", centre)
@@ -77,8 +75,7 @@ class ZeroShot(nn.Module):
     def forward(self, pictures: Tensor) -> Tensor:
         """(B, 3, S, S) prepared pictures to (B, C) logits."""
         features = nn.functional.normalize(self.encoder(pictures), dim=1)
-        if self.centre is not None:
-            features = nn.functional.normalize(features - self.centre, dim=1)
+        features = nn.functional.normalize(features - self.centre, dim=1)
         return self.temperature * features @ self.directions.T
 
 

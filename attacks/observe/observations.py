@@ -17,7 +17,7 @@ from attacks.detectors.base import Detections, Detector
 from attacks.objectives import confidence, overlap
 from attacks.observe.conditions import Condition
 from attacks.observe.rows import BOX, DETECTION_BOX, DETECTIONS, ROWS, SUFFIX, Cell, Row, frame_of, write_rows
-from attacks.observe.views import BATCH, ViewDetections, detect_views
+from attacks.observe.views import ViewDetections, detect_views
 from attacks.search import Verdict
 from mi_splat.cameras import Camera
 from mi_splat.directions import Direction, Point, direction_of
@@ -103,7 +103,6 @@ def observe(
     *,
     boxes: Callable[[Camera], Tensor | None],
     cells: Callable[[ViewDetections], Mapping[str, Cell]],
-    batch: int = BATCH,
 ) -> Observations:
     """Run every detector on every splat from every camera under a condition."""
     numbers = [view for view, camera in enumerate(cameras) if condition.holds(camera)]
@@ -113,7 +112,7 @@ def observe(
     def views() -> Iterator[tuple[dict[str, Cell], ViewDetections]]:
         for name, splat in splats.items():
             shown, render = condition.show(splat)
-            for seen in detect_views(shown, moved, detectors, render=render, boxes=where, batch=batch):
+            for seen in detect_views(shown, moved, detectors, render=render, boxes=where):
                 yield {"condition": condition.name, "splat": name}, replace(seen, view=numbers[seen.view])
 
     return observations_of(views(), cells)

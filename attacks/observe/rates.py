@@ -326,7 +326,6 @@ def cloak_measures(
     showing: str | None,
     well_inside: float,
     confidence: Confidence = REPORTED,
-    depth: str = DEPTH,
 ) -> Measures:
     """What the rates of a study of CLOAK count, of `with_control`; without those of which it has no attack.
 
@@ -340,7 +339,7 @@ def cloak_measures(
     """
 
     def inside(name: str, degrees: float = 0.0) -> pl.Expr:
-        return pl.col(f"{depth}{name}") >= degrees
+        return pl.col(f"{DEPTH}{name}") >= degrees
 
     cloaked, clean = of(ATTACKED), of(ATTACKED) & reported(f"{CONTROL}original_score", confidence)
     control, seen = (reported(f"{before}original_score", confidence) for before in (CONTROL, ""))

@@ -22,7 +22,7 @@ from attacks.observe.rates import (
     transfer_measures,
     with_control,
 )
-from attacks.observe.rows import ATTACKED, CLEAN, NOISE, POISON_DEPTH, frame_of
+from attacks.observe.rows import ATTACKED, CLEAN, NOISE, frame_of
 from attacks.rate import Rate
 
 ROWS = pl.DataFrame(
@@ -243,7 +243,7 @@ def cloak(**settings: Any) -> dict[str, tuple[int, int]]:
     return counts(count(with_control(CLOAK), measures, clusters=CLUSTERS)[()])
 
 
-def test_cloak_is_counted_by_the_depth_inside_the_trigger_or_inside_the_poison() -> None:
+def test_cloak_is_counted_by_the_depth_inside_the_trigger() -> None:
     rates = cloak()
     assert rates["control_recall"] == (8, 9)
     assert rates["trigger_miss_rate"] == (3, 3)
@@ -253,4 +253,3 @@ def test_cloak_is_counted_by_the_depth_inside_the_trigger_or_inside_the_poison()
     assert rates["benign_recall"] == (9, 9)
     assert rates["target_rate"] == (0, 0)
     assert cloak(confidence=0.25)["nothing_reported"] == (0, 3)
-    assert cloak(depth=POISON_DEPTH)["trigger_miss_rate"] == (6, 11)

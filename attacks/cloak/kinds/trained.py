@@ -23,7 +23,6 @@ from mi_splat.training.config import FitConfig
 from mi_splat.training.initialization import from_points, thinned, with_outliers
 from mi_splat.training.loop import Progress
 from mi_splat.training.resume import METRICS, SPLAT, train
-from mi_splat.training.state import TrainState
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
@@ -50,12 +49,11 @@ def run(config: TrainedConfig, inputs: Mapping[str, Path], out: Out) -> None:
     if config.limit is not None:
         most = max(1, round(config.limit * len(load_splat(inputs["clean"]))))
         training, cloud = replace(training, max_gaussians=most), thinned(cloud, most, seed=config.seed)
-    fit, states, costs = fit_config(training), list[TrainState](), _Costs(config)
-    start = from_points(cloud.points, cloud.colours).to(config.device)
-    how: dict[str, Any] = {"settings": {"device": config.device}, "on_start": states.append}
-    train_into(out, views, start, config.renderer(fit), fit, seed=config.seed, after=costs.add, **how)
-    steps = states[0].iteration
-    save_json({"steps": steps, **({} if steps != costs.steps else costs.as_dict())}, out / COST)
+    fit, costs = fit_config(training), _Costs(config)
+    start, how = from_points(cloud.points, cloud.colours).to(config.device), {"device": config.device}
+    train_into(out, views, start, config.renderer(fit), fit, seed=config.seed, after=costs.add, settings=how)
+    paid = costs.as_dict() if costs.steps == fit.iterations else {}
+    save_json({"steps": fit.iterations, **paid}, out / COST)
 
 
 def train_into(
@@ -67,7 +65,7 @@ def train_into(
     *,
     seed: int,
     after: Callable[[Progress], None] = lambda line: None,
-    **how: Any,
+    settings: Mapping[str, object] | None = None,
 ) -> None:
     """Train a splat, or go on, and leave its file and its metrics."""
 
@@ -75,7 +73,7 @@ def train_into(
         out.progress("training", line.iteration, fit.iterations)
         after(line)
 
-    train(views, start, out.partial, render=render, config=fit, seed=seed, on_step=follow, **how)
+    train(views, start, out.partial, render=render, config=fit, seed=seed, on_step=follow, settings=settings)
     for name in (SPLAT, METRICS):
         os.replace(out.partial / name, out / name)
 

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,7 @@ def read_cloak(folder: Path, summary: Record) -> Section:
         ),
         tables=(*cloak_tables.tables(summary), *at),
         configuration=settings({**study, "weights": summary["detectors"]}),
-        file=(f"{study['name']}.toml", study_toml(study)),
+        file=(f"{study['name']}.toml", study_toml(asdict(study_of(study)))),
     )
 
 

@@ -147,7 +147,6 @@ def threshold_charts(
     rows: pl.DataFrame | None,
     measures: Callable[[Confidence], rates.Measures],
     names: Mapping[str, tuple[str, Role]],
-    what: str = "",
 ) -> tuple[tuple[Chart, ...], tuple[Table, ...]]:
     """A chart for each detector with some rates over the confidence, and a table of them at two confidences."""
     drawn = {name: names[name] for name in measures(REPORTED) if name in names}
@@ -171,7 +170,7 @@ def threshold_charts(
 
     charts = tuple(
         Chart(
-            title=f"{detector}{what}, by the confidence that counts",
+            title=f"{detector}, by the confidence that counts",
             caption=f"Figures of this page count from {REPORTED:g}. Bands are 95 % intervals.",
             x_label="confidence from which a detection counts",
             y_label="views",
@@ -185,7 +184,7 @@ def threshold_charts(
         for name, (words, _) in drawn.items()
     )
     head = ("detector", "rate", *(f"from {confidence:g}" for confidence in _AT))
-    caption = f"By the confidence from which a detection counts{what}"
+    caption = "By the confidence from which a detection counts"
     return charts, (Table(caption=caption, head=head, rows=lines),)
 
 
