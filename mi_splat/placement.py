@@ -1,18 +1,14 @@
-"""Where a splat or a mesh is put in the world: which way is up, turned, resized, moved. Light, for the command line."""
+"""How a splat or a mesh is turned: which way is up, and rotations. Light, for the command line."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Box, Metavar, Range, above, between, check
+from mi_splat.fields import Metavar, between
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-    from mi_splat.scene import GaussianScene
 
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
 Turn = Annotated[tuple[float, float, float], between(-360, 360, "degrees"), Metavar("X Y Z")]
@@ -47,52 +43,3 @@ def turn_of(up: Up, rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> NDA
     for axis, degrees in zip("xyz", rotate, strict=True):
         matrix = axis_turn(axis, degrees) @ matrix
     return matrix
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Placement:
-    """How a splat is put: first up, then rotate, then scale, then move, then crop.
-
-    Attributes:
-        up: Axis of the file that points up; it is turned to z. None turns nothing.
-        rotate: Degrees about x, then about y, then about z; the axes stay where they are.
-        scale: What one unit of the file becomes, more than 0.
-        move: Added to every position, world units.
-        crop: Only Gaussians whose means lie in this box stay: x0 y0 z0 x1 y1 z1, world units, after all else.
-
-    Raises:
-        InvalidValueError: A number is out of range, or the box has a first number above its second.
-    """
-
-    up: Up | None = None
-    rotate: Turn = (0.0, 0.0, 0.0)
-    scale: Annotated[float, above(0, do="0.01 makes metres of centimetres"), Metavar("FACTOR")] = 1.0
-    move: Annotated[tuple[float, float, float], Range(unit="world units"), Metavar("X Y Z")] = (0.0, 0.0, 0.0)
-    crop: Box | None = None
-
-    def __post_init__(self) -> None:
-        check(self)
-        if self.crop is not None and any(a > b for a, b in zip(self.crop[:3], self.crop[3:], strict=True)):
-            do = "give the lower corner first: x0 y0 z0 x1 y1 z1"
-            raise InvalidValueError.of("crop", "no first number above its second", self.crop, do)
-
-    def apply(self, scene: GaussianScene) -> GaussianScene:
-        """The splat as it is put; its very tensors where nothing is changed."""
-        import torch
-
-        from mi_splat.scene import Similarity
-
-        unmoved = Placement(crop=self.crop)
-        if self != unmoved:
-            turn = torch.from_numpy(turn_of(self.up or "z", self.rotate))
-            shift = torch.tensor(self.move, dtype=torch.float64)
-            scene = scene.transform(Similarity(rotation=turn, translation=shift, scale=self.scale))
-        if self.crop is None:
-            return scene
-        low, high = (scene.means.new_tensor(corner) for corner in (self.crop[:3], self.crop[3:]))
-        inside = ((scene.means >= low) & (scene.means <= high)).all(1)
-        if not bool(inside.any()):
-            least, most = (scene.means.amin(0).tolist(), scene.means.amax(0).tolist())
-            got = f"none; they lie in {' '.join(f'{value:.4g}' for value in (*least, *most))}"
-            raise InvalidValueError.of("crop", "a box with Gaussians in it", got, "give another box")
-        return scene.select(inside)

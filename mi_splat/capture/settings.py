@@ -11,7 +11,6 @@ from mi_splat.placement import Turn, Up
 
 Front = Literal["+x", "-x", "+y", "-y"]
 Ground = Literal["road", "grass", "asphalt", "none"]
-MissingTextures = Literal["refuse", "warn"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,8 +23,7 @@ class CaptureSettings(Checked):
             others.
         rgba: Write RGBA with nothing but the surfaces, in place of the sky.
         points: Points wanted in the point cloud, 1 to 10 million.
-        near: Surfaces nearer to a camera than this are not seen, world units, more than 0; None is 0.01, for small and
-            large objects in proportion.
+        near: Surfaces nearer to a camera than this are not seen, world units, more than 0; None is 0.01.
 
     Raises:
         InvalidValueError: A number is out of range.
@@ -47,8 +45,6 @@ class MeshSettings(Checked):
         scale: What one unit of the file is in metres, more than 0; 0.01 for centimetres.
         rotate: Degrees about x, then about y, then about z; the axes stay where they are.
         front: Which way the object faces after --up and --rotate; it is turned to face +x. None turns nothing.
-        missing_textures: What to do where a texture or a colour of the file cannot be shown: refuse the file, or warn
-            and take the plain colour.
 
     Raises:
         InvalidValueError: A number is out of range.
@@ -58,7 +54,6 @@ class MeshSettings(Checked):
     scale: Annotated[float, above(0, "metres per unit of the file"), Metavar("METRES")] = 1.0
     rotate: Turn = (0.0, 0.0, 0.0)
     front: Front | None = None
-    missing_textures: MissingTextures = "refuse"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,12 +4,11 @@ import hashlib
 import math
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from mi_splat.assets import ASSETS, build
@@ -17,33 +16,25 @@ from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset, rotation, translation
 from mi_splat.assets.street import build as build_street
 from mi_splat.assets.textures import Kind, square_of_ground
-from mi_splat.cameras import Camera
-from mi_splat.capture.mesh_files import SUFFIXES, LoadedMesh, load_mesh
+from mi_splat.capture.mesh_files import SUFFIX, load_mesh
 from mi_splat.capture.path_tracer import PathTracer, read_environment, scene_dict
 from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
-from mi_splat.errors import InvalidValueError, MiSplatError, message
-from mi_splat.io.points import PointCloud
+from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.scene_parts import SceneParts
 
-SMALLEST, LARGEST = 1e-4, 1e6
-"""Radii in metres of a mesh."""
+SMALLEST, LARGEST = 0.5, 50.0
+"""Radii in metres of a mesh: Mitsuba computes in float32 and starts secondary rays about 1e-4 metres off a surface."""
 SMALLEST_XML, LARGEST_XML = 0.02, 400.0
 """Radii in world units of a Mitsuba scene, which is photographed as it is, so that its camera sees everything."""
-FAR_XML, FARTHEST_XML = 100.0, 1000.0
-"""Largest coordinate of a Mitsuba scene's middle, in radii, from which it is warned of and from which it is refused:
-its pictures are then about 60 and 50 dB from those at the origin."""
+FARTHEST_XML = 100.0
+"""Largest coordinate of a Mitsuba scene's middle, in radii: its pictures are then about 60 dB from those at the
+origin."""
 GROUND_SIDE, GROUND_TILE = 6.5, 1.65
 """Side of the ground and of its texture, in radii of the object: 16 m and 4 m for a car, as in the studies of CLOAK."""
 
 _SPLATS = ("gaussians", "splat_tile")
 """Plugins of this project, which show splats and not meshes."""
 
-
-USUAL = 0.5, 50.0
-"""Radii of objects for which the world's own units do."""
-FARTHEST = 10.0
-"""Largest coordinate of an object's middle, in radii, for which the world's own origin does: rays then start at most a
-thousandth of the radius away from the surface."""
 
 Point = tuple[float, float, float]
 
@@ -79,68 +70,15 @@ EXAMPLES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WorkingFrame:
-    """From world units to those of the path tracer: unit * (point - origin).
-
-    Mitsuba computes in float32 and starts secondary rays about 1e-4 (1 + largest coordinate) away from a surface, and
-    the project's own limits (welding, visibility of points, the near clip) are in metres. A very small, large or
-    distant object is therefore captured in a frame scaled by a power of two, and written in the world's units.
-    """
-
-    unit: float = 1.0  # working units in one world unit, a power of two
-    origin: Point = (0.0, 0.0, 0.0)  # point of the world that lies at the working origin
-
-    @property
-    def is_world(self) -> bool:
-        """Whether this is the world's own frame."""
-        return self == WorkingFrame()
-
-    def asset(self, asset: Asset) -> Asset:
-        """An asset of the world in this frame."""
-        if self.is_world:
-            return asset
-        matrix = np.diag([self.unit] * 3 + [1.0])
-        matrix[:3, 3] = -self.unit * np.asarray(self.origin)
-        return asset.transformed(matrix)
-
-    def camera(self, camera: Camera) -> Camera:
-        """A camera of the world in this frame."""
-        if self.is_world:
-            return camera
-        pose = camera.to_world.clone()
-        pose[:3, 3] = self.unit * (pose[:3, 3] - torch.tensor(self.origin, dtype=pose.dtype))
-        return replace(camera, to_world=pose)
-
-    def in_world(self, cloud: PointCloud) -> PointCloud:
-        """Points of this frame in the world."""
-        if self.is_world:
-            return cloud
-        points = cloud.points.double() / self.unit + torch.tensor(self.origin, dtype=torch.float64)
-        return replace(cloud, points=points.float())
-
-
-def working_frame(centre: Point, radius: float) -> WorkingFrame:
-    """The frame for an object: the world's own where that is good enough."""
-    far = max(map(abs, centre)) > FARTHEST * radius
-    usual = USUAL[0] <= radius <= USUAL[1]
-    # A power of two changes no digit of a coordinate.
-    unit = 1.0 if usual else 2.0 ** (1 - math.floor(math.log2(radius)))
-    return WorkingFrame(unit=unit, origin=centre if far else (0.0, 0.0, 0.0))
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CaptureSource:
     """Something to take pictures of."""
 
-    scene: dict[str, Any] | Path  # what the path tracer loads, in the working frame
+    scene: dict[str, Any] | Path  # what the path tracer loads
     centre: Point  # that cameras look at, world units
     radius: float  # of what they shall see, world units
-    assets: tuple[Asset, ...]  # in the working frame, the object first, then its surroundings; none of an XML file
+    assets: tuple[Asset, ...]  # the object first, then its surroundings; none of an XML file
     digest: str  # SHA-256 of everything that the pictures show
-    frame: WorkingFrame = field(default_factory=WorkingFrame)  # from world units to those of `scene` and `assets`
-    world_offset: Point = (0.0, 0.0, 0.0)  # as in `LoadedMesh`
-    warnings: tuple[str, ...] = ()
 
 
 def open_source(
@@ -151,10 +89,10 @@ def open_source(
     suffix = path.suffix.lower()
     is_asset = name not in EXAMPLES and name.partition(":")[0] in ASSETS
     mesh, surroundings = mesh or MeshSettings(), surroundings or SurroundingsSettings()
-    if mesh != MeshSettings() and suffix not in SUFFIXES:
-        what, flags = "up, scale, rotate, front and missing textures", "--up, --scale, --rotate, --front"
+    if mesh != MeshSettings() and suffix != SUFFIX:
+        what, flags = "up, scale, rotate and front", "--up, --scale, --rotate, --front"
         raise InvalidValueError.of(what, "a mesh file to go with", name, "leave them out").hinted(flags)
-    if surroundings != SurroundingsSettings() and not (is_asset or suffix in SUFFIXES):
+    if surroundings != SurroundingsSettings() and not (is_asset or suffix == SUFFIX):
         what, expected = "ground, sun and environment", "a mesh file, or an object of the project, to go with"
         raise InvalidValueError.of(what, expected, name, "leave them out").hinted("--ground, --sun, --environment")
     if name in EXAMPLES:
@@ -164,9 +102,9 @@ def open_source(
         return _asset(name, surroundings)
     if suffix == ".xml":
         return _xml(path)
-    if suffix in SUFFIXES:
+    if suffix == SUFFIX:
         return _mesh(load_mesh(path, mesh), name, surroundings)
-    expected = f"one of {', '.join((*EXAMPLES, *ASSETS))}, or a file that ends in .xml, {', '.join(SUFFIXES)}"
+    expected = f"one of {', '.join((*EXAMPLES, *ASSETS))}, or a file that ends in .xml or {SUFFIX}"
     raise InvalidValueError.of("scene", expected, name, "name one of these")
 
 
@@ -186,34 +124,27 @@ def _asset(name: str, surroundings: SurroundingsSettings) -> CaptureSource:
     kind, colon, seed = name.partition(":")
     if not re.fullmatch(r"\d{1,9}" if colon else "", seed):
         raise InvalidValueError.of("scene", f"{kind} or {kind}:SEED, 0 to 999999999", name, "change the seed")
-    return _mesh(LoadedMesh(asset=build(kind, int(seed or 0)).body), name, surroundings)
+    return _mesh(build(kind, int(seed or 0)).body, name, surroundings)
 
 
-def _mesh(loaded: LoadedMesh, name: str, surroundings: SurroundingsSettings) -> CaptureSource:
-    """A mesh in its surroundings, in the working frame that suits it."""
-    centre, radius = _extent(loaded.asset)
+def _mesh(target: Asset, name: str, surroundings: SurroundingsSettings) -> CaptureSource:
+    """A mesh in its surroundings."""
+    centre, radius = _extent(target)
     if not SMALLEST <= radius <= LARGEST:
         expected = f"a radius of {SMALLEST:g} to {LARGEST:g} metres"
         raise InvalidValueError.of(name, expected, f"{radius:.4g}", "pass another scale").hinted("--scale")
-    frame = working_frame(centre, radius)
-    target = frame.asset(loaded.asset)
     ground = None if surroundings.ground == "none" else _ground(target, surroundings.ground)
     assets = (target,) if ground is None else (target, ground)
     light, environment = _light(surroundings), None
     if surroundings.environment is not None:
         environment = read_environment(surroundings.environment)
     beside = [] if environment is None else [repr(environment.shape).encode(), environment.tobytes()]
-    if not frame.is_world or any(loaded.world_offset):
-        beside.append(repr((frame.unit, frame.origin, loaded.world_offset)).encode())
     return CaptureSource(
         scene=scene_dict([target], light=light, backdrop=ground, environment=environment),
         centre=centre,
         radius=radius,
         assets=assets,
         digest=digest_of(assets, light, beside),
-        frame=frame,
-        world_offset=loaded.world_offset,
-        warnings=loaded.warnings,
     )
 
 
@@ -252,9 +183,12 @@ def _xml(path: Path) -> CaptureSource:
     if not SMALLEST_XML <= radius <= LARGEST_XML:
         expected = f"a radius of {SMALLEST_XML:g} to {LARGEST_XML:g} world units"
         raise InvalidValueError.of(str(path), expected, f"{radius:.4g}", "scale its shapes")
-    warnings = _far_away(path, centre, radius)
+    if (away := max(map(abs, centre)) / radius) > FARTHEST_XML:
+        expected = f"a scene around the origin, its middle at most {FARTHEST_XML:g} radii away"
+        do = "subtract the middle from the transforms of its shapes"
+        raise MiSplatError.of(str(path), expected, f"{away:.0f}", do)
     digest = _digest(file.read_bytes() for file in parts.files)  # another texture makes other pictures
-    return CaptureSource(scene=path, centre=centre, radius=radius, assets=(), digest=digest, warnings=warnings)
+    return CaptureSource(scene=path, centre=centre, radius=radius, assets=(), digest=digest)
 
 
 def _extent(asset: Asset) -> tuple[Point, float]:
@@ -266,18 +200,6 @@ def _middle(bounds: NDArray[np.float64]) -> tuple[Point, float]:
     """Middle and half diagonal of a (2, 3) box."""
     x, y, z = (float(value) for value in bounds.mean(0))
     return (x, y, z), math.dist(*bounds.tolist()) / 2
-
-
-def _far_away(path: Path, centre: Point, radius: float) -> tuple[str, ...]:
-    """A warning if a Mitsuba scene lies so far from the origin that its pictures suffer."""
-    away = max(map(abs, centre)) / radius
-    if away <= FAR_XML:
-        return ()
-    expected = f"a scene around the origin, its middle at most {FAR_XML:g} radii away"
-    text = message(str(path), expected, f"{away:.0f}", "subtract the middle from the transforms of its shapes")
-    if away > FARTHEST_XML:
-        raise MiSplatError(text)
-    return (f"{text}; until then, light and shadows near surfaces are coarse",)
 
 
 def digest_of(assets: Iterable[Asset], light: Light, beside: Iterable[bytes] = ()) -> str:

@@ -22,10 +22,10 @@ from mi_splat.assets.mesh import Asset, Floats
 from mi_splat.cameras import Camera, View, project_points
 from mi_splat.capture.path_tracer import NEAR, PASSES, PathTracer, tracing_variant
 from mi_splat.capture.settings import CaptureSettings
-from mi_splat.capture.sources import CaptureSource, WorkingFrame
+from mi_splat.capture.sources import CaptureSource
 from mi_splat.datasets.dataset import Dataset
 from mi_splat.datasets.frames import Frame
-from mi_splat.datasets.transforms import POINTS, WORLD_OFFSET
+from mi_splat.datasets.transforms import POINTS
 from mi_splat.datasets.writing import IMAGES, list_colmap, list_transforms, make_folder, picture_name
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import is_temporary, save_json, save_png, sweep_temporary
@@ -263,30 +263,27 @@ def write_capture(
     """Take pictures of a source and write them as a set that `mi_splat.datasets.load_dataset` reads."""
     settings = settings or CaptureSettings()
     listing = _listing(cameras, test)
-    frame = source.frame
-    near = NEAR if settings.near is None else settings.near * frame.unit
+    near = NEAR if settings.near is None else settings.near
     with locked_folder(folder):
         with tracing_variant():
             tracer = PathTracer(source.scene, samples=settings.samples, alpha=settings.rgba, near=near)
-            if not any(bool((tracer.surface(frame.camera(view), seed=0)[1] > 0).any()) for view in cameras):
+            if not any(bool((tracer.surface(view, seed=0)[1] > 0).any()) for view in cameras):
                 raise InvalidValueError.of("cameras", "a view of the scene", "nothing but sky", "move or turn them")
             begun_by = claim_folder(folder, capture_record(source, listing, settings, inputs))
             images = make_folder(folder / IMAGES)
             begun = time.perf_counter()
-            rendered = _render(tracer, frame, listing, images, settings, on_step)
+            rendered = _render(tracer, listing, images, settings, on_step)
             seconds = time.perf_counter() - begun
             cloud = folder / POINTS[0]
             if not cloud.is_file():
-                entries = [(frame.camera(camera), images / name) for name, camera in listing["train"]]
-                frames = tuple(Frame(camera=camera, path=path) for camera, path in entries)
+                frames = tuple(Frame(camera=camera, path=images / name) for name, camera in listing["train"])
                 views = Dataset(frames=frames, background=_GREY)
                 sampled = surface_points(tracer, source.assets, views, count=settings.points, seed=settings.seed)
-                save_points(frame.in_world(sampled), cloud)
+                save_points(sampled, cloud)
         points = load_points(cloud)
         files = [cloud]
         if layout in ("transforms", "both"):
-            more = {WORLD_OFFSET: list(source.world_offset)} if any(source.world_offset) else None
-            files += [file for file in list_transforms(folder, listing, points, more=more) if file != cloud]
+            files += [file for file in list_transforms(folder, listing, points) if file != cloud]
         if layout in ("colmap", "both"):
             files += list_colmap(folder, listing, points)
         return WrittenCapture(
@@ -315,7 +312,6 @@ def _listing(cameras: Sequence[Camera], test: Sequence[Camera]) -> dict[str, lis
 
 def _render(
     tracer: PathTracer,
-    frame: WorkingFrame,
     listing: Mapping[str, Sequence[tuple[str, Camera]]],
     images: Path,
     settings: CaptureSettings,
@@ -327,7 +323,7 @@ def _render(
     rendered = 0
     for number, (name, camera) in enumerate(entries):
         if not _is_complete(images / name, camera, settings.rgba):
-            picture = tracer.picture(frame.camera(camera), seed=settings.seed + number)
+            picture = tracer.picture(camera, seed=settings.seed + number)
             save_png(to_bytes(picture), images / name)
             rendered += 1
         if on_step is not None:
@@ -378,7 +374,6 @@ def capture_record(
         "near": settings.near,
         "pictures": PICTURES,
         "mitsuba": importlib.metadata.version("mitsuba"),
-        "world_offset": list(source.world_offset),
         "inputs": {kind: dict(values) for kind, values in (inputs or {}).items()},
     }
 

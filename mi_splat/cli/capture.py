@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -18,8 +18,6 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Length, Metavar, OutFolder, between
 
 if TYPE_CHECKING:
-    from mi_splat.cameras import Camera
-    from mi_splat.capture.sources import CaptureSource
     from mi_splat.capture.writer import Inputs, WrittenCapture
 
 
@@ -38,7 +36,7 @@ class CaptureOptions(JsonOptions):
     """
 
     scene: Positional[Annotated[str, Metavar("SCENE")]]
-    """Mitsuba mesh XML; a GLB or glTF mesh (needs the extra `meshes`); car_street or stop_sign; or one of
+    """Mitsuba mesh XML; a GLB mesh (needs the extra `meshes`); car_street or stop_sign; or one of
     the project's objects by name and seed, for instance car:900004."""
     cameras: Annotated[str, Metavar("CAMERAS")] = "hemisphere:210"
     """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x elevations), or a transforms .json."""
@@ -98,19 +96,15 @@ def _capture(options: CaptureOptions) -> None:
         raise InvalidValueError.of("cameras", "cameras that have their places", got, "leave one out")
     with progress("building the scene"):
         source = open_source(options.scene, mesh=options.mesh, surroundings=options.surroundings)
-    for text in source.warnings:
-        warn(text)
     size = options.size or SIZE
     distance, focal = framing(source.radius, fov=FOV if options.fov is None else options.fov, size=size)
     placed: dict[str, Any] = {
-        "centre": source.centre if options.centre is None else _apart(options.centre, source.world_offset),
+        "centre": source.centre if options.centre is None else options.centre,
         "distance": distance if options.distance is None else options.distance,
         "focal": focal,
         "size": size,
     }
     cameras = camera_set(options.cameras, **placed)
-    if is_file:
-        cameras = _in_coordinates_of(source, cameras, Path(options.cameras))
     if unseen := no_surface_in_view(source.centre, source.radius, cameras):
         warn(unseen)
     width, height = cameras[0].width, cameras[0].height
@@ -132,29 +126,10 @@ def _capture(options: CaptureOptions) -> None:
     for text in done.warnings:
         warn(text)
     document = {
-        **{"out": str(options.out), "width": width, "height": height, "world_offset": list(source.world_offset)},
-        **{**asdict(done), "files": list(map(str, done.files)), "warnings": [*source.warnings, *done.warnings]},
+        **{"out": str(options.out), "width": width, "height": height},
+        **{**asdict(done), "files": list(map(str, done.files)), "warnings": list(done.warnings)},
     }
-    show_result(document, *_lines(done, source, options.out, f"{width} x {height}"), as_json=options.json)
-
-
-def _apart(point: tuple[float, ...], offset: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(value - by for value, by in zip(point, offset, strict=True))
-
-
-def _in_coordinates_of(source: CaptureSource, cameras: list[Camera], path: Path) -> list[Camera]:
-    """Cameras of a file in the coordinates of a source, either of which may lie far from the world's origin."""
-    import torch
-
-    from mi_splat.datasets.transforms import read_world_offset
-
-    by = torch.tensor(_apart(read_world_offset(path), source.world_offset), dtype=torch.float64)
-    if not by.any():
-        return cameras
-    poses = [camera.to_world.clone() for camera in cameras]
-    for pose in poses:
-        pose[:3, 3] += by
-    return [replace(camera, to_world=pose) for camera, pose in zip(cameras, poses, strict=True)]
+    show_result(document, *_lines(done, options.out, f"{width} x {height}"), as_json=options.json)
 
 
 def _inputs(options: CaptureOptions, *, is_file: bool) -> Inputs:
@@ -166,15 +141,12 @@ def _inputs(options: CaptureOptions, *, is_file: bool) -> Inputs:
     return inputs
 
 
-def _lines(done: WrittenCapture, source: CaptureSource, out: Path, size: str) -> Iterator[str]:
+def _lines(done: WrittenCapture, out: Path, size: str) -> Iterator[str]:
     total = done.train + done.test
     kept = f", {total - done.rendered} were there before" if done.rendered < total else ""
     held_out = f" ({done.test} of them held out)" if done.test else ""
     yield f"{out}: {total} pictures of {size}{held_out}; {done.rendered} rendered in {done.seconds:.0f} s{kept}"
     yield f"{done.points:,} points; listed in {', '.join(str(file.relative_to(out)) for file in done.files)}"
-    if any(source.world_offset):
-        offset = ", ".join(f"{value:.10g}" for value in source.world_offset)
-        yield f"the mesh lies far from its origin: add ({offset}) to what is written to get its own coordinates, metres"
     if done.rendered < total and done.begun_by != provenance.versions().get("mi-splat", "unknown"):
         yield f"begun by {done.begun_by}, which makes the same pictures"
     yield f"in Python: mi_splat.load_dataset({str(out)!r})"

@@ -5,16 +5,16 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import OutFile
-from mi_splat.placement import Placement
+from mi_splat.fields import Metavar, OutFile, above
+from mi_splat.placement import Up, turn_of
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -27,13 +27,12 @@ EXAMPLES = (
     "convert YOUR.sog out/web.ply",
     "convert YOUR.ply small.sog --sh-degree 1",
     "convert YOUR.ply upright.ply --up -y --scale 0.1",
-    "convert YOUR_SCENE.ply both.ply --add car.ply sign.ply",
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertOptions(JsonOptions):
-    """Convert a splat file to another format, which the ending of its name says; merge, turn, move and cut splats.
+    """Convert a splat file to another format, which the ending of its name says.
 
     Says what the new file does not hold, and how far its values are off.
     """
@@ -50,10 +49,10 @@ class ConvertOptions(JsonOptions):
     """Version of an SPZ file; None is 3."""
     drop_invalid: bool = False
     """Leave out Gaussians that are not valid, instead of an error."""
-    add: tuple[Path, ...] = ()
-    """Splats whose Gaussians come after those of the source, before all are put in place."""
-    placement: Placement = field(default_factory=Placement)
-    """Where the result is put."""
+    up: Up | None = None
+    """Axis of the file that points up; it is turned to z. None turns nothing."""
+    scale: Annotated[float, above(0, do="0.01 makes metres of centimetres"), Metavar("FACTOR")] = 1.0
+    """What one unit of the file becomes, more than 0."""
 
 
 def run(options: ConvertOptions) -> None:
@@ -63,24 +62,24 @@ def run(options: ConvertOptions) -> None:
     from mi_splat.io.folders import check_new_file, check_not_input, check_writable, splat_in
     from mi_splat.io.loaded import dropped_bands, ranges
     from mi_splat.io.splat_files import TAGGED, format_to_write, load_stored, write_splat_file
-    from mi_splat.scene import merge
+    from mi_splat.scene import Similarity
 
     suffix = format_to_write(str(options.out))  # a name that fits no format is told before a large file is read
     if options.spz_version is not None and suffix != ".spz":
         raise InvalidValueError.of("--spz-version", "a file to write that ends in .spz", suffix, "leave it out")
-    sources = (options.source, *options.add)
-    for source in sources:
-        check_not_input(options.out, source)
+    check_not_input(options.out, options.source)
     if os.path.lexists(options.out):
         check_new_file(options.out, (options.out.suffix.lower(),), force=options.force)
     check_writable(options.out.parent)
-    with progress(f"reading {', '.join(map(str, sources))}"):
+    with progress(f"reading {options.source}"):
         invalid: Literal["drop", "raise"] = "drop" if options.drop_invalid else "raise"
-        parts = [load_stored(source).settle(str(source), invalid, stacklevel=1) for source in sources]
-        scene = options.placement.apply(merge(*(part.scene for part in parts)))
-    antialiased = all(part.is_antialiased for part in parts)
-    not_kept = ranges(list(dict.fromkeys(name for part in parts for name in part.unread)))
-    if any(part.is_antialiased for part in parts) and not (antialiased and suffix in TAGGED):
+        stored = load_stored(options.source).settle(str(options.source), invalid, stacklevel=1)
+        scene = stored.scene
+        if options.up is not None or options.scale != 1:
+            turn = torch.from_numpy(turn_of(options.up or "z"))
+            scene = scene.transform(Similarity(rotation=turn, translation=torch.zeros(3), scale=options.scale))
+    antialiased, not_kept = stored.is_antialiased, ranges(stored.unread)
+    if antialiased and suffix not in TAGGED:
         not_kept.append("that it was trained with antialiasing (render mode)")
     with progress(f"writing {options.out}"):
         kept = scene if options.sh_degree is None else scene.with_degree(min(options.sh_degree, scene.degree))
@@ -90,10 +89,9 @@ def run(options: ConvertOptions) -> None:
     written = scene if encoded.order is None else scene.select(torch.from_numpy(encoded.order))
     changes = differences(written, reread)
     losses = (*dropped_bands(scene.sh.numpy(), kept.degree), *encoded.losses)
-    sizes = sum(os.path.getsize(splat_in(source) or source) for source in sources), options.out.stat().st_size
+    sizes = os.path.getsize(splat_in(options.source) or options.source), options.out.stat().st_size
     document = {
         "source": str(options.source),
-        "added": [str(source) for source in options.add],
         "out": str(options.out),
         "gaussians": len(reread),
         "bytes_before": sizes[0],
@@ -109,7 +107,7 @@ def run(options: ConvertOptions) -> None:
         f"file            {options.out}, {sizes[1]:,} bytes",
         f"gaussians       {len(reread):,}",
         f"sh degree       {scene.degree} before, {reread.degree} after",
-        *([f"up              {options.placement.up} of the file is z now"] if options.placement.up else []),
+        *([f"up              {options.up} of the file is z now"] if options.up else []),
         f"order           {'changed' if encoded.order is not None else 'kept'}",
         *(f"largest change  {name}: {value:.3g}" for name, value in changes.items()),
         *(f"lost: {loss}" for loss in losses),

@@ -74,18 +74,13 @@ class TrainOptions(JsonOptions):
     """Splat to begin with; None takes the points of the set, or Gaussians anywhere if it has none."""
     random: Annotated[int, between(1, 100_000_000, "Gaussians")] | None = None
     """Begin with so many Gaussians anywhere instead."""
-    outliers: Annotated[int, between(0, 100_000_000, "Gaussians")] = 0
-    """Add so many in the air to those on the points of the set, as false matches do in a cloud from photographs."""
     downscale: Annotated[int, between(1, 64, "times smaller"), Metavar("FACTOR")] = 1
     """Integer factor by which the pictures shrink. Smaller ones that are in images_2, images_4, ... are used."""
     background: Colour = (0.0, 0.0, 0.0)
-    """Colour behind the splat and transparent pixels, as white, #80b0e0 or three sRGB numbers in [0, 1]. See also
-    --random-background."""
+    """Colour behind the splat and transparent pixels, as white, #80b0e0 or three sRGB numbers in [0, 1]."""
     near: Length | None = None
     """Gaussians nearer to a camera than this are not drawn, world units; none takes the 0.2 of 3DGS, or less where the
     scene or the distance of its cameras is small."""
-    lpips: bool = False
-    """Score the held-out pictures by LPIPS, too; its network is downloaded when it is first used."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Where it is trained: on the CPU, or on an NVIDIA GPU."""
     checkpoint_every: Annotated[int, at_least(1, "steps", "1000 is usual")] = 1000
@@ -120,7 +115,6 @@ def run(options: TrainOptions) -> None:
 def _train(options: TrainOptions) -> None:
     from mi_splat.bounds import near_plane
     from mi_splat.datasets import load_dataset
-    from mi_splat.metrics import load_lpips
     from mi_splat.training.resume import train
 
     limit_threads(1)
@@ -136,7 +130,7 @@ def _train(options: TrainOptions) -> None:
         near = near_plane(start, views.cameras) if options.near is None else options.near
         render = _renderer(options, near)
     _warn_of_culled(start, views, near)
-    begun, lpips = time.monotonic(), load_lpips() if options.lpips else None
+    begun = time.monotonic()
     with progress("training", total=config.iterations) as advance:
         describe = _ProgressText()
 
@@ -158,7 +152,6 @@ def _train(options: TrainOptions) -> None:
             seed=options.seed,
             held_out=held_out,
             every=options.checkpoint_every,
-            lpips=lpips,
             settings={"near": near, "background": list(options.background), "device": options.device},
             dataset=options.dataset,
             on_resume=on_resume,
@@ -173,8 +166,7 @@ def _show(options: TrainOptions, count: int, seconds: float) -> None:
     figures = read_json(options.out / METRICS)
     lines = [f"{options.out / SPLAT}: {count:,} Gaussians after {options.fit.iterations} steps"]
     if figures["psnr"] is not None:
-        perceptual = "" if figures["lpips"] is None else f", LPIPS {figures['lpips']:.4f}"
-        quality = f"PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}{perceptual}"
+        quality = f"PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}"
         lines.append(f"held out ({figures['held_out_views']} pictures): {quality}")
         if figures["corrected_psnr"] is not None:
             lines.append(f"with the exposure of each of these pictures: PSNR {figures['corrected_psnr']:.2f} dB")
@@ -186,12 +178,8 @@ def _renderer(options: TrainOptions, near: float) -> Renderer:
     from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 
     config = options.fit
-    if config.random_background and any(options.background):
-        do = "leave out --background or --random-background"
-        raise InvalidValueError.of("--background", "black beside --random-background", options.background, do)
     variant = "cuda_ad_rgb" if options.device == "cuda" else ""
-    alpha = config.random_background
-    settings = RenderSettings(background=options.background, near=near, alpha=alpha, variant=variant)
+    settings = RenderSettings(background=options.background, near=near, variant=variant)
     return Renderer(settings, screen_gradients=ScreenGradients() if config.strategy.needs_screen_gradients else None)
 
 
@@ -207,12 +195,8 @@ def _warn_of_culled(start: GaussianScene, views: Dataset, near: float) -> None:
 
 def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
     from mi_splat.io import load_splat
-    from mi_splat.training.initialization import from_points, random_points, thinned, with_outliers
+    from mi_splat.training.initialization import from_points, random_points, thinned
 
-    alone = options.start is None and options.random is None
-    if options.outliers and not (alone and views.points is not None and len(views.points)):
-        got = "a set without any" if alone else "--start or --random"
-        raise InvalidValueError.of("--outliers", "a start on the points of the set", got, "leave one out")
     limit = options.fit.strategy.max_gaussians if options.fit.strategy.adds_gaussians else None
     if options.start is not None and options.random is not None:
         raise InvalidValueError.of("--random", "no other start", f"--start {options.start}", "leave one out")
@@ -224,7 +208,7 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
         count = RANDOM_START if limit is None else min(limit, RANDOM_START)
         warn(f"the set has no points: starting on {count:,} Gaussians anywhere (see --random, --start)")
         return random_points(views, count, seed=options.seed)
-    cloud = with_outliers(views.points, views, options.outliers, seed=options.seed)
+    cloud = views.points
     if limit is not None and len(cloud.points) > limit:
         warn(f"starting on {limit:,} of {len(cloud.points):,} points, evenly at random: no more are allowed")
         cloud = thinned(cloud, limit, seed=options.seed)

@@ -38,9 +38,6 @@ SINGLE, PARTS = "transforms.json", {"train": "transforms_train.json", "test": "t
 POINTS = ("points3D.ply", "points3d.ply")
 """Names of a point cloud beside the file, if the file names none."""
 
-WORLD_OFFSET = "world_offset"
-"""Key of what has to be added to a file's coordinates to get those of the world that was photographed."""
-
 _TRANSFORMS = DocumentReader(
     expected="JSON with a list of frames",
     do="repair it or write it again",
@@ -92,13 +89,6 @@ def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:
         pose = _pose(values.get("transform_matrix"), where)
         cameras.append(pinhole_camera(pose, _intrinsics(values, own, where), where))
     return cameras
-
-
-def read_world_offset(path: Path) -> tuple[float, float, float]:
-    """What a transforms file says has to be added to its coordinates; zero if it says nothing."""
-    fields = Fields(_document(path), str(path), DatasetError, "repair it")
-    x, y, z = fields.numbers(WORLD_OFFSET, 3, 3, (0.0, 0.0, 0.0))
-    return x, y, z
 
 
 def _document(path: Path) -> dict[str, Any]:

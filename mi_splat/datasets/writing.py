@@ -24,9 +24,7 @@ Listing = Mapping[str, Sequence[tuple[str, Camera]]]
 """Of each split, train and test, the file name of every picture and its camera."""
 
 
-def list_transforms(
-    folder: Path, listing: Listing, points: PointCloud | None, *, more: Mapping[str, Any] | None = None
-) -> list[Path]:
+def list_transforms(folder: Path, listing: Listing, points: PointCloud | None) -> list[Path]:
     """Write the transforms files of pictures that are in images/, and the points.
 
     The file for tests is left out if there are none.
@@ -37,8 +35,7 @@ def list_transforms(
         written.append(folder / POINTS[0])
     for split, entries in listing.items():
         if entries:
-            document = {**(more or {}), **_document(entries, points is not None)}
-            save_json(document, folder / PARTS[split], indent=1)
+            save_json(_document(entries, points is not None), folder / PARTS[split], indent=1)
             written.append(folder / PARTS[split])
     return written
 

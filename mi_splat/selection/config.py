@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 else:  # what the command line makes of words
     MaskValue, Click = Path | tuple, str
 
-Rotation = Annotated[tuple[float, float, float], between(-360, 360, "degrees"), Metavar("YAW PITCH ROLL")]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
@@ -33,8 +31,6 @@ class Selection:
     Attributes:
         object: Part of a scene XML, by its id.
         box: Gaussians whose means lie in this box: x0 y0 z0 x1 y1 z1, world units.
-        box_rotation: Yaw, pitch and roll in degrees by which the box is turned about its own middle: by the roll about
-            world x first, then by the pitch about y, then by the yaw about z.
         mask: File that says which: .npy (one bool a Gaussian, or row numbers), or a PLY with the positions of some. In
             Python also a tensor, an array or a list of these bools or row numbers; it is kept as a tuple.
         click: Pixels x,y of the first camera's picture; the object in front there, with all that is connected to it.
@@ -55,7 +51,6 @@ class Selection:
 
     object: str | None = None
     box: Box | None = None
-    box_rotation: Rotation = (0.0, 0.0, 0.0)
     mask: MaskValue | None = None
     click: Annotated[tuple[Click, ...], Metavar("X,Y")] = ()
     cluster: Annotated[int, at_least(1, do="1 is the largest"), Metavar("RANK")] | None = None
@@ -112,7 +107,7 @@ class Selection:
         if self.object is not None:
             values["object"] = self.object
         if self.box is not None:
-            values |= {"box": list(self.box), "box_rotation": list(self.box_rotation)}
+            values["box"] = list(self.box)
         if self.mask is not None:
             given = isinstance(self.mask, tuple)
             values["mask"] = {"gaussians": _count(self.mask)} if given else str(self.mask)

@@ -19,7 +19,6 @@ from mi_splat.io.documents import save_bytes
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.loaded import open_regular, read_whole
 from mi_splat.io.points import load_points
-from mi_splat.rotation import multiply, to_matrix
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.clusters import clusters
 from mi_splat.selection.config import Selection
@@ -35,26 +34,12 @@ _BROKEN = (
 )
 
 
-def box_mask(
-    scene: GaussianScene,
-    box: tuple[float, float, float, float, float, float],
-    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> Tensor:
+def box_mask(scene: GaussianScene, box: tuple[float, float, float, float, float, float]) -> Tensor:
     """(N,) bool, which Gaussians have their means in a box; those on its faces count."""
     low, high = torch.tensor([box[:3], box[3:]], dtype=torch.float64)
-    yaw, pitch, roll = rotation
-    turn = to_matrix(multiply(_about(2, yaw), multiply(_about(1, pitch), _about(0, roll))))
-    local = (scene.means.detach().cpu().double() - (low + high) / 2) @ turn  # by the inverse, as rows
+    local = scene.means.detach().cpu().double() - (low + high) / 2
     inside: Tensor = (local.abs() <= (high - low) / 2).all(1)
     return inside
-
-
-def _about(axis: int, degrees: float) -> Tensor:
-    """(4,) float64 quaternion (w, x, y, z) of a turn about a world axis."""
-    half = math.radians(degrees) / 2
-    turn = torch.zeros(4, dtype=torch.float64)
-    turn[0], turn[1 + axis] = math.cos(half), math.sin(half)
-    return turn
 
 
 def load_mask(path: Path, scene: GaussianScene) -> Tensor:
@@ -193,7 +178,7 @@ def select(
         part[(objects or {})[selection.object]] = True
         mask &= part
     if selection.box is not None:
-        mask &= box_mask(scene, selection.box, selection.box_rotation)
+        mask &= box_mask(scene, selection.box)
     if selection.mask is not None:
         given = selection.mask
         mask &= load_mask(given, scene) if isinstance(given, Path) else mask_of(given, len(scene))

@@ -4,8 +4,7 @@ A picture is linear in the colours: a pixel is the sum over Gaussians of weight 
 what those in front let through. So weights are what a picture of other colours shows, or its derivative by colours.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -20,9 +19,6 @@ Box = tuple[int, int, int, int]
 
 _EMPTY_PIXEL = 0.05
 """A pixel of which Gaussians make up less shows nothing."""
-
-_LEAST_ALPHA = 1 / 255
-"""The smallest opacity above 0 that a pixel has: fainter Gaussians contribute nothing."""
 
 
 def contributions(
@@ -65,45 +61,6 @@ def _checked(box: Box, camera: Camera) -> Box:
         expected = f"x0 < x1 and y0 < y1 inside {camera.width} x {camera.height}"
         raise InvalidValueError.of("box", expected, box, "count pixels from the upper left corner")
     return box
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ObjectMaps:
-    """What K objects of a scene make up of each pixel; differentiable in all of the scene but its colours."""
-
-    weights: Tensor  # (H, W, K) sum of the weights of each object's Gaussians
-    ids: Tensor  # (H, W) number of the object with the largest weight; -1 where no object makes up the most
-
-
-def object_maps(
-    scene: GaussianScene, objects: Iterable[Tensor | slice], camera: Camera, *, render: RenderFn
-) -> ObjectMaps:
-    """Which object each pixel shows, and how much of it: K / 3 + 1 pictures of SH degree 0."""
-    objects = list(objects)
-    owners, count = _owners(len(scene), objects).to(scene.means.device), len(objects)
-    groups = count + int((owners < 0).any())
-    owners = torch.where(owners < 0, count, owners)
-    colours = torch.nn.functional.one_hot(owners, 3 * -(-groups // 3)).to(scene.means).reshape(len(scene), -1, 3)
-    black = _painted(scene, torch.zeros_like(colours[:, 0]), camera, render)
-    pictures = [_painted(scene, colours[:, k], camera, render) - black for k in range(colours.shape[1])]
-    weights = torch.cat(pictures, -1)[..., :groups]
-    ids = weights.detach().argmax(-1)
-    nothing = (ids >= count) | (weights.detach().sum(-1) < 0.5 * _LEAST_ALPHA)
-    return ObjectMaps(weights=weights[..., :count], ids=torch.where(nothing, -1, ids))
-
-
-def _owners(count: int, objects: list[Tensor | slice]) -> Tensor:
-    """(N,) int64 number of the object that each Gaussian belongs to, -1 for none."""
-    if not objects:
-        raise InvalidValueError.of("objects", "at least one", "none", "pass the rows of each object")
-    owners = torch.full((count,), -1)
-    for number, rows in enumerate(objects):
-        taken = int((owners[rows] >= 0).sum())
-        if taken:
-            got = f"{taken} of object {number} that belong to one before it"
-            raise InvalidValueError.of("objects", "Gaussians of one object each", got, "take them out of one")
-        owners[rows] = number
-    return owners
 
 
 def _painted(scene: GaussianScene, colours: Tensor, camera: Camera, render: RenderFn) -> Tensor:

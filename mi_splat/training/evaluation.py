@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import RenderFn, View
-from mi_splat.metrics import Perceptual, psnr, ssim
+from mi_splat.metrics import psnr, ssim
 from mi_splat.scene import GaussianScene
 from mi_splat.training.losses import masked
 
@@ -22,16 +22,12 @@ class Scores:
 
     psnr: float  # dB; that of a view counts at most `MOST_PSNR`, since equal pictures have none
     ssim: float
-    lpips: float | None = None  # less is better
     corrected_psnr: float | None = None  # after the affine map of colours by which each picture is nearest to its view
 
 
 @runtime_checkable
 class HasMasks(Protocol):
-    """Views that may have alpha and masks, as `mi_splat.datasets.Dataset` has."""
-
-    def alpha(self, index: int) -> Tensor | None:
-        """(H, W) in [0, 1], over black."""
+    """Views that may have masks, as `mi_splat.datasets.Dataset` has."""
 
     def loss_mask(self, index: int, *, files: bool = True) -> Tensor | None:
         """(H, W) in [0, 1], 1 where the picture counts; with files, masks of the set are in it."""
@@ -42,7 +38,6 @@ def score(
     views: Sequence[View],
     render: RenderFn,
     *,
-    lpips: Perceptual | None = None,
     corrected: bool = False,
 ) -> Scores | None:
     """Compare a splat with views. What a photograph does not show at its border is no error."""
@@ -54,8 +49,6 @@ def score(
             mask = views.loss_mask(index, files=False) if isinstance(views, HasMasks) else None
             image = masked(image, view.image, mask)
             row = {"psnr": _psnr(image, view.image), "ssim": float(ssim(image, view.image))}
-            if lpips is not None:
-                row["lpips"] = float(lpips(image, view.image))
             if corrected:
                 row["corrected_psnr"] = _psnr(_with_colours_of(view.image, image, mask), view.image)
             rows.append(row)

@@ -16,11 +16,10 @@ from torch import Tensor
 from mi_splat._lazy import Previewed
 from mi_splat.cameras import Camera, RenderFn, View, cameras_of
 from mi_splat.errors import InvalidValueError
-from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import HasMasks, score
-from mi_splat.training.losses import masked, over_background, photometric_loss
+from mi_splat.training.losses import masked, photometric_loss
 from mi_splat.training.state import Progress, TrainingError, TrainState, check_start
 from mi_splat.training.strategies import ScreenGradients, Step
 
@@ -43,7 +42,7 @@ class Fit(Previewed):
 __all__ = ["Fit", "FitConfig", "Progress", "TrainState", "TrainingError", "advance", "fit", "scene_extent"]
 
 OnStep = Callable[[Progress], None]
-Target = tuple[Camera, Tensor, Tensor | None, Tensor | None]
+Target = tuple[Camera, Tensor, Tensor | None]
 
 
 @runtime_checkable
@@ -67,7 +66,6 @@ def fit(
     config: FitConfig | None = None,
     seed: int = 0,
     held_out: Sequence[View] = (),
-    lpips: Perceptual | None = None,
     on_step: OnStep | None = None,
 ) -> Fit:
     """Train a splat on views.
@@ -80,7 +78,6 @@ def fit(
         config: How; the shortened 3DGS recipe if None.
         seed: Seed of everything random.
         held_out: Views to score on that are not trained on.
-        lpips: A further score, see `mi_splat.metrics.load_lpips`.
         on_step: Called after every step.
 
     Returns:
@@ -88,7 +85,7 @@ def fit(
 
     Raises:
         InvalidValueError: There are no views or no Gaussians, or more of these than the strategy allows; the strategy
-            needs screen gradients, or a random background alpha, and the renderer gives none.
+            needs screen gradients, and the renderer gives none.
         TrainingError: A value is not finite, or every Gaussian was pruned.
     """
     config = config or FitConfig()
@@ -96,7 +93,7 @@ def fit(
         raise InvalidValueError.of("views", "at least one", "none", "capture views first")
     check_start(start, config)
     state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
-    return advance(state, views, render=render, held_out=held_out, lpips=lpips, on_step=on_step)
+    return advance(state, views, render=render, held_out=held_out, on_step=on_step)
 
 
 def advance(
@@ -105,7 +102,6 @@ def advance(
     *,
     render: RenderFn,
     held_out: Sequence[View] = (),
-    lpips: Perceptual | None = None,
     on_step: OnStep | None = None,
 ) -> Fit:
     """Take a run to its end; `on_step` may stop it between two steps by raising."""
@@ -124,7 +120,7 @@ def advance(
         scored = None
         every = config.eval_interval
         if state.iteration == config.iterations or (every and state.iteration % every == 0):
-            scored = score(state.result(), held_out, render, lpips=lpips, corrected=config.exposure)
+            scored = score(state.result(), held_out, render, corrected=config.exposure)
         line = Progress(iteration=state.iteration, loss=loss, count=len(state.parameters["means"]), held_out=scored)
         if state.iteration == config.iterations or scored is not None:
             state.history.append(line)
@@ -139,13 +135,12 @@ def _keep_freed_memory() -> None:
 
 
 def targets_of(views: Sequence[View], device: torch.device, *, files: bool) -> Callable[[int], Target]:
-    """Camera, image, alpha and mask by number, on a device; a GPU keeps as many as fill a quarter of its memory."""
+    """Camera, image and mask by number, on a device; a GPU keeps as many as fill a quarter of its memory."""
 
     def load(index: int) -> Target:
         view, masks = views[index], views if isinstance(views, HasMasks) else None
-        planes = (masks.alpha(index), masks.loss_mask(index, files=files)) if masks else (None, None)
-        alpha, mask = (None if plane is None else plane.to(device) for plane in planes)
-        return view.camera, view.image.to(device), alpha, mask
+        mask = masks.loss_mask(index, files=files) if masks else None
+        return view.camera, view.image.to(device), None if mask is None else mask.to(device)
 
     if device.type == "cpu":
         return load
@@ -156,12 +151,8 @@ def targets_of(views: Sequence[View], device: torch.device, *, files: bool) -> C
 def _step(state: TrainState, target_of: Callable[[int], Target], count: int, render: RenderFn) -> float:
     """One image, its loss, its gradient, and a step of Adam."""
     index, scene = state.next_view(count), state.scene()
-    camera, target, alpha, mask = target_of(index)
+    camera, target, mask = target_of(index)
     image = render(scene, camera)
-    if state.config.random_background:
-        colour = torch.rand(3, generator=state.generator).to(image.device)
-        image = over_background(image, colour)
-        target = target if alpha is None else target + (1 - alpha[..., None]) * colour
     image = masked(state.exposed(image, index, count), target, mask)
     loss = photometric_loss(image, target, lambda_dssim=state.config.lambda_dssim)
     state.optimiser.zero_grad()

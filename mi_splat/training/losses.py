@@ -111,14 +111,6 @@ def photometric_loss(image: Tensor, reference: Tensor, *, lambda_dssim: float = 
     return loss
 
 
-def over_background(image: Tensor, colour: Tensor) -> Tensor:
-    """A picture with alpha, over black, put over another colour."""
-    if image.shape[-1] != 4:
-        do = "use Renderer(RenderSettings(alpha=True))"
-        raise InvalidValueError.of("picture", "four channels, the last one alpha", image.shape[-1], do)
-    return image[..., :3] + (1 - image[..., 3:]) * colour
-
-
 def masked(image: Tensor, reference: Tensor, mask: Tensor | None) -> Tensor:
     """The picture with the reference where a mask is 0, so that no error is left there."""
     return image if mask is None else reference + mask.to(image.device)[..., None] * (image - reference)

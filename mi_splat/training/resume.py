@@ -21,7 +21,6 @@ from mi_splat.io.documents import save_bytes, save_json, sweep_temporary
 from mi_splat.io.folders import own_folder
 from mi_splat.io.noted_tensors import NOTES, check_like, described, read_line, read_noted_tensors
 from mi_splat.io.parsing import DocumentReader, Fields
-from mi_splat.metrics import Perceptual
 from mi_splat.processes import deferred_interrupt
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.config import FitConfig
@@ -186,7 +185,6 @@ def train(
     seed: int = 0,
     held_out: Sequence[View] = (),
     every: int = 1000,
-    lpips: Perceptual | None = None,
     settings: Mapping[str, object] | None = None,
     dataset: Path | None = None,
     on_resume: Callable[[TrainState], None] | None = None,
@@ -234,7 +232,7 @@ def train(
                 if interrupted():
                     raise KeyboardInterrupt
 
-            fit = advance(state, views, render=render, held_out=held_out, lpips=lpips, on_step=after)
+            fit = advance(state, views, render=render, held_out=held_out, on_step=after)
         save_splat(fit.scene, folder / SPLAT)
         save_json(_figures(fit, len(held_out)), folder / METRICS)
         return fit
@@ -291,7 +289,7 @@ def _figures(fit: Fit, held_out: int) -> dict[str, object]:
     """How true the held-out views are, and how it came about."""
     scores = fit.history[-1].held_out
     return {
-        **dict.fromkeys(("psnr", "ssim", "lpips", "corrected_psnr")),
+        **dict.fromkeys(("psnr", "ssim", "corrected_psnr")),
         **({} if scores is None else asdict(scores)),
         "held_out_views": held_out,
         "gaussians": len(fit.scene),

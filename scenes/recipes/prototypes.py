@@ -63,7 +63,7 @@ def pictures_of(recipe: Recipe, name: str) -> Iterator[Tensor]:
             start=_TURN * number,
         )
         tracer = PathTracer(source.scene, samples=recipe.samples)
-        yield from (tracer.picture(source.frame.camera(camera), seed=seed) for seed, camera in enumerate(cameras))
+        yield from (tracer.picture(camera, seed=seed) for seed, camera in enumerate(cameras))
 
 
 def save_prototypes(

@@ -99,7 +99,6 @@ def test_flags_that_cameras_of_a_file_do_not_follow_are_refused(
         (["--front", "-x"], "--front"),
         (["--ground", "road"], "--ground"),
         (["--sun", "40,95"], "sun"),
-        (["--missing-textures", "grey"], "missing-textures"),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(value),
 )

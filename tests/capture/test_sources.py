@@ -8,7 +8,7 @@ from PIL import Image
 from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.settings import MeshSettings
 from mi_splat.capture.sources import open_source
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, MiSplatError
 from tests.capture.trucks import truck, write_glb
 
 STILL_LIFE = Path(__file__).parents[2] / "scenes" / "meshes" / "still_life.xml"
@@ -33,11 +33,24 @@ def test_sources_of_every_kind(tmp_path: Path) -> None:
     pytest.importorskip("trimesh")
     file, settings = str(write_glb(tmp_path, truck())), MeshSettings(scale=2.0, up="z")
     mesh = open_source(file, mesh=settings)
-    assert mesh.assets[0].bounds == pytest.approx(2 * load_mesh(Path(file), MeshSettings(up="z")).asset.bounds)
+    assert mesh.assets[0].bounds == pytest.approx(2 * load_mesh(Path(file), MeshSettings(up="z")).bounds)
     assert mesh.digest == open_source(file, mesh=settings).digest
     assert mesh.digest != open_source(file, mesh=MeshSettings(scale=2.0)).digest
     with pytest.raises(InvalidValueError, match="radius"):
-        open_source(file, mesh=MeshSettings(scale=1e9))
+        open_source(file, mesh=MeshSettings(scale=1e3))
+
+
+CUBE = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>
+<shape type="cube"><transform name="to_world"><translate x="{x}"/></transform></shape></scene>"""
+
+
+def test_a_mitsuba_scene_far_away_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "far.xml"
+    path.write_text(CUBE.format(x=3))
+    assert open_source(str(path)).centre[0] == pytest.approx(3)
+    path.write_text(CUBE.format(x=400))
+    with pytest.raises(MiSplatError, match=r"far\.xml.*subtract the middle"):
+        open_source(str(path))
 
 
 TEXTURED = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>{before}

@@ -93,8 +93,8 @@ def command(folder: Path, path: str, *more: str) -> list[str]:
 
 
 def test_near_cuts_what_is_near(tmp_path: Path) -> None:
-    path = str(write_glb(tmp_path, truck().placed(scale=0.01)))
-    assert cli.main(command(tmp_path, path, "--rgba", "--near", "0.07")) == 0
+    path = str(write_glb(tmp_path, truck()))
+    assert cli.main(command(tmp_path, path, "--rgba", "--near", "7")) == 0
     cut = load_dataset(tmp_path / "out").mask(0)
     assert cli.main(command(tmp_path / "b", path, "--rgba")) == 0
     whole = load_dataset(tmp_path / "b" / "out").mask(0)

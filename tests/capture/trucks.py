@@ -1,7 +1,8 @@
-"""A low-poly truck as other people's files have it: a GLB with a texture in a file of its own."""
+"""A low-poly truck as other people's files have it: a GLB with a texture."""
 
 from __future__ import annotations
 
+import io
 import json
 import struct
 from collections.abc import Mapping
@@ -13,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
-TEXTURE = "truck.png"
 COLOURS = {"cab": (200, 30, 30), "bed": (30, 60, 180), "tyre": (25, 25, 25), "glass": (150, 190, 210)}
 """The texture's four stripes, from left to right."""
 
@@ -32,8 +32,8 @@ class Truck:
     @property
     def colours(self) -> NDArray[np.uint8]:
         """(V, 3) the texture's colours as colours of vertices."""
-        stripes: NDArray[np.uint8] = np.array(list(COLOURS.values()), np.uint8)
-        painted: NDArray[np.uint8] = stripes[(self.uvs[:, 0] * len(stripes)).astype(int)]
+        table = np.array(list(COLOURS.values()), np.uint8)
+        painted: NDArray[np.uint8] = table[(self.uvs[:, 0] * len(table)).astype(int)]
         return painted
 
     def placed(self, *, scale: float = 1.0, move: ArrayLike = (0, 0, 0), y_up: bool = False) -> Truck:
@@ -59,8 +59,8 @@ def truck() -> Truck:
     ]
     triangles = [(points[[a, b, c, a, c, d]], colour) for points, colour in solids for a, b, c, d in _QUADS]
     triangles += [(part, "tyre") for x in (1.65, -1.6) for y in (-0.83, 0.83) for part in _wheel(x, y)]
-    stripes = [(list(COLOURS).index(colour) + 0.5) / len(COLOURS) for _, colour in triangles]
-    uvs = [np.full((len(part), 2), (u, 0.5)) for u, (part, _) in zip(stripes, triangles, strict=True)]
+    places = [(list(COLOURS).index(colour) + 0.5) / len(COLOURS) for _, colour in triangles]
+    uvs = [np.full((len(part), 2), (u, 0.5)) for u, (part, _) in zip(places, triangles, strict=True)]
     return Truck(np.concatenate([part for part, _ in triangles]), np.concatenate(uvs))
 
 
@@ -89,10 +89,15 @@ def _wheel(x: float, y: float, *, sides: int = 12) -> list[NDArray[np.float64]]:
     return triangles
 
 
-def save_texture(folder: Path, name: str = TEXTURE) -> None:
-    Image.fromarray(np.repeat(np.array([list(COLOURS.values())], np.uint8), 4, axis=0).repeat(8, axis=1)).save(
-        folder / name
-    )
+def stripes() -> Image.Image:
+    """The texture."""
+    return Image.fromarray(np.repeat(np.array([list(COLOURS.values())], np.uint8), 4, axis=0).repeat(8, axis=1))
+
+
+def encoded(picture: Image.Image, kind: str = "PNG", **options: Any) -> bytes:
+    buffer = io.BytesIO()
+    picture.save(buffer, kind, **options)
+    return buffer.getvalue()
 
 
 def write_glb(
@@ -100,6 +105,7 @@ def write_glb(
     made: Truck,
     *,
     material: Mapping[str, Any] | None = None,
+    picture: bytes | None = None,
     image: Mapping[str, Any] | None = None,
     texture: Mapping[str, Any] | None = None,
     attributes: Mapping[str, NDArray[Any]] | None = None,
@@ -107,10 +113,10 @@ def write_glb(
     required: tuple[str, ...] = (),
     mode: int = 4,
 ) -> Path:
-    """y up, with its texture in a file of its own unless told otherwise.
+    """y up.
 
-    What is given takes the place of the usual: a material whose base colour is texture 0, an image that names
-    `TEXTURE`, a texture whose source is image 0, and TEXCOORD_0; `node` has more keys of the only node.
+    What is given takes the place of the usual: a material whose base colour is texture 0, a texture whose source is
+    image 0, an image of the bytes of `stripes`, and TEXCOORD_0; `node` has more keys of the only node.
     """
     made = made.placed(y_up=True)
     down = (made.uvs * (1, -1) + (0, 1)).astype("<f4")
@@ -129,6 +135,9 @@ def write_glb(
             {"bufferView": len(views) - 1, "componentType": kind, "count": len(array),
              "type": f"VEC{array.shape[1]}", **({"normalized": True} if kind != 5126 else {}), **ends}
         )  # fmt: skip
+    picture = encoded(stripes()) if picture is None else picture
+    views.append({"buffer": 0, "byteOffset": len(data), "byteLength": len(picture)})
+    data += picture + b"\0" * (-len(picture) % 4)
     usual = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
     primitive = {"attributes": {name: i for i, name in enumerate(arrays)}}
     document = {
@@ -136,12 +145,11 @@ def write_glb(
         "meshes": [{"primitives": [{**primitive, "material": 0, "mode": mode}]}],
         "materials": [dict(usual if material is None else material)],
         "textures": [dict({"source": 0} if texture is None else texture)],
-        "images": [dict({"uri": TEXTURE} if image is None else image)],
+        "images": [dict({"bufferView": len(arrays), "mimeType": "image/png"} if image is None else image)],
         "accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(data)}],
         **({"extensionsRequired": list(required), "extensionsUsed": list(required)} if required else {}),
     }  # fmt: skip
     (folder / "truck.glb").write_bytes(packed(document, struct.pack("<I4s", len(data), b"BIN\0") + data))
-    save_texture(folder)
     return folder / "truck.glb"
 
 

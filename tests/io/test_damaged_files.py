@@ -18,23 +18,24 @@ from safetensors.torch import save_file
 
 from attacks.detectors.weights import apply_weights, read_weights
 from attacks.studies import study_file
-from mi_splat.capture.mesh_files import gltf_notes
+from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.datasets.frames import read_picture
-from mi_splat.datasets.transforms import read_cameras, read_world_offset
+from mi_splat.datasets.transforms import read_cameras
 from mi_splat.errors import MiSplatError
 from mi_splat.io.camera_records import describe, recorded_cameras
 from mi_splat.io.points import load_points
 from mi_splat.io.splat_files import load_splat, save_splat
 from mi_splat.scene_files import open_scene
+from tests.capture.trucks import truck, write_glb
 from tests.cloak.tiny_study import study_in
 from tests.fakes import camera
-from tests.io.format_files import gltf_document, tame_scene, valid
+from tests.io.format_files import tame_scene, valid
 from tests.io.ply_files import LISTS, ROWS, encoded, listed
 from tests.project.layers import ROOT
 
 POSE = [[1, 0, 0, 0], [0, 0, -1, -3], [0, 1, 0, 0.5], [0, 0, 0, 1]]
 FRAMES = [{"file_path": f"images/{number}.png", "transform_matrix": POSE, "k1": 0} for number in range(2)]
-TRANSFORMS = {"camera_angle_x": 0.7, "w": 64, "h": 48, "world_offset": [1, 2, 3.5], "frames": FRAMES}
+TRANSFORMS = {"camera_angle_x": 0.7, "w": 64, "h": 48, "frames": FRAMES}
 SPLATS = ("a.ply", "a.compressed.ply", "a.glb", "a.sog", "a.splat", "v2.spz", "v3.spz", "v4.spz")
 SCENE = [f"stop_sign{part}" for part in (".xml", ".json", "_roadside.ply", "_stop_sign.ply")]
 MUTANTS, SECONDS = 150, 10.0
@@ -44,7 +45,6 @@ MUTANTS, SECONDS = 150, 10.0
 def _camera_file(path: Path) -> None:
     if recorded_cameras(path) is None:
         read_cameras(path, (64, 48))
-        read_world_offset(path)
 
 
 def _weights(path: Path) -> None:
@@ -56,7 +56,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "points.ply": load_points,
     **dict.fromkeys(("cameras.json", "transforms.json"), _camera_file),
     **dict.fromkeys(("w.safetensors", "w.pth"), _weights),
-    "a.gltf": gltf_notes,
+    "truck.glb": load_mesh,
     **dict.fromkeys(("p.png", "p.jpg"), lambda path: read_picture(path, downscale=1, background=(0.0, 0.0, 0.0))),
     "stop_sign.xml": open_scene,
     "cloak_demo.toml": study_in,
@@ -79,8 +79,8 @@ def made(name: str, folder: Path) -> Path:
         (save_file if name.endswith(".safetensors") else torch.save)(state, path)
     elif name.startswith("p."):
         Image.radial_gradient("L").resize((16, 12)).convert("RGB").save(path)
-    elif name == "a.gltf":
-        path.write_text(json.dumps(gltf_document()))
+    elif name == "truck.glb":
+        write_glb(folder, truck())
     elif name in ("text.ply", "points.ply"):
         path.write_bytes(encoded(ROWS[:5], "ascii" if name == "text.ply" else "binary_little_endian"))
     elif name == "lists.ply":
@@ -179,8 +179,6 @@ def put(*path: str | int, value: Any) -> Callable[[Any], Any]:
         ("cameras.json", lambda values: {"reference": []}),
         ("transforms.json", put("frames", 0, "transform_matrix", value={"a": 1})),
         ("transforms.json", put("w", value="LONG")),
-        ("transforms.json", put("world_offset", value=[float("nan"), 0, 0])),
-        ("a.gltf", put("meshes", value=None)),
     ],
 )
 def test_broken_documents_are_refused_in_words(name: str, change: Callable[[Any], Any], tmp_path: Path) -> None:

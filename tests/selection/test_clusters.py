@@ -10,7 +10,7 @@ from mi_splat.cameras import RenderFn
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.selection.clusters import clusters, components, find_plane, nearest_neighbours
-from mi_splat.selection.visibility import contributions, object_maps, object_weight
+from mi_splat.selection.visibility import contributions
 from mi_splat.sh import colour_to_dc
 from tests.gaussians import varied_scene
 from tests.rendering.test_rasterization import camera
@@ -154,21 +154,3 @@ def test_rows_and_gradients_of_the_scene_change_nothing(variant: str) -> None:
         again = contributions(learnt, [HERE, THERE], render=Renderer())
     assert torch.equal(again, weights)
     assert not again.requires_grad
-
-
-def test_weights_of_objects_add_up_to_the_opacity(variant: str) -> None:
-    parts = [torch.arange(150) % 5 == k for k in range(5)]
-    alpha = Renderer(RenderSettings(alpha=True))(SCENE, HERE)[..., 3]
-    maps = object_maps(SCENE, parts, HERE, render=Renderer(GREY))
-    torch.testing.assert_close(maps.weights.sum(-1), alpha, atol=2e-6, rtol=0)
-    for number, rows in enumerate(parts):
-        torch.testing.assert_close(
-            maps.weights[..., number].clamp(0, 1), object_weight(SCENE, rows, HERE, Renderer()), atol=1e-6, rtol=0
-        )
-    assert torch.equal(maps.ids >= 0, alpha > 0)
-    assert torch.equal(maps.ids[alpha > 0], maps.weights.argmax(-1)[alpha > 0])
-    first = object_maps(SCENE, parts[:1], HERE, render=Renderer(GREY))
-    lead = 2 * first.weights[..., 0] - alpha  # over all other Gaussians
-    clear = lead.abs() > 1e-5
-    assert torch.equal((first.ids == 0)[clear], (lead > 0)[clear])
-    assert set(first.ids.flatten().tolist()) == {-1, 0}

@@ -17,7 +17,7 @@ from mi_splat.scene import GaussianScene, merge
 from mi_splat.selection.clusters import clusters
 from mi_splat.selection.config import Selection
 from mi_splat.selection.select import box_mask, doubts, load_mask, require_visible, save_mask, select
-from mi_splat.selection.visibility import contributions, object_maps, object_weight, pixel_weights
+from mi_splat.selection.visibility import contributions, object_weight, pixel_weights
 from tests.fakes import blobs, camera, toy_scene
 from tests.gaussians import random_scene
 from tests.selection.bare import CAR, GROUND, SIGN, bare_scene, ground, iou
@@ -208,8 +208,6 @@ def saved_part(folder: Path) -> Path:
         (lambda _: pixel_weights(TOY, camera(), (32, 0), blobs), "a pixel of 32 x 32, got 32,0"),
         (lambda _: contributions(TOY, camera(), render=blobs, boxes=[(0, 0, 33, 3)]), "box: expected x0 < x1"),
         (lambda _: contributions(TOY, camera(), render=blobs, boxes=[]), "boxes: expected 1, one a camera, got 0"),
-        (lambda _: object_maps(TOY, [], camera(), render=blobs), "objects: expected at least one"),
-        (lambda _: object_maps(TOY, [slice(0, 20), slice(10, 30)], camera(), render=blobs), "got 10 of object 1"),
         (lambda folder: select(TOY, saved_mask([False] * 40, folder)), "none of 40"),
         (lambda folder: select(TOY, saved_mask([True] * 39, folder)), "40 bools, one a Gaussian, got 39"),
         (lambda folder: select(TOY, saved_mask([0, 40], folder)), r"row numbers in 0\.\.39, got 0 to 40"),
