@@ -32,7 +32,7 @@ class Volprim:
     def __init__(self, settings: RenderSettings | None = None) -> None:
         self.settings = settings or RenderSettings()
         if any(self.settings.background):
-            got, do = self.settings.background, "take --background 0 0 0, or leave volprim out"
+            got, do = self.settings.background, "take --background black, or leave volprim out"
             raise InvalidValueError.of("volprim", "a black background, since it adds none", got, do)
         if self.settings.alpha or self.settings.linear:
             do = "leave alpha and linear off"

@@ -188,10 +188,9 @@ def command_of(words: Sequence[str]) -> tuple[str, list[str]]:
 def parse(name: str, words: Sequence[str]) -> Any:
     """The options of a command from the words that the user typed; ends the process for --help."""
     from mi_splat.cli import flags
-    from mi_splat.cli.options import as_one_word
 
-    aliases, given = getattr(module_of(name), "ALIASES", {}), as_one_word(words)
-    return flags.parse(**_command(name, given), words=given, aliases=aliases)
+    aliases = getattr(module_of(name), "ALIASES", {})
+    return flags.parse(**_command(name, words), words=words, aliases=aliases)
 
 
 def parser_of(name: str) -> argparse.ArgumentParser:

@@ -59,7 +59,7 @@ class HidingConfig(ObjectConfig):
         margin: Degrees around it in which pictures are changed, too.
         look: What is shown in its place: remove (the picture around it goes on), or a picture file.
         reach: Pixels around the object that change, too.
-        up: Direction that is up in the set's world: an axis, or three numbers; sets of COLMAP often have -y.
+        up: Direction that is up in the set's world: an axis, or X,Y,Z; sets of COLMAP often have -y.
     """
 
     hide_from: tuple[Annotated[str, Metavar("REGION")], ...] = ("elevation:50-90",)

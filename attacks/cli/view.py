@@ -46,7 +46,7 @@ class ViewOptions:
     cameras: Annotated[Path, Metavar("SET|FILE")] | None = None
     """Data set, whose photographs are shown beside the splat, or JSON file with cameras to look from."""
     up: Direction | None = None
-    """Direction that is up in the files: an axis, or three numbers; foreign splats and sets of COLMAP often have -y.
+    """Direction that is up in the files: an axis, or X,Y,Z; foreign splats and sets of COLMAP often have -y.
     None is what the result was made with, z if it says nothing."""
     detector: Annotated[str, Flag(name="detectors"), Metavar("DETECTOR")] | None = None
     """Name of a detector (see `mi-splat detectors`) that looks at the pictures of a resting camera."""
@@ -55,7 +55,7 @@ class ViewOptions:
     size: Size | None = None
     """Pixels of the picture that the detector sees, as 256 or 256x192; None is that of the scene's cameras."""
     background: Colour | None = None
-    """Colour behind the Gaussians, as white, #80b0e0 or three sRGB numbers in [0, 1]; None is the scene's own,
+    """Colour behind the Gaussians, as white, #80b0e0 or 0.5,0.7,0.9; None is the scene's own,
     black for a bare splat file."""
     near: Length | None = None
     """Gaussians nearer than this (depth, world units) are left out; None is the scene's own, 0.2 for a bare splat."""

@@ -25,7 +25,6 @@ from mi_splat.assets.mesh import Asset, Floats, Mesh, to_linear, to_srgb
 from mi_splat.cameras import Camera
 from mi_splat.directions import unit_vector
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.picture_files import check_texture
 from mi_splat.mitsuba_setup import prepare_llvm, set_up_mitsuba
 from mi_splat.plugins.sensor import sensor_dict
 from mi_splat.scene_files import load_mitsuba_scene
@@ -153,7 +152,6 @@ def scene_dict(
     *,
     light: Light | None = None,
     backdrop: Asset | None = None,
-    environment: Floats | None = None,
 ) -> dict[str, Any]:
     """A Mitsuba scene, without a sensor, of `assets` in daylight; the scene belongs to the variant that traces."""
     light = Light() if light is None else light
@@ -165,31 +163,11 @@ def scene_dict(
         if backdrop is not None:
             scene |= shapes(backdrop, "backdrop")
         upright = mi.ScalarTransform4f().rotate([1, 0, 0], 90)
-        sky = sky_map(light) if environment is None else environment
-        scene["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(sky), "to_world": upright}
+        scene["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(sky_map(light)), "to_world": upright}
         if light.sun_strength > 0:
             irradiance = {"type": "rgb", "value": [light.sun_strength * c for c in light.sun_colour]}
             scene["sun"] = {"type": "directional", "direction": [-c for c in to_sun], "irradiance": irradiance}
     return scene
-
-
-def read_environment(path: Path) -> Floats:
-    """(h, w, 3) float32 linear RGB of an environment map."""
-    expected = "an OpenEXR (.exr) or Radiance (.hdr) picture"
-    if path.suffix.lower() not in (".exr", ".hdr") or not path.is_file():
-        raise InvalidValueError.of("environment", expected, f"no such file at {path}", "check the path")
-    check_texture(path, f"environment {path}")
-    with tracing_variant():
-        try:
-            bitmap = mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
-        except RuntimeError as error:  # what Mitsuba raises for everything
-            got = " ".join(str(error).split())[-200:]
-            raise InvalidValueError.of(f"environment {path}", expected, got, "write it again") from error
-        values = np.array(bitmap, np.float32)
-    if not (np.isfinite(values).all() and values.min() >= 0 and min(values.shape[:2]) >= 2):
-        got = "others, or fewer than 2 x 2"
-        raise InvalidValueError.of(f"environment {path}", "finite values >= 0", got, "write it again")
-    return values
 
 
 BRIGHTEST = 1.6

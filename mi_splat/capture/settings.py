@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Literal
 
 from mi_splat.errors import InvalidValueError
@@ -64,9 +63,7 @@ class SurroundingsSettings:
         ground: Texture of a square of ground that it stands on, as in the studies of CLOAK. Asphalt repeats
             nowhere, which pictures need whose cameras are to be found; none is no ground.
         sun: Where the sun stands, as AZIMUTH,ELEVATION in degrees, for instance -50,52; azimuth from +x towards +y,
-            elevation 0 to 90. None is 40,45, and no sun where there is an environment.
-        environment: Picture of the sky all around (latitude and longitude, straight up first), .exr or .hdr; None is
-            the project's own sky.
+            elevation 0 to 90. None is 40,45.
 
     Raises:
         InvalidValueError: The sun's place is no two angles.
@@ -74,7 +71,6 @@ class SurroundingsSettings:
 
     ground: Ground = "none"
     sun: Annotated[str, Metavar("AZIMUTH,ELEVATION")] | None = None
-    environment: Path | None = None
 
     def __post_init__(self) -> None:
         check(self)

@@ -17,7 +17,7 @@ from mi_splat.assets.mesh import Asset, rotation, translation
 from mi_splat.assets.street import build as build_street
 from mi_splat.assets.textures import Kind, square_of_ground
 from mi_splat.capture.mesh_files import SUFFIX, load_mesh
-from mi_splat.capture.path_tracer import PathTracer, read_environment, scene_dict
+from mi_splat.capture.path_tracer import PathTracer, scene_dict
 from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.scene_parts import SceneParts
@@ -93,8 +93,8 @@ def open_source(
         what, flags = "up, scale, rotate and front", "--up, --scale, --rotate, --front"
         raise InvalidValueError.of(what, "a mesh file to go with", name, "leave them out").hinted(flags)
     if surroundings != SurroundingsSettings() and not (is_asset or suffix == SUFFIX):
-        what, expected = "ground, sun and environment", "a mesh file, or an object of the project, to go with"
-        raise InvalidValueError.of(what, expected, name, "leave them out").hinted("--ground, --sun, --environment")
+        expected = "a mesh file, or an object of the project, to go with"
+        raise InvalidValueError.of("ground and sun", expected, name, "leave them out").hinted("--ground, --sun")
     if name in EXAMPLES:
         example = EXAMPLES[name]
         return source_of(*example.assets(), example.light, centre=example.centre)
@@ -135,25 +135,15 @@ def _mesh(target: Asset, name: str, surroundings: SurroundingsSettings) -> Captu
         raise InvalidValueError.of(name, expected, f"{radius:.4g}", "pass another scale").hinted("--scale")
     ground = None if surroundings.ground == "none" else _ground(target, surroundings.ground)
     assets = (target,) if ground is None else (target, ground)
-    light, environment = _light(surroundings), None
-    if surroundings.environment is not None:
-        environment = read_environment(surroundings.environment)
-    beside = [] if environment is None else [repr(environment.shape).encode(), environment.tobytes()]
+    azimuth, elevation = surroundings.sun_angles or (Light().sun_azimuth, Light().sun_elevation)
+    light = Light(sun_azimuth=azimuth, sun_elevation=elevation)
     return CaptureSource(
-        scene=scene_dict([target], light=light, backdrop=ground, environment=environment),
+        scene=scene_dict([target], light=light, backdrop=ground),
         centre=centre,
         radius=radius,
         assets=assets,
-        digest=digest_of(assets, light, beside),
+        digest=digest_of(assets, light),
     )
-
-
-def _light(surroundings: SurroundingsSettings) -> Light:
-    """Sun and sky; an environment map has a sun of its own, unless one is asked for."""
-    if surroundings.sun_angles is not None:
-        azimuth, elevation = surroundings.sun_angles
-        return Light(sun_azimuth=azimuth, sun_elevation=elevation)
-    return Light() if surroundings.environment is None else Light(sun_strength=0.0)
 
 
 def _ground(target: Asset, kind: Kind) -> Asset:
@@ -202,13 +192,13 @@ def _middle(bounds: NDArray[np.float64]) -> tuple[Point, float]:
     return (x, y, z), math.dist(*bounds.tolist()) / 2
 
 
-def digest_of(assets: Iterable[Asset], light: Light, beside: Iterable[bytes] = ()) -> str:
-    """Digest of assets in a light, and of what else the pictures show."""
+def digest_of(assets: Iterable[Asset], light: Light) -> str:
+    """Digest of assets in a light."""
     parts = [repr(light).encode()]
     for mesh in (mesh for asset in assets for mesh in asset.meshes):
         parts += [array.tobytes() for array in (mesh.vertices, mesh.faces, mesh.uvs, mesh.texture)]
         parts.append(repr((mesh.texture.shape, mesh.roughness, mesh.smooth)).encode())
-    return _digest([*parts, *beside])
+    return _digest(parts)
 
 
 def _digest(parts: Iterable[bytes]) -> str:

@@ -196,7 +196,7 @@ def parser_of(kind: type, *, program: str, description: str, defaults: Mapping[s
         allow_abbrev=False,
         argument_default=argparse.SUPPRESS,
     )
-    parser._negative_number_matcher = re.compile(r"-(\.?\d.*|inf)$")  # argparse takes -1e5 for a flag
+    parser._negative_number_matcher = re.compile(r"-(\.?\d.*|inf|[xyz])$")  # argparse takes -1e5 and -y for flags
     _add(parser, parser, options, width)
     return parser
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 from mi_splat.attributes import ATTRIBUTES, values_hash
 from mi_splat.cli.console import import_at_once, progress, show_json, show_table
 from mi_splat.cli.flags import Positional
-from mi_splat.cli.options import Direction, JsonOptions, axis_name
-from mi_splat.errors import InvalidValueError
+from mi_splat.cli.options import JsonOptions
 from mi_splat.io.errors import SplatFileWarning
 
 if TYPE_CHECKING:
@@ -35,12 +33,8 @@ class InfoOptions(JsonOptions):
 
     file: Positional[Path]
     """Splat file of any format that is read, or scene XML made of splats."""
-    up: Direction | None = None
-    """Say as well how far it reaches along the direction that is up: an axis, or three numbers. All coordinates stay
-    those of the file."""
 
 
-Up = tuple[float, float, float] | None
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
 
@@ -48,17 +42,14 @@ def run(options: InfoOptions) -> None:
     """Print the facts about a file."""
     with progress(f"reading {options.file}"):
         read = _scene_file_facts if options.file.suffix.lower() == ".xml" else _file_facts
-        facts = read(options.file, options.up)
+        facts = read(options.file)
     if options.json:
         show_json({"file": str(options.file), **facts})
     else:
-        texts = {name: _text(value) for name, value in facts.items()}
-        if options.up is not None:
-            texts["up"] = axis_name(options.up)
-        show_table([("file", str(options.file)), *texts.items()])
+        show_table([("file", str(options.file)), *((name, _text(value)) for name, value in facts.items())])
 
 
-def _file_facts(path: Path, up: Up) -> dict[str, object]:
+def _file_facts(path: Path) -> dict[str, object]:
     """Facts about a splat file, which has no parts; Gaussians that are not valid are described and left out."""
     from mi_splat.io.loaded import ranges
     from mi_splat.io.splat_files import load_stored
@@ -68,12 +59,12 @@ def _file_facts(path: Path, up: Up) -> dict[str, object]:
         warnings.simplefilter("always", SplatFileWarning)
         splat = stored.settle(str(path), "drop", stacklevel=1).arrays
     notes = [str(item.message) for item in caught if issubclass(item.category, SplatFileWarning)]
-    facts: dict[str, object] = {"parts": None, **splat_facts(splat, up)}
+    facts: dict[str, object] = {"parts": None, **splat_facts(splat)}
     facts["mode"] = "antialiased" if stored.is_antialiased else "default"
     return {**facts, "unread": ", ".join(ranges(stored.unread)) or None, "notes": " ".join(notes) or None}
 
 
-def _scene_file_facts(path: Path, up: Up) -> dict[str, object]:
+def _scene_file_facts(path: Path) -> dict[str, object]:
     import_at_once("torch")
     from mi_splat.scene_files import read_scene
 
@@ -82,17 +73,17 @@ def _scene_file_facts(path: Path, up: Up) -> dict[str, object]:
     cameras = {name: f"{camera.width} x {camera.height}" for name, camera in loaded.cameras.items()}
     splat: Arrays = {name: value.numpy() for name, value in zip(ATTRIBUTES, loaded.scene.tensors(), strict=True)}
     boxes = {name: _at(splat["means"][rows], (0.0, 1.0)) for name, rows in loaded.objects.items() if parts[name]}
-    return {"parts": parts, "part_bounds": boxes, "cameras": cameras, **splat_facts(splat, up)}
+    return {"parts": parts, "part_bounds": boxes, "cameras": cameras, **splat_facts(splat)}
 
 
-def splat_facts(splat: Arrays, up: Up = None) -> dict[str, object]:
+def splat_facts(splat: Arrays) -> dict[str, object]:
     """Numbers that describe a splat, as JSON can hold them; bounds and scales in world units.
 
     Of a captured scene `bounds` are those of the farthest floaters; `box`, of the middle 98 % along each axis, tells
     where the scene is, and `middle`, the median, where most of it is: often the object. Half of the Gaussians are
     within `reach` of it. `colour` is the mean colour of the Gaussians (1 is white) in the directions in which it is
     least and most, and the largest of any Gaussian in any direction: where these are far apart, the splat was not made
-    of what cameras saw alone. `height` is where the middle 98 % are along `up`, if that is given.
+    of what cameras saw alone.
     """
     import numpy as np
 
@@ -103,9 +94,6 @@ def splat_facts(splat: Arrays, up: Up = None) -> dict[str, object]:
     if len(means):
         facts["bounds"] = _at(means, (0.0, 1.0))
         facts["box"] = _at(means, (0.01, 0.99))
-        if up is not None:
-            (lowest,), (highest,) = _at(means @ _unit(up), (0.01, 0.99))
-            facts |= {"up": list(up), "height": [lowest, highest]}
         (middle,) = _at(means, (0.5,))
         distances = np.linalg.norm(means.astype(np.float64) - middle, axis=1)
         facts |= {"middle": middle, "reach": _at(distances, (0.5,))[0]}
@@ -121,16 +109,6 @@ def _at(values: NDArray[np.floating[Any]], shares: Sequence[float]) -> list[Any]
 
     ordered = np.sort(values, axis=0)
     return [ordered[round(share * (len(ordered) - 1))].tolist() for share in shares]
-
-
-def _unit(direction: tuple[float, float, float]) -> NDArray[np.float32]:
-    """(3, 1) the direction, of length one."""
-    import numpy as np
-
-    length = math.hypot(*direction)
-    if not (math.isfinite(length) and length > 0):
-        raise InvalidValueError.of("--up", "a direction", direction, "for instance -y")
-    return np.array(direction, np.float32)[:, None] / np.float32(length)
 
 
 def _colours(sh: NDArray[np.float32]) -> dict[str, float]:

@@ -1,8 +1,6 @@
 """Options that several commands share: sizes, colours and directions, and where a scene is looked at from.
 
-Light, so that --help is fast. A size, a colour and a direction is one word for the parser, so that a file may follow
-it. `as_one_word` makes one of the three numbers of a colour or a direction, and lets `--up -y` through, which would
-look like a flag.
+Light, so that --help is fast. A size, a colour and a direction is one word, so that a file may follow it.
 """
 
 import re
@@ -17,7 +15,6 @@ from mi_splat.errors import nearest
 from mi_splat.fields import Converter, Length, Metavar, OutFolder, Range, between
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_AXIS = re.compile(r"[+-]?[xyz]")
 _AXES = {
     f"{sign}{'xyz'[axis]}": tuple((-1.0 if sign == "-" else 1.0) if axis == column else 0.0 for column in range(3))
     for sign in ("", "+", "-")
@@ -52,7 +49,7 @@ def _colour(word: str) -> tuple[float, float, float]:
         if rest:
             raise ValueError(f"{word} is transparent")
     except ValueError:
-        do = nearest(word, ImageColor.colormap, "write for instance white, #80b0e0 or 0.5 0.7 0.9")
+        do = nearest(word, ImageColor.colormap, "write for instance white, #80b0e0 or 0.5,0.7,0.9")
         raise ValueError(f"expected a colour, got {word!r}; {do}") from None
     return red / 255, green / 255, blue / 255
 
@@ -77,7 +74,7 @@ def axis_name(direction: Sequence[float]) -> str:
 
 
 def _written(value: Sequence[float]) -> str:
-    return " ".join(f"{number:g}" for number in value)
+    return ",".join(f"{number:g}" for number in value)
 
 
 Size = Annotated[
@@ -93,26 +90,9 @@ Colour = Annotated[
     between(0, 1, "sRGB", "divide 8-bit values by 255"),
     Metavar("COLOUR"),
 ]
-"""An sRGB colour: white, #80b0e0, or three numbers in [0, 1]."""
-Direction = Annotated[tuple[float, float, float], Converter(_direction, _written), Metavar("AXIS|X Y Z")]
-"""A direction: y, -y, or three numbers."""
-
-
-def as_one_word(words: Sequence[str]) -> list[str]:
-    """Words of the user, in which the values of these options are one word each, behind an equals sign."""
-    joined, rest = [], list(words)
-    while rest:
-        word = rest.pop(0)
-        if word == "--size" and len(rest) > 1 and rest[0].isdecimal() and rest[1].isdecimal():
-            expected, got = "pixels as 256 or 256x192", f"{rest[0]} {rest[1]}"
-            raise UsageError.of("--size", expected, got, f"write {rest[0]}x{rest[1]}")
-        if word in ("--background", "--up") and len(rest) > 2 and all(map(_NUMBER.fullmatch, rest[:3])):
-            word, rest = f"{word}={','.join(rest[:3])}", rest[3:]
-        elif word in ("--up", "--front") and rest and _AXIS.fullmatch(rest[0]):
-            axis = rest.pop(0).removeprefix("+")
-            word = f"{word}={'+' if word == '--front' and len(axis) == 1 else ''}{axis}"
-        joined.append(word)
-    return joined
+"""An sRGB colour: white, #80b0e0, or 0.5,0.7,0.9 in [0, 1]."""
+Direction = Annotated[tuple[float, float, float], Converter(_direction, _written), Metavar("AXIS|X,Y,Z")]
+"""A direction: y, -y, or 0,-1,0."""
 
 
 Rate = Annotated[
@@ -170,7 +150,7 @@ class CameraOptions:
     centre: Point | None = None
     """Point that cameras of an orbit or a set look at; None is the middle of the object, or of all Gaussians."""
     up: Direction = (0.0, 0.0, 1.0)
-    """Direction that is up in the scene, for orbits and sets: an axis, or three numbers; scenes from COLMAP often have
+    """Direction that is up in the scene, for orbits and sets: an axis, or X,Y,Z; scenes from COLMAP often have
     -y."""
     fov: FieldOfView = 45.0
     """Field of view of orbits and sets in degrees, over the shorter side of the picture."""
@@ -179,7 +159,7 @@ class CameraOptions:
     near: Length | None = None
     """Gaussians nearer than this to the camera are not drawn, world units; None is what suits scene and cameras."""
     background: Colour | None = None
-    """Colour behind the Gaussians, as white, #80b0e0 or three sRGB numbers in [0, 1]; None is the scene's own,
+    """Colour behind the Gaussians, as white, #80b0e0 or 0.5,0.7,0.9; None is the scene's own,
     black for a bare splat file."""
 
     @property

@@ -49,7 +49,7 @@ class RenderOptions(JsonOptions):
     """Scene XML of splats, alone or among meshes, or a splat file of any format that is read."""
     out: Annotated[OutFile, Metavar("PATH")] = Path("picture.png")
     """What to write: NAME.png or NAME.jpg; NAME.exr with linear values as 32-bit floats; NAME.gif or NAME.webp of
-    several cameras one after the other; a folder, or a name with {} for the camera's, for a picture from each."""
+    several cameras one after the other; a folder for a picture from each."""
     view: CameraOptions = field(default_factory=CameraOptions)
     """Where from."""
     fps: Rate = 24.0
@@ -70,7 +70,6 @@ class RenderOptions(JsonOptions):
 
 RECORD = "cameras.json"
 """In a folder of pictures, the camera of each."""
-_NAME_MARK = "{}"
 
 
 def run(options: RenderOptions) -> None:
@@ -183,9 +182,6 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
     out = options.out
     check_writable(out.parent)
     if is_animation(out):
-        if _NAME_MARK in out.name:
-            do = f"leave {_NAME_MARK} out, or end the name in .png or .jpg"
-            raise InvalidValueError.of("--out", "one name, since an animation is one file", out, do)
         if len(cameras) < 2:
             do = "pass for instance --cameras orbit:60@20, or end the name in .png"
             raise InvalidValueError.of("--out", "two cameras or more for an animation", f"one, {out}", do)
@@ -193,8 +189,8 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
         if len(sizes) > 1:
             raise InvalidValueError.of("--out", "cameras of one size", ", ".join(sorted(sizes)), "pass --size")
     elif is_picture(out) or is_floats(out):
-        if len(cameras) > 1 and _NAME_MARK not in out.name:
-            do = f"name a folder, {out.stem}-{_NAME_MARK}{out.suffix}, or a .gif or .webp"
+        if len(cameras) > 1:
+            do = "name a folder, or a .gif or .webp"
             raise InvalidValueError.of("--out", f"room for {len(cameras)} pictures", out, do)
     elif out.suffix:
         expected = "a name that ends in .png, .jpg, .exr, .gif or .webp, or a folder"
@@ -217,10 +213,9 @@ def _save(pictures: Mapping[str, Pixels], cameras: Mapping[str, Camera], options
         return [out]
     if is_picture(out) or is_floats(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        files = [out.with_name(out.name.replace(_NAME_MARK, file_name(name))) for name in pictures]
-        for file, pixels in zip(files, pictures.values(), strict=True):
-            save_floats(pixels, file) if isinstance(pixels, Mapping) else save_picture(pixels, file)
-        return files
+        for pixels in pictures.values():
+            save_floats(pixels, out) if isinstance(pixels, Mapping) else save_picture(pixels, out)
+        return [out]
     with new_folder(out, force=options.force, record=RECORD) as folder:
         for name, pixels in zip(pictures, shown, strict=True):
             save_picture(pixels, folder / f"{file_name(name)}.png")

@@ -77,7 +77,7 @@ class TrainOptions(JsonOptions):
     downscale: Annotated[int, between(1, 64, "times smaller"), Metavar("FACTOR")] = 1
     """Integer factor by which the pictures shrink. Smaller ones that are in images_2, images_4, ... are used."""
     background: Colour = (0.0, 0.0, 0.0)
-    """Colour behind the splat and transparent pixels, as white, #80b0e0 or three sRGB numbers in [0, 1]."""
+    """Colour behind the splat and transparent pixels, as white, #80b0e0 or 0.5,0.7,0.9."""
     near: Length | None = None
     """Gaussians nearer to a camera than this are not drawn, world units; none takes the 0.2 of 3DGS, or less where the
     scene or the distance of its cameras is small."""

@@ -155,11 +155,16 @@ def camera_options(
         options = [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
         options += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
         options += _option("camera-roll", orbit.roll) if orbit.roll else []
-        options += [*([] if tuple(up) == UP else _option("up", *up)), *_option("centre", *centre)]
-    options += ["--size", f"{size[0]}x{size[1]}", *_option("background", *settings.background)]
+        options += [] if tuple(up) == UP else ["--up", ",".join(map(_exact, up))]
+        options += _option("centre", *centre)
+    options += ["--size", f"{size[0]}x{size[1]}", "--background", ",".join(map(_exact, settings.background))]
     return [*options, *_option("near", settings.near)]
 
 
 def _option(name: str, *values: float) -> list[str]:
-    """An option with numbers that read back exactly."""
-    return [f"--{name}", *(repr(value).removesuffix(".0") for value in values)]
+    return [f"--{name}", *map(_exact, values)]
+
+
+def _exact(value: float) -> str:
+    """A number that reads back exactly."""
+    return repr(value).removesuffix(".0")

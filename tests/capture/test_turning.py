@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from torch import Tensor
@@ -12,11 +11,10 @@ from torch import Tensor
 from attacks import cli
 from mi_splat.camera_sets import orbit
 from mi_splat.capture.mesh_files import load_mesh, turning
-from mi_splat.capture.path_tracer import PathTracer, tracing_variant
+from mi_splat.capture.path_tracer import PathTracer
 from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
 from mi_splat.capture.sources import open_source
 from mi_splat.datasets import load_dataset
-from mi_splat.errors import MiSplatError
 from mi_splat.placement import Up
 from tests.capture.test_mesh_textures import blue_is_at_the_back
 from tests.capture.trucks import truck, write_glb
@@ -56,7 +54,7 @@ def picture(source: Any, *, size: int = 32) -> Tensor:
     return PathTracer(source.scene, samples=16).picture(camera, seed=0)
 
 
-def test_ground_sun_and_environment_show(tmp_path: Path) -> None:
+def test_ground_and_sun_show(tmp_path: Path) -> None:
     path = str(write_glb(tmp_path, truck()))
     plain = picture(open_source(path))
     for kind, brightest in (("road", None), ("grass", 1)):
@@ -69,22 +67,6 @@ def test_ground_sun_and_environment_show(tmp_path: Path) -> None:
     )
     middle = slice(12, 20)
     assert front[middle, middle].mean() > back[middle, middle].mean() + 0.02  # seen from azimuth 0
-    environment = np.zeros((8, 16, 3), np.float32)
-    environment[..., 2] = 1.0
-    with tracing_variant():
-        mi.Bitmap(environment).write(str(tmp_path / "blue.exr"))
-        mi.Bitmap(environment).write(str(tmp_path / "blue.hdr"))
-    for name in ("blue.exr", "blue.hdr"):
-        blue = picture(open_source(path, surroundings=SurroundingsSettings(environment=tmp_path / name)))
-        assert float(blue[..., :2].max()) < 0.02
-        assert float(blue[0, :, 2].min()) > 0.98
-    both = SurroundingsSettings(environment=tmp_path / "blue.exr", sun="0,30")
-    assert float(picture(open_source(path, surroundings=both))[..., 0].max()) > 0.2
-    for name, content in (("none.exr", None), ("sky.png", b""), ("bad.exr", b"no"), ("bad.hdr", b"no")):
-        if content is not None:
-            (tmp_path / name).write_bytes(content)
-        with pytest.raises(MiSplatError, match=r"environment"):
-            open_source(path, surroundings=SurroundingsSettings(environment=tmp_path / name))
 
 
 def command(folder: Path, path: str, *more: str) -> list[str]:

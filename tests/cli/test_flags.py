@@ -99,7 +99,8 @@ RANGED = [(command, flag, allowed, count, whole) for command, flag, allowed, cou
 
 def flag_words(flag: str, number: float, count: int) -> list[str]:
     """A flag with so many of a number, as a user writes it."""
-    return [flag, "x".join([str(number)] * count)] if flag == "--size" else [flag, *[str(number)] * count]
+    mark = {"--size": "x", "--background": ","}.get(flag)
+    return [flag, *[str(number)] * count] if mark is None else [flag, mark.join([str(number)] * count)]
 
 
 def is_no_word(flag: str, number: float) -> bool:

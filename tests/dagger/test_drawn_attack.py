@@ -139,7 +139,7 @@ def test_enough_success_can_end_the_search() -> None:
 
 WORDS = (
     "--box -0.5 -0.5 -0.5 0.5 0.5 0.5 --azimuth 270 --elevation 0 --distance 3 --size 32 --fov 45 --near 0.3 "
-    "--background 0.1 0.1 0.12 --azimuths 250 290 --elevations 0 20 --exposure 0.2 --eps 2 --steps 6 --step-factor 4 "
+    "--background 0.1,0.1,0.12 --azimuths 250 290 --elevations 0 20 --exposure 0.2 --eps 2 --steps 6 --step-factor 4 "
     "--pool 6 --validation 2 --held-out 4 --image-psnr None"
 )
 

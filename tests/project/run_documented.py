@@ -52,10 +52,10 @@ def splat_y_down(path: Path) -> None:
 
 
 def mesh(path: Path) -> None:
-    """A box as a GLB file, in centimetres."""
+    """A box as a GLB file."""
     import trimesh
 
-    trimesh.creation.box((400.0, 180.0, 150.0)).export(path)
+    trimesh.creation.box((4.0, 1.8, 1.5)).export(path)
 
 
 def shipped_artifact(path: Path) -> None:

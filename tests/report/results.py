@@ -32,7 +32,7 @@ from tests.project.documented_commands import ROOT
 ARTIFACTS = ROOT / "docs" / "artifacts"
 FAILED, TWO_SEEDS = "cloak_car_layers_shadow", "cloak_car_layers_ground"
 """Studies of CLOAK: one seed, not stealthy, and its stop sign is never reported; two seeds."""
-_VIEW = ("--distance", "3", "--size", "24", "--background", "1", "1", "1", "--force")
+_VIEW = ("--distance", "3", "--size", "24", "--background", "white", "--force")
 
 
 class BlindDetector(CoarseDetector):
