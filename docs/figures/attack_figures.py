@@ -18,9 +18,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from attacks.cloak.config import read_study
 from attacks.cloak.setup import Setup
 from attacks.observe.rows import read_rows
+from attacks.studies.cloak import config_of
+from attacks.studies.study_file import read_study
 from mi_splat.io import load_splat
 from mi_splat.io.images import save_animation, to_bytes
 from mi_splat.io.picture_files import load_picture
@@ -337,7 +338,8 @@ def path() -> Figure:
 
 def ghost(study: Path) -> Image.Image:
     """Clean above cloaked splat, every 5 degrees of elevation from 15 to 55."""
-    setup = Setup.of(read_study(study / "study.toml"))
+    file = read_study(study / "study.toml")
+    setup = Setup.of(config_of(file.points[0].settings, file.name))
     cameras = [setup.camera(40.0, float(elevation)) for elevation in range(15, 60, 5)]
     rows = []
     for name in ("clean", "cloaked"):

@@ -1,10 +1,12 @@
-"""Damaged files of other people are read or refused in words, whatever was done to them."""
+"""Damaged files of other people are read or refused in words and within bounds, whatever was done to them."""
 
 import contextlib
+import gzip
 import json
 import re
 import shutil
 import signal
+import tracemalloc
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,23 +25,50 @@ from mi_splat.datasets.frames import read_picture
 from mi_splat.datasets.transforms import read_cameras
 from mi_splat.errors import MiSplatError
 from mi_splat.io.camera_records import describe, recorded_cameras
+from mi_splat.io.errors import SplatFileError
 from mi_splat.io.points import load_points
-from mi_splat.io.splat_files import load_splat, save_splat
+from mi_splat.io.splat_files import load_splat
+from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import open_scene
 from tests.capture.trucks import truck, write_glb
 from tests.cloak.tiny_study import study_in
 from tests.fakes import camera
-from tests.io.format_files import tame_scene, valid
-from tests.io.ply_files import LISTS, ROWS, encoded, listed
+from tests.io.format_files import valid
+from tests.io.ply_files import BODY, FACE, HEAD, LINE, LISTS, ROWS, TEXT_HEAD, encoded, listed, with_elements
 from tests.project.layers import ROOT
 
 POSE = [[1, 0, 0, 0], [0, 0, -1, -3], [0, 1, 0, 0.5], [0, 0, 0, 1]]
 FRAMES = [{"file_path": f"images/{number}.png", "transform_matrix": POSE, "k1": 0} for number in range(2)]
 TRANSFORMS = {"camera_angle_x": 0.7, "w": 64, "h": 48, "frames": FRAMES}
-SPLATS = ("a.ply", "a.compressed.ply", "a.glb", "a.sog", "a.splat", "v2.spz", "v3.spz", "v4.spz")
+PLY = {
+    "a.ply": HEAD + BODY,
+    "faces.ply": with_elements(FACE, b"\0\0"),
+    "text.ply": TEXT_HEAD + LINE * 40,
+    "lists.ply": listed("binary_little_endian", ROWS[:5], LISTS[:5]),
+    "lists_in_text.ply": listed("ascii", ROWS[:5], LISTS[:5]),
+}
+PACKED = ("a.compressed.ply", "a.glb", "a.sog", "a.splat", "v2.spz", "v3.spz", "v4.spz")
+INSIDE = {"inside_v2.spz": "v2.spz", "inside_v3.spz": "v3.spz"}
+"""Files whose damage is inside of a valid gzip stream."""
+SPLATS = (*PLY, *PACKED, *INSIDE)
 SCENE = [f"stop_sign{part}" for part in (".xml", ".json", "_roadside.ply", "_stop_sign.ply")]
-MUTANTS, SECONDS = 150, 10.0
-"""Damaged files of each kind, and the time that one may take."""
+MUTANTS, SECONDS, MEMORY = 50, 10.0, 24 << 20
+"""Damaged files of each kind, the time that one may take, and the memory that one of a splat may."""
+
+
+def _splat(path: Path) -> GaussianScene | None:
+    """The scene, checked; None if the file was refused with our error."""
+    tracemalloc.start()
+    try:
+        scene = GaussianScene(*load_splat(path, on_invalid="drop").tensors())
+    except SplatFileError as error:
+        assert re.match(rf"{re.escape(str(path))}.*: expected .+, got .+; .+", str(error), re.DOTALL)  # noqa: PT017
+        assert len(str(error)) < len(str(path)) + 400  # noqa: PT017
+        scene = None
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < MEMORY
+    return scene
 
 
 def _camera_file(path: Path) -> None:
@@ -52,7 +81,7 @@ def _weights(path: Path) -> None:
 
 
 READERS: dict[str, Callable[[Path], object]] = {
-    **dict.fromkeys((*SPLATS, "text.ply", "lists.ply"), load_splat),
+    **dict.fromkeys(SPLATS, _splat),
     "points.ply": load_points,
     **dict.fromkeys(("cameras.json", "transforms.json"), _camera_file),
     **dict.fromkeys(("w.safetensors", "w.pth"), _weights),
@@ -81,14 +110,10 @@ def made(name: str, folder: Path) -> Path:
         Image.radial_gradient("L").resize((16, 12)).convert("RGB").save(path)
     elif name == "truck.glb":
         write_glb(folder, truck())
-    elif name in ("text.ply", "points.ply"):
-        path.write_bytes(encoded(ROWS[:5], "ascii" if name == "text.ply" else "binary_little_endian"))
-    elif name == "lists.ply":
-        path.write_bytes(listed("binary_little_endian", ROWS[:5], LISTS[:5]))
-    elif name == "a.ply":
-        save_splat(tame_scene(5, 1), path)
+    elif name == "points.ply":
+        path.write_bytes(encoded(ROWS[:5], "binary_little_endian"))
     else:
-        path.write_bytes(valid(name))
+        path.write_bytes(PLY.get(name) or valid(INSIDE.get(name, name)))
     return path
 
 
@@ -132,18 +157,35 @@ def limited() -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("name", READERS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in SPLATS else pytest.mark.nightly) for name in READERS]
+)
 def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
     path = made(name, tmp_path)
     whole, random = path.read_bytes(), Random(f"11 {name}")
-    READERS[name](path)
+    assert READERS[name](path) is not None or name not in SPLATS
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for _ in range(MUTANTS):
-            path.write_bytes(damaged(whole, random))
+            if name in INSIDE:
+                path.write_bytes(gzip.compress(damaged(gzip.decompress(whole), random), 1))
+            else:
+                path.write_bytes(damaged(whole, random))
             with contextlib.suppress(MiSplatError), limited():
                 READERS[name](path)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", PACKED)
+def test_truncation_at_each_length(name: str, tmp_path: Path) -> None:
+    whole, path = valid(name), tmp_path / name
+    lengths = sorted({*range(0, len(whole), max(1, len(whole) // 80)), *range(min(60, len(whole))), len(whole) - 1})
+    for length in lengths:
+        path.write_bytes(whole[:length])
+        scene = _splat(path)
+        assert scene is None or (name == "a.splat" and 32 * len(scene) == length)
+    path.write_bytes(whole + b"\0")
+    assert _splat(path) is None or name in ("a.sog", *PACKED[-3:])  # archives may have a comment, sections padding
 
 
 DEEP, LONG = "[" * 100_000, "9" * 10_000
