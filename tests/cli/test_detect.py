@@ -37,9 +37,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_pictures_and_splats_are_looked_at(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["render", "clean.ply", *VIEW, "--out", "view-{}.png"]) == 0
+    assert cli.main(["render", "clean.ply", *VIEW, "--out", "views"]) == 0
     capsys.readouterr()
-    words = ["detect", "view-orbit-00.png", "clean.ply", *VIEW, "--out", "detected", "--json"]
+    words = ["detect", "views/orbit-00.png", "clean.ply", *VIEW, "--out", "detected", "--json"]
     assert cli.main(words) == 0
     document = json.loads(capsys.readouterr().out)
     assert json.loads((folder / "detected" / "result.json").read_text())["pictures"] == document["pictures"]
