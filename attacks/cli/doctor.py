@@ -221,7 +221,6 @@ CHECKS = (
     ),
 )
 EXTRAS = {
-    "cluster": ("distributed",),
     "meshes": ("trimesh",),
     "ocr": ("rapidocr_onnxruntime",),
     "report": ("jinja2", "matplotlib"),

@@ -13,7 +13,7 @@ from attacks.studies.study_file import Study
 from mi_splat.cli.console import Advance, limit_threads, progress, show_json, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
-from mi_splat.fields import Metavar, OutFolder, at_least
+from mi_splat.fields import OutFolder, at_least
 
 if TYPE_CHECKING:
     from attacks.studies.running import Run, Work
@@ -37,8 +37,6 @@ class JobOptions(JsonOptions):
     """Folder of finished jobs."""
     workers: Workers | None = None
     """Processes that do jobs side by side; None is one for each core if memory allows; 0 does them in this one."""
-    scheduler: Annotated[str, Metavar("ADDRESS")] | None = None
-    """Address of a Dask scheduler, as tcp://host:8786, whose workers do the jobs; it needs TLS or a trusted network."""
     seconds: Annotated[float, at_least(1, "seconds")] | None = None
     """Most seconds that a job may take; it is ended then, which counts as a failure. Not with --workers 0."""
     megabytes: Annotated[float, at_least(1, "MB")] | None = None
@@ -159,13 +157,11 @@ def _last_line(text: str) -> str:
 
 def engine_of(options: JobOptions, on_event: Callable[[Event], None]) -> Engine:
     """What runs the jobs of a command."""
-    from mi_splat.ledger.engines import Cluster, InProcess, Limits, Processes
+    from mi_splat.ledger.engines import InProcess, Limits, Processes
 
-    limits = Limits(seconds=options.seconds, megabytes=options.megabytes)
-    if options.scheduler is not None:
-        return Cluster(options.store, options.scheduler, limits=limits, on_event=on_event)
     if (workers := chosen_workers(options.workers)) == 0:
         return InProcess(options.store, on_event=on_event)
+    limits = Limits(seconds=options.seconds, megabytes=options.megabytes)
     return Processes(options.store, workers=workers, limits=limits, on_event=on_event)
 
 

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from mi_splat.ledger.engines import Cluster, Engine, InProcess, Processes
+from mi_splat.ledger.engines import InProcess, Processes
 from mi_splat.ledger.job import Done, Job, OnEvent, nobody
 from mi_splat.ledger.plans import Driver, Plan, grid
 from mi_splat.ledger.store import Store
@@ -41,11 +41,10 @@ def two_levels(count: int, *, steps: int = 4, seconds: float = 0.02) -> Plan:
     yield {"last": walk(sum(ends), steps=steps)}
 
 
-def main(store: Path, count: int, what: str, seconds: float) -> int:
-    engine: Engine = Cluster(store, what) if what.startswith("tcp:") else Processes(store, workers=int(what))
-    results = Driver(store, engine, name="walks").run([two_levels(count, seconds=seconds)])
+def main(store: Path, count: int, workers: int, seconds: float) -> int:
+    results = Driver(store, Processes(store, workers=workers), name="walks").run([two_levels(count, seconds=seconds)])
     return sum(isinstance(result, str) for result in results.values())
 
 
 if __name__ == "__main__":
-    sys.exit(min(100, main(Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3], float(sys.argv[4]))))
+    sys.exit(min(100, main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4]))))

@@ -1,25 +1,21 @@
 """Jobs in one process: done once, found again, made anew when anything that counts has changed, and looked at."""
 
 import contextlib
-import importlib.util
 import os
 import random
 import signal
-import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Event, Job, Part, Store
-from mi_splat.ledger.engines import Cluster, InProcess, Limits, Processes
-from mi_splat.ledger.job import EngineError
-from mi_splat.ledger.plans import Driver, grid
-from tests.ledger.drive import Ledger, two_levels, walk
+from mi_splat.ledger.engines import Processes
+from mi_splat.ledger.plans import Driver
+from tests.ledger.drive import Ledger, two_levels
 from tests.ledger.kinds.configs import NumbersConfig, Shift
 from tests.ledger.test_engines import bytes_of
 from tests.project.layers import ROOT
@@ -87,11 +83,7 @@ def test_a_configuration_that_can_change_or_has_no_text_is_refused(tmp_path: Pat
         Ledger(tmp_path).do(Job(kind=NUMBERS, config=NumbersConfig(shift=Shift(by=tmp_path))))  # type: ignore[arg-type]
 
 
-# Killed at random: children, drivers, workers and schedulers of Dask. What is left is what an unkilled run leaves
-
-
-DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="Dask distributed is not installed")
-QUIET = ["-W", "ignore", "-m"]
+# Killed at random: children and drivers. What is left is what an unkilled run leaves
 
 
 def children_of(process: int) -> list[int]:
@@ -110,7 +102,7 @@ class Killing:
     def __init__(self, seed: int) -> None:
         self._random = random.Random(seed)
         self._running: dict[str, subprocess.Popen[bytes]] = {}
-        self.kills = dict.fromkeys(("driver", "child", "scheduler", "worker"), 0)
+        self.kills = dict.fromkeys(("driver", "child"), 0)
 
     def keep(self, name: str, *words: str) -> subprocess.Popen[bytes]:
         """A process of a name, started if it is not there."""
@@ -121,21 +113,13 @@ class Killing:
             self._running[name] = process
         return process
 
-    def keep_cluster(self, port: int, patience: int) -> str:
-        """A scheduler of Dask with two workers; its address."""
-        address, quiet = f"tcp://127.0.0.1:{port}", "--no-dashboard"
-        self.keep("scheduler", *QUIET, "distributed.cli.dask_scheduler", "--port", str(port), quiet)
-        words = [address, "--nworkers", "2", "--nthreads", "1", "--death-timeout", str(patience), quiet]
-        self.keep("worker", *QUIET, "distributed.cli.dask_worker", *words)
-        return address
-
     def kill(self) -> None:
         """Kill a process that was started here, or one that such a process has started."""
         targets = []
         for name, process in self._running.items():
             if process.poll() is None:
                 targets += [(name, process.pid)]
-                targets += [("child" if name == "driver" else name, child) for child in children_of(process.pid)] * 2
+                targets += [("child", child) for child in children_of(process.pid)] * 2
         if targets:
             name, number = self._random.choice(targets)
             with contextlib.suppress(ProcessLookupError):
@@ -156,19 +140,11 @@ class Killing:
             process.wait()
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def run_killed(folder: Path, count: int, kills: int, *, seed: int, dask: bool, every: float) -> Killing:
+def run_killed(folder: Path, count: int, kills: int, *, seed: int, every: float) -> Killing:
     """Do a plan with a driver that is started again until all is done, and kill something every now and then."""
-    port = free_port()
     with contextlib.closing(Killing(seed)) as processes:
         while True:
-            engine = processes.keep_cluster(port, 5) if dask else "2"
-            driver = processes.keep("driver", "-m", "tests.ledger.drive", str(folder), str(count), engine, "0.02")
+            driver = processes.keep("driver", "-m", "tests.ledger.drive", str(folder), str(count), "2", "0.02")
             processes.wait(every)
             if driver.poll() == 0:
                 return processes
@@ -184,15 +160,14 @@ def unkilled(folder: Path, count: int) -> dict[str, object]:
 
 
 def test_a_run_with_kills_leaves_the_bytes_of_one_without(tmp_path: Path) -> None:
-    processes = run_killed(tmp_path / "killed", 16, 8, seed=1, dask=False, every=0.3)
+    processes = run_killed(tmp_path / "killed", 16, 8, seed=1, every=0.3)
     check(tmp_path, 16, processes, 4)
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("dask", [False, pytest.param(True, marks=DASK)])
-def test_200_kills(dask: bool, tmp_path: Path) -> None:
+def test_200_kills(tmp_path: Path) -> None:
     count = 1800  # so many that an idle machine is not through with them before the last kill
-    processes = run_killed(tmp_path / "killed", count, 200, seed=3, dask=dask, every=1.5 if dask else 0.4)
+    processes = run_killed(tmp_path / "killed", count, 200, seed=3, every=0.4)
     check(tmp_path, count, processes, 200)
 
 
@@ -203,33 +178,3 @@ def check(folder: Path, count: int, processes: Killing, least: int) -> None:
         os.utime(left, (time.time() - 90,) * 2)
     Store(folder / "killed").sweep()
     assert not [*(folder / "killed" / "tmp").iterdir(), *(folder / "killed" / "partial").iterdir()]
-
-
-@pytest.fixture(scope="module")
-def scheduler() -> Iterator[str]:
-    """Address of a scheduler with two workers."""
-    with contextlib.closing(Killing(0)) as processes:
-        yield processes.keep_cluster(free_port(), 300)
-
-
-@DASK
-def test_dask_does_a_plan_and_blames_the_poisoned_alone(scheduler: str, tmp_path: Path) -> None:
-    jobs = {str(number): walk(number, steps=1) for number in range(40)}
-    for number in range(3):
-        jobs[f"poisoned {number}"] = walk(number, trouble="kill")
-    limits = Limits(seconds=120.0)
-    results = Driver(tmp_path, Cluster(tmp_path, scheduler, limits=limits)).run([grid(jobs)])
-    assert {label for label, result in results.items() if isinstance(result, str)} == {
-        f"poisoned {number}" for number in range(3)
-    }
-    assert results["poisoned 0"] == "ended by SIGSEGV"
-    whole = Driver(tmp_path / "whole", InProcess(tmp_path / "whole")).run([two_levels(6, seconds=0.0)])
-    again = Driver(tmp_path / "dask", Cluster(tmp_path / "dask", scheduler)).run([two_levels(6, seconds=0.0)])
-    assert whole.keys() == again.keys()
-    assert bytes_of(tmp_path / "whole") == bytes_of(tmp_path / "dask")
-
-
-@DASK
-def test_a_scheduler_that_is_not_there_is_told(tmp_path: Path) -> None:
-    with pytest.raises(EngineError, match="expected a Dask scheduler"):
-        Cluster(tmp_path, f"tcp://127.0.0.1:{free_port()}", timeout=0.5)

@@ -35,7 +35,7 @@ def packages(requirements: list[str]) -> set[str]:
 
 def test_doctor_knows_the_extras() -> None:
     extras = {
-        name: packages(needed) - {"mi-splat", "importlib_metadata"}  # the last one is a limit for another's package
+        name: packages(needed) - {"mi-splat"}
         for name, needed in PROJECT["optional-dependencies"].items()
         if name not in ("dev", "docs")
     }

@@ -95,7 +95,7 @@ for words in (["--help"], ["--version"], *([*name.split(), "--help"] for name in
         assert main(words) == 0, words
     assert text.getvalue().strip(), words
 heavy = {"torch", "torchvision", "mitsuba", "drjit", "numpy", "PIL", "scipy", "matplotlib", "plyfile", "transformers"}
-heavy |= {"ultralytics", "viser", "trimesh", "jinja2", "distributed", "tqdm", "unittest", "asyncio"}
+heavy |= {"ultralytics", "viser", "trimesh", "jinja2", "tqdm", "unittest", "asyncio"}
 assert not heavy & set(sys.modules), heavy & set(sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
