@@ -35,7 +35,7 @@ class ViewOptions:
     `cloak` has written, the clean and the attacked splat are shown from one camera; of one of `mi-splat audit` the
     splat and its heat map, from the cameras that prove hidden content; of one of `mi-splat train` the splat and the
     photographs. On the page a click selects an object, whose mask `mi-splat dagger` takes. The page is served to this
-    machine alone until Ctrl-C; open it by the address that is printed.
+    machine alone until Ctrl-C; open it by the address that is printed. From another machine use an SSH tunnel.
     """
 
     path: Positional[Annotated[Path, Metavar("RESULT")]]
@@ -59,12 +59,8 @@ class ViewOptions:
     black for a bare splat file."""
     near: Length | None = None
     """Gaussians nearer than this (depth, world units) are left out; None is the scene's own, 0.2 for a bare splat."""
-    host: Annotated[str, Metavar("HOST")] = "127.0.0.1"
-    """Name or address to serve on; one that other machines can reach needs --allow-remote."""
     port: Annotated[int, between(0, 65535, do="0 takes a free one"), Metavar("PORT")] = 8080
     """Port to serve on; 0 is any free one."""
-    allow_remote: bool = False
-    """Let other machines in that know the token in the address; nothing is encrypted. An SSH tunnel is better."""
     no_open: bool = False
     """Do not open a browser."""
 
@@ -73,14 +69,13 @@ def run(options: ViewOptions) -> None:
     """Serve the page until Ctrl-C or SIGTERM."""
     from attacks.report.viewer_content import detector_inspector, open_content
     from mi_splat.rendering import Renderer
-    from mi_splat.viewer.guard import checked_host, is_loopback
     from mi_splat.viewer.painter import Painter
     from mi_splat.viewer.server import Page, check_port
 
     limit_threads()
     if options.weights is not None and options.detector is None:
         raise InvalidValueError.of("weights", "a detector that they belong to", "none", "name it with --detectors")
-    check_port(checked_host(options.host, allow_remote=options.allow_remote), options.port)
+    check_port(options.port)
     with progress("loading"):
         content = open_content(
             options.path, clean=options.clean, up=options.up, cameras=options.cameras, background=options.background
@@ -90,10 +85,8 @@ def run(options: ViewOptions) -> None:
         if options.detector is not None:
             inspector = detector_inspector(load_detector(options.detector, weights=options.weights))
         painter = Painter(content, Renderer(content.settings), inspector)
-    with Page(painter, host=options.host, port=options.port) as page:
+    with Page(painter, port=options.port) as page:
         show(f"Open {page.address}")
-        if not is_loopback(options.host):
-            show("Other machines can reach it under the name of this one. Nothing is encrypted, the token included.")
         show("Ctrl-C ends it.")
         sys.stdout.flush()  # a program that reads it through a pipe waits for the address
         # Without a screen, Python would start a browser that takes the terminal.

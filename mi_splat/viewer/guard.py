@@ -11,7 +11,6 @@ guessed, and its cookie goes nowhere else.
 import asyncio
 import hmac
 import html
-import ipaddress
 import logging
 import secrets
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -21,7 +20,7 @@ from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, parse_qsl, urlencode, urlsplit
 
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import MiSplatError
 
 _LOG = logging.getLogger(__name__)
 LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
@@ -38,32 +37,10 @@ new MutationObserver(() => {
 """Script that gives controls of viser without a name the text of the label next to them, for screen readers."""
 
 
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach a name."""
-    if host in LOOPBACK_NAMES:
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def checked_host(host: str, *, allow_remote: bool) -> str:
-    """The host, if the page may be served on it."""
-    if not is_loopback(host) and not allow_remote:
-        do = (
-            "leave it out and open an SSH tunnel (ssh -L 8080:127.0.0.1:8080 HOST), or add --allow-remote, which sends "
-            "everything over the network without encryption"
-        )
-        raise InvalidValueError(message("host", "127.0.0.1 or another name that only this machine can reach", host, do))
-    return host
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Guard:
-    """The names that a page is served under (None is any), the token of its address, its path and its cookie."""
+    """The token of a page's address, its path and its cookie."""
 
-    names: frozenset[str] | None = LOOPBACK_NAMES
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     secret_path: str = field(default_factory=lambda: secrets.token_urlsafe(12))
     cookie: str = field(default_factory=lambda: secrets.token_urlsafe(24))
@@ -72,7 +49,7 @@ class Guard:
         """Why a request is refused; None if it is not."""
         host = headers.get("Host", "")
         name, port = _name_and_port(host)
-        if name is None or (self.names is not None and name not in self.names):
+        if name not in LOOPBACK_NAMES:
             return "this page is not served under that name"
         origin = headers.get("Origin")
         if origin is not None and origin != f"http://{host}":

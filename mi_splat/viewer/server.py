@@ -17,7 +17,7 @@ from typing import Any
 from mi_splat.cameras import angle_of
 from mi_splat.errors import InvalidValueError, MiSplatError, install, message
 from mi_splat.rasterization.frozen import PictureInterruptedError, interrupted_by
-from mi_splat.viewer.guard import LOOPBACK_NAMES, Guard, guarding, is_loopback
+from mi_splat.viewer.guard import Guard, guarding
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter, Painting
 from mi_splat.viewer.panel import Remark, ViewPanel
@@ -29,6 +29,7 @@ JPEG_QUALITY = {Step.COARSE: 75, Step.HALF: 85, Step.FULL: 92, Step.INSPECTED: 9
 SETTLING = 1.0
 """Seconds after a control was moved in which reports of the browser's camera, which follows late, are ignored."""
 ECHOES = 128  # poses that a browser was sent and may report later, as if the mouse had moved its camera there
+HOST = "127.0.0.1"
 LONGEST_SIDE = 8192  # pixels of the largest window that is believed
 
 
@@ -147,30 +148,28 @@ def _canvas(camera: Any) -> tuple[int, int]:
     return width, height
 
 
-def check_port(host: str, port: int) -> None:
-    """Raise unless pages can be served there."""
+def check_port(port: int) -> None:
+    """Raise unless pages can be served there, to this machine alone."""
     if importlib.util.find_spec("viser") is None:
         raise InvalidValueError(message("viser", "the package, for pages", "not installed", install("view")))
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_STREAM) as probe:
+    with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((host, port))
+            probe.bind((HOST, port))
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or str(error)
-            raise InvalidValueError(message(f"{host}, port {port}", "a free port", reason, "try --port 0")) from error
+            raise InvalidValueError(message(f"port {port}", "a free port", reason, "try --port 0")) from error
 
 
 class Page(contextlib.AbstractContextManager["Page"]):
     """Serves the content of a painter until it is closed."""
 
-    def __init__(self, painter: Painter, *, host: str = "127.0.0.1", port: int = 8080) -> None:
-        check_port(host, port)  # viser would take another one
+    def __init__(self, painter: Painter, *, port: int = 8080) -> None:
+        check_port(port)  # viser would take another one
         self._shared = SharedSelection(painter)
         self._changed, self._clients = threading.Condition(), dict[int, Client]()
-        self._guard = Guard(names=LOOPBACK_NAMES | {host} if is_loopback(host) else None)
-        self._host, self._server = host, _serve(self._guard, host, port)
-        self._closed = False
+        self._guard, self._closed = Guard(), False
+        self._server = _serve(self._guard, port)
         content = painter.content
         self._server.scene.set_up_direction("+z")
         first = self._server.initial_camera
@@ -183,9 +182,7 @@ class Page(contextlib.AbstractContextManager["Page"]):
     @property
     def address(self) -> str:
         """The address to open in a browser of this machine; whoever knows it may see the page."""
-        here = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self._host, self._host)
-        host = f"[{here}]" if ":" in here else here
-        return f"http://{host}:{self._server.get_port()}/?token={self._guard.token}"
+        return f"http://{HOST}:{self._server.get_port()}/?token={self._guard.token}"
 
     def run(self, stop: threading.Event | None = None) -> None:
         """Make pictures until `stop` is set, or until Ctrl-C."""
@@ -240,7 +237,7 @@ class Page(contextlib.AbstractContextManager["Page"]):
             self._changed.notify()
 
 
-def _serve(guard: Guard, host: str, port: int) -> Any:
+def _serve(guard: Guard, port: int) -> Any:
     """A viser server that connects to nobody and answers only requests that the guard lets pass."""
     import viser
     from viser import _messages
@@ -250,7 +247,7 @@ def _serve(guard: Guard, host: str, port: int) -> Any:
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)
     # On stdout viser says its address, without the token that is needed.
     with guarding(guard, _infra.websockets.asyncio.server), contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=host, port=port, label="mi-splat view", verbose=False)
+        server = viser.ViserServer(host=HOST, port=port, label="mi-splat view", verbose=False)
     try:
         # Any browser could request it, and it opens the page to the internet.
         server._websock_server.unregister_handler(_messages.ShareUrlRequest)

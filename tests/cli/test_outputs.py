@@ -202,8 +202,6 @@ REFUSED = {
     "evaluate a.ply a.ply": (1, "one that differs from the other"),
     "evaluate a.ply half.ply": (1, "the same Gaussians in both, got 40 and 20"),
     "evaluate a.ply half.ply --target unicorn": (1, "tv, train, suitcase for fasterrcnn_small, got unicorn"),
-    "view a.ply --host 0.0.0.0": (1, "host: expected 127.0.0.1"),
-    "view a.ply --host 192.168.3.4 --port 0": (1, "SSH tunnel"),
     "view a.ply --port 0 --clean half.ply": (1, "the scenes: expected the same Gaussians in both"),
     "view a.ply --port 0 --detectors fasterrcnn_smal": (1, "fasterrcnn_small"),
     "view a.ply --port 0 --weights w.safetensors": (1, "name it with --detectors"),

@@ -1,4 +1,4 @@
-"""A driver as a process of its own: `python -m tests.ledger.drive STORE JOBS ENGINE SECONDS` does a plan of walks."""
+"""A driver as a process of its own: `python -m tests.ledger.drive STORE JOBS WORKERS SECONDS` does a plan of walks."""
 
 import sys
 from pathlib import Path

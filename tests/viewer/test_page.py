@@ -244,12 +244,12 @@ def test_closing_leaves_no_thread_and_frees_the_port(capsys: pytest.CaptureFixtu
             browser.look(START)
             browser.picture()
         with pytest.raises(InvalidValueError, match="expected a free port"):
-            check_port("127.0.0.1", port)
+            check_port(port)
     end = time.monotonic() + 60
     while set(threading.enumerate()) - before and time.monotonic() < end:
         time.sleep(0.05)
     assert not set(threading.enumerate()) - before
-    check_port("127.0.0.1", port)
+    check_port(port)
     assert capsys.readouterr().out == ""
 
 
@@ -260,6 +260,4 @@ def test_a_taken_port_is_not_left_for_another() -> None:
         with pytest.raises(InvalidValueError, match=r"port \d+: expected a free port.*--port 0"):
             Page(painter(1), port=taken.getsockname()[1])
     with pytest.raises(InvalidValueError, match="expected a free port"):
-        check_port("127.0.0.1", 99999)
-    with pytest.raises(InvalidValueError, match="expected a free port"):
-        check_port("203.0.113.9", 0)
+        check_port(99999)
