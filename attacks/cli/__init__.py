@@ -1,8 +1,8 @@
 """The command line: `mi-splat COMMAND ...`, also `python -m attacks COMMAND ...`.
 
-A command is a module with its options, a dataclass, its EXAMPLES, and `run(options)`. It may have `ALIASES` of its
-flags, `defaults(words)`, which reads what other flags depend on, and `check_inputs(options)`, which is called before
-torch and Mitsuba are imported. Commands that share most of their code share a module.
+A command is a module with its options, a dataclass, its EXAMPLES, and `run(options)`. It may have
+`defaults(words)`, which reads what other flags depend on, and `check_inputs(options)`, which is called before torch and
+Mitsuba are imported. Commands that share most of their code share a module.
 """
 
 from __future__ import annotations
@@ -189,8 +189,7 @@ def parse(name: str, words: Sequence[str]) -> Any:
     """The options of a command from the words that the user typed; ends the process for --help."""
     from mi_splat.cli import flags
 
-    aliases = getattr(module_of(name), "ALIASES", {})
-    return flags.parse(**_command(name, words), words=words, aliases=aliases)
+    return flags.parse(**_command(name, words), words=words)
 
 
 def parser_of(name: str) -> argparse.ArgumentParser:

@@ -208,11 +208,10 @@ def parse(
     program: str,
     description: str = "",
     defaults: Mapping[str, Any] | None = None,
-    aliases: Mapping[str, str] | None = None,
 ) -> _Type:
     """The options in the user's words; ends the process for --help."""
     parser = parser_of(kind, program=program, description=description, defaults=defaults)
-    given, rest = parser.parse_known_intermixed_args([_renamed(word, aliases or {}) for word in words])
+    given, rest = parser.parse_known_intermixed_args([_dashed(word) for word in words])
     if rest:
         flags = [flag for action in parser._actions for flag in action.option_strings]
         unknown = next((word for word in rest if word.startswith("-")), rest[0]).partition("=")[0]
@@ -237,11 +236,10 @@ def choice_among(names: Collection[str], words: Sequence[str], flag: str, defaul
     return name
 
 
-def _renamed(word: str, aliases: Mapping[str, str]) -> str:
-    """A word whose flag has dashes, and the name that it is an alias of."""
+def _dashed(word: str) -> str:
+    """A word whose flag has dashes."""
     flag, equals, value = word.partition("=")
-    dashed = flag.replace("_", "-")
-    return f"{aliases.get(dashed, dashed)}{equals}{value}" if flag.startswith("--") else word
+    return f"{flag.replace('_', '-')}{equals}{value}" if flag.startswith("--") else word
 
 
 def options_of(kind: type, defaults: Mapping[str, Any] | None = None) -> list[Option]:

@@ -30,19 +30,6 @@ EXAMPLES = (
     "train YOUR_SET --out out/desk --downscale 2 --max-gaussians 200000",
     "train out/truck --out out/mcmc --strategy mcmc --max-gaussians 50000",
 )
-ALIASES = {
-    "--position-lr-init": "--lr-means",
-    "--position-lr-final": "--lr-means-final",
-    "--feature-lr": "--lr-sh",
-    "--opacity-lr": "--lr-opacities",
-    "--scaling-lr": "--lr-scales",
-    "--rotation-lr": "--lr-rotations",
-    "--densify-from-iter": "--densify-from",
-    "--densify-until-iter": "--densify-until",
-    "--densification-interval": "--densify-interval",
-    "--cap-max": "--max-gaussians",
-}
-
 
 _STRATEGY = strategy_name(FitConfig().strategy)
 
@@ -56,9 +43,6 @@ class TrainOptions(JsonOptions):
     Writes splat.ply, metrics.json, config.json and checkpoint.safetensors into --out. A run that was stopped goes on
     when the same command is given again, and makes the bits that it would have made. A run also goes on with more
     --iterations than it had.
-
-    Options of 3DGS are taken under its names, too: --position_lr_init, --feature_lr, --opacity_lr, --scaling_lr,
-    --rotation_lr, --densify_from_iter, --densification_interval, ...
     """
 
     dataset: Positional[Folder]

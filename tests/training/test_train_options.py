@@ -10,7 +10,6 @@ import torch
 from PIL import Image
 
 from attacks import cli
-from attacks.cli import parse
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import View
 from mi_splat.datasets import load_dataset
@@ -98,12 +97,6 @@ def test_a_set_without_points_starts_anywhere_and_it_is_said(
     words = ["train", str(dataset), "--out", str(tmp_path / "out"), "--iterations", "1"]
     assert cli.main([*words, "--max-gaussians", "20"]) == 0
     assert "the set has no points: starting on 20 Gaussians anywhere" in capsys.readouterr().err
-
-
-def test_options_have_their_names_of_3dgs_too() -> None:
-    words = ["--position_lr_init", "0.1", "--opacity-lr", "0.2", "--densification_interval=7", "--iterations", "9"]
-    options: Any = parse("train", ["set", "--out", "out", *words])
-    assert (options.fit.lr_means, options.fit.lr_opacities, options.fit.strategy.densify_interval) == (0.1, 0.2, 7)
 
 
 def test_masked_pixels_do_not_count(dataset: Path) -> None:
