@@ -48,7 +48,6 @@ class Flag:
     """How a field is given on the command line."""
 
     name: str = ""  # name of the flag; that of the field if empty
-    aliases: tuple[str, ...] = ()  # other names for it
     positional: bool = False  # whether it is given without any flag, by its position
 
 
@@ -275,8 +274,7 @@ def _add(parser: Parser, group: Any, options: Sequence[Option], width: int) -> N
         else:
             names: Any = tuple(option.metavar.split())
             metavar = names if len(names) == option.count else option.metavar
-            flags = (option.flag, *option.given.aliases)
-            group.add_argument(*flags, dest=option.key, nargs=option.count, metavar=metavar, help=option.help)
+            group.add_argument(option.flag, dest=option.key, nargs=option.count, metavar=metavar, help=option.help)
 
 
 def _built(kind: type[_Type], options: Sequence[Option], given: Mapping[str, Any]) -> _Type:

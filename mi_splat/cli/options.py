@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated
 
 from mi_splat.cli.console import UsageError
-from mi_splat.cli.flags import Flag
 from mi_splat.errors import nearest
 from mi_splat.fields import Converter, Length, Metavar, OutFolder, Range, between
 
@@ -134,7 +133,7 @@ class CameraOptions:
     no object is meant.
     """
 
-    cameras: Annotated[tuple[str, ...], Flag(aliases=("--camera", "--views")), Metavar("CAMERAS")] = ()
+    cameras: Annotated[tuple[str, ...], Metavar("CAMERAS")] = ()
     """Any of: ids of the scene's own cameras, or all of them by `all`; hemisphere:N, orbit:N@ELEVATION,
     cap:N@MIN_ELEVATION or grid:AxE (azimuths x elevations) around --centre; a transforms .json; the .json of an earlier
     command (its cameras again); the cameras.json that 3DGS writes beside a splat; the folder of a set of pictures

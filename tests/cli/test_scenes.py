@@ -76,7 +76,7 @@ def test_render_frames_a_bare_splat(folder: Path, capsys: pytest.CaptureFixture[
 
 
 def test_render_takes_the_first_camera_or_the_one_named(folder: Path) -> None:
-    for words, shape in (([], (32, 48, 3)), (["--camera", "side"], (40, 20, 3)), (["--size", "24x16"], (16, 24, 3))):
+    for words, shape in (([], (32, 48, 3)), (["--cameras", "side"], (40, 20, 3)), (["--size", "24x16"], (16, 24, 3))):
         out = folder / "picture.png"
         assert cli.main(["render", str(folder / "scene.xml"), "--out", str(out), *words]) == 0
         picture = pixels(out)
@@ -168,7 +168,7 @@ def test_dagger_writes_its_report(toy: SplatScene, tmp_path: Path, capsys: pytes
 
 def test_dagger_prints_one_document(toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--object", "thing", "--objective", "hide", "--attributes", "opacities", "sh", "--eps", "3", "20"]
-    words += ["--views", "front", "aside", "--norm", "l2_per_gaussian", "--noise-draws", "0", "--json"]
+    words += ["--cameras", "front", "aside", "--norm", "l2_per_gaussian", "--noise-draws", "0", "--json"]
     assert cli.main(["dagger", "toy.xml", *words, "--out", str(tmp_path)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["target"] is None
@@ -182,7 +182,7 @@ def test_dagger_prints_one_document(toy: SplatScene, tmp_path: Path, capsys: pyt
     [
         (["--object", "bicycle"], "rest, thing"),
         (["--object", "thing", "--target", "car"], "expected another class than is seen before the attack, got car"),
-        (["--object", "thing", "--views", "behind"], "front, aside"),
+        (["--object", "thing", "--cameras", "behind"], "front, aside"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
