@@ -1,17 +1,14 @@
-"""How a splat or a mesh is turned: which way is up, and rotations. Light, for the command line."""
+"""How a splat or a mesh is turned: which way is up. Light, for the command line."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from mi_splat.fields import Metavar, between
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
-Turn = Annotated[tuple[float, float, float], between(-360, 360, "degrees"), Metavar("X Y Z")]
 
 _UPRIGHT: dict[Up, tuple[str, float]] = {
     "x": ("y", -90.0),
@@ -37,9 +34,6 @@ def axis_turn(axis: str, degrees: float) -> NDArray[np.float64]:
     return matrix
 
 
-def turn_of(up: Up, rotate: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
-    """(3, 3) rotation that takes what is up to z, and then turns by degrees about x, y and z, which stay in place."""
-    matrix = axis_turn(*_UPRIGHT[up])
-    for axis, degrees in zip("xyz", rotate, strict=True):
-        matrix = axis_turn(axis, degrees) @ matrix
-    return matrix
+def turn_of(up: Up) -> NDArray[np.float64]:
+    """(3, 3) rotation that takes what is up to z."""
+    return axis_turn(*_UPRIGHT[up])

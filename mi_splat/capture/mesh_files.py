@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.assets.mesh import Asset, Floats, Mesh, skin, to_linear, to_srgb
-from mi_splat.capture.settings import Front, MeshSettings
+from mi_splat.capture.settings import MeshSettings
 from mi_splat.errors import InvalidValueError, MiSplatError, install
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.io.picture_files import BROKEN, PictureFileError, check_scans, pixels_bounded
-from mi_splat.placement import Up, axis_turn, turn_of
+from mi_splat.placement import turn_of
 
 SUFFIX = ".glb"
 GREY = 0.7
@@ -37,8 +37,6 @@ _FLOAT, _FAN = 5126, 6
 _HEADER = struct.Struct("<4sIII4s")
 _MOST_ZEROS = 1 << 22
 """Values of an accessor without a view, which stand for zeros, that are made."""
-_TURNS: dict[Front, float] = {"+x": 0.0, "-x": 180.0, "+y": -90.0, "-y": 90.0}
-"""Degrees about z that turn a front to +x."""
 
 
 class MeshFileError(MiSplatError):
@@ -69,7 +67,7 @@ def load_mesh(path: Path, settings: MeshSettings | None = None) -> Asset:
     if not path.is_file():
         raise MeshFileError.of(str(path), "a mesh file", "no such file", "check the path")
     data, materials = _checked(path)
-    turn = turning(settings, up=settings.up or "y")
+    turn = settings.scale * turn_of(settings.up or "y")  # to z up, and metres
     try:
         meshes = tuple(_mesh(piece, placed, turn, materials) for piece, placed in _pieces(data))
     except (MeshFileError, PictureFileError, InvalidValueError) as error:
@@ -85,12 +83,6 @@ def load_mesh(path: Path, settings: MeshSettings | None = None) -> Asset:
         got = f"one at {((low + high) / 2).tolist()}"
         raise MeshFileError.of(str(path), "a mesh around its origin", got, "move it there")
     return asset
-
-
-def turning(settings: MeshSettings, *, up: Up) -> NDArray[np.float64]:
-    """(3, 3) matrix from the file's axes and unit to z up, the front to +x, and metres."""
-    front = axis_turn("z", _TURNS[settings.front or "+x"])
-    return settings.scale * (front @ turn_of(up, settings.rotate))
 
 
 def _checked(path: Path) -> tuple[bytes, dict[str, Material]]:

@@ -6,9 +6,8 @@ from typing import Annotated, Literal
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Checked, Length, Metavar, above, between, check
-from mi_splat.placement import Turn, Up
+from mi_splat.placement import Up
 
-Front = Literal["+x", "-x", "+y", "-y"]
 Ground = Literal["road", "grass", "asphalt", "none"]
 
 
@@ -37,13 +36,11 @@ class CaptureSettings(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshSettings(Checked):
-    """How a mesh file is read and turned: first --up, then --rotate, then --front, then --scale.
+    """How a mesh file is read.
 
     Attributes:
         up: Axis that points up in the file; None is y.
         scale: What one unit of the file is in metres, more than 0; 0.01 for centimetres.
-        rotate: Degrees about x, then about y, then about z; the axes stay where they are.
-        front: Which way the object faces after --up and --rotate; it is turned to face +x. None turns nothing.
 
     Raises:
         InvalidValueError: A number is out of range.
@@ -51,8 +48,6 @@ class MeshSettings(Checked):
 
     up: Up | None = None
     scale: Annotated[float, above(0, "metres per unit of the file"), Metavar("METRES")] = 1.0
-    rotate: Turn = (0.0, 0.0, 0.0)
-    front: Front | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

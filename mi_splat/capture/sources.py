@@ -90,8 +90,8 @@ def open_source(
     is_asset = name not in EXAMPLES and name.partition(":")[0] in ASSETS
     mesh, surroundings = mesh or MeshSettings(), surroundings or SurroundingsSettings()
     if mesh != MeshSettings() and suffix != SUFFIX:
-        what, flags = "up, scale, rotate and front", "--up, --scale, --rotate, --front"
-        raise InvalidValueError.of(what, "a mesh file to go with", name, "leave them out").hinted(flags)
+        expected = "a mesh file to go with"
+        raise InvalidValueError.of("up and scale", expected, name, "leave them out").hinted("--up, --scale")
     if surroundings != SurroundingsSettings() and not (is_asset or suffix == SUFFIX):
         expected = "a mesh file, or an object of the project, to go with"
         raise InvalidValueError.of("ground and sun", expected, name, "leave them out").hinted("--ground, --sun")

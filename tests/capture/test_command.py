@@ -96,7 +96,7 @@ def test_flags_that_cameras_of_a_file_do_not_follow_are_refused(
         (["--distance", "-1"], "distance"),
         (["--test", "-1"], "test"),
         (["--up", "y"], "--up"),
-        (["--front", "-x"], "--front"),
+        (["--scale", "2"], "--scale"),
         (["--ground", "road"], "--ground"),
         (["--sun", "40,95"], "sun"),
     ],

@@ -12,7 +12,7 @@ from mi_splat.assets.mesh import Asset, to_linear, to_srgb
 from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.errors import MiSplatError
 from mi_splat.io.picture_files import pixel_limit
-from tests.capture.trucks import COLOURS, encoded, stripes, truck, write_glb
+from tests.capture.trucks import encoded, stripes, truck, write_glb
 
 pytest.importorskip("trimesh")
 
@@ -29,13 +29,6 @@ def corner_colours(asset: Asset) -> np.ndarray[Any, Any]:
         rows = np.clip(((1 - mesh.uvs[:, 1]) % 1 * height).astype(int), 0, height - 1)
         colours.append(mesh.texture[rows, columns])
     return np.concatenate(colours) * 255
-
-
-def blue_is_at_the_back(asset: Asset) -> bool:
-    """Whether the bed, which is blue, lies towards -x and the red cab towards +x."""
-    points, colours = asset.vertices, corner_colours(asset)
-    bed, cab = (np.abs(colours - np.array(COLOURS[name])).max(1) < 3 for name in ("bed", "cab"))
-    return bool(bed.any() and cab.any() and points[bed, 0].max() < points[cab, 0].min() + 0.1)
 
 
 def material(**words: Any) -> dict[str, Any]:

@@ -1,52 +1,21 @@
-"""`mi-splat capture`: which way a mesh faces, what is around it, the near clip; other options are told apart."""
+"""`mi-splat capture`: what is around a mesh, the near clip; other options are told apart."""
 
 import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from torch import Tensor
 
 from attacks import cli
 from mi_splat.camera_sets import orbit
-from mi_splat.capture.mesh_files import load_mesh, turning
 from mi_splat.capture.path_tracer import PathTracer
-from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
+from mi_splat.capture.settings import SurroundingsSettings
 from mi_splat.capture.sources import open_source
 from mi_splat.datasets import load_dataset
-from mi_splat.placement import Up
-from tests.capture.test_mesh_textures import blue_is_at_the_back
 from tests.capture.trucks import truck, write_glb
 
 pytest.importorskip("trimesh")
-
-
-@pytest.mark.parametrize(("front", "degrees"), [("+x", 0.0), ("+y", 90.0), ("-x", 180.0), ("-y", 270.0)])
-def test_a_front_is_turned_to_x(front: Any, degrees: float, tmp_path: Path) -> None:
-    # Turned by hand in a y-up file, where degrees about z are those about y.
-    path = write_glb(tmp_path, truck(), node={"rotation": quaternion(degrees)})
-    assert blue_is_at_the_back(load_mesh(path, MeshSettings(front=front)))
-    assert blue_is_at_the_back(load_mesh(path)) == (front == "+x")
-    assert blue_is_at_the_back(load_mesh(path, MeshSettings(rotate=(0, 0, -degrees))))
-
-
-def quaternion(degrees: float) -> list[float]:
-    """xyzw, about y."""
-    half = np.radians(degrees) / 2
-    return [0.0, float(np.sin(half)), 0.0, float(np.cos(half))]
-
-
-def test_turns_come_in_the_order_that_is_written_down() -> None:
-    matrix = turning(MeshSettings(rotate=(90, 0, 90), scale=2.0), up="z")
-    # About x first: y goes to z and stays there; x goes to y, by the turn about z.
-    assert np.allclose(matrix, [[0, 0, 2], [2, 0, 0], [0, 2, 0]], atol=1e-12)
-    ups: list[tuple[Up, tuple[int, int, int]]] = [("x", (1, 0, 0)), ("y", (0, 1, 0)), ("-z", (0, 0, -1))]
-    for up, direction in [*ups, ("-x", (-1, 0, 0)), ("-y", (0, -1, 0)), ("z", (0, 0, 1))]:
-        assert np.allclose(turning(MeshSettings(), up=up) @ direction, (0, 0, 1))
-    # A front is where it is after the other turns: x, turned to y, faces +y.
-    faces_y = MeshSettings(rotate=(0, 0, 90), front="+y")
-    assert np.allclose(turning(faces_y, up="z"), np.eye(3), atol=1e-12)
 
 
 def picture(source: Any, *, size: int = 32) -> Tensor:
@@ -86,8 +55,7 @@ def test_near_cuts_what_is_near(tmp_path: Path) -> None:
 
 
 OPTIONS: dict[str, tuple[list[str], str]] = {
-    "rotate": (["--rotate", "0", "0", "30"], "rotate [0.0, 0.0, 0.0], now [0.0, 0.0, 30.0]"),
-    "front": (["--front", "-x"], "front None, now '-x'"),
+    "up": (["--up", "z"], "up None, now 'z'"),
     "ground": (["--ground", "road"], "ground 'none', now 'road'"),
     "near": (["--near", "0.5"], "near None, now 0.5"),
     "cameras": (["--cameras", "orbit:2@30"], "cameras 'orbit:2@20', now 'orbit:2@30'"),

@@ -94,5 +94,3 @@ def test_an_axis_is_a_letter_or_three_numbers() -> None:
         assert (options.view.up, options.scene.name) == (up, "a.ply")
     for typed, axis in (("-z", "-z"), ("x", "x")):
         assert options_of("capture", "a.ply", "--up", typed).mesh.up == axis
-    for typed, front in (("+y", "+y"), ("-x", "-x")):
-        assert options_of("capture", "a.ply", "--front", typed).mesh.front == front
