@@ -20,7 +20,7 @@ _WIDE, _NARROW = 720, 280
 
 @images.register
 def _(value: Result) -> Iterable[str]:
-    views = value.views_of(value.detectors[0])[:_PAIRS]
+    views = value.pictures[:_PAIRS]
     return [image(before_and_after(view), width=_WIDE, height=_WIDE) for view in views]
 
 

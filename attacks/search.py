@@ -8,7 +8,6 @@ that every attack is this one loop.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -88,42 +87,20 @@ class Outcome:
     stopped: bool = False  # whether it was ended before its time by `Hooks.on_step`
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class OptimiserState:
-    """What a run remembers between two steps.
+@dataclass(slots=True, eq=False, kw_only=True)
+class Memory:
+    """Of one run; what it keeps from step to step is the optimiser's own, by names of its own."""
 
-    Attributes:
-        index: Number of steps done.
-        restart: Number of the run, 0 for the first.
-        tensors: What has the shape of the parameters, by names of the optimiser's own; empty before the first step.
-        numbers: What is a number, as well; all are finite.
-    """
-
-    index: int
-    restart: int = 0
-    tensors: Mapping[str, Parameters] = field(default_factory=dict)
-    numbers: Mapping[str, float] = field(default_factory=dict)
-
-    def after(
-        self, *, tensors: Mapping[str, Parameters] | None = None, numbers: Mapping[str, float] | None = None
-    ) -> OptimiserState:
-        """The memory one step later; what is not given stays."""
-        return dataclasses.replace(
-            self,
-            index=self.index + 1,
-            tensors=self.tensors if tensors is None else tensors,
-            numbers=self.numbers if numbers is None else numbers,
-        )
+    index: int = 0  # number of steps done
+    restart: int = 0  # number of the run
+    tensors: dict[str, Parameters] = field(default_factory=dict)  # what has the shape of the parameters
+    numbers: dict[str, float] = field(default_factory=dict)
 
 
-START = OptimiserState(index=0)
+Optimiser = Callable[[Parameters, Evaluation, Memory], Parameters | None]
+"""From a point, what is known of it and the memory of the run, which it may change, to the next point.
 
-
-Optimiser = Callable[[Parameters, Evaluation, OptimiserState], tuple[Parameters | None, OptimiserState]]
-"""From a point, what is known of it and what a run remembers to the next point, and what the run remembers then.
-
-The next point may be outside the ball, into which it is projected; None ends the run. Runs begin with `START` and the
-number of the run. See `attacks.optimisers`.
+The next point may be outside the ball, into which it is projected; None ends the run. See `attacks.optimisers`.
 """
 
 
@@ -181,11 +158,12 @@ def pgd(
     hooks = hooks or Hooks()
     best, best_line, trace, stopped = reference, None, list[Step](), False
     for restart, start in enumerate([reference] if starts is None else starts):
-        memory, point = dataclasses.replace(START, restart=restart), start
+        memory, point = Memory(restart=restart), start
         for index in range(steps + 1):
             point = ball.project({name: value.detach().clone() for name, value in point.items()}, reference)
             here = _checked(evaluate(point))
-            following, memory = (None, memory) if index == steps else optimiser(point, here, memory)
+            memory.index = index
+            following = None if index == steps else optimiser(point, here, memory)
             judged, verdict = point, here.verdict if hooks.judge is None else None
             if hooks.judge is not None and (following is None or (index and not index % hooks.every)):
                 judged, verdict = hooks.judge(point)

@@ -46,8 +46,6 @@ from mi_splat.ledger import Done, Job
 from mi_splat.ledger.plans import Result
 
 SUITES, HEAD = Path("scenes/suites"), "suite.toml"
-AUDIT = "audit"
-"""The study file of those that audit files."""
 _READER = DocumentReader(expected="a TOML file", do="correct it, or get the suite again")
 
 
@@ -77,7 +75,7 @@ def read_suite(name: str) -> Suite:
         name=folder.name,
         question=str(head.get("question", "")),
         surrogates=tuple(map(str, head.get("surrogates", ()))),
-        studies={column: tables[column] for column in (*COLUMNS, AUDIT) if column in tables},
+        studies={column: tables[column] for column in COLUMNS if column in tables},
         digest=_digest({**files, **_files_of(scenes)}),
     )
 

@@ -7,18 +7,14 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from mi_splat import provenance
 from mi_splat.cli.console import progress, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions
-from mi_splat.errors import MiSplatError, install
+from mi_splat.errors import install
 from mi_splat.fields import Metavar, OutFolder, Seed, between
-
-if TYPE_CHECKING:
-    from mi_splat.metrics import Perceptual
-
 
 EXAMPLES = (
     "compare scenes/car_street.xml --methods tile,ray,volprim --cameras all --out out/compare",
@@ -50,8 +46,6 @@ class CompareOptions(ResultOptions):
     """Compare the gradients of methods that have them."""
     rounds: Annotated[int, between(0, 1000, "rounds", "5 is usual")] = 5
     """How often each method is timed, in turn; 0 measures no time."""
-    lpips: bool = False
-    """Measure LPIPS, too; its network is downloaded when it is first used."""
     amplify: Annotated[float, between(1, 1000, "times", "8 is usual"), Metavar("FACTOR")] = 8.0
     """By how much differences are multiplied in the pictures."""
     seed: Seed = 0
@@ -77,9 +71,7 @@ def run(options: CompareOptions) -> None:
         settings = renderer_of(loaded, options.view, cameras).settings
         methods = load_methods(options.methods, settings, cameras)
         config = CompareConfig(gradients=options.gradients, rounds=options.rounds, seed=options.seed)
-        warnings: list[str] = []
-        lpips = _lpips(warnings) if options.lpips else None
-        comparison = compare(loaded.scene, cameras, methods, config=config, lpips=lpips, on_step=advance)
+        comparison = compare(loaded.scene, cameras, methods, config=config, on_step=advance)
         document = {
             "story": "compare",
             "scene": str(options.scene),
@@ -90,9 +82,7 @@ def run(options: CompareOptions) -> None:
             "near": settings.near,
             **asdict(config),
             "amplify": options.amplify,
-            "lpips": options.lpips,
             **as_dict(comparison, methods),
-            "warnings": warnings,
             "cameras": [describe(name, camera) for name, camera in cameras.items()],
             **provenance.origin(),
         }
@@ -102,17 +92,6 @@ def run(options: CompareOptions) -> None:
             save_json(document, folder / RECORD)
             _save_page(folder, options.out)
     show_summary(options.out, as_json=options.json, tables=4)
-
-
-def _lpips(warnings: list[str]) -> Perceptual | None:
-    """LPIPS, or None with a warning where its network cannot be had."""
-    from mi_splat.metrics import load_lpips
-
-    try:
-        return load_lpips()
-    except MiSplatError as error:
-        warnings.append(f"LPIPS was not measured: {error}")
-        return None
 
 
 def _save_page(folder: Path, out: Path) -> None:

@@ -91,34 +91,20 @@ class Cone(Trigger):
     """A region of directions with an edge."""
 
     @abstractmethod
-    def depth(self, direction: Direction) -> float:
-        """How far inside the region a direction lies, as an angle on the sphere.
+    def _depth(self, direction: Direction) -> float:
+        """How far inside the region a direction lies, degrees on the sphere."""
 
-        Args:
-            direction: Direction from the centre to a camera.
-
-        Returns:
-            Degrees; inside > 0.
-        """
-
-    def contains(self, direction: Direction) -> bool:
-        """Whether a direction lies in the region, its edge included.
-
-        Args:
-            direction: Direction from the centre to a camera.
-
-        Returns:
-            Whether it does.
-        """
-        return self.depth(direction) >= -EDGE
+    def _contains(self, direction: Direction) -> bool:
+        """Whether a direction lies in the region, its edge included."""
+        return self._depth(direction) >= -EDGE
 
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
         """(N,) bool, whether each camera stands in the cone."""
-        return torch.tensor([self.contains(direction_of(camera, centre)) for camera in cameras], dtype=torch.bool)
+        return torch.tensor([self._contains(direction_of(camera, centre)) for camera in cameras], dtype=torch.bool)
 
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
         """Signed angle from a camera to the edge of the region, on the sphere of directions."""
-        return self.depth(direction_of(camera, centre))
+        return self._depth(direction_of(camera, centre))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,8 +128,7 @@ class Elevation(Cone):
             got = (self.lowest, self.highest)
             raise InvalidValueError.of("elevation", "lowest <= highest", got, "50 to 90 is overhead")
 
-    def depth(self, direction: Direction) -> float:
-        """How far inside of the band a direction lies, as an angle on the sphere (`depth_in_band`)."""
+    def _depth(self, direction: Direction) -> float:
         return depth_in_band(direction, self.lowest, self.highest)
 
 
@@ -167,14 +152,12 @@ class Azimuth(Cone):
     def __post_init__(self) -> None:
         check(self)
 
-    def contains(self, direction: Direction) -> bool:
-        """Whether a direction lies in the cone, its edge included."""
+    def _contains(self, direction: Direction) -> bool:
         return self.half_width == 180 or (
             not direction.pole and azimuth_gap(direction, self.middle) <= self.half_width + EDGE
         )
 
-    def depth(self, direction: Direction) -> float:
-        """How far inside of the wedge a direction lies, as an angle on the sphere (`depth_in_wedge`)."""
+    def _depth(self, direction: Direction) -> float:
         return depth_in_wedge(direction, self.middle, self.half_width)
 
 
@@ -198,8 +181,7 @@ class Cap(Cone):
     def __post_init__(self) -> None:
         check(self)
 
-    def depth(self, direction: Direction) -> float:
-        """How far inside of the cap a direction lies, as an angle on the sphere (`depth_in_cap`)."""
+    def _depth(self, direction: Direction) -> float:
         return depth_in_cap(direction, self.azimuth, self.elevation, self.half_angle)
 
 

@@ -72,7 +72,7 @@ def _cameras(result: Result) -> dict[str, Any]:
             "box": judged.target.box.tolist(),
             "change": dataclasses.asdict(judged.view.change),
         }
-        for judged in result.views_of(result.detectors[0])
+        for judged in result.pictures
     ]
     rendered = {name: result.origin[name] for name in ("background", "near", "antialiased") if name in result.origin}
     return cameras_document(entries, **rendered)
@@ -90,7 +90,7 @@ def summary(result: Result) -> dict[str, Any]:
         "target": result.objective.label,
         "steps": result.best.index,
         "evaluations": len(result.trace),
-        "cpu_seconds": None if result.cpu_seconds is None else round(result.cpu_seconds, 3),
+        "cpu_seconds": round(result.cpu_seconds, 3),
         "loss": min(line.loss for line in result.trace),
         "norm": config.norm,
         "eps": config.eps[0] if len(config.eps) == 1 else None,
@@ -171,7 +171,7 @@ def _view(judged: JudgedView) -> dict[str, Any]:
 
 def _pictures(result: Result) -> dict[str, NDArray[np.uint8]]:
     """The pictures of fixed views, by the names of their files."""
-    views = result.views_of(result.detectors[0])  # every detector looked at the same pictures
+    views = result.pictures
     before, after = [view.clean.image for view in views], [view.attacked.image for view in views]
     named = len(result.detectors) > 1
     return {
@@ -195,7 +195,7 @@ def _boxes(seen: Seen, title: str) -> NDArray[np.uint8]:
 
 def contact_sheet(result: Result) -> NDArray[np.uint8]:
     """Held-out views of the first detector with boxes, evenly around the object: clean beside attacked pictures."""
-    views = sorted(result.views_of(result.detectors[0]), key=lambda judged: judged.view.direction.azimuth)
+    views = sorted(result.pictures, key=lambda judged: judged.view.direction.azimuth)
     count = min(_PAIRS, len(views))
     pairs = [_pair(views[number * len(views) // count]) for number in range(count)]
     rows = [pairs[first : first + _COLUMNS] for first in range(0, count, _COLUMNS)]

@@ -244,7 +244,7 @@ class Result(Previewed):
         config: The full configuration.
         origin: Detectors, versions, variant, commit, scene hash.
         seconds: Wall time of the attack.
-        cpu_seconds: CPU time of the search alone, of all threads; None where it may have been taken up again.
+        cpu_seconds: CPU time of the search alone, of all threads.
         transformations: The distribution that it was made for; None for fixed views.
         judged: The distribution that judged it.
         redraws: Cameras drawn in vain, as they did not show the object: held-out, validation and attacked views.
@@ -270,7 +270,7 @@ class Result(Previewed):
     config: DaggerConfig
     origin: dict[str, Any]
     seconds: float
-    cpu_seconds: float | None = None
+    cpu_seconds: float = 0.0
     transformations: Transformations | None = None
     judged: Transformations | None = None
     redraws: dict[str, int] = field(default_factory=dict)
@@ -295,16 +295,10 @@ class Result(Previewed):
         """Names of the attacked detectors."""
         return tuple(self.fingerprints)
 
-    def views_of(self, detector: str) -> list[JudgedView]:
-        """Every view as one detector sees it.
-
-        Args:
-            detector: Name, one of those attacked.
-
-        Returns:
-            The views, in their order.
-        """
-        return [view for view in self.views if view.detector == detector]
+    @property
+    def pictures(self) -> list[JudgedView]:
+        """Every view once, as the first detector sees it: all look at the same pictures."""
+        return [view for view in self.views if view.detector == self.detectors[0]]
 
     @property
     def success(self) -> bool:

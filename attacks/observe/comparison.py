@@ -204,15 +204,8 @@ def contradictions(
     judge could report too is compared: a judge that knows stop signs alone contradicts a detector that reports a TV
     where it reports a sign, or a sign where it reports none.
 
-    Args:
-        rows: Reports of all on a clean and an attacked splat.
-        judges: The classes of each judge, by its name.
-        cameras: Names of the views, by their numbers.
-        confidence: From which a detection counts.
-
-    Returns:
-        For each detector and judge, the rate of contradicted views of the clean splat (false flags) and of the attacked
-        one, and the contradicted views of both.
+    Of each detector and judge (name and classes) come back the rate of contradicted views of the clean splat (false
+    flags) and of the attacked one, and the names of these views.
     """
     sure = pl.when(pl.col("score") >= confidence).then("label")
     seen = rows.filter(pl.col("x0").is_not_null()).select("splat", "view", "detector", sure.alias("report"))

@@ -1,7 +1,6 @@
 """How a search moves from one point to the next: along gradients, or without them.
 
-Each is a function of `SearchSettings` that makes an `attacks.search.Optimiser`. What a run remembers is a value
-(`OptimiserState`), so that a run can be taken up again.
+Each is a function of `SearchSettings` that makes an `attacks.search.Optimiser`.
 """
 
 import dataclasses
@@ -13,7 +12,7 @@ import torch
 from torch import Generator, Tensor
 
 from attacks.optimisers import Schedule
-from attacks.search import Budget, Evaluation, Optimiser, OptimiserState, Parameters
+from attacks.search import Budget, Evaluation, Memory, Optimiser, Parameters
 
 LENGTHS: dict[Schedule, Callable[[float], float]] = {
     "constant": lambda share: 1.0,
@@ -40,8 +39,8 @@ class SearchSettings:
     power: float = 1.0  # of the gradients' absolute values, in [0, 1]
     seed: int = 0  # of everything random
 
-    def generator(self, memory: OptimiserState) -> Generator:
-        """Random numbers of one step; the same ones again where a search is taken up again."""
+    def generator(self, memory: Memory) -> Generator:
+        """Random numbers of one step."""
         run = self.seed * _RESTARTS + memory.restart % _RESTARTS
         return Generator().manual_seed(run * _STEPS + memory.index)
 
@@ -82,7 +81,7 @@ def momentum(settings: SearchSettings) -> Optimiser:
     """
     decay, power = settings.momentum, settings.power
 
-    def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> tuple[Parameters | None, OptimiserState]:
+    def update(point: Parameters, here: Evaluation, memory: Memory) -> Parameters | None:
         gradients, before = here.gradients, memory.tensors.get("velocity", {})
         if power != 1:
             gradients = {name: value.sign() * value.abs() ** power for name, value in gradients.items()}
@@ -92,8 +91,8 @@ def momentum(settings: SearchSettings) -> Optimiser:
         }
         factor = LENGTHS[settings.schedule](memory.index / settings.steps)
         directions = settings.ball.steepest(velocity)
-        moved = {name: value - settings.step[name] * factor * directions[name] for name, value in point.items()}
-        return moved, memory.after(tensors={"velocity": velocity})
+        memory.tensors = {"velocity": velocity}
+        return {name: value - settings.step[name] * factor * directions[name] for name, value in point.items()}
 
     return update
 
@@ -104,12 +103,11 @@ def fgsm(settings: SearchSettings) -> Optimiser:
     From a random start it is what "Fast is better than free" (Wong et al. 2020) trains against.
     """
 
-    def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> tuple[Parameters | None, OptimiserState]:
+    def update(point: Parameters, here: Evaluation, memory: Memory) -> Parameters | None:
         if memory.index:
-            return None, memory
+            return None
         directions = settings.ball.steepest(here.gradients)
-        moved = {name: value - settings.ball.radius[name] * directions[name] for name, value in point.items()}
-        return moved, memory.after()
+        return {name: value - settings.ball.radius[name] * directions[name] for name, value in point.items()}
 
     return update
 
@@ -126,7 +124,7 @@ def adam(settings: SearchSettings) -> Optimiser:
     """
     decay, unit = settings.momentum, settings.unit
 
-    def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> tuple[Parameters | None, OptimiserState]:
+    def update(point: Parameters, here: Evaluation, memory: Memory) -> Parameters | None:
         index, velocity, square, moved = memory.index + 1, {}, {}, {}
         factor = LENGTHS[settings.schedule](memory.index / settings.steps)
         first, second = 1 - decay**index, 1 - _SQUARE_DECAY**index  # corrections of the zero start
@@ -137,7 +135,8 @@ def adam(settings: SearchSettings) -> Optimiser:
             size = (square[name] / second).sqrt().clamp(min=1e-12)
             length = settings.step[name] * factor * unit[name]
             moved[name] = point[name] - length * (velocity[name] / first) / size
-        return moved, memory.after(tensors={"velocity": velocity, "square": square})
+        memory.tensors = {"velocity": velocity, "square": square}
+        return moved
 
     return update
 
@@ -167,9 +166,9 @@ def apgd(settings: SearchSettings) -> Optimiser:
     """
     asked, ball = checkpoints(settings.steps), settings.ball
 
-    def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> tuple[Parameters | None, OptimiserState]:
-        index, tensors = memory.index, dict(memory.tensors)
-        numbers = {"length": 2.0, "best": here.loss, "last": here.loss, "fell": 0.0, **memory.numbers}
+    def update(point: Parameters, here: Evaluation, memory: Memory) -> Parameters | None:
+        index, tensors = memory.index, memory.tensors
+        numbers = memory.numbers = {"length": 2.0, "best": here.loss, "last": here.loss, "fell": 0.0, **memory.numbers}
         numbers["fell"] += here.loss < numbers["last"]
         numbers["last"] = here.loss
         if not index or here.loss < numbers["best"]:
@@ -189,11 +188,11 @@ def apgd(settings: SearchSettings) -> Optimiser:
         goals = settings.project(
             {name: start[name] - numbers["length"] * ball.radius[name] * directions[name] for name in start}
         )
-        moved = {
+        tensors["last"] = start
+        return {
             name: value + (1 - kept) * (goals[name] - value) + kept * (value - last[name])
             for name, value in start.items()
         }
-        return moved, memory.after(tensors={**tensors, "last": start}, numbers=numbers)
 
     return update
 
@@ -220,8 +219,9 @@ def cw(settings: SearchSettings) -> Optimiser:
     inner = adam(dataclasses.replace(settings, step=step, steps=length, schedule="linear"))
     edge = {name: size * math.sqrt(settings.reference[name].numel()) for name, size in settings.level.items()}
 
-    def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> tuple[Parameters | None, OptimiserState]:
-        tensors, numbers = dict(memory.tensors), {"weight": 1.0, "low": 0.0, "high": 0.0, "won": 0.0, **memory.numbers}
+    def update(point: Parameters, here: Evaluation, memory: Memory) -> Parameters | None:
+        tensors = memory.tensors
+        numbers = memory.numbers = {"weight": 1.0, "low": 0.0, "high": 0.0, "won": 0.0, **memory.numbers}
         numbers["won"] = max(numbers["won"], float(here.verdict is not None and here.verdict.success))
         slope = here.gradients
         if not memory.index:
@@ -234,9 +234,10 @@ def cw(settings: SearchSettings) -> Optimiser:
             steepness, size = float(tensors["slope"][name].norm()), edge[name]
             pull = (point[name] - settings.reference[name]) / size if size else torch.zeros_like(gradient)
             total[name] = pull + (numbers["weight"] / steepness * gradient if steepness else 0.0)
-        within = OptimiserState(index=memory.index % length, restart=memory.restart, tensors=tensors)
-        moved, after = inner(point, dataclasses.replace(here, gradients=total), within)
-        return moved, memory.after(tensors={**tensors, **after.tensors}, numbers=numbers)
+        within = Memory(index=memory.index % length, restart=memory.restart, tensors=tensors)
+        moved = inner(point, dataclasses.replace(here, gradients=total), within)
+        memory.tensors = {**tensors, **within.tensors}
+        return moved
 
     return update
 
@@ -269,8 +270,8 @@ def square(settings: SearchSettings) -> Optimiser:
     """
     level = settings.level
 
-    def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> tuple[Parameters | None, OptimiserState]:
-        best, memory = _best(point, here, memory)
+    def update(point: Parameters, here: Evaluation, memory: Memory) -> Parameters | None:
+        best = _best(point, here, memory)
         generator, positions = settings.generator(memory), settings.positions
         halvings = sum(memory.index >= share * settings.steps for share in _HALVED_AT)
         count = max(1, round(_FIRST_SHARE / 2**halvings * len(positions)))
@@ -281,27 +282,24 @@ def square(settings: SearchSettings) -> Optimiser:
             signs = torch.randint(0, 2, value.shape[1:], generator=generator).to(value) * 2 - 1
             moved[name] = value.clone()
             moved[name][block] = settings.reference[name][block] + level[name] * signs
-        return moved, memory.after()
+        return moved
 
     return update
 
 
 def random_points(settings: SearchSettings) -> Optimiser:
     """Points at random: every second one from the whole ball, the others within a step of the best one so far."""
-    near = dataclasses.replace(settings.ball, radius=settings.step)
+    ball, near = settings.ball, dataclasses.replace(settings.ball, radius=settings.step)
 
-    def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> tuple[Parameters | None, OptimiserState]:
-        best, memory = _best(point, here, memory)
-        generator = settings.generator(memory)
-        if memory.index % 2:
-            return near.uniform(best, generator), memory.after()
-        return settings.ball.uniform(settings.reference, generator), memory.after()
+    def update(point: Parameters, here: Evaluation, memory: Memory) -> Parameters | None:
+        best, generator = _best(point, here, memory), settings.generator(memory)
+        return near.uniform(best, generator) if memory.index % 2 else ball.uniform(settings.reference, generator)
 
     return update
 
 
-def _best(point: Parameters, here: Evaluation, memory: OptimiserState) -> tuple[Parameters, OptimiserState]:
-    """The point of the lowest loss so far, and a memory of it."""
-    if here.loss >= memory.numbers.get("best", math.inf):
-        return memory.tensors["best"], memory
-    return point, dataclasses.replace(memory, tensors={"best": point}, numbers={"best": here.loss})
+def _best(point: Parameters, here: Evaluation, memory: Memory) -> Parameters:
+    """The point of the lowest loss so far, which the memory keeps."""
+    if here.loss < memory.numbers.get("best", math.inf):
+        memory.tensors, memory.numbers = {"best": point}, {"best": here.loss}
+    return memory.tensors["best"]

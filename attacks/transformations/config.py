@@ -11,10 +11,8 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.fields import (
     Checked,
     Fraction,
-    Length,
     Metavar,
     PositiveFraction,
-    Range,
     Share,
     above,
     at_least,
@@ -32,10 +30,7 @@ class CameraRegion:
     Attributes:
         azimuths: Degrees from world +x towards +y.
         elevations: Degrees above the ground.
-        distances: Distance from the middle of the object, as factors of `distance_unit`.
-        distance_unit: World units; None is the distance of the reference camera.
-        roll: Largest turn of the picture to either side, degrees.
-        fovs: Horizontal field of view, degrees; None keeps that of the reference camera.
+        distances: Distance from the middle of the object, as factors of the reference camera's.
         aim: Largest distance from the object's middle to the point looked at, as a fraction of the object's radius.
         least_visible: Fraction of the picture that the object must cover, or another camera is drawn.
 
@@ -45,23 +40,15 @@ class CameraRegion:
 
     azimuths: Annotated[tuple[float, float], between(-360, 720, "degrees"), _LEAST_MOST] = (0.0, 360.0)
     elevations: Annotated[tuple[float, float], between(-90, 90, "degrees"), _LEAST_MOST] = (5.0, 40.0)
-    distances: Annotated[tuple[float, float], above(0, "times the reference camera's"), _LEAST_MOST] = (
-        0.8,
-        1.2,
-    )
-    distance_unit: Length | None = None
-    roll: Annotated[float, between(0, 180, "degrees")] = 0.0
-    fovs: Annotated[tuple[float, float], Range(low=0, high=179, open_low=True, unit="degrees"), _LEAST_MOST] | None = (
-        None
-    )
+    distances: Annotated[tuple[float, float], above(0, "times the reference's"), _LEAST_MOST] = (0.8, 1.2)
     aim: Annotated[float, at_least(0, "radii of the object"), Metavar("FRACTION")] = 0.0
     least_visible: Fraction = 0.005
 
     def __post_init__(self) -> None:
         check(self)
-        for name in ("azimuths", "elevations", "distances", "fovs"):
+        for name in ("azimuths", "elevations", "distances"):
             interval = getattr(self, name)
-            if interval is not None and interval[0] > interval[1]:
+            if interval[0] > interval[1]:
                 raise InvalidValueError.of(name, "two numbers, the lower one first", interval, "change their order")
 
 

@@ -17,7 +17,7 @@ from PIL import Image
 from torch import Tensor
 
 from attacks.transformations.config import CameraRegion, PictureChanges
-from mi_splat.cameras import Camera, RenderFn, focal_of, orbit_pose
+from mi_splat.cameras import Camera, RenderFn, orbit_pose
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
 from mi_splat.scene import GaussianScene
@@ -35,29 +35,20 @@ def draw_camera(
     radius: float,
     reference: Camera,
 ) -> Camera:
-    """A camera of the region."""
-    unit = region.distance_unit
-    if unit is None:
-        unit = math.dist(reference.position.tolist(), [float(x) for x in centre])
+    """A camera of the region, with the reference's lens; its rows are level."""
+    unit = math.dist(reference.position.tolist(), [float(x) for x in centre])
     if not unit > 0:
-        raise InvalidValueError.of(
-            "reference", "a camera away from the object", "one in its middle", "set distance_unit"
-        )
-    azimuth, elevation, distance, roll, fov, *shift = generator.uniform(size=8).tolist()
+        do = "choose one that looks at it"
+        raise InvalidValueError.of("reference", "a camera away from the object", "one in its middle", do)
+    # Two of the numbers were those of options that are no more: seeds draw the same cameras as before.
+    azimuth, elevation, distance, _, _, *shift = generator.uniform(size=8).tolist()
     pose = orbit_pose(
         [c + region.aim * radius * s for c, s in zip(centre, _in_ball(shift), strict=True)],
         azimuth=_between(region.azimuths, azimuth),
         elevation=_between(region.elevations, elevation),
         distance=unit * _between(region.distances, distance),
     )
-    angle = math.radians(region.roll * (2 * roll - 1))
-    turn = torch.eye(4, dtype=torch.float64)
-    turn[:2, :2] = torch.tensor([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    camera = dataclasses.replace(reference, to_world=pose @ turn if region.roll else pose)
-    if region.fovs is None:
-        return camera
-    focal = focal_of(math.radians(_between(region.fovs, fov)), reference.width)
-    return dataclasses.replace(camera, focal=(focal, focal * reference.fy / reference.fx))
+    return dataclasses.replace(reference, to_world=pose)
 
 
 def _between(interval: tuple[float, float], share: float) -> float:

@@ -25,7 +25,7 @@ from mi_splat.fields import Checked, Count, Seed
 from mi_splat.io.documents import file_name, save_png
 from mi_splat.io.images import quantise, to_bytes
 from mi_splat.labels import write_label
-from mi_splat.metrics import Perceptual, mse, ssim
+from mi_splat.metrics import mse, ssim
 from mi_splat.scene import GaussianScene
 
 WIDTH = 256
@@ -73,8 +73,8 @@ def save_sheets(pictures: Mapping[str, Mapping[str, Tensor]], folder: Path, *, f
     return sheets
 
 
-LEAST_SSIM, LEAST_LPIPS = 11, 32
-"""Pixels that the shorter side of a picture needs for a figure."""
+LEAST_SSIM = 11
+"""Pixels that the shorter side of a picture needs for it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +84,6 @@ class PictureDistance:
     pixels: int
     mse: float
     ssim: float | None
-    lpips: float | None
 
     @property
     def psnr(self) -> float | None:
@@ -92,7 +91,7 @@ class PictureDistance:
         return None if self.mse == 0 else -10 * math.log10(self.mse)
 
 
-def picture_distance(first: Tensor, second: Tensor, *, lpips: Perceptual | None = None) -> PictureDistance:
+def picture_distance(first: Tensor, second: Tensor) -> PictureDistance:
     """Compare two pictures."""
     first, second = (picture.detach().clamp(0, 1) for picture in (first, second))
     side = min(first.shape[:2])
@@ -100,7 +99,6 @@ def picture_distance(first: Tensor, second: Tensor, *, lpips: Perceptual | None 
         pixels=first.shape[0] * first.shape[1],
         mse=float(mse(first.double(), second.double())),
         ssim=float(ssim(first, second)) if side >= LEAST_SSIM else None,
-        lpips=float(lpips(first, second)) if lpips is not None and side >= LEAST_LPIPS else None,
     )
 
 
@@ -111,7 +109,6 @@ def pooled(distances: Sequence[PictureDistance]) -> PictureDistance:
         pixels=pixels,
         mse=sum(distance.mse * distance.pixels for distance in distances) / pixels,
         ssim=_mean([distance.ssim for distance in distances]),
-        lpips=_mean([distance.lpips for distance in distances]),
     )
 
 
@@ -260,7 +257,6 @@ def compare(
     methods: Mapping[str, Method],
     *,
     config: CompareConfig | None = None,
-    lpips: Perceptual | None = None,
     on_step: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
     """Render every camera with every method, and measure how pictures, gradients and times differ."""
@@ -283,7 +279,7 @@ def compare(
     for names in combinations(methods, 2):
         bits = min(methods[name].bits for name in names)
         distances = {
-            view: picture_distance(*(quantise(seen[name]) if bits == 8 else seen[name] for name in names), lpips=lpips)
+            view: picture_distance(*(quantise(seen[name]) if bits == 8 else seen[name] for name in names))
             for view, seen in pictures.items()
         }
         pairs[names] = Pair(bits=bits, distances=distances, agreement=agreement.get(names))
@@ -410,4 +406,4 @@ def as_dict(comparison: Comparison, methods: Mapping[str, Method]) -> dict[str, 
 
 
 def _figures(distance: PictureDistance) -> dict[str, float | None]:
-    return {"psnr": distance.psnr, "mse": distance.mse, "ssim": distance.ssim, "lpips": distance.lpips}
+    return {"psnr": distance.psnr, "mse": distance.mse, "ssim": distance.ssim}

@@ -87,7 +87,7 @@ class Around(Cone):
     axis: tuple[float, float, float]
     half_width: Annotated[float, above(0, "degrees")]
 
-    def depth(self, direction: Direction) -> float:
+    def _depth(self, direction: Direction) -> float:
         """Degrees inside of the edge."""
         high, turn = math.radians(direction.elevation), math.radians(direction.azimuth)
         x, y, z = self.axis

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from attacks.optimisers import Schedule
 from attacks.optimisers.methods import LENGTHS, SearchSettings, adam, momentum, normalised
-from attacks.search import START, Budget, Evaluation, Optimiser, OptimiserState, Parameters, Verdict, pgd
+from attacks.search import Budget, Evaluation, Memory, Optimiser, Parameters, Verdict, pgd
 
 BALL = Budget(radius={"sh": 100.0}, norm="linf")
 FALLING: dict[str, Any] = {"momentum": 0.8, "schedule": "linear", "steps": 4}
@@ -22,13 +22,14 @@ def search(ball: Budget = BALL, *, rows: int = 1, **more: Any) -> SearchSettings
 class Run:
     """An optimiser with its memory, that says how far each gradient moves a point."""
 
-    def __init__(self, optimiser: Optimiser, state: OptimiserState = START) -> None:
-        self.optimiser, self.state = optimiser, state
+    def __init__(self, optimiser: Optimiser) -> None:
+        self.optimiser, self.memory = optimiser, Memory()
 
     def __call__(self, gradient: Tensor) -> Tensor:
         here = Evaluation(loss=0.0, gradients={"sh": gradient})
-        moved, self.state = self.optimiser({"sh": torch.zeros_like(gradient)}, here, self.state)
+        moved = self.optimiser({"sh": torch.zeros_like(gradient)}, here, self.memory)
         assert moved is not None
+        self.memory.index += 1
         return moved["sh"]
 
 
@@ -54,8 +55,7 @@ def test_the_velocity_is_the_decaying_sum_of_normalised_gradients() -> None:
         update(gradient)
     units = [gradient / gradient.abs().mean() for gradient in gradients]
     expected = 0.8 * (0.8 * units[0] + units[1]) + units[2]
-    torch.testing.assert_close(update.state.tensors["velocity"]["sh"], expected)
-    assert update.state.index == 3
+    torch.testing.assert_close(update.memory.tensors["velocity"]["sh"], expected)
 
 
 @pytest.mark.parametrize("schedule", ["constant", "linear", "cosine"])

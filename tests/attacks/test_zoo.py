@@ -1,5 +1,6 @@
 """Every optimiser of the registry on one interface: inside its ball, the same again, never worse than its start."""
 
+import copy
 import dataclasses
 from collections.abc import Iterator
 from typing import Any
@@ -15,16 +16,7 @@ from attacks.detectors.base import Candidates
 from attacks.objectives import relabel
 from attacks.optimisers import NORM_NAMES, OPTIMISERS, NormName, optimiser_spec
 from attacks.optimisers.methods import SearchSettings, apgd, checkpoints, square
-from attacks.search import (
-    Budget,
-    Evaluation,
-    OptimiserState,
-    Outcome,
-    Parameters,
-    Verdict,
-    pgd,
-    rank,
-)
+from attacks.search import Budget, Evaluation, Memory, Outcome, Parameters, Verdict, pgd, rank
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 NAMES = tuple(OPTIMISERS)
@@ -119,12 +111,12 @@ def test_apgd_asks_at_the_shares_of_the_paper() -> None:
     assert all(0 < number < 10 for number in checkpoints(10))
 
 
-def points(search: SearchSettings, losses: Iterator[float]) -> Iterator[tuple[Parameters, OptimiserState]]:
+def points(search: SearchSettings, losses: Iterator[float]) -> Iterator[tuple[Parameters, Memory]]:
     """Points and memories of APGD under losses that a test chooses; the gradient is that of the bowl."""
-    update, memory, point = apgd(search), OptimiserState(index=0), REFERENCE
-    for loss in losses:
-        yield point, memory
-        moved, memory = update(point, dataclasses.replace(bowl(point), loss=loss), memory)
+    update, memory, point = apgd(search), Memory(), REFERENCE
+    for memory.index, loss in enumerate(losses):
+        yield point, copy.deepcopy(memory)
+        moved = update(point, dataclasses.replace(bowl(point), loss=loss), memory)
         assert moved is not None
         point = search.project(moved)
 
@@ -147,12 +139,12 @@ def test_apgd_halves_its_step_where_the_loss_no_longer_falls_and_goes_on_from_th
 def test_a_square_is_a_block_of_neighbours_that_move_alike() -> None:
     search = settings(steps=1000, seed=5)
     update = square(search)
-    moved, _ = update(REFERENCE, bowl(REFERENCE), OptimiserState(index=500))
+    moved = update(REFERENCE, bowl(REFERENCE), Memory(index=500))
     assert moved is not None
     (row,) = (moved["sh"] != REFERENCE["sh"]).any(1).nonzero()[:, 0].tolist()
     change = moved["sh"][row] - REFERENCE["sh"][row]
     torch.testing.assert_close(change.abs(), torch.full((3,), 0.5))
-    moved, _ = update(REFERENCE, bowl(REFERENCE), OptimiserState(index=0))
+    moved = update(REFERENCE, bowl(REFERENCE), Memory())
     assert moved is not None
     rows = (moved["sh"] != REFERENCE["sh"]).any(1).nonzero()[:, 0]
     assert len(rows) == round(0.8 * 8)

@@ -11,7 +11,6 @@ pytest.importorskip("matplotlib", reason="pages need the extra report")
 
 from attacks import cli
 from attacks.report.results import read_section
-from mi_splat.errors import MiSplatError
 from mi_splat.io import save_splat
 from tests.fakes import toy_scene
 from tests.project.layers import ROOT
@@ -46,7 +45,6 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     assert pairs["tile", "theirs"]["psnr"] is None
     assert pairs["tile", "ray"]["psnr"] == pytest.approx(pairs["ray", "theirs"]["psnr"], abs=0.1)
     assert pairs["tile", "ray"]["psnr"] < 40
-    assert pairs["tile", "ray"]["lpips"] is None
     assert 0 < pairs["tile", "ray"]["gradients"]["sh"]["cosine"] < 1
     assert kept["methods"]["ray"]["picture"]["ratio"] > 0
     with Image.open(tmp_path / "compared" / "front.png") as sheet:
@@ -55,7 +53,7 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
         assert picture.size == (40, 32)
 
     text = (tmp_path / "compared" / "compare.html").read_text("utf-8")
-    assert "LPIPS" in text
+    assert "SSIM" in text
     assert ".tmp" not in text  # the folder is named as it is called now
     section = read_section(tmp_path / "compared")
     assert [one.path.name for one in section.pictures] == ["front.png"]
@@ -85,22 +83,14 @@ def test_refused_in_one_line_with_nothing_written(
     assert sorted(toy.rglob("*")) == before
 
 
-def test_lpips_without_its_network_is_not_measured(
+def test_without_the_packages_of_pages_there_is_no_page(
     toy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def unreachable() -> None:
-        raise MiSplatError("lpips: expected the weights, got none")
-
-    monkeypatch.setattr("mi_splat.metrics.load_lpips", unreachable)
     monkeypatch.setattr("attacks.report.page.missing_packages", lambda: ["Jinja2"])
-    words = ["compare", "toy.ply", "--size", "16", "--lpips", "--no-gradients", "--rounds", "0", "--out", "compared"]
+    words = ["compare", "toy.ply", "--size", "16", "--no-gradients", "--rounds", "0", "--out", "compared"]
     assert cli.main(words) == 0
     captured = capsys.readouterr()
-    assert "LPIPS was not measured" in captured.err
     assert "no page: Jinja2 not installed" in captured.err
     assert captured.out.startswith("tile and ray: ")
-    assert "| pair | PSNR | SSIM | LPIPS | bits |" in captured.out
-    document = json.loads((toy / "compared" / "result.json").read_text())
-    assert document["pairs"][0]["lpips"] is None
-    assert document["warnings"]
+    assert "| pair | PSNR | SSIM | bits |" in captured.out
     assert not (toy / "compared" / "compare.html").exists()

@@ -60,7 +60,7 @@ from mi_splat.rendering import Renderer
 def slide(settings):
     def update(point, here, memory):
         steepest = settings.ball.steepest(here.gradients)
-        return {name: point[name] - settings.step[name] * steepest[name] for name in point}, memory.after()
+        return {name: point[name] - settings.step[name] * steepest[name] for name in point}
 
     return update
 

@@ -176,7 +176,6 @@ TINY: dict[str, dict[str, Change]] = {
         "--cameras": lambda old: ["front"] if old == ["all"] else old,
         "--size": to("32"),
         "--rounds": to("1"),
-        "--lpips": to(),
     },
     "select": {"--cameras": fewer_cameras(2)},
     "detect": {"--cameras": fewer_cameras(1), "--size": to("64")},

@@ -98,7 +98,7 @@ MISREAD = {"kind": "m-ifgsm"}
         ({**POISON, "defence": {"limit": 1.0, "filter": {"name": "blur"}}}, "one of filter, limit and prune"),
         ({**POISON, "defense": {"limit": 1.0}}, "key in toy.*defence"),
         ({**POISON, "judge": {"matrix": {"condition": ["ray"]}}}, "no judge"),
-        ({**POISON, "victim": {"device": "gpu"}}, "device: expected one of cpu, cuda"),
+        ({**POISON, "device": "gpu"}, "device: expected one of cpu, cuda"),
         ({**POISON, "detectors": ["redness"]}, "class for redness: expected one of car, stop sign, got tv"),
         ({**POISON, "detectors": ["rednes"]}, "detector: expected .*redness"),
         ({**POISON, "poison": MISREAD}, "a classifier that M-IFGSM deceives, got none"),

@@ -14,9 +14,7 @@ from mi_splat.io.documents import file_name
 Record = Mapping[str, Any]
 
 
-_SETTINGS = (
-    *("scene", "scene_hash", "gaussians", "background", "near", "gradients", "rounds", "seed", "amplify", "lpips"),
-)
+_SETTINGS = (*("scene", "scene_hash", "gaussians", "background", "near", "gradients", "rounds", "seed", "amplify"),)
 MOST_PICTURES = 8
 """Cameras whose pictures a page shows; a sheet has most of a megabyte."""
 _TIMED = {"picture": "picture", "picture and gradient": "picture_and_gradient"}
@@ -48,7 +46,7 @@ def read_comparison(folder: Path, record: Record) -> Section:
         headline=_figure(pairs[0]),
         attacked=False,
         figures=tuple(map(_figure, pairs[1:])),
-        warnings=(*record["warnings"], *_doubts(record)),
+        warnings=tuple(_doubts(record)),
         pictures=tuple(
             Picture(path=folder / f"{file_name(camera)}.png", caption=f"{camera}: {shown}", wide=True)
             for camera in cameras[:MOST_PICTURES]
@@ -98,10 +96,9 @@ def _tables(record: Record) -> Iterator[Table]:
         "pair": _named,
         "PSNR": _psnr,
         "SSIM": lambda pair: number(pair["ssim"], ".4f"),
-        "LPIPS": lambda pair: number(pair["lpips"], ".4f"),
         "bits": "bits",
     }
-    yield Table.of("Pictures, over all cameras; LPIPS: less is nearer", measured, pairs)
+    yield Table.of("Pictures, over all cameras", measured, pairs)
     by_camera: dict[str, Column[str]] = {"camera": str}
     by_camera |= {_named(pair): lambda camera, pair=pair: _psnr(pair["by_camera"][camera]) for pair in pairs}  # type: ignore[misc]
     yield Table.of("PSNR by camera", by_camera, cameras)
