@@ -14,7 +14,6 @@ from mi_splat.conformance import C0, Setup, look_at
 from mi_splat.oracle import Array, PinholeCamera, Splat
 
 EYE = (2.5, -1.9, 1.0)
-SIZES = (64, 256, 512)
 _PADDED = 256
 """Gaussians of a file at least; viewers make textures of larger blocks, and some squash the Gaussians of tiny files."""
 _NO_TURN = (1.0, 0.0, 0.0, 0.0)

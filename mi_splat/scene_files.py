@@ -284,6 +284,18 @@ class MixedScene:
         values = torch.from_numpy(flat.numpy().copy()).reshape(camera.height, camera.width, 3)
         return values if self.linear else values.clamp(0.0, 1.0)
 
+    def depths(self, camera: Camera) -> Tensor:
+        """(H, W) depth of the nearest surface at the centre of each pixel, world units; infinite if none."""
+        import mitsuba as mi
+
+        from mi_splat.oracle import pixel_rays
+
+        surfaces = self._loaded.integrator()._mixed(self._loaded).surfaces
+        origin, directions, lengths = pixel_rays(camera)
+        ray = mi.Ray3f(mi.Point3f(*map(float, origin)), mi.Vector3f(*directions.T.astype("float32")))
+        distances = torch.from_numpy(surfaces.ray_intersect_preliminary(ray).t.numpy() / lengths)
+        return distances.reshape(camera.height, camera.width)
+
     def _put(self, scene: GaussianScene) -> None:
         """Put Gaussians into the shapes of the file."""
         import mitsuba as mi

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from attacks.cli.options import Workers, chosen_workers
 from attacks.studies.study_file import Study
-from mi_splat.cli.console import Advance, limit_threads, progress, show_json, show_result, warn
+from mi_splat.cli.console import Advance, limit_threads, progress, show, show_json, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.fields import OutFolder, at_least
@@ -108,10 +108,13 @@ def _plan(options: StudyOptions, study: Study) -> None:
 
 def _run(options: StudyOptions, study: Study) -> int:
     from attacks.cli.summary import show_summary
+    from attacks.studies.running import TABLE
 
     done = run_work(options, _work(study))
     if options.json:
         show_json({"jobs": done.jobs, "failed": done.failed, "files": [str(path) for path in done.files]})
+    elif done.files and study.kind == "compare":
+        show((options.folder(study) / TABLE).read_text())
     elif done.files:
         show_summary(options.folder(study), as_json=False)
     return 1 if done.failed else 0

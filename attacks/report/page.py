@@ -49,15 +49,9 @@ _MARKERS, _DASHES = ("o", "s", "^", "D", "v", "P"), ("-", "--", "-.", ":", "-", 
 NEEDED = {"jinja2": "Jinja2", "matplotlib": "matplotlib"}
 
 
-def missing_packages() -> list[str]:
-    """What pages need and is not installed."""
-    return [name for module, name in NEEDED.items() if importlib.util.find_spec(module) is None]
-
-
 def need_packages() -> None:
     """Raise, before any work is done, if a page cannot be made."""
-    missing = missing_packages()
-    if missing:
+    if missing := [name for module, name in NEEDED.items() if importlib.util.find_spec(module) is None]:
         raise InvalidValueError.of(" and ".join(missing), "the package, for pages", "not installed", install("report"))
 
 

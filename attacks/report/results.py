@@ -45,7 +45,6 @@ RESULT_KINDS = (
     ResultKind("audit", "audit:read_audit"),
     ResultKind("evaluate", "detectors:read_evaluation", "report.kinds.detectors:evaluation_figures"),
     ResultKind("bench", "detectors:read_bench", "bench.row:figures"),
-    ResultKind("compare", "splats:read_comparison"),
 )
 """Every kind of result that a page can show."""
 

@@ -17,6 +17,7 @@ KINDS: dict[str, tuple[str, str]] = {
     "dagger-eot": ("attacks.studies.dagger", "DaggerWork"),
     "cloak": ("attacks.studies.cloak", "CloakWork"),
     "poison": ("attacks.studies.poison", "PoisonWork"),
+    "compare": ("attacks.studies.compare", "CompareWork"),
 }
 """Kinds of studies, and the `Work` that knows the settings and jobs of each."""
 

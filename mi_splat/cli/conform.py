@@ -37,6 +37,7 @@ DIFFERS = 3
 _PSNR, _LARGEST = {8: 39.0, 32: 80.0}, {8: 0.06, 32: 1e-3}
 """Least PSNR, dB, and largest difference of a channel at which an image conforms, by its bits; viewers that blend in 8
 bits reach 39 to 50 dB."""
+_VERDICTS = "differs", "conforms"
 _GRADIENT = 1e-3
 """Largest error of a gradient as a part of its length."""
 _PATIENCE = 600.0
@@ -98,7 +99,9 @@ def run(options: ConformOptions) -> int:
         show_result(document, *(f"{name:18}{scene.fact}" for name, scene in every.items()), as_json=options.json)
         return 0
     if options.export is not None:
-        return _export(options, options.export, every)
+        document = {"out": str(options.export), **_write_pack(options, options.export, every)}
+        show_result(document, f"{options.export}: {len(every)} splats with references", as_json=options.json)
+        return 0
     if options.read is not None:
         return _compare_values(options, options.read, every)
     if options.gradients is not None:
@@ -109,12 +112,6 @@ def run(options: ConformOptions) -> int:
 
 
 # ------------------------------------------------------------------------------------------------------------- export
-
-
-def _export(options: ConformOptions, out: Path, every: Mapping[str, ConformanceScene]) -> int:
-    document = _write_pack(options, out, every)
-    show_result({"out": str(out), **document}, f"{out}: {len(every)} splats with references", as_json=options.json)
-    return 0
 
 
 def _write_pack(options: ConformOptions, out: Path, every: Mapping[str, ConformanceScene]) -> dict[str, Any]:
@@ -178,6 +175,15 @@ def _write_splat(scene: ConformanceScene, path: Path, formats: tuple[str, ...]) 
         _write_gltf(splat, path.with_name(f"{path.name}.glb"), moved=scene.file == "moved by a node")
     if ".ply" not in formats:
         ply.unlink()
+
+
+def _through_file(scene: ConformanceScene, suffix: str) -> GaussianScene:
+    """What is read of a splat in a format."""
+    from tempfile import TemporaryDirectory
+
+    with TemporaryDirectory() as folder:
+        _write_splat(scene, Path(folder) / "splat", (suffix,))
+        return _load(Path(folder) / f"splat{suffix}")
 
 
 def _load(path: Path) -> GaussianScene:
@@ -355,11 +361,15 @@ def _compare_images(options: ConformOptions, every: Mapping[str, ConformanceScen
         if missing := [name for name in every if name not in given]:
             warn(f"no image of {', '.join(missing)}: these facts are not tested")
         setups = {name: _as_read(every[name], options.format) for name in given}
-        rows = []
-        for name, (image, bits) in given.items():
-            advance(name)
-            reference = np.dstack(_reference(setups[name], options.model))[..., : image.shape[2]]
-            rows.append({"name": name, **_distance(image, reference, bits)})
+        by_model = dict[str, list[dict[str, Any]]]()
+        for model in ("tile", "ray"):
+            by_model[model] = []
+            for name, (image, bits) in given.items():
+                advance(f"{name}, {model}")
+                reference = np.dstack(_reference(setups[name], model))[..., : image.shape[2]]
+                by_model[model].append({"name": name, **_distance(image, reference, bits)})
+        rows, conforming = by_model[options.model], {key: sum(r["conforms"] for r in by_model[key]) for key in by_model}
+        better = max(conforming, key=lambda key: (conforming[key], key == options.model))
         right = [row["name"] for row in rows if row["psnr"] is not None]
         images = {name: given[name][0][..., :3] for name in right}
         advance("looking for causes")
@@ -370,9 +380,13 @@ def _compare_images(options: ConformOptions, every: Mapping[str, ConformanceScen
     ]
     settings = {"size": options.size, "model": options.model, "format": options.format}
     document = {"story": "conformance", "images": str(options.images), **settings, "scenes": rows, "causes": found}
+    document["conforming_by_model"] = conforming
     if options.out is not None:
         _save_page(options, options.out, document, images, setups)
-    show_result(document, *_lines(rows, causes), as_json=options.json)
+    lines = _lines(rows, causes)
+    if better != options.model:
+        lines.append(f"{conforming[better]} images conform to the reference of --model {better}: compare with that.")
+    show_result(document, *lines, as_json=options.json)
     return 0 if all(row["conforms"] for row in rows) else DIFFERS
 
 
@@ -385,9 +399,9 @@ def _images(folder: Path, every: Mapping[str, ConformanceScene]) -> Iterator[tup
 
     found = [(name, folder / f"{name}{end}") for name in every for end in (".png", ".exr")]
     found = [(name, path) for name, path in found if path.is_file()]
-    if not found:
-        expected, do = f"images such as {next(iter(every))}.png", "render what mi-splat conform --export writes"
-        raise InvalidValueError.of(str(folder), expected, "none", do)
+    _check_some(
+        found, folder, f"images such as {next(iter(every))}.png", "render what mi-splat conform --export writes"
+    )
     for name, path in found:
         if path.suffix == ".png":
             image = np.asarray(load_picture(path).convert("RGBA"), dtype=np.float64) / 255
@@ -403,18 +417,13 @@ def _images(folder: Path, every: Mapping[str, ConformanceScene]) -> Iterator[tup
 
 def _as_read(scene: ConformanceScene, suffix: str) -> Setup:
     """The setup with what a format keeps of its splat."""
-    import tempfile
-
     import numpy as np
 
     from mi_splat.oracle import Splat
 
     if suffix == ".ply":
         return scene.setup
-    with tempfile.TemporaryDirectory() as folder:
-        _write_splat(scene, Path(folder) / "splat", (suffix,))
-        kept = _load(Path(folder) / f"splat{suffix}")
-        values = Splat(*(tensor.numpy().astype(np.float64) for tensor in kept.tensors()))
+    values = Splat(*(tensor.numpy().astype(np.float64) for tensor in _through_file(scene, suffix).tensors()))
     opacities = np.clip(values.opacities, 1e-9, 1 - 1e-9)
     logits = np.log(opacities / (1 - opacities))
     stored = values._replace(scales=np.log(np.maximum(values.scales, 1e-30)), opacities=logits)
@@ -446,12 +455,13 @@ def _distance(image: Array, reference: Array, bits: int) -> dict[str, Any]:
     return {"conforms": psnr >= _PSNR[bits] and largest <= _LARGEST[bits], "psnr": psnr, "largest": largest}
 
 
+def _words(row: Mapping[str, Any]) -> str:
+    """How far an image is off."""
+    return row.get("got") or f"{row['psnr']:.1f} dB, at most {row['largest']:.3f}"
+
+
 def _lines(rows: list[dict[str, Any]], causes: list[Cause]) -> list[str]:
-    lines = []
-    for row in rows:
-        verdict = "conforms" if row["conforms"] else "differs"
-        how = f"{row['psnr']:.1f} dB, at most {row['largest']:.3f}" if row["psnr"] is not None else row["got"]
-        lines.append(f"{row['name']:18}{verdict:10}{how}")
+    lines = [f"{row['name']:18}{_VERDICTS[row['conforms']]:10}{_words(row)}" for row in rows]
     good = sum(row["conforms"] for row in rows)
     lines.append(f"{good} of {len(rows)} images conform.")
     for cause in causes:
@@ -476,11 +486,8 @@ def _save_page(
     from mi_splat.io.folders import new_folder
 
     with new_folder(out, force=options.force) as folder:
-        lines = ["# Conformance", "", "| scene | | PSNR, dB | largest difference |", "|---|---|---|---|"]
-        for row in document["scenes"]:
-            known = row["psnr"] is not None
-            figures = f"{row['psnr']:.1f} | {row['largest']:.3f}" if known else f"{row['got']} | "
-            lines.append(f"| {row['name']} | {'conforms' if row['conforms'] else '**differs**'} | {figures} |")
+        lines = ["# Conformance", "", "| scene | | difference |", "|---|---|---|"]
+        lines += [f"| {row['name']} | {_VERDICTS[row['conforms']]} | {_words(row)} |" for row in document["scenes"]]
         lines += ["", *(f"- {c['switch']}: {c['value']} ({c['decibels']:.0f} dB)" for c in document["causes"])]
         for row in document["scenes"]:
             name = row["name"]
@@ -504,31 +511,28 @@ def _bytes(image: Array) -> Any:
 
 def _compare_values(options: ConformOptions, folder: Path, every: Mapping[str, ConformanceScene]) -> int:
     """Compare the values of converted files with those of the PLY."""
-    import tempfile
-
     from mi_splat.cli.convert import differences
     from mi_splat.io.splat_files import suffix_of
 
-    rows = list[dict[str, Any]]()
-    with tempfile.TemporaryDirectory() as made:
-        for name, scene in every.items():
-            files = [path for path in sorted(folder.glob(f"{name}.*")) if suffix_of(path.name)]
-            if files:
-                _write_splat(scene, Path(made) / name, (".ply",))
-                before = _load(Path(made) / f"{name}.ply")
-            for path in files:
-                after = _load(path)
-                if len(before) == len(after):
-                    after = after.select(_nearest(before, after))
-                    rows.append({"name": name, "file": str(path), "largest_changes": differences(before, after)})
-                else:
-                    rows.append({"name": name, "file": str(path), "gaussians": [len(before), len(after)]})
-    if not rows:
-        expected, do = f"files such as {next(iter(every))}.spz", "convert what mi-splat conform --export writes"
-        raise InvalidValueError.of(str(folder), expected, "none", do)
-    lines = [f"{Path(row['file']).name:28}{_changes(row)}" for row in rows]
+    rows, lines = list[dict[str, Any]](), list[str]()
+    for name, scene in every.items():
+        for path in (path for path in sorted(folder.glob(f"{name}.*")) if suffix_of(path.name)):
+            before, after = _through_file(scene, ".ply"), _load(path)
+            rows.append({"name": name, "file": str(path), "gaussians": [len(before), len(after)]})
+            text = f"expected {len(before)} Gaussians, got {len(after)}"
+            if len(before) == len(after):
+                rows[-1]["largest_changes"] = differences(before, after.select(_nearest(before, after)))
+                changes = rows[-1]["largest_changes"].items()
+                text = ", ".join(f"{what.partition(',')[0]} {value:.2g}" for what, value in changes)
+            lines.append(f"{path.name:28}{text}")
+    _check_some(rows, folder, f"files such as {next(iter(every))}.spz", "convert what mi-splat conform --export writes")
     show_result({"files": rows}, *lines, as_json=options.json)
     return 0 if all("largest_changes" in row for row in rows) else DIFFERS
+
+
+def _check_some(rows: list[Any], folder: Path, expected: str, do: str) -> None:
+    if not rows:
+        raise InvalidValueError.of(str(folder), expected, "none", do)
 
 
 def _nearest(before: GaussianScene, after: GaussianScene) -> Any:
@@ -538,13 +542,6 @@ def _nearest(before: GaussianScene, after: GaussianScene) -> Any:
 
     first, second = (torch.cat([s.means, s.scales, s.opacities[:, None], s.sh[:, 0]], dim=1) for s in (before, after))
     return torch.from_numpy(linear_sum_assignment(torch.cdist(first, second).numpy())[1])
-
-
-def _changes(row: dict[str, Any]) -> str:
-    if "gaussians" in row:
-        before, after = row["gaussians"]
-        return f"expected {before} Gaussians, got {after}"
-    return ", ".join(f"{name.partition(',')[0]} {value:.2g}" for name, value in row["largest_changes"].items())
 
 
 def _read_gradients(path: Path, exact: Mapping[str, Array]) -> dict[str, Array]:
@@ -572,7 +569,7 @@ def _compare_gradients(options: ConformOptions, folder: Path, every: Mapping[str
     """Compare gradients with exact ones, attribute by attribute: the length of the difference, as a part of theirs."""
     import numpy as np
 
-    rows = list[dict[str, Any]]()
+    rows, lines = list[dict[str, Any]](), list[str]()
     for name, scene in every.items():
         if not (path := folder / f"{name}.npz").is_file():
             continue
@@ -584,15 +581,9 @@ def _compare_gradients(options: ConformOptions, folder: Path, every: Mapping[str
             off[key] = float(np.linalg.norm(values - exact[key])) / length if same else None
         good = bool(off) and all(value is not None and value <= _GRADIENT for value in off.values())
         rows.append({"name": name, "conforms": good, "relative_errors": off})
-    if not rows:
-        expected = f"gradients such as {next(iter(every))}.npz with arrays such as means"
-        raise InvalidValueError.of(str(folder), expected, "none", "save them as mi-splat conform --export does")
-    lines = []
-    for row in rows:
-        parts = (
-            f"{key} {'of another shape' if value is None else f'{value:.2g}'}"
-            for key, value in row["relative_errors"].items()
-        )
-        lines.append(f"{row['name']:18}{'conforms' if row['conforms'] else 'differs':10}{', '.join(parts)}")
+        texts = (f"{key} {'of another shape' if value is None else f'{value:.2g}'}" for key, value in off.items())
+        lines.append(f"{name:18}{_VERDICTS[good]:10}{', '.join(texts)}")
+    do = "save them as mi-splat conform --export does"
+    _check_some(rows, folder, f"gradients such as {next(iter(every))}.npz with arrays such as means", do)
     show_result({"gradients": rows}, *lines, as_json=options.json)
     return 0 if all(row["conforms"] for row in rows) else DIFFERS

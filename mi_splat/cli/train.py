@@ -54,6 +54,8 @@ class TrainOptions(JsonOptions):
     of one add --help."""
     fit: FitConfig = field(default_factory=FitConfig)
     """How the splat is trained."""
+    renderer: Literal["tile", "ray"] = "tile"
+    """Whose images are fitted: tile rasterises, ray traces rays; that has no strategy classic."""
     start: Path | None = None
     """Splat to begin with; None takes the points of the set, or Gaussians anywhere if it has none."""
     random: Annotated[int, between(1, 100_000_000, "Gaussians")] | None = None
@@ -113,6 +115,12 @@ def _train(options: TrainOptions) -> None:
         start = _start(views, options)
         near = near_plane(start, views.cameras) if options.near is None else options.near
         render = _renderer(options, near)
+        settings: dict[str, object] = {
+            "near": near,
+            "background": list(options.background),
+            "device": options.device,
+            "renderer": options.renderer,
+        }
     _warn_of_culled(start, views, near)
     begun = time.monotonic()
     with progress("training", total=config.iterations) as advance:
@@ -136,7 +144,7 @@ def _train(options: TrainOptions) -> None:
             seed=options.seed,
             held_out=held_out,
             every=options.checkpoint_every,
-            settings={"near": near, "background": list(options.background), "device": options.device},
+            settings=settings,
             dataset=options.dataset,
             on_resume=on_resume,
             on_step=on_step,
@@ -163,7 +171,7 @@ def _renderer(options: TrainOptions, near: float) -> Renderer:
 
     config = options.fit
     variant = "cuda_ad_rgb" if options.device == "cuda" else ""
-    settings = RenderSettings(background=options.background, near=near, variant=variant)
+    settings = RenderSettings(method=options.renderer, background=options.background, near=near, variant=variant)
     return Renderer(settings, screen_gradients=ScreenGradients() if config.strategy.needs_screen_gradients else None)
 
 

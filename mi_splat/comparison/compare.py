@@ -94,27 +94,21 @@ class PictureDistance:
 def picture_distance(first: Tensor, second: Tensor) -> PictureDistance:
     """Compare two pictures."""
     first, second = (picture.detach().clamp(0, 1) for picture in (first, second))
-    side = min(first.shape[:2])
     return PictureDistance(
         pixels=first.shape[0] * first.shape[1],
         mse=float(mse(first.double(), second.double())),
-        ssim=float(ssim(first, second)) if side >= LEAST_SSIM else None,
+        ssim=float(ssim(first, second)) if min(first.shape[:2]) >= LEAST_SSIM else None,
     )
 
 
 def pooled(distances: Sequence[PictureDistance]) -> PictureDistance:
-    """Several pictures as one: the squared error of all their pixels, and means of the other figures."""
-    pixels = sum(distance.pixels for distance in distances)
+    """Several pictures as one: the squared error of all their pixels, and the mean SSIM, if all have one."""
+    known, pixels = [d.ssim for d in distances if d.ssim is not None], sum(d.pixels for d in distances)
     return PictureDistance(
         pixels=pixels,
         mse=sum(distance.mse * distance.pixels for distance in distances) / pixels,
-        ssim=_mean([distance.ssim for distance in distances]),
+        ssim=sum(known) / len(known) if known and len(known) == len(distances) else None,
     )
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return sum(known) / len(known) if known and len(known) == len(values) else None
 
 
 def weighting(camera: Camera, seed: int) -> Tensor:
@@ -226,7 +220,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cost:
-    """Seconds of each round, and the median ratio to the first method."""
+    """Processor seconds of each round, of all threads together, and the median ratio to the first method."""
 
     seconds: tuple[float, ...]
     ratio: float
@@ -270,10 +264,10 @@ def compare(
         pictures[view] = {}
         for name, method in methods.items():
             on_step(f"{name} from {view}")
-            begun = time.perf_counter()
+            begun = time.process_time()
             pictures[view][name] = _picture(name, method, scene, camera)
             if method.renders:
-                first_seconds.setdefault(name, time.perf_counter() - begun)
+                first_seconds.setdefault(name, time.process_time() - begun)
     agreement = _agreement(scene, cameras, methods, config, on_step) if config.gradients else {}
     pairs = {}
     for names in combinations(methods, 2):
@@ -364,9 +358,9 @@ def costs_of(runs: Mapping[str, Run], *, rounds: int, on_step: Callable[[str], N
     for number in range(1, rounds + 1):
         for name, run in runs.items():
             on_step(f"{name}: time, round {number} of {rounds}")
-            begun = time.perf_counter()
+            begun = time.process_time()
             run()
-            seconds[name].append(time.perf_counter() - begun)
+            seconds[name].append(time.process_time() - begun)
     first = next(iter(seconds.values()), [])
     return {
         name: Cost(

@@ -2,13 +2,10 @@
 
 import dataclasses
 import functools
-import importlib
-import importlib.util
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -16,18 +13,23 @@ from torch.nn import functional
 
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.datasets.frames import DatasetError, picture_size, read_picture
-from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import file_name
 from mi_splat.io.images import PICTURES
 from mi_splat.registry import Registry
 from mi_splat.rendering import Method as Way
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene import GaussianScene, check_scene
+from mi_splat.scene import GaussianScene
+from mi_splat.scene_files import MixedScene
 from mi_splat.sh import colour_to_dc, dc_to_colour, sh_basis
 from mi_splat.volprim import Volprim
 
 FOLDER = "folder:"
 """Begins a method that is a folder of pictures."""
+PATH_TRACED = re.compile(r"path-traced-(\d{1,5})")
+"""A method of scenes with meshes: splats and meshes path traced together, with so many samples a pixel."""
+SAMPLES_BELOW = 16
+"""Samples a pixel of the meshes over which other methods are composited."""
 NEAR = 3.0
 """Near plane of `tile-near-3`, world units; the shipped cameras stand about 6 from their object."""
 MakeRender = Callable[[RenderSettings], RenderFn]
@@ -79,9 +81,13 @@ def method_names() -> tuple[str, ...]:
 
 
 def load_methods(
-    arguments: Sequence[str], settings: RenderSettings, cameras: Mapping[str, Camera]
+    arguments: Sequence[str],
+    settings: RenderSettings,
+    cameras: Mapping[str, Camera],
+    *,
+    meshes: Callable[[int], MixedScene] | None = None,
 ) -> dict[str, Method]:
-    """The methods that are asked for, by name, in their order."""
+    """The methods that are asked for, by name, in their order; `meshes` makes a scene of splats among meshes."""
     methods: dict[str, Method] = {}
     for word in filter(None, (part.strip() for given in arguments for part in given.split(","))):
         name = Path(word.removeprefix(FOLDER)).resolve().name if word.startswith(FOLDER) else word
@@ -91,8 +97,14 @@ def load_methods(
         if word.startswith(FOLDER):
             pictures = PictureFolder(Path(word.removeprefix(FOLDER)), cameras, background=settings.background)
             methods[name] = Method(render=pictures, differentiable=False, renders=False, bits=8)
+        elif meshes is not None and (traced := PATH_TRACED.fullmatch(word)):
+            methods[name] = Method(render=meshes(int(traced[1])), differentiable=False)
         elif word in RENDERERS:
             methods[name] = load_method(word, settings)
+            if meshes is not None:
+                methods[name] = Method(
+                    render=OverMeshes(methods[name].render, meshes(SAMPLES_BELOW)), differentiable=False
+                )
         else:
             expected = f"one of {', '.join(RENDERERS)}, or {FOLDER}PATH"
             raise InvalidValueError.of("methods", expected, word, "choose one of them")
@@ -106,47 +118,6 @@ def load_method(name: str, settings: RenderSettings) -> Method:
     """One renderer by its name."""
     spec = RENDERERS.chosen(name)
     return Method(render=spec.make(settings), differentiable=spec.differentiable)
-
-
-class GsplatRenderer:
-    """Renders splats with `gsplat.rasterization` (package gsplat, NVIDIA GPU) in its classic mode; differentiable."""
-
-    def __init__(self, settings: RenderSettings) -> None:
-        self.settings = settings
-        self.device = "cuda"
-        if importlib.util.find_spec("gsplat") is None:
-            do = "pip install gsplat, or leave it out of --methods"
-            raise MiSplatError.of("method gsplat", "the package gsplat", "not installed", do)
-        if not torch.cuda.is_available():
-            do = "run it where there is one, or leave it out of --methods"
-            raise MiSplatError.of("method gsplat", "an NVIDIA GPU that torch can use", "none", do)
-        package: Any = importlib.import_module("gsplat")
-        self._rasterization = package.rasterization
-
-    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """Render one picture; the scene may be anywhere, the picture comes back to where it is."""
-        check_scene("scene", scene)
-        options: Any = {"device": self.device, "dtype": torch.float32}
-        means, scales, rotations, opacities, sh = (tensor.to(**options) for tensor in scene.tensors())
-        intrinsics = torch.tensor([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
-        pictures, _, _ = self._rasterization(
-            means=means,
-            quats=rotations,
-            scales=scales,
-            opacities=opacities,
-            colors=sh,
-            viewmats=torch.linalg.inv(camera.to_world)[None].to(**options),
-            Ks=intrinsics[None].to(**options),
-            width=camera.width,
-            height=camera.height,
-            near_plane=self.settings.near,
-            sh_degree=round(sh.shape[1] ** 0.5) - 1,
-            backgrounds=torch.tensor([self.settings.background], **options),
-            rasterize_mode="classic",
-            packed=False,  # gsplat 1.5 refuses a background in its packed mode, which is the default
-        )
-        picture: Tensor = pictures[0].to(scene.means.device)
-        return picture
 
 
 def _own(settings: RenderSettings, *, method: Way, colour_to_mean: bool = False, antialiased: bool = False) -> Renderer:
@@ -163,7 +134,6 @@ register_method("tile-colours-not-cut", lambda settings: not_cut(_own(settings, 
 register_method("ray", functools.partial(_own, method="ray"))
 register_method("ray-to-mean", functools.partial(_own, method="ray", colour_to_mean=True))
 register_method("volprim", Volprim)
-register_method("gsplat", GsplatRenderer)
 
 
 # 3D Gaussian Splatting cuts a colour at 0 alone. A program that stores colours in bytes before it blends keeps them in
@@ -202,6 +172,24 @@ def _colours(scene: GaussianScene, camera: Camera) -> Tensor:
 
 def _coloured(scene: GaussianScene, colours: Tensor) -> GaussianScene:
     return scene.replace(sh=colour_to_dc(colours)[:, None])
+
+
+class OverMeshes:
+    """Images of splats composited over path-traced ones of meshes alone, with a depth test for each pixel.
+
+    So neither casts a shadow on the other or is mirrored in it. The depth of the splat is that of `tile`.
+    """
+
+    def __init__(self, render: RenderFn, meshes: MixedScene) -> None:
+        self._render, self._meshes = render, meshes
+        self._depth = Renderer(RenderSettings(near=meshes.splats.settings.near))
+
+    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
+        """The composite."""
+        behind = self._meshes(scene.replace(opacities=torch.zeros_like(scene.opacities)), camera)
+        covered = self._render(_coloured(scene, torch.ones_like(scene.means)), camera)
+        hidden = self._meshes.depths(camera) < self._depth.outputs(scene, camera).depth
+        return torch.where(hidden[..., None], behind, self._render(scene, camera) + (1 - covered) * behind)
 
 
 class PictureFolder:

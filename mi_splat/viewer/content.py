@@ -232,7 +232,10 @@ class Content:
 
 
 def content_of_file(path: Path, *, name: str | None = None, clean: Path | None = None) -> Content:
-    """A splat file or a scene XML, alone or next to the clean one that it was made from."""
+    """A splat file or a scene XML, alone or next to the clean one that it was made from.
+
+    A splat in the folder of a training by 3DGS is seen from its cameras, which for a room stand inside.
+    """
     loaded = open_scene(path)
     first = loaded if clean is None else open_scene(clean)
     centre = focus_of(list(first.cameras.values()), bounds(first.scene)[0])
@@ -243,7 +246,7 @@ def content_of_file(path: Path, *, name: str | None = None, clean: Path | None =
     source = clean or path
     cameras = {key: orbit_of(camera, centre, source=f"{source}{OF}{key}") for key, camera in first.cameras.items()}
     start = next(iter(cameras.values()), None) or whole(first.scene)
-    return Content(
+    content = Content(
         title=path.name,
         splats=tuple(splats),
         settings=first.settings,
@@ -251,6 +254,9 @@ def content_of_file(path: Path, *, name: str | None = None, clean: Path | None =
         size=start.camera_size or (640, 480),
         cameras=cameras or {"whole scene": start},
     )
+    trained = path.resolve().parent.parent  # point_cloud of FOLDER/point_cloud/iteration_30000/point_cloud.ply
+    listed = trained.parent / "cameras.json"
+    return with_cameras(content, listed) if trained.name == "point_cloud" and listed.is_file() else content
 
 
 def whole(scene: GaussianScene) -> Orbit:

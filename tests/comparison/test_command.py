@@ -4,18 +4,20 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 from PIL import Image
 
-pytest.importorskip("jinja2", reason="pages need the extra report")
-pytest.importorskip("matplotlib", reason="pages need the extra report")
-
 from attacks import cli
-from attacks.report.results import read_section
+from attacks.studies.running import run_study
+from mi_splat.comparison.methods import OverMeshes
 from mi_splat.io import save_splat
+from mi_splat.rendering import Renderer
+from mi_splat.scene_files import MixedScene, resized
 from tests.fakes import toy_scene
 from tests.project.layers import ROOT
 
 SCENE = str(ROOT / "scenes" / "car_street.xml")
+STREET = ROOT / "scenes" / "mixed" / "car_among_meshes.xml"
 SMALL = ["--cameras", "front", "--size", "40x32"]
 
 
@@ -52,13 +54,10 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     with Image.open(tmp_path / "compared" / "pictures" / "ray" / "front.png") as picture:
         assert picture.size == (40, 32)
 
-    text = (tmp_path / "compared" / "compare.html").read_text("utf-8")
-    assert "SSIM" in text
-    assert ".tmp" not in text  # the folder is named as it is called now
-    section = read_section(tmp_path / "compared")
-    assert [one.path.name for one in section.pictures] == ["front.png"]
-    assert cli.main(["report", "compared", "--out", "again.html"]) == 0
-    assert "renderers compared" in (tmp_path / "again.html").read_text("utf-8")
+    text = (tmp_path / "compared" / "table.md").read_text()
+    assert "| car_street.xml, front, " not in text
+    assert "| car_street.xml | " in text
+    assert "![front](front.png)" in text
 
 
 @pytest.mark.parametrize(
@@ -83,14 +82,34 @@ def test_refused_in_one_line_with_nothing_written(
     assert sorted(toy.rglob("*")) == before
 
 
-def test_without_the_packages_of_pages_there_is_no_page(
-    toy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("attacks.report.page.missing_packages", lambda: ["Jinja2"])
-    words = ["compare", "toy.ply", "--size", "16", "--no-gradients", "--rounds", "0", "--out", "compared"]
-    assert cli.main(words) == 0
-    captured = capsys.readouterr()
-    assert "no page: Jinja2 not installed" in captured.err
-    assert captured.out.startswith("tile and ray: ")
-    assert "| pair | PSNR | SSIM | bits |" in captured.out
-    assert not (toy / "compared" / "compare.html").exists()
+@pytest.mark.slow
+def test_a_study_of_a_splat_among_meshes(tmp_path: Path) -> None:
+    (tmp_path / "light.toml").write_text(f"""
+study = "compare"
+scene = "{STREET}"
+methods = ["path-traced-4", "tile"]
+config = {{ rounds = 1, gradients = false }}
+view = {{ size = [16, 16], cameras = ["side"] }}
+[matrix]
+sun = [{{ name = "noon", parameters = {{ sun_x = 0.0 }} }}, {{ name = "morning", parameters = {{ sun_x = 2.0 }} }}]
+""")
+    result = run_study(tmp_path / "light.toml", out=tmp_path / "result", store=tmp_path / "store")
+    noon, morning = json.loads((result / "result.json").read_text())["points"].values()
+    assert morning["pairs"][0]["psnr"] != noon["pairs"][0]["psnr"]
+    assert noon["methods"]["tile"]["picture"]["ratio"] > 0
+    assert sorted(path.name for path in (result / "pictures").iterdir()) == ["morning.png", "noon.png"]
+    assert "| noon | " in (result / "table.md").read_text()
+
+
+def test_a_composite_shows_the_splat_where_no_mesh_is_in_front() -> None:
+    meshes = MixedScene(STREET, samples=1)
+    scene, camera = meshes.splats.scene, resized(meshes.splats.cameras["side"], (64, 64))
+    tile = Renderer(meshes.splats.settings)
+    side, image = tile.outputs(scene, camera), OverMeshes(tile, meshes)(scene, camera)
+    behind = meshes(scene.replace(opacities=torch.zeros_like(scene.opacities)), camera)
+    hidden, opaque = meshes.depths(camera) < side.depth, side.alpha > 0.999
+    assert (hidden & opaque).sum() > 20  # by the lamp post and the shelter
+    assert torch.equal(image[hidden], behind[hidden])
+    shown = opaque & ~hidden
+    assert shown.sum() > 200
+    torch.testing.assert_close(image[shown], side.image[shown], rtol=0, atol=2e-3)

@@ -1,8 +1,6 @@
 """Methods by name, folders of pictures, and the comparison of a few of them on fakes."""
 
-import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,7 +10,7 @@ from torch import Tensor
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison import methods
 from mi_splat.comparison.compare import FORWARD, GAP, GRADIENT, CompareConfig, as_dict, compare, save_sheets, sheet
-from mi_splat.comparison.methods import GsplatRenderer, Method, load_methods, register_method
+from mi_splat.comparison.methods import Method, load_methods, register_method
 from mi_splat.datasets.frames import DatasetError
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.rendering import Renderer, RenderSettings
@@ -65,7 +63,7 @@ def test_a_scene_s_own_filter_does_not_change_what_a_name_means() -> None:
     [
         (
             ("blobs", "unheard"),
-            r"expected one of tile, .* ray, ray-to-mean, volprim, gsplat, blobs, darker, or folder:PATH",
+            r"expected one of tile, .* ray, ray-to-mean, volprim, blobs, darker, or folder:PATH",
         ),
         (("blobs", "blobs"), "blobs twice"),
         (("blobs",), "expected two or more, got blobs"),
@@ -84,7 +82,6 @@ def test_methods_that_are_refused(words: tuple[str, ...], message: str, register
         (lambda: register_method("tile", lambda settings: blobs), "a name that is free"),
         (lambda: register_method("a,b", lambda settings: blobs), "a letter first"),
         (lambda: load_methods(("volprim", "tile"), RenderSettings(background=(1.0, 1.0, 1.0)), CAMERAS), "0 0 0"),
-        (lambda: GsplatRenderer(RenderSettings()), "the package gsplat, got not installed|an NVIDIA GPU"),
         (lambda: CompareConfig(rounds=-1), ">= 0"),
         (lambda: compare(SCENE, CAMERAS, {"one": Method(render=blobs)}), "methods: expected 2 or more"),
         (lambda: compare(SCENE, {}, {"a": Method(render=blobs), "b": Method(render=blobs)}), "cameras: expected 1"),
@@ -92,38 +89,9 @@ def test_methods_that_are_refused(words: tuple[str, ...], message: str, register
         (lambda: beside_blobs(lambda *shot: blobs(*shot) * float("nan")), "1728 values not finite"),
     ],
 )
-def test_what_is_refused(call: Any, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+def test_what_is_refused(call: Any, message: str) -> None:
     with pytest.raises(MiSplatError, match=message):
         call()
-
-
-def test_gsplat_is_called_as_its_interface_is_documented(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stand-in turns the arguments back into ours and lets the tile rasteriser make the picture."""
-
-    def rasterization(**given: Any) -> tuple[Tensor, None, dict[str, Any]]:
-        assert (given["rasterize_mode"], given["packed"]) == ("classic", False)  # packed has no background
-        assert given["colors"].shape[1] == (given["sh_degree"] + 1) ** 2
-        (k,) = given["Ks"].tolist()
-        view = Camera(
-            to_world=torch.linalg.inv(given["viewmats"][0].double()),
-            focal=(k[0][0], k[1][1]),
-            principal=(k[0][2], k[1][2]),
-            width=given["width"],
-            height=given["height"],
-        )
-        scene = GaussianScene(*(given[name] for name in ("means", "scales", "quats", "opacities", "colors")))
-        settings = RenderSettings(background=tuple(given["backgrounds"][0].tolist()), near=given["near_plane"])
-        return Renderer(settings)(scene, view)[None], None, {}
-
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: object())
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=rasterization))
-    settings = RenderSettings(background=(0.0, 0.5, 1.0), near=0.3)
-    render = GsplatRenderer(settings)
-    render.device = "cpu"
-    expected = Renderer(settings)(SCENE, CAMERAS["left"])
-    torch.testing.assert_close(render(SCENE, CAMERAS["left"]), expected, rtol=0, atol=1e-4)
 
 
 def test_what_differs_is_measured_and_what_cannot_be_is_null() -> None:

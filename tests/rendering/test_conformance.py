@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from attacks import cli
 from mi_splat.cli.conform import DIFFERS, _as_read
@@ -14,8 +15,9 @@ from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
 from mi_splat.io.camera_records import recorded_cameras
 from mi_splat.io.documents import save_png
-from mi_splat.oracle import Array
+from mi_splat.oracle import Array, render_rays
 from mi_splat.rendering import Renderer, RenderSettings, load_floats
+from tests.browser import CHROMIUM
 
 SCENES = {scene.name: scene for scene in conformance_scenes()}
 SETUPS = {name: scene.setup for name, scene in SCENES.items()}
@@ -133,7 +135,50 @@ def test_images_of_a_wrong_viewer_are_explained(tmp_path: Path, capsys: pytest.C
     assert "no image of quaternion_length, quaternion_sign" in said.err
     assert (tmp_path / "page" / "order.png").is_file()
     assert not (tmp_path / "page" / "quaternion.png").exists()
-    assert "| order | **differs** |" in (tmp_path / "page" / "conformance.md").read_text()
+    assert "| order | differs |" in (tmp_path / "page" / "conformance.md").read_text()
+
+
+def test_images_of_a_ray_tracer_are_sent_to_its_reference(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("needles", "quaternion", "wide_angle"):
+        image, _ = render_rays(SETUPS[name].splat, SETUPS[name].camera)
+        save_png((np.clip(image, 0, 1) * 255).round().astype(np.uint8), tmp_path / f"{name}.png")
+    assert cli.main(["conform", str(tmp_path)]) == DIFFERS
+    assert "3 images conform to the reference of --model ray: compare with that." in capsys.readouterr().out
+    assert cli.main(["conform", str(tmp_path), "--model", "ray"]) == 0
+    assert "--model" not in capsys.readouterr().out
+
+
+ADAPTER = """
+export async function run(url, camera, canvas, settled) {
+  if (camera.name === "needles") throw new Error("refused");
+  const drawing = canvas.getContext("2d");
+  const shade = camera.background.map((value) => Math.round(255 * value)).join(",");
+  const bytes = new Uint8Array(await (await fetch(url)).arrayBuffer());
+  return settled(() => {
+    drawing.fillStyle = bytes[0] === 112 ? `rgb(${shade})` : "red"; // "p" of "ply"
+    drawing.fillRect(0, 0, canvas.width, canvas.height);
+  });
+}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
+def test_a_web_viewer_is_driven_by_its_adapter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One that draws backgrounds alone, and refuses a file."""
+    (tmp_path / "adapter.js").write_text(ADAPTER)
+    words = ["conform", str(tmp_path / "images"), "--browser", str(tmp_path / "adapter.js"), "--json"]
+    assert cli.main(words) == DIFFERS
+    said = capsys.readouterr()
+    assert "no image of needles: " in said.err
+    rows = {row["name"]: row for row in json.loads(said.out)["scenes"]}
+    assert set(rows) == set(SETUPS) - {"needles"}
+    assert [name for name, row in rows.items() if row["conforms"]] == ["faint"]  # where nothing is to be drawn
+    with Image.open(tmp_path / "images" / "background.png") as image:
+        assert image.convert("RGB").getpixel((0, 0)) == tuple(round(255 * v) for v in SETUPS["background"].background)
+    (tmp_path / "adapter.js").write_text("export const run = 1 +;")
+    assert cli.main([*words, "--force"]) == 1
+    assert "SyntaxError" in capsys.readouterr().err
 
 
 def test_what_a_format_cannot_hold_is_no_error(tmp_path: Path) -> None:

@@ -50,40 +50,6 @@ def test_gradients_are_central_differences(choices: dict[str, Any]) -> None:
             assert gradient[entry] == pytest.approx((ends[0] - ends[1]) / (2 * STEP), rel=1e-6), name
 
 
-def one(**values: Any) -> oracle.Splat:
-    """A wide grey Gaussian in front of `SMALL`."""
-    grey = oracle.Splat(np.zeros((1, 3)), np.full((1, 3), 9.0), np.eye(1, 4), np.array([0.5]), np.zeros((1, 1, 3)))
-    return grey._replace(**values)
-
-
-def test_choices_of_renderers_change_the_image() -> None:
-    def centre(splat: oracle.Splat, **choices: Any) -> float:
-        return float(oracle.render(splat, SMALL, convention=oracle.Convention(**choices)).image[9, 11, 0])
-
-    assert centre(one()) == pytest.approx(0.25, abs=1e-3)
-    assert centre(one(), near=9.0) == 0.0
-    bright = one(sh=np.full((1, 1, 3), 5.0))
-    assert centre(bright, clamp="outside 0 to 1") == pytest.approx(0.5, abs=1e-3)
-    assert centre(one(sh=np.full((1, 1, 3), -5.0))) == 0.0
-    assert centre(one(sh=np.full((1, 1, 3), -5.0)), clamp="none") < -0.4
-    opaque = one(opacities=np.ones(1))
-    assert centre(opaque, max_alpha=1.0) / centre(opaque) == pytest.approx(1 / 0.99, abs=1e-3)
-    assert centre(opaque, cutoff=0.0) == 0.0
-    tiny = one(scales=np.full((1, 3), 1e-4))
-    assert oracle.render(tiny, SMALL).alpha.max() > 0.1
-    assert oracle.render(tiny, SMALL, convention=oracle.Convention(compensated=True)).alpha.max() == 0.0
-    views = random_splat(60, degree=2, seed=1)
-    each: tuple[dict[str, Any], ...] = (
-        {"towards": "camera"},
-        {"towards": "optical axis"},
-        {"sh_degree": 1},
-        {"order": "file"},
-    )
-    for choices in each:
-        changed = oracle.render(views, SMALL, convention=oracle.Convention(**choices))
-        assert np.abs(changed.image - oracle.render(views, SMALL).image).max() > 0.01, choices
-
-
 def test_a_right_renderer_passes_and_wrong_ones_are_named() -> None:
     render = Renderer()
 

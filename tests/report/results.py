@@ -124,11 +124,6 @@ def write_evaluation(folder: Path) -> Path:
     return _write_by_command(folder, "evaluate", clean, attacked, *aim, *_VIEW)
 
 
-def write_comparison(folder: Path) -> Path:
-    splat = _toy_file(folder.parent, "toy.ply")
-    return _write_by_command(folder, "compare", splat, "--size", "16", "--rounds", "1")
-
-
 def write_audit(folder: Path) -> Path:
     """Two looks, covered from above, and a number that is none."""
     scene = toy_scene()[0]
@@ -169,6 +164,5 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "bench": write_bench,
     "poison-study": partial(write_shipped, "artifacts/m_ifgsm_sparse/result.json", most=30),
     "evaluate": write_evaluation,
-    "compare": write_comparison,
 }
 """By the command that writes it."""

@@ -40,7 +40,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 LINE = ["mi-splat", "some command", "a b.ply", "--out", "x"]
-UNCONTROLLED = {"compare", "audit"}
+UNCONTROLLED = {"audit"}
 """Kinds without a control."""
 
 
@@ -52,7 +52,7 @@ def test_every_kind_is_tried() -> None:
 def test_every_kind_is_read_and_its_command_is_stored(name: str, folders: dict[str, Path]) -> None:
     section = read_section(folders[name])
     assert section.folder == str(folders[name])
-    by_command = name in ("compare", "evaluate")
+    by_command = name == "evaluate"
     assert section.command == shlex.join(LINE) if not by_command else section.command.startswith(f"mi-splat {name} /")
     for text in (section.done, section.conclusion, *section.warnings):
         assert text.endswith(".")

@@ -137,6 +137,17 @@ def test_a_list_of_cameras_and_two_splats(folder: Path, tmp_path: Path) -> None:
     assert beside.names == ("clean", "attacked")
 
 
+def test_a_splat_of_3dgs_opens_at_the_cameras_of_its_training(folder: Path, tmp_path: Path) -> None:
+    """As a room opens, whose cameras stand inside."""
+    file = tmp_path / "point_cloud" / "iteration_7" / "point_cloud.ply"
+    file.parent.mkdir(parents=True)
+    shutil.copy(folder / "splat.ply", file)
+    assert list(open_content(file).cameras) == ["whole scene"]
+    inside = Camera(to_world=orbit_pose((0, 0, 0), azimuth=0, elevation=0, distance=0.1), focal=30, width=40, height=30)
+    (tmp_path / "cameras.json").write_text(json.dumps([describe("here", inside)]))
+    assert torch.equal(open_content(file).start.camera((40, 30)).to_world, inside.to_world)
+
+
 def test_what_cannot_be_shown_together(folder: Path) -> None:
     with pytest.raises(InvalidValueError, match="clean: expected nothing beside a"):
         open_content(folder / "set", clean=folder / "splat.ply")
