@@ -140,12 +140,14 @@ def tables(points: Mapping[str, Mapping[str, Any]]) -> Iterator[Table]:
         for name in ATTRIBUTES if any(pair["gradients"] for pair in found.values()) else ():
             gradients.append((f"{title}, {name}", *(_agreement(found.get(pair), name) for pair in pairs)))
         for words, key in _COSTS.items():
-            spent = (_cost(point["methods"].get(name, {}).get(key)) for name in methods)
-            costs.append((f"{title}, {words}", *spent))
+            spent = [point["methods"].get(name, {}).get(key) for name in methods]
+            if any(spent):
+                costs.append((f"{title}, {words}", *map(_cost, spent)))
     head = ("setting", *(" and ".join(pair) for pair in pairs))
     yield Table(caption="Difference of images: PSNR, SSIM", head=head, rows=tuple(errors))
     caption = "Gradients: cosine, its median over Gaussians, length of the difference over that of the first"
-    yield Table(caption=caption, head=head, rows=tuple(gradients))
+    if gradients:
+        yield Table(caption=caption, head=head, rows=tuple(gradients))
     caption = "Processor time, and its ratio to the first method; the first call may compile"
     yield Table(caption=caption, head=("setting", *methods), rows=tuple(costs))
 

@@ -99,8 +99,8 @@ def run(options: ConformOptions) -> int:
         show_result(document, *(f"{name:18}{scene.fact}" for name, scene in every.items()), as_json=options.json)
         return 0
     if options.export is not None:
-        document = {"out": str(options.export), **_write_pack(options, options.export, every)}
-        show_result(document, f"{options.export}: {len(every)} splats with references", as_json=options.json)
+        pack = {"out": str(options.export), **_write_pack(options, options.export, every)}
+        show_result(pack, f"{options.export}: {len(every)} splats with references", as_json=options.json)
         return 0
     if options.read is not None:
         return _compare_values(options, options.read, every)
@@ -114,33 +114,39 @@ def run(options: ConformOptions) -> int:
 # ------------------------------------------------------------------------------------------------------------- export
 
 
+def _write_inputs(every: Mapping[str, ConformanceScene], folder: Path, formats: tuple[str, ...]) -> None:
+    """What is rendered, and the page that drives a web viewer."""
+    from mi_splat.io.documents import save_text
+
+    (folder / "splats").mkdir(parents=True)
+    for name, scene in every.items():
+        _write_splat(scene, folder / "splats" / name, formats)
+    _write_cameras(every, folder)
+    for file in (Path(__file__).parent / "conformance").iterdir():
+        save_text(file.read_text(), folder / file.name)
+
+
 def _write_pack(options: ConformOptions, out: Path, every: Mapping[str, ConformanceScene]) -> dict[str, Any]:
-    from mi_splat.io.documents import save_json, save_text
+    from mi_splat.io.documents import save_json
     from mi_splat.io.folders import new_folder
 
     with progress("writing", len(every)) as advance, new_folder(out, force=options.force) as folder:
-        for part in ("splats", "images", "gradients"):
+        _write_inputs(every, folder, options.formats)
+        for part in ("images", "gradients"):
             (folder / part).mkdir()
         rows = list[dict[str, Any]]()
         for name, scene in every.items():
             advance(name)
-            _write_splat(scene, folder / "splats" / name, options.formats)
             _write_reference(name, scene, options.model, folder)
-            rows.append({"name": name, "fact": scene.fact, "rounding": _rounding(scene, options)})
-        _write_cameras(every, folder)
+            exact = _reference(scene.setup, options.model)[0]
+            kept = {suffix: _as_read(scene, suffix) for suffix in options.formats if suffix != ".ply"}
+            rounding = {key: _distance(_reference(read, options.model)[0], exact, 8) for key, read in kept.items()}
+            rows.append({"name": name, "fact": scene.fact, "rounding": rounding})
         settings = {"size": options.size, "model": options.model, "formats": list(options.formats)}
         tolerances = {bits: {"least_psnr": _PSNR[bits], "largest": _LARGEST[bits]} for bits in _PSNR}
         document = {"story": "conformance", **settings, "tolerances_by_bits": tolerances, "scenes": rows}
         save_json(document, folder / "result.json")
-        for file in (Path(__file__).parent / "conformance").iterdir():
-            save_text(file.read_text(), folder / file.name)
     return document
-
-
-def _rounding(scene: ConformanceScene, options: ConformOptions) -> dict[str, Any]:
-    """By format, how far the image of what it keeps of a splat is from the reference."""
-    exact, formats = _reference(scene.setup, options.model)[0], (other for other in options.formats if other != ".ply")
-    return {suffix: _distance(_reference(_as_read(scene, suffix), options.model)[0], exact, 8) for suffix in formats}
 
 
 def _write_splat(scene: ConformanceScene, path: Path, formats: tuple[str, ...]) -> None:
@@ -319,7 +325,7 @@ def _draw_in_browser(options: ConformOptions, adapter: Path, every: Mapping[str,
     ended, errors = threading.Event(), list[str]()
     with tempfile.TemporaryDirectory() as made, new_folder(options.images, force=options.force) as folder:
         pack = Path(made) / "pack"
-        _write_pack(options, pack, every)
+        _write_inputs(every, pack, (".ply",))
         (pack / "adapter.js").write_bytes(adapter.read_bytes())
 
         class Handler(SimpleHTTPRequestHandler):
@@ -378,9 +384,8 @@ def _compare_images(options: ConformOptions, every: Mapping[str, ConformanceScen
         {"switch": c.deviation.switch, "value": c.deviation.value, "kind": c.deviation.kind, "decibels": c.decibels}
         for c in causes
     ]
-    settings = {"size": options.size, "model": options.model, "format": options.format}
+    settings = {"size": options.size, "model": options.model, "format": options.format, "by_model": conforming}
     document = {"story": "conformance", "images": str(options.images), **settings, "scenes": rows, "causes": found}
-    document["conforming_by_model"] = conforming
     if options.out is not None:
         _save_page(options, options.out, document, images, setups)
     lines = _lines(rows, causes)
@@ -574,11 +579,9 @@ def _compare_gradients(options: ConformOptions, folder: Path, every: Mapping[str
         if not (path := folder / f"{name}.npz").is_file():
             continue
         exact, off = _gradients(scene.setup), dict[str, float | None]()
-        given = _read_gradients(path, exact)
-        for key, values in given.items():
-            length = float(np.linalg.norm(exact[key])) or 1.0
-            same = values.shape == exact[key].shape
-            off[key] = float(np.linalg.norm(values - exact[key])) / length if same else None
+        for key, values in _read_gradients(path, exact).items():
+            length, same = np.linalg.norm(exact[key]) or 1.0, values.shape == exact[key].shape
+            off[key] = float(np.linalg.norm(values - exact[key]) / length) if same else None
         good = bool(off) and all(value is not None and value <= _GRADIENT for value in off.values())
         rows.append({"name": name, "conforms": good, "relative_errors": off})
         texts = (f"{key} {'of another shape' if value is None else f'{value:.2g}'}" for key, value in off.items())

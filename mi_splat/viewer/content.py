@@ -232,10 +232,7 @@ class Content:
 
 
 def content_of_file(path: Path, *, name: str | None = None, clean: Path | None = None) -> Content:
-    """A splat file or a scene XML, alone or next to the clean one that it was made from.
-
-    A splat in the folder of a training by 3DGS is seen from its cameras, which for a room stand inside.
-    """
+    """A splat file or a scene XML, alone or next to the clean one; a splat of 3DGS from the cameras of its training."""
     loaded = open_scene(path)
     first = loaded if clean is None else open_scene(clean)
     centre = focus_of(list(first.cameras.values()), bounds(first.scene)[0])

@@ -11,7 +11,7 @@ from attacks import cli
 from attacks.studies.running import run_study
 from mi_splat.comparison.methods import OverMeshes
 from mi_splat.io import save_splat
-from mi_splat.rendering import Renderer
+from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene_files import MixedScene, resized
 from tests.fakes import toy_scene
 from tests.project.layers import ROOT
@@ -104,7 +104,7 @@ sun = [{{ name = "noon", parameters = {{ sun_x = 0.0 }} }}, {{ name = "morning",
 def test_a_composite_shows_the_splat_where_no_mesh_is_in_front() -> None:
     meshes = MixedScene(STREET, samples=1)
     scene, camera = meshes.splats.scene, resized(meshes.splats.cameras["side"], (64, 64))
-    tile = Renderer(meshes.splats.settings)
+    tile = Renderer(RenderSettings(near=meshes.splats.settings.near))
     side, image = tile.outputs(scene, camera), OverMeshes(tile, meshes)(scene, camera)
     behind = meshes(scene.replace(opacities=torch.zeros_like(scene.opacities)), camera)
     hidden, opaque = meshes.depths(camera) < side.depth, side.alpha > 0.999

@@ -38,7 +38,7 @@ def test_a_set_without_test_pictures_can_be_trained_on(dataset: Path, tmp_path: 
     alone = tmp_path / "alone"
     shutil.copytree(dataset, alone)
     (alone / "transforms_test.json").unlink()
-    words = ["train", str(alone), "--out", str(tmp_path / "out"), "--iterations", "3"]
+    words = ["train", str(alone), "--out", str(tmp_path / "out"), "--iterations", "3", "--strategy", "mcmc"]
     assert cli.main([*words, "--renderer", "ray"]) == 0
     assert cli.main(words) == 1  # the run is one with the other renderer
     figures = json.loads((tmp_path / "out" / "metrics.json").read_text())
