@@ -111,7 +111,7 @@ class CompareWork(Work[Attempt]):
     def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
         """The records by point, and a sheet of each."""
         done = {name: result for name, result in results.items() if isinstance(result, Done)}
-        sheets = {name: next(result.folder.glob("*.png")) for name, result in done.items()}
+        sheets = {name: min(result.folder.glob("*.png")) for name, result in done.items()}
         paths = [copied(file, out / "pictures", name) for name, file in sheets.items()]
         return {"points": {name: read_json(result.folder / RECORD) for name, result in done.items()}}, {}, paths
 
