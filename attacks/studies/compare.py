@@ -20,6 +20,7 @@ from mi_splat.cli.cameras import find_cameras, renderer_of
 from mi_splat.cli.options import CameraOptions
 from mi_splat.comparison.compare import FORWARD, GRADIENT, CompareConfig, Comparison, as_dict, compare, save_sheets
 from mi_splat.comparison.methods import FOLDER, load_methods
+from mi_splat.datasets.frames import Split
 from mi_splat.fields import Checked, decode
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json
@@ -48,8 +49,10 @@ class Comparing(Checked):
     amplify: float = 8.0  # factor of differences in the sheets
 
 
-def measured(config: Comparing, on_step: Callable[[str], None]) -> tuple[Comparison, dict[str, Any]]:
-    """A comparison, and what a result says of it."""
+def measured(
+    config: Comparing, on_step: Callable[[str], None], *, split: Split | None = None
+) -> tuple[Comparison, dict[str, Any]]:
+    """A comparison, and what a result says of it; of a data set the cameras of one split, or all."""
     path, makes_meshes = Path(config.scene), None
     if holds_surfaces(path):
 
@@ -57,7 +60,7 @@ def measured(config: Comparing, on_step: Callable[[str], None]) -> tuple[Compari
             return MixedScene(path, samples=samples, seed=samples, **config.parameters)  # type: ignore[arg-type]
 
     loaded = open_scene(path) if makes_meshes is None else makes_meshes(1).splats
-    cameras = find_cameras(loaded, config.view, split="test")
+    cameras = find_cameras(loaded, config.view, split=split)
     settings = renderer_of(loaded, config.view, cameras).settings
     methods = load_methods(config.methods, settings, cameras, meshes=makes_meshes)
     comparison = compare(loaded.scene, cameras, methods, config=config.config, on_step=on_step)
@@ -77,7 +80,7 @@ def measured(config: Comparing, on_step: Callable[[str], None]) -> tuple[Compari
 
 def run(config: Comparing, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
     """Compare, and write a record and a sheet for each camera."""
-    comparison, record = measured(config, lambda text: out.progress(text, 0, 0))
+    comparison, record = measured(config, lambda text: out.progress(text, 0, 0), split="test")
     save_sheets(comparison.pictures, out.files, factor=config.amplify)
     save_json(record, out / RECORD)
     return []
