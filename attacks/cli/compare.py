@@ -27,9 +27,8 @@ class CompareOptions(ResultOptions):
 
     Methods: tile is the picture of the reference 3DGS rasteriser, tile-antialiased the same with the filter of
     Mip-Splatting; ray meets each Gaussian at its peak along the ray, ray-to-mean is the same with the colours of tile;
-    volprim is Mitsuba's volprim_rf_basic; folder:PATH is a folder
-    of pictures of any other program, called as the cameras. In a scene with meshes, path-traced-N traces splats and
-    meshes together with N samples a pixel, and the other methods are composited over the meshes.
+    volprim is Mitsuba's volprim_rf_basic; folder:PATH is a folder of pictures of any other program, called as the
+    cameras. With meshes, path-traced-N traces all with N samples a pixel; other methods are composited over them.
     """
 
     scene: Positional[Path]

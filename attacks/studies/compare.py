@@ -34,7 +34,6 @@ from mi_splat.scene_files import MixedScene, holds_surfaces, open_scene
 
 VARIES = (RECORD,)
 _COSTS = {"first call": "first_seconds", "image": FORWARD, "image and gradient": GRADIENT}
-"""What was timed, and its key."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,8 +89,7 @@ def files_of(config: Comparing) -> dict[str, Path]:
     """The files that a comparison reads, as inputs of a job."""
     named = [Path(text.removeprefix(FOLDER)) for text in (*config.methods, *config.view.cameras)]
     files = [file for path in named for file in ([path] if path.is_file() else sorted(path.rglob("*.*")))]
-    scene = Path(config.scene)
-    inputs = scene_files(scene) if scene.suffix == ".xml" else {"scene": scene}
+    inputs = scene_files(Path(config.scene)) if config.scene.endswith(".xml") else {"scene": Path(config.scene)}
     return {**inputs, **{f"file {number}": file for number, file in enumerate(files)}}
 
 
@@ -107,9 +105,8 @@ class CompareWork(Work[Attempt]):
         """One comparison."""
         config = decode(Comparing, with_none(point.settings), self.study.name)
         title = ": ".join(filter(None, (point.part, names_of(point, self.study.name)[1])))
-        return Attempt(
-            point=point, title=title, jobs={title: Job(kind=__name__, config=config, inputs=files_of(config))}
-        )
+        job = Job(kind=__name__, config=config, inputs=files_of(config))
+        return Attempt(point=point, title=title, jobs={title: job})
 
     def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
         """The records by point, and a sheet of each."""

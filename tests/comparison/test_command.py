@@ -66,7 +66,6 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
         (["--methods", "tile"], 1, "expected two or more, got tile"),
         (["--methods", "tile,folder:theirs"], 1, "orbit.png for the camera orbit, got an empty folder"),
         (["--rounds", "-1"], 2, "--rounds: expected"),
-        (["--amplify", "0"], 2, "--amplify: expected"),
         (["--out", "taken"], 1, "a new or an empty folder"),
         (["--out", "taken", "--force"], 1, "an older result (result.json)"),
     ],
