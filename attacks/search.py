@@ -167,7 +167,7 @@ def pgd(
             judged, verdict = point, here.verdict if hooks.judge is None else None
             if hooks.judge is not None and (following is None or (index and not index % hooks.every)):
                 judged, verdict = hooks.judge(point)
-            line = _line(here, verdict, index, restart, ball.share(judged, reference))
+            line = _line(here, verdict, index, restart, _share(ball, judged, reference))
             trace.append(line)
             stopped = bool(hooks.on_step is not None and hooks.on_step(line)) or stopped
             if verdict is not None and (best_line is None or rank(line, smallest) > rank(best_line, smallest)):
@@ -203,6 +203,12 @@ def _checked(here: Evaluation) -> Evaluation:
     if not math.isfinite(here.loss):
         raise InvalidValueError.of("loss", "a finite number", here.loss, "look at the objective")
     return here
+
+
+def _share(ball: Budget, parameters: Parameters, reference: Parameters) -> float:
+    """Share of its radius that the change takes, of the attribute that takes most; 0 where none may move."""
+    sizes = ball.measure(parameters, reference)
+    return max((size / ball.radius[name] for name, size in sizes.items() if ball.radius[name]), default=0.0)
 
 
 def _line(here: Evaluation, verdict: Verdict | None, index: int, restart: int, share: float) -> Step:
@@ -372,19 +378,6 @@ class Budget:
         """
         norm = NORMS[self.norm]
         return {name: norm.measure(_difference(value, reference[name])) for name, value in parameters.items()}
-
-    def share(self, parameters: Parameters, reference: Parameters) -> float:
-        """Share of its radius that the perturbation takes, of the attribute that takes most; 0 where none may move.
-
-        Args:
-            parameters: Tensors by attribute, each with one row for each Gaussian.
-            reference: The clean tensors, of the same shapes.
-
-        Returns:
-            At most 1 inside the budget.
-        """
-        sizes = self.measure(parameters, reference)
-        return max((size / self.radius[name] for name, size in sizes.items() if self.radius[name]), default=0.0)
 
     def check(self, parameters: Parameters, reference: Parameters) -> None:
         """Refuse parameters outside the budget.

@@ -111,7 +111,10 @@ def assign(cameras: Sequence[Camera], attacks: Sequence[Poisoning], *, centre: P
         raise InvalidValueError.of("attacks", "one or more, of different names", names, "name each differently")
     owners: dict[int, Poisoning] = {}
     for attack in attacks:
-        selected = attack.trigger.select(cameras, centre=centre).nonzero().flatten().tolist()
+        selected = attack.trigger.holds(cameras, centre=centre).nonzero().flatten().tolist()
+        if not selected:
+            expected, got = "at least one camera that it selects", f"none of {len(cameras)}"
+            raise InvalidValueError.of(f"trigger {attack.trigger}", expected, got, "widen it or add cameras inside it")
         shared = [index for index in selected if index in owners]
         if shared:
             what = f"triggers of {owners[shared[0]].name!r} and {attack.name!r}"

@@ -32,7 +32,7 @@ class Trigger(ABC):
 
     @abstractmethod
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
-        """(N,) bool, whether each camera is one of the trigger's; unlike `select`, none may be.
+        """(N,) bool, whether each camera is one of the trigger's.
 
         Args:
             cameras: N cameras.
@@ -58,25 +58,6 @@ class Trigger(ABC):
         Returns:
             Degrees; inside > 0.
         """
-
-    def select(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
-        """(N,) bool, whether each camera is one of the trigger's; at least one is.
-
-        Args:
-            cameras: N cameras.
-            centre: (3,) point that directions are measured from, world units.
-
-        Returns:
-            (N,) bool, of which one is true.
-
-        Raises:
-            InvalidValueError: No camera is selected, or a camera stands at the centre.
-        """
-        selected = self.holds(cameras, centre=centre)
-        if not bool(selected.any()):
-            expected, got = "at least one camera that it selects", f"none of {len(cameras)}"
-            raise InvalidValueError.of(f"trigger {self}", expected, got, "widen it or add cameras inside it")
-        return selected
 
     def __and__(self, other: Trigger) -> Trigger:
         """The cameras of both."""

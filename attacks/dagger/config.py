@@ -5,7 +5,6 @@ Light, so that `--help` is fast: torch is imported when the budget is asked for.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,7 +27,7 @@ from mi_splat.fields import (
 )
 
 if TYPE_CHECKING:
-    from attacks.search import Budget, Verdict
+    from attacks.search import Budget
 
 
 REGION: dict[str, Any] = {
@@ -167,31 +166,3 @@ class DaggerConfig:
         from attacks.search import Budget
 
         return Budget(radius=self.radius, norm=self.norm)
-
-    def verdict(self, rows: Sequence[Sequence[Verdict]], *, drawn: bool = False) -> Verdict:
-        """One verdict of all views and detectors: success where enough views succeed with every detector.
-
-        From chosen cameras each detector needs enough views of its own, and the score is what so many reach. Of drawn
-        views a view needs all detectors, and the score orders by the number of these views, and between equals by
-        the mean of what is reached in them.
-
-        Args:
-            rows: For each view, the verdicts of all detectors.
-            drawn: Whether the views were drawn from a region.
-
-        Returns:
-            The verdict.
-        """
-        from attacks.objectives import joint_verdict
-        from attacks.search import Verdict
-
-        if not drawn:
-            each = [joint_verdict(verdicts, self.required_views) for verdicts in zip(*rows, strict=True)]
-            return joint_verdict(each, 1.0)
-        views = [joint_verdict(row, 1.0) for row in rows]
-        successes, unambiguous = (sum(getattr(view, name) for view in views) for name in ("success", "unambiguous"))
-        return Verdict(
-            success=successes / len(views) >= self.required_views - 1e-9,
-            score=(successes + sum(view.score for view in views) / len(views)) / (len(views) + 1),
-            unambiguous=unambiguous / len(views) >= self.required_views - 1e-9,
-        )

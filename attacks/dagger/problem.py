@@ -17,7 +17,7 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.views import View
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
-from attacks.objectives import Objective, Relabel, Target
+from attacks.objectives import Objective, Relabel, Target, overall_verdict
 from attacks.search import Evaluation, Parameters, Verdict
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, nearest
@@ -74,7 +74,7 @@ class Problem:
         """
         with torch.set_grad_enabled(config.spec.gradient):
             evaluation, rows = self._evaluate(parameters, views, price, judged)
-        return replace(evaluation, verdict=config.verdict(rows) if judged else None)
+        return replace(evaluation, verdict=overall_verdict(rows, config.required_views) if judged else None)
 
     def _evaluate(
         self, parameters: Parameters, views: Sequence[View], price: float, judged: bool

@@ -13,7 +13,7 @@ from attacks.dagger.controls import Draw
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import Reports, View, detected
 from attacks.detectors.base import Detections
-from attacks.objectives import Objective, Target, confidence, reached_by
+from attacks.objectives import Objective, Target, confidence, overall_verdict, reached_by
 from attacks.observe.observations import Observations, camera_cells, detection_rows, report_cells, verdict_cells
 from attacks.observe.rates import AIMS, REPORTED_AS_ORIGINAL, STRICT, aim_figures, count, joint_views
 from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, NOISE, NORM_NOISE, ROWS, Cell, Row, frame_of
@@ -182,7 +182,8 @@ def _verdict(rows: pl.DataFrame, detectors: Sequence[str], config: DaggerConfig,
     unambiguous = pl.col("unambiguous").fill_null(pl.col("success"))
     columns = rows.select("detector", "success", unambiguous, score="aim")
     each = [columns.filter(detector=name).drop("detector").to_dicts() for name in detectors]
-    verdict = config.verdict([[Verdict(**cells) for cells in view] for view in zip(*each, strict=True)], drawn=drawn)
+    views = [[Verdict(**cells) for cells in view] for view in zip(*each, strict=True)]
+    verdict = overall_verdict(views, config.required_views, drawn=drawn)
     return {"success": verdict.success, "unambiguous": verdict.unambiguous, "score": verdict.score}
 
 
@@ -304,7 +305,7 @@ class Result(Previewed):
     def success(self) -> bool:
         """Whether the aim was reached in enough views, with enough detectors.
 
-        See `DaggerConfig.verdict`, also for the score.
+        See `attacks.objectives.overall_verdict`, also for the score.
         """
         return bool(self.figures["success"])
 

@@ -17,6 +17,7 @@ from torch import Generator
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import FixedViews
+from attacks.objectives import overall_verdict
 from attacks.optimisers.methods import SearchSettings
 from attacks.search import (
     Budget,
@@ -212,10 +213,8 @@ def _judge(
     def verdict_on(point: Parameters) -> tuple[float, Verdict]:
         """The share of views in which every detector is deceived, and what it says of the point."""
         rows = problem.verdicts(point, validation)
-        whole, share = (
-            config.verdict(rows, drawn=drawn),
-            sum(all(one.success for one in row) for row in rows) / len(rows),
-        )
+        whole = overall_verdict(rows, config.required_views, drawn=drawn)
+        share = sum(all(one.success for one in row) for row in rows) / len(rows)
         enough = whole.success and share >= stop_at - 1e-9
         return share, dataclasses.replace(whole, unambiguous=enough) if drawn else whole
 
