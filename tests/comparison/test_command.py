@@ -46,9 +46,7 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     assert set(pairs) == {("tile", "ray"), ("tile", "theirs"), ("ray", "theirs")}
     assert pairs["tile", "theirs"]["psnr"] is None
     assert pairs["tile", "ray"]["psnr"] == pytest.approx(pairs["ray", "theirs"]["psnr"], abs=0.1)
-    assert pairs["tile", "ray"]["psnr"] < 40
     assert 0 < pairs["tile", "ray"]["gradients"]["sh"]["cosine"] < 1
-    assert kept["methods"]["ray"]["picture"]["ratio"] > 0
     with Image.open(tmp_path / "compared" / "front.png") as sheet:
         assert sheet.size == (3 * 280 + 8, 2 * 224 + 4)
     with Image.open(tmp_path / "compared" / "pictures" / "ray" / "front.png") as picture:

@@ -92,9 +92,7 @@ def test_costs_take_turns_and_are_ratios() -> None:
 
     costs = costs_of({"a": lambda: calls.append("a"), "b": slow}, rounds=3, on_step=lambda text: None)
     assert calls == [*"ab", *"ababab"]
-    assert costs["a"].ratio == 1.0
     assert costs["b"].ratio > 1
-    assert len(costs["b"].as_dict()["rounds"]) == 3
 
 
 # Mitsuba's own integrator beside ours, where they have to agree: on Gaussians that lie apart from each other

@@ -1,8 +1,10 @@
 """The studies in scenes/studies can be done, and ask what they always asked."""
 
+import lzma
 import runpy
 from pathlib import Path
 
+import polars as pl
 import pytest
 
 from attacks.cloak.study import check_study
@@ -116,3 +118,11 @@ def test_tables_of_the_rendering_studies_are_counted_from_their_rows(name: str, 
     assert line in text
     conclusions = (ROOT / "docs" / "rendering-studies.md").read_text()
     assert f"](tables/study_{name}.md)" in conclusions
+
+
+def test_figures_of_compared_renderers_are_those_of_their_rows() -> None:
+    page = (ROOT / "docs" / "rendering-studies.md").read_text()
+    rows = pl.read_csv(lzma.decompress((TABLES / "comparing_renderers.csv.xz").read_bytes())).rows()
+    for distance in ("8.0", "2.0", "1.0", "0.1"):
+        cells = [f"{row[4]:.1f}" for row in rows if row[1] == distance and row[3] == "psnr" and "ray" in row[2]]
+        assert all(f" {cell} |" in page for cell in cells), distance
