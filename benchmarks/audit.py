@@ -30,12 +30,16 @@ PEER = """
 import sys, torch
 from pathlib import Path
 from mi_splat.rendering import Renderer
-from mi_splat.scene_files import open_scene, orbit_camera
+from mi_splat.bounds import bounds
+from mi_splat.camera_sets import framing, orbit
+from mi_splat.scene_files import open_scene
 scene, render = open_scene(Path(sys.argv[1])).scene, Renderer()
+centre, radius = bounds(scene)
+distance, focal = framing(radius, fov=45.0, size=(128, 128))
 for k in range(150):
-    kind = {"azimuth": 12.0 * k, "elevation": 4.0 + k / 2, "distance": None, "fov": 45.0, "size": (128, 128)}
+    kind = {"start": 12.0 * k, "elevation": 4.0 + k / 2, "distance": distance, "focal": focal, "size": (128, 128)}
     with torch.no_grad():
-        render.outputs(scene, orbit_camera(scene, **kind))
+        render.outputs(scene, orbit(centre, count=1, **kind)[0])
 """
 
 

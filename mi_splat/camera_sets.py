@@ -9,16 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from mi_splat._lazy import Previewed
 from mi_splat.camera_forms import MOST, parse_form
 from mi_splat.cameras import Camera, focal_of, orbit_pose, sizes_of
 from mi_splat.datasets.transforms import read_cameras
-from mi_splat.directions import UP
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import above, checked_number
-from mi_splat.rotation import from_z
 
 MARGIN = 1.05
 """How much farther away cameras are than would just show the whole of what they look at."""
@@ -62,7 +58,6 @@ def hemisphere(
     elevation: tuple[float, float] = (0.0, 90.0),
     start: float = 0.0,
     offset: float = 0.5,
-    up: Sequence[float] = UP,
 ) -> CameraList:
     """`count` cameras spread evenly in area over a band of the upper hemisphere.
 
@@ -78,7 +73,6 @@ def hemisphere(
         elevation: Lowest and highest elevation in degrees.
         start: Azimuth of the first camera in degrees.
         offset: Where in its step of height each camera stands, in [0, 1].
-        up: (3,) direction of the middle of the hemisphere, which points up in the images.
 
     Returns:
         The cameras, in the order of a spiral from the lowest to the highest.
@@ -90,10 +84,7 @@ def hemisphere(
         angle = math.degrees(math.asin(low + (high - low) * (i + offset) / count))
         pose = orbit_pose(target, azimuth=azimuth, elevation=angle, distance=distance)
         cameras.append(Camera(to_world=pose, focal=focal, width=size[0], height=size[1]))
-    if tuple(up) == UP:
-        return cameras
-    turn, about = from_z(torch.tensor(list(up), dtype=torch.float64)), torch.tensor(list(target), dtype=torch.float64)
-    return CameraList(camera.turned(turn, about) for camera in cameras)
+    return cameras
 
 
 def tiers(
@@ -142,13 +133,11 @@ def grid(
     distance: float,
     focal: float,
     size: tuple[int, int],
-    elevation: tuple[float, float] = (0.0, 90.0),
 ) -> list[Camera]:
     """Cameras at every pair of an azimuth and an elevation, row by row from the lowest."""
-    low, high = elevation
     cameras = CameraList()
     for row in range(elevations):
-        middle = low + (high - low) * (row + 0.5) / elevations
+        middle = 90.0 * (row + 0.5) / elevations
         cameras += orbit(target, count=azimuths, elevation=middle, distance=distance, focal=focal, size=size)
     return cameras
 

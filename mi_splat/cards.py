@@ -15,13 +15,14 @@ import numpy as np
 import torch
 from PIL import Image
 
-from mi_splat.bounds import near_plane
+from mi_splat.bounds import bounds, near_plane
+from mi_splat.camera_sets import framing, orbit
 from mi_splat.cameras import Camera, View, ViewSet
 from mi_splat.comparison.compare import Comparison
 from mi_splat.errors import InvalidValueError, listed, one_line
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import SplatScene, orbit_camera
+from mi_splat.scene_files import SplatScene
 from mi_splat.training.loop import Fit
 from mi_splat.variant import device_of, variant_kept
 
@@ -110,7 +111,10 @@ def _card(facts: str, shown: Iterable[str]) -> str:
 def _rendered(scene: GaussianScene, camera: Camera | None = None, caption: str = "") -> str:
     """A small image of a splat, from a camera or from where all of it shows."""
     scene = scene.detach()
-    camera = camera or orbit_camera(scene, azimuth=-60, elevation=20, distance=None, fov=45, size=(192, HEIGHT))
+    if camera is None:
+        (centre, radius), size = bounds(scene), (192, HEIGHT)
+        distance, focal = framing(radius, fov=45, size=size)
+        (camera,) = orbit(centre, count=1, elevation=20, start=-60, distance=distance, focal=focal, size=size)
     with torch.no_grad(), variant_kept():
         render = Renderer(RenderSettings(background=(0.93, 0.93, 0.93), near=near_plane(scene, [camera])))
         return image(render(scene.to(device_of(render.variant)), camera), caption)

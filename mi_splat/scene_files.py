@@ -1,8 +1,6 @@
 """Scene files as values: an XML scene of splats or a bare splat file, and cameras for it."""
 
-import math
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -14,8 +12,8 @@ from torch import Tensor
 
 from mi_splat import variant
 from mi_splat._lazy import Previewed
-from mi_splat.bounds import bounds, near_plane
-from mi_splat.cameras import Camera, focal_of, orbit_pose
+from mi_splat.bounds import near_plane
+from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, MiSplatError, listed, message
 from mi_splat.fields import named_path
 from mi_splat.io import save_splat
@@ -153,30 +151,6 @@ def open_scene(path: Path, device: str = "cpu", *, stored: Loaded | None = None)
     return replace(loaded, scene=loaded.scene.to(device), settings=settings)
 
 
-def orbit_camera(
-    scene: GaussianScene,
-    *,
-    azimuth: float,
-    elevation: float,
-    distance: float | None,
-    fov: float,
-    size: tuple[int, int],
-    centre: Sequence[float] | None = None,
-) -> Camera:
-    """A camera that looks at the middle of a scene, or at another point."""
-    if not 0 < fov < 180:
-        raise InvalidValueError.of("fov", "degrees between 0 and 180", fov, "45 is usual")
-    if min(size) < 1:
-        raise InvalidValueError.of("size", "positive numbers of pixels", size, "for instance (640, 480)")
-    middle, radius = bounds(scene)
-    half = math.radians(fov) / 2
-    if distance is None:
-        distance = radius / math.sin(half)
-    target = middle if centre is None else centre
-    pose = orbit_pose(target, azimuth=azimuth, elevation=elevation, distance=distance)
-    return Camera(to_world=pose, focal=focal_of(2 * half, min(size)), width=size[0], height=size[1])
-
-
 def resized(camera: Camera, size: tuple[int, int]) -> Camera:
     """The same camera with another picture size; what it saw from left to right, it still sees."""
     if size == (camera.width, camera.height):
@@ -256,9 +230,7 @@ class MixedScene:
     `parameters` take the place of the file's default values, for instance `sun_z=0.25`.
     """
 
-    def __init__(
-        self, path: Path, *, samples: int = SAMPLES, seed: int = 0, linear: bool = False, **parameters: Any
-    ) -> None:
+    def __init__(self, path: Path, *, samples: int = SAMPLES, linear: bool = False, **parameters: Any) -> None:
         if samples < 1:
             raise InvalidValueError.of("samples", "at least 1", samples, "64 are little noise")
         variant.use()
@@ -267,7 +239,7 @@ class MixedScene:
             do = 'write <integrator type="splat_ray"/>'
             raise InvalidValueError.of(str(path), "the integrator splat_ray", "another one", do)
         self.splats: SplatScene = values_of(self._loaded, path, among="surfaces")
-        self.samples, self.seed, self.linear = samples, seed, linear
+        self.samples, self.linear = samples, linear
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
         """Render one picture."""
@@ -279,7 +251,7 @@ class MixedScene:
         self._put(scene)
         film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "pixel_format": "rgb"}
         sensor = mi.load_dict({**sensor_dict(camera), "film": film})
-        picture = self._loaded.integrator().render(self._loaded, sensor, seed=self.seed, spp=self.samples)
+        picture = self._loaded.integrator().render(self._loaded, sensor, seed=0, spp=self.samples)
         flat = picture.array if self.linear else srgb_value(picture.array)
         values = torch.from_numpy(flat.numpy().copy()).reshape(camera.height, camera.width, 3)
         return values if self.linear else values.clamp(0.0, 1.0)

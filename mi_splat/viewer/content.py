@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from PIL import ImageDraw
 from torch import Tensor
 
 from mi_splat.bounds import bounds
+from mi_splat.camera_sets import framing
 from mi_splat.cameras import Camera, View
 from mi_splat.datasets import is_dataset, load_dataset
 from mi_splat.directions import UP, Point
@@ -21,7 +21,7 @@ from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
 from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
-from mi_splat.scene_files import open_scene, orbit_camera, resized
+from mi_splat.scene_files import open_scene, resized
 from mi_splat.training.evaluation import HasMasks
 from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
 from mi_splat.viewer.session import DIFFERENCE, SIDE_BY_SIDE
@@ -258,8 +258,6 @@ def content_of_file(path: Path, *, name: str | None = None, clean: Path | None =
 
 def whole(scene: GaussianScene) -> Orbit:
     """The camera from which `mi-splat render` shows all of a scene."""
-    centre, _ = bounds(scene)
-    azimuth, elevation, fov = 30.0, 20.0, 45.0  # the defaults of `mi-splat render`
-    camera = orbit_camera(scene, azimuth=azimuth, elevation=elevation, distance=None, fov=fov, size=(640, 480))
-    distance = round(math.dist(camera.position.tolist(), centre), 4)
-    return Orbit(target=centre, azimuth=azimuth, elevation=elevation, distance=distance, fov=fov)
+    (centre, radius), fov = bounds(scene), 45.0
+    distance, _ = framing(radius, fov=fov, size=(640, 480))
+    return Orbit(target=centre, azimuth=30.0, elevation=20.0, distance=round(distance, 4), fov=fov)

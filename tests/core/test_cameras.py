@@ -96,9 +96,6 @@ def test_hemisphere_spreads_evenly_over_its_band() -> None:
     assert positions[:, :2].mean(0).abs().max() < 0.02
     nearest = torch.cdist(positions, positions).fill_diagonal_(9.0).amin(1)
     assert nearest.min() > 0.6 * nearest.mean()
-    (above,) = hemisphere((1, 2, 3), count=1, distance=3, focal=50, size=(8, 8), elevation=(30, 30), up=(0, -1, 0))
-    assert above.position[1].item() == pytest.approx(2 - 1.5)
-    assert above.to_world[1, 1] > 0.8  # down in the image
 
 
 class _Unread(ViewSet):

@@ -11,14 +11,18 @@ from hypothesis import strategies as st
 
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cli.cameras import find_cameras
+from mi_splat.cli.options import CameraOptions
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
-from mi_splat.scene_files import orbit_camera
+from mi_splat.rendering import RenderSettings
+from mi_splat.scene_files import SplatScene
 from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
 from tests.gaussians import random_scene
 
 ANGLE, LENGTH = st.floats(0, 359.99), st.floats(0.1, 50)
 ELEVATION = st.floats(-90, 90)
+BARE = SplatScene(scene=random_scene(5), objects={}, cameras={}, settings=RenderSettings())
 
 
 def orbit(azimuth: float = 30.0, elevation: float = 20.0, distance: float = 5.0) -> Orbit:
@@ -28,8 +32,10 @@ def orbit(azimuth: float = 30.0, elevation: float = 20.0, distance: float = 5.0)
 @given(ANGLE, ELEVATION, LENGTH)
 def test_the_camera_is_that_of_render(azimuth: float, elevation: float, distance: float) -> None:
     ours = orbit(azimuth, elevation, distance).camera((64, 48))
-    numbers = {"azimuth": azimuth, "elevation": elevation, "distance": distance, "fov": 50.0}
-    theirs = orbit_camera(random_scene(5), **numbers, size=(64, 48), centre=(1.0, 2.0, 0.5))
+    options = CameraOptions(
+        azimuth=azimuth, elevation=elevation, distance=distance, fov=50.0, centre=(1.0, 2.0, 0.5), size=(64, 48)
+    )
+    (theirs,) = find_cameras(BARE, options).values()
     assert torch.equal(ours.to_world, theirs.to_world)
     assert (ours.fx, ours.fy) == (theirs.fx, theirs.fy)
 
