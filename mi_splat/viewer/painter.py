@@ -21,7 +21,7 @@ from mi_splat.scene import GaussianScene
 from mi_splat.training.losses import masked
 from mi_splat.viewer.content import Content, Inspection, Inspector
 from mi_splat.viewer.orbit import Orbit, camera_options
-from mi_splat.viewer.picking import Picked, tinted
+from mi_splat.viewer.picking import Picked, border, tinted
 from mi_splat.viewer.session import (
     DIFFERENCE,
     Layout,
@@ -58,7 +58,7 @@ class Painter:
     def __init__(self, content: Content, render: RenderFn, inspector: Inspector | None = None) -> None:
         self.content, self.render, self.inspector = content, render, inspector
         self._splats = {splat.name: Thinned(splat.scene) for splat in content.splats}
-        self._tinted = dict[str, Thinned]()
+        self._tinted, self._rows = dict[str, Thinned](), dict[str, int]()
         self._thread = ThreadPoolExecutor(1)  # of the inspector, so that it can be left alone with its picture
         self._last: tuple[Orbit, dict[str, Inspection]] | None = None
 
@@ -66,6 +66,7 @@ class Painter:
         """Highlight an object in each splat with as many Gaussians, but not in differences and inspected pictures."""
         fits = [splat for splat in self.content.splats if picked is not None and picked.fits(splat.scene)]
         self._tinted = {splat.name: Thinned(tinted(splat.scene, picked.mask)) for splat in fits if picked is not None}
+        self._rows = {splat.name: picked.row for splat in fits if picked is not None and picked.row is not None}
 
     def paint(self, state: ViewState, step: Step, pace: Pace) -> Painting:
         """The picture that a step of a session needs."""
@@ -91,6 +92,9 @@ class Painter:
             draw = ImageDraw.Draw(image)
             if pane in inspections:
                 inspections[pane].draw(draw, image.width / self.content.size_at(state.orbit)[0])
+            if pane in self._rows:
+                outline = border(self.content.splat(pane).scene, self._rows[pane], state.orbit.camera(layout.size))
+                draw.line([*map(tuple, outline.tolist())], fill="white", width=2)
             write_label(draw, (0.4 * letters, image.height - 1.9 * letters), pane + mark, "#000000", size=letters)
             made.append(np.asarray(image))
         return Painting(pixels=compose(made, layout), inspections=inspections, every=every)

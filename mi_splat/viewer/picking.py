@@ -1,20 +1,24 @@
-"""What was selected by a click: an object, and how it is highlighted."""
+"""What was selected by a click: an object, how it is highlighted, and the Gaussian in front there with its colours."""
 
 from __future__ import annotations
 
 import io
+import math
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import RenderFn
+from mi_splat.cameras import Camera, RenderFn, project_points
+from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.config import Selection
 from mi_splat.selection.select import select
-from mi_splat.sh import colour_to_dc
+from mi_splat.selection.visibility import pixel_weights
+from mi_splat.sh import colour_to_dc, sh_to_colour
 from mi_splat.viewer.content import Content
 from mi_splat.viewer.orbit import Orbit, camera_options
 from mi_splat.viewer.session import Layout, panes, pictures_of
@@ -25,10 +29,11 @@ MASK = "mask.npy"  # file of the selected Gaussians in commands
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Picked:
-    """Selected Gaussians, (N,) bool, of the splat of this name, and the command that selects them."""
+    """Selected Gaussians, (N,) bool, of the splat of this name, and which of them makes up most of the pixel."""
 
     splat: str
     mask: Tensor
+    row: int | None = None
     command: str = ""
 
     def fits(self, scene: GaussianScene) -> bool:
@@ -78,11 +83,12 @@ def pick(click: Click, content: Content, render: RenderFn, before: Picked | None
     splat, size, (x, y) = content.splat(click.splat), content.size_at(click.orbit), click.pixel
     view = click.orbit.camera(size)
     mask = select(splat.scene, Selection(click=(click.pixel,)), camera=view, render=render)
+    row = int(pixel_weights(splat.scene, view, click.pixel, render).argmax())
     if click.adds and before is not None and before.fits(splat.scene):
-        return Picked(splat=splat.name, mask=mask | before.mask)
+        return Picked(splat=splat.name, mask=mask | before.mask, row=row)
     camera = camera_options(click.orbit, size, settings=content.settings, up=content.up, path=splat.path)
     command = ["mi-splat", "select", str(splat.path), "--click", f"{x},{y}", *camera, "--out", MASK]
-    return Picked(splat=splat.name, mask=mask, command=shlex.join(command))
+    return Picked(splat=splat.name, mask=mask, row=row, command=shlex.join(command))
 
 
 def tinted(scene: GaussianScene, mask: Tensor) -> GaussianScene:
@@ -91,3 +97,37 @@ def tinted(scene: GaussianScene, mask: Tensor) -> GaussianScene:
     sh[mask] *= 0.5
     sh[mask, 0] += 0.5 * colour_to_dc(torch.tensor(TINT)).to(sh)
     return GaussianScene.unchecked(*scene.tensors()[:4], sh)
+
+
+def border(scene: GaussianScene, row: int, view: Camera) -> Tensor:
+    """(P, 2) pixels of the outline of a Gaussian at two standard deviations; none where it is not in front."""
+    mean, scales, rotation = (
+        part[row : row + 1].detach().cpu() for part in (scene.means, scene.scales, scene.rotations)
+    )
+    axes = (to_matrix(rotation)[0] * scales).T
+    ends, depths = project_points(torch.cat([mean, mean + axes, mean - axes]), view)
+    if float(depths.min()) <= 0:
+        return ends[:0]
+    sides = (ends[1:4] - ends[4:]) / 2
+    shape = torch.linalg.cholesky(sides.T @ sides + 1e-4 * torch.eye(2))
+    angles = torch.linspace(0, 2 * math.pi, 65)
+    outline: Tensor = ends[0] + 2 * torch.stack([angles.cos(), angles.sin()], dim=1) @ shape.T
+    return outline
+
+
+def colours(scene: GaussianScene, row: Tensor | int, cameras: Sequence[Camera]) -> Tensor:
+    """(views, ..., 3) colours of Gaussians as they are seen, sRGB."""
+    means, sh = scene.means[row].detach(), scene.sh[row].detach()
+    directions = torch.stack([means - view.position.to(means) for view in cameras])
+    return sh_to_colour(sh, torch.nn.functional.normalize(directions, dim=-1)).clamp(max=1)
+
+
+def one_gaussian(scene: GaussianScene, row: int, orbit: Orbit) -> str:
+    """HTML with the colour of a Gaussian by elevation, from the camera's azimuth, and its SH coefficients."""
+    cameras = [orbit.changed(elevation=float(angle)).camera((1, 1)) for angle in range(0, 91, 5)]
+    stops = ", ".join(f"rgb({r}, {g}, {b})" for r, g, b in (255 * colours(scene, row, cameras)).int().tolist())
+    lines = (" ".join(f"{value:+.2f}" for value in channel) for channel in scene.sh[row].detach().T.tolist())
+    texts = "<br>".join(f"{name}: {line}" for name, line in zip(("red", "green", "blue"), lines, strict=True))
+    strip = f'<div style="height: 1rem; background: linear-gradient(to right, {stops})"></div>'
+    head = f"Gaussian {row:,}, outlined: its colour from the side (left) to straight above, and its SH coefficients"
+    return f'<div style="padding: 0 0.75rem 0.5rem; font-size: 0.75rem">{head}{strip}{texts}</div>'

@@ -7,9 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 from mi_splat.errors import MiSplatError
+from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.panel import as_html
-from mi_splat.viewer.picking import MASK, Click, Picked, pick
+from mi_splat.viewer.picking import MASK, Click, Picked, one_gaussian, pick
 
 HOW_TO_SELECT = "Click on an object in the picture; hold Shift to add to the selection."
 NOTHING_TO_SELECT = "Only splats have objects to select."
@@ -60,10 +61,11 @@ class SelectionPanel:
         gui: Any,
         shared: SharedSelection,
         *,
+        orbit: Callable[[], Orbit],
         download: Callable[[str, bytes], None],
         wake: Callable[[], None],
     ) -> None:
-        self._gui, self._shared, self._send, self._wake = gui, shared, download, wake
+        self._gui, self._shared, self._orbit, self._send, self._wake = gui, shared, orbit, download, wake
         with gui.add_folder("Object"):
             self._object = gui.add_html("")
             self._clear = self._button("Clear", lambda: shared.select(None))
@@ -73,9 +75,11 @@ class SelectionPanel:
 
     def follow(self) -> None:
         """Show the present state."""
-        picked = self._shared.picked
-        how = HOW_TO_SELECT if self._shared.painter.content.splats else NOTHING_TO_SELECT
+        picked, content = self._shared.picked, self._shared.painter.content
+        how = HOW_TO_SELECT if content.splats else NOTHING_TO_SELECT
         self._object.content = as_html([("", self._shared.error or (how if picked is None else picked.text))])
+        if picked is not None and picked.row is not None:
+            self._object.content += one_gaussian(content.splat(picked.splat).scene, picked.row, self._orbit())
         self._command.value = "" if picked is None else picked.command
         self._command.visible = bool(self._command.value)
         self._clear.disabled = self._save.disabled = picked is None

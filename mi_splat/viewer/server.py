@@ -48,7 +48,9 @@ class Client:
         with tabs.add_tab("View"):
             self._panel = ViewPanel(handle.gui, content, first, inspector=inspector, change=self._change)
         with tabs.add_tab("Tools"):
-            self._selection_panel = SelectionPanel(handle.gui, shared, download=self._download, wake=wake)
+            self._selection_panel = SelectionPanel(
+                handle.gui, shared, orbit=lambda: self._session.state.orbit, download=self._download, wake=wake
+            )
         # The pose before the browser has read where to begin is not a move of its user.
         self._sent.append(first.orbit.moved(handle.camera.position, handle.camera.look_at))
         self._send_camera(first.orbit)

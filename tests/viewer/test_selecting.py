@@ -6,10 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from attacks import cli
-from mi_splat.viewer.picking import Click, clicked
+from mi_splat.cameras import project_points
+from mi_splat.viewer.picking import Click, border, clicked, colours, one_gaussian
 from mi_splat.viewer.selecting import SharedSelection
 from mi_splat.viewer.session import DIFFERENCE, SIDE_BY_SIDE, Pace, Step, ViewState, lay_out
 from tests.viewer.contents import START, balls, painter
@@ -42,6 +44,23 @@ def test_a_selected_object_is_highlighted_until_it_is_cleared() -> None:
     shared.select(None)
     assert shared.picked is None
     assert np.array_equal(shared.painter.paint(state, Step.FULL, Pace()).pixels, plain)
+
+
+def test_the_gaussian_in_front_has_a_border_and_its_colours() -> None:
+    shared, camera = SharedSelection(painter(1)), START.camera((480, 320))
+    shared.pick(MIDDLE)
+    assert shared.picked is not None
+    assert shared.picked.row is not None
+    scene, row = shared.painter.content.splats[0].scene, shared.picked.row
+    assert shared.picked.mask[row]
+    (centre,), depth = project_points(scene.means[row : row + 1], camera)
+    round_one = scene.replace(scales=torch.full_like(scene.scales, 0.01))
+    radii = (border(round_one, row, camera) - centre).norm(dim=1)
+    assert radii.tolist() == pytest.approx([2 * camera.fx * 0.01 / float(depth)] * len(radii), rel=0.05)
+    behind = scene.replace(means=scene.means + 3 * camera.position.to(scene.means))
+    assert len(border(behind, row, camera)) == 0
+    red, green, blue = (255 * colours(scene, row, [START.changed(elevation=0.0).camera((1, 1))])[0]).int().tolist()
+    assert f"to right, rgb({red}, {green}, {blue})" in one_gaussian(scene, row, START)
 
 
 def test_the_command_selects_by_the_same_click() -> None:
