@@ -4,11 +4,13 @@ Each is one SVG of three parts, threat model, method and result, with pictures c
 stands on a light ground of its own, so that it reads alike on light and dark pages. cloak.webp shows the pictures of
 cloak_stealthy.jpg along a path over the car one after the other, and cloak_path.png the confidence along it. With the
 folder of a study of CLOAK, cloak_ghost.jpg shows its splats every 5 degrees where the hidden appearance sets in.
+dagger_curve.png shows the success rate of DAGGER over the radius of its ball.
 """
 
 import base64
 import html
 import io
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -336,6 +338,33 @@ def path() -> Figure:
     return figure
 
 
+def radius() -> Figure:
+    """How often DAGGER succeeds at each radius, by object, and noise; intervals over cameras."""
+    record = json.loads((IMAGES.parent / "artifacts" / "dagger_cameras" / "result.json").read_text())
+    parts = ("Radius", "The detector that the search was tuned on")
+    sums = [line for line in (*record["together"], *record["groups"]) if line["part"] in parts]
+    figure = Figure(figsize=(6.4, 3.8), dpi=110, layout="constrained")
+    plot = figure.subplots()
+    for name, pairs, colour in (("car, three classes", "car", VICTIM), ("stop sign, three classes", "sign", ATTACKER)):
+        rates: dict[float, list[int]] = {}
+        for line in sums:
+            if line["labels"].get("pair", "").startswith(pairs):
+                held = rates.setdefault(line["labels"].get("attack.eps", 5.0), [0, 0])
+                held[0] += line["strict"]["successes"]
+                held[1] += line["strict"]["total"]
+        radii = sorted(rates)
+        plot.plot(radii, [rates[eps][0] / rates[eps][1] for eps in radii], "o-", color=colour, label=name)
+    lines = sorted((line["labels"].get("attack.eps", 5.0), line) for line in sums if "pair" not in line["labels"])
+    for name, key, style in (("noise: target class", "strict", "s--"), ("noise: own class lost", "lost", "s:")):
+        rate = [line["controls"]["noise"][key]["rate"] for _, line in lines]
+        plot.plot([eps for eps, _ in lines], rate, style, color=PLAIN, label=name)
+    plot.set(
+        xlabel="radius of the l2 ball over the SH of the object", ylabel="success rate, strict", ylim=(-0.03, 1.03)
+    )
+    plot.legend(fontsize=8)
+    return figure
+
+
 def ghost(study: Path) -> Image.Image:
     """Clean above cloaked splat, every 5 degrees of elevation from 15 to 55."""
     file = read_study(study / "study.toml")
@@ -359,6 +388,7 @@ def main(folder: Path, study: Path | None = None) -> None:
     save_animation(rising(), folder / "cloak.webp", fps=2.5)
     hero().save(folder / "hero.png", optimize=True)
     path().savefig(folder / "cloak_path.png")
+    radius().savefig(folder / "dagger_curve.png")
     if study is not None:
         ghost(study).save(folder / "cloak_ghost.jpg", quality=88)
 
