@@ -61,7 +61,6 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "cloak_new_cars",
             "cloak_second_car",
             "cloak_controls",
-            "cloak_controls_steps",
             "cloak_design_sector",
             "cloak_design_object",
         ),
@@ -76,7 +75,13 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "dagger_eot": (
         "DAGGER from many viewpoints",
         "[DAGGER from many viewpoints](../dagger-eot.md)",
-        ("dagger_eot_smallest", "dagger_eot_pairs", "dagger_eot_openimages", "dagger_eot_settings"),
+        (
+            "dagger_eot_smallest",
+            "dagger_eot_pairs",
+            "dagger_eot_strict",
+            "dagger_eot_openimages",
+            "dagger_eot_settings",
+        ),
     ),
     "dagger_openimages": (
         "DAGGER on a detector of Open Images",

@@ -32,7 +32,7 @@ COUNTS = {
     "coco_demo": (12, 0),
     "coco_smallest": (252, 0),
     "dagger": (456, 0),
-    "dagger_cameras": (2592, 0),
+    "dagger_cameras": (2448, 0),
     "dagger_code": (24, 0),
     "eot_pairs": (26, 0),
     "eot_settings": (38, 0),
