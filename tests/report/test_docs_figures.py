@@ -232,7 +232,8 @@ def test_strict_attacks_on_a_region_are_counted_from_their_rows() -> None:
     for name in OUR:
         own = [group for group in groups if group["labels"]["detectors"] == name]
         cells = [Rate.of(group["strict_rate"]).short() for group in own]
-        noise, decibels = summed(group["noise_rate"] for group in own), sorted(group["image_psnr"] for group in own)
+        noise = summed(group["noise_rate"] for group in own).replace("/", " of ")
+        decibels = sorted(group["image_psnr"] for group in own)
         line = " | ".join([f"`{name}`", *cells, noise, f"{decibels[0]:.1f} to {decibels[-1]:.1f} dB"])
         assert f"| {line} |" in text
 
