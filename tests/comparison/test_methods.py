@@ -79,7 +79,7 @@ def test_methods_that_are_refused(words: tuple[str, ...], message: str, register
     [
         (lambda: register_method("tile", lambda settings: blobs), "a name that is free"),
         (lambda: register_method("a,b", lambda settings: blobs), "a letter first"),
-        (lambda: load_methods(("volprim", "tile"), RenderSettings(background=(1.0, 1.0, 1.0)), CAMERAS), "0 0 0"),
+        (lambda: load_methods(("volprim", "tile"), RenderSettings(background=(1.0, 1.0, 1.0)), CAMERAS), "a black"),
         (lambda: compare(SCENE, CAMERAS, {"one": Method(render=blobs)}), "methods: expected 2 or more"),
         (lambda: compare(SCENE, {}, {"a": Method(render=blobs), "b": Method(render=blobs)}), "cameras: expected 1"),
         (lambda: beside_blobs(lambda *shot: blobs(*shot)[:-1]), r"\(23, 24, 3\), 0 values not finite"),
