@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -14,9 +13,7 @@ from mi_splat.audit.evidence import cover_heat, cover_of, edit_of, heat_of, is_r
 from mi_splat.audit.explanations import (
     Explanation,
     angles_between,
-    cameras_of_look,
     explain,
-    look_amounts,
     piece_scores,
     reachable,
     region_of,
@@ -35,7 +32,6 @@ from mi_splat.audit.surfaces import (
     free_positions,
     in_sight,
     sight,
-    surrounds,
     targets,
     whole,
 )
@@ -63,9 +59,9 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, up: 
         jobs, in_room = [(whole(frame.scene), cameras_in_frame(frame, cameras, LIMITS.given_size))], False
     objects, heats = [], []
     for target, around in jobs:
-        if (judged := judged_object(frame, target, around, around=cameras is None and not in_room)) is not None:
-            others = [other for other, _ in jobs if surrounds(target, other)]
-            objects.append(dataclasses.replace(judged[0], in_room=in_room or bool(others)))
+        outside = cameras is None and not in_room
+        if (judged := judged_object(frame, target, around, in_room=in_room, outside=outside)) is not None:
+            objects.append(judged[0])
             heats.append(judged[1])
     pieces = sum(item.pieces for item in objects)
     if pieces < LIMITS.least_pieces:
@@ -119,7 +115,8 @@ def judged_object(
     cameras: tuple[Camera, ...],
     pictures: Sequence[Tensor] | None = None,
     *,
-    around: bool = False,
+    in_room: bool = False,
+    outside: bool = False,
 ) -> tuple[ObjectAudit, Tensor] | None:
     """Judge one object, and say in (N,) heat which Gaussians of the frame carry what was found."""
     rows = in_sight(frame.scene, target, cameras)
@@ -130,11 +127,12 @@ def judged_object(
         return None
     threshold = LIMITS.net if pictures is None else LIMITS.image_net
     surface_looks = looks_of(pieces, view, threshold)
-    looks = [_look(frame, target, view, look, threshold) for look in surface_looks]
+    looks = [_look(frame, view, look, threshold) for look in surface_looks]
     by_piece = torch.stack([piece_scores(look.pieces, look.shown) for look in surface_looks]).amax(0)
     area = (pieces.size * frame.to_world.scale) ** 2
     able = reachable(pieces, view)
-    occluder, covered = cover_of(frame.scene, view, target) if pictures is None else (None, {})
+    full = pictures is None and not target.surrounds
+    occluder, covered = cover_of(frame.scene, view, target) if full else (None, {})
     judged = ObjectAudit(
         rows=frame.order[target.rows],
         centre=vector(frame.point(target.centre)),
@@ -147,8 +145,9 @@ def judged_object(
         cameras=tuple(_in_world(frame, camera) for camera in cameras),
         looks=tuple(looks),
         occluder=occluder and dataclasses.replace(occluder, axis=_turned(frame, occluder.axis)),
-        edit=edit_of(frame, target) if pictures is None else None,
-        roofed=around and is_roofed(frame.scene, target),
+        edit=edit_of(frame, target) if full else None,
+        in_room=in_room or target.surrounds,
+        roofed=full and outside and is_roofed(frame.scene, target),
     )
     heat = torch.zeros(len(frame.scene))
     if judged.look.evidence >= LIMITS.suspicion and pictures is None:
@@ -158,22 +157,21 @@ def judged_object(
     return judged, heat
 
 
-def _look(frame: Frame, target: Target, view: Sight, look: SurfaceLook, threshold: float) -> Look:
+def _look(frame: Frame, view: Sight, look: Explanation, threshold: float) -> Look:
     """A look in the world."""
-    scores, shown = look.scores, look.shown
-    region = region_of(view.directions, shown, target.up)
-    by_piece = piece_scores(look.pieces, shown)
-    lost, air = support_of(look.pieces, view, shown)
+    region = region_of(view.directions, look.shown)
+    by_piece = piece_scores(look.pieces, look.shown)
+    lost, air = support_of(look.pieces, view, look.shown)
     return Look(
         region=dataclasses.replace(region, axis=_turned(frame, region.axis)),
-        shown=shown,
-        amounts=look_amounts(look.pieces, shown),
-        **{field.name: getattr(scores, field.name) for field in dataclasses.fields(Scores)},
+        shown=look.shown,
+        amounts=look.amounts,
+        **{field.name: getattr(look, field.name) for field in dataclasses.fields(Scores)},
         threshold=threshold,
         lost=lost,
         air=air,
         area=int((by_piece > LIMITS.changed).sum()) * (look.pieces.size * frame.to_world.scale) ** 2,
-        pair=_pair(frame, look.pieces, view, by_piece, shown),
+        pair=_pair(frame, look.pieces, view, by_piece, look.shown),
     )
 
 
@@ -213,35 +211,23 @@ def seen_share(frame: Frame, jobs: list[Job]) -> float:
     return float(near.double().mean())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SurfaceLook:
-    """A look, and the pieces of surface on which it was measured."""
-
-    scores: Explanation  # how well each explanation fits
-    shown: Tensor  # (K,) bool, the cameras that see it
-    pieces: Elements  # the surface, without what cameras see that were left out
-
-
-def looks_of(pieces: Elements, view: Sight, threshold: float) -> list[SurfaceLook]:
+def looks_of(pieces: Elements, view: Sight, threshold: float) -> list[Explanation]:
     """The looks of an object: first the one that explains most, then those that are left without its cameras."""
-    looks: list[SurfaceLook] = []
+    looks: list[Explanation] = []
     kept = torch.ones(len(view.cameras), dtype=torch.bool)
-    for _ in range(LIMITS.most_looks):
-        scores = explain(pieces, view)
-        another = scores.net >= threshold
-        if looks and not (another and scores.score >= LIMITS.another_look * looks[0].scores.score):
+    while len(looks) < LIMITS.most_looks and int(kept.sum()) >= LIMITS.cameras_left * len(kept):
+        look = explain(part, view, kept) if (part := _seen_by(pieces, kept)) else None
+        if look is None or (looks and look.net < max(threshold, LIMITS.another_look * looks[0].net)):
             break
-        shown = cameras_of_look(pieces, view, scores) & kept
-        looks.append(SurfaceLook(scores=scores, shown=shown, pieces=pieces))
-        small = shown if 2 * int(shown.sum()) <= int(kept.sum()) else ~shown & kept
-        if not another or not bool(small.any()):
+        looks.append(look)
+        if look.net < threshold or not bool(look.shown.any()):
             break
-        kept = kept & (angles_between(view.directions, view.directions[small]).amin(1) > LIMITS.look_edge)
-        if int(kept.sum()) < LIMITS.cameras_left * len(kept):
-            break
-        moments = pieces.moments * kept.float()[:, None, None]
-        judged = pieces.judged & (moments[..., 0].sum(0) >= LIMITS.least_views)
-        if not bool(judged.any()):
-            break
-        pieces = dataclasses.replace(pieces, moments=moments, judged=judged)
+        kept = kept & (angles_between(view.directions, view.directions[look.shown]).amin(1) > LIMITS.look_edge)
     return looks
+
+
+def _seen_by(pieces: Elements, kept: Tensor) -> Elements | None:
+    """What (K,) kept cameras see of surface; None if that is too little."""
+    moments = pieces.moments * kept.float()[:, None, None]
+    judged = pieces.judged & (moments[..., 0].sum(0) >= LIMITS.least_views)
+    return dataclasses.replace(pieces, moments=moments, judged=judged) if bool(judged.any()) else None

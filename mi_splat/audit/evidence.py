@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.audit.explanations import Split, angles_between
+from mi_splat.audit.explanations import angles_between, switch_scores
 from mi_splat.audit.results import Edit, Look, Occluder, vector
-from mi_splat.audit.surfaces import Elements, Frame, Sight, Target, basis, lattice, missed_by, near_of, rays
+from mi_splat.audit.surfaces import Elements, Frame, Sight, Target, basis, lattice, lengths, missed_by, near_of, rays
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.rendering import Renderer, RenderSettings
@@ -122,19 +122,13 @@ def _camera(scene: GaussianScene, strange: Tensor, target: Target) -> tuple[Tens
     rows = energy.argsort(descending=True)[: LIMITS.strongest]
     points, strange, total = scene.means[rows], strange[rows], energy[rows].sum().clamp(min=1e-20)
 
-    def peaks(directions: Tensor) -> Tensor:
-        found = []
-        places = [target.centre + distance * target.radius * directions for distance in LIMITS.edit_distances]
-        for part in torch.split(torch.cat(places).float(), 8):  # few, so that their numbers stay in the cache
-            towards = sh_basis(functional.normalize(points - part[:, None], dim=2), scene.degree)[..., 1:]
-            along = (functional.normalize(towards, dim=2) * strange).sum(2)
-            found.append(along.square().sum(1) / total * strange.shape[1])
-        return torch.cat(found).reshape(len(places), -1).amax(0)
-
-    best = directions[int(peaks(directions).argmax())]
-    finer = lattice(LIMITS.finer_directions, 90.0 - LIMITS.finer_within, 90.0) @ basis(best).T
-    values = peaks(finer)
-    return finer[int(values.argmax())], float(values.max())
+    places, found = [target.centre + gap * target.radius * directions for gap in LIMITS.edit_distances], []
+    for part in torch.split(torch.cat(places).float(), 8):  # few, so that their numbers stay in the cache
+        towards = sh_basis(functional.normalize(points - part[:, None], dim=2), scene.degree)[..., 1:]
+        along = (functional.normalize(towards, dim=2) * strange).sum(2)
+        found.append(along.square().sum(1) / total * strange.shape[1])
+    peaks = torch.cat(found).reshape(len(places), -1).amax(0)
+    return directions[int(peaks.argmax())], float(peaks.max())
 
 
 def cover_of(scene: GaussianScene, view: Sight, target: Target) -> tuple[Occluder | None, dict[int, Tensor]]:
@@ -153,9 +147,10 @@ def cover_of(scene: GaussianScene, view: Sight, target: Target) -> tuple[Occlude
             points.append(surface[air][:: max(1, int(air.sum()) // LIMITS.cover_points)])
     if not shown:
         return None, {}
-    through = _through(view, torch.cat(points), (blocked < LIMITS.free).nonzero()[:, 0], target.radius)
-    middle = functional.normalize(view.directions[blocked > LIMITS.blocked].sum(0), dim=0)
-    share = float((blocked > LIMITS.blocked).double().mean())
+    hides, free = blocked > LIMITS.blocked, blocked < LIMITS.free
+    through = _through(view, torch.cat(points), free.nonzero()[:, 0], target.radius)
+    middle = functional.normalize(view.directions[hides].sum(0), dim=0)
+    share = float(hides.double().mean())
     return Occluder(axis=vector(middle), blocked=blocked, transparent=through, score=share * through), shown
 
 
@@ -165,9 +160,9 @@ def air_before(depth: Tensor, camera: Camera, target: Target, least: float) -> t
     length, along, miss = missed_by(ahead, camera, target)
     core, ends = miss < LIMITS.core * target.radius, depth.isfinite()
     depth = depth.masked_fill(~ends, 0)
-    surface = (ahead * depth + camera.position.float()[:, None, None]).movedim(0, -1)
-    away = (surface - target.centre.float()).norm(dim=-1) > least * target.radius
-    return core & ends & away & (length * depth < along), core.sum(), surface
+    surface = ahead * depth + camera.position.float()[:, None, None]
+    away = lengths(surface - target.centre.float()[:, None, None]) > least * target.radius
+    return core & ends & away & (length * depth < along), core.sum(), surface.movedim(0, -1)
 
 
 def is_roofed(scene: GaussianScene, target: Target) -> bool:
@@ -264,7 +259,7 @@ def own_scores(scene: GaussianScene, view: Sight, shown: Tensor) -> Tensor:
             towards = functional.normalize(scene.means[rows, None] - eyes, dim=2)
             colours = (sh_basis(towards, scene.degree) @ scene.sh[rows] + 0.5).clamp(0, 1)
             total[1:4, rows], total[4, rows] = colours.sum(1).T, colours.square().sum((1, 2))
-    return Split.of(*sums).scores()
+    return switch_scores(*sums)
 
 
 def cover_heat(scene: GaussianScene, view: Sight, covered: dict[int, Tensor], target: Target) -> Tensor:

@@ -195,7 +195,7 @@ HEAT_PICTURE = "heat.png"
 EDITED, AGAINST, CHANGED = "edited.npy", "against.png", "changed.npy"
 PICTURE = 512  # pixels along the longer side of each of the two pictures
 _GAP = 8
-_SCORES = ("score", "direction", "incidence", "mirror", "net", "threshold", "support", "lost", "air")
+_SCORES = ("direction", "incidence", "mirror", "net", "threshold", "support", "lost", "air")
 
 
 def document(audit: Audit | None, lint: Lint | None = None, *, unjudged: str = "") -> dict[str, Any]:

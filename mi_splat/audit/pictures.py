@@ -78,7 +78,7 @@ def compare_pictures(
     frame = frame_of(surface)
     cameras, pictures = cameras_in_frame(frame, cameras_of(views), None), [view.image for view in views]
     standing = targets(frame.scene, None if up is None else frame.own(up))
-    objects = [dataclasses.replace(target, cells=_cells(target, cameras)) for target in standing]
+    objects = [dataclasses.replace(target, cells=_cells(target, cameras), surrounds=False) for target in standing]
     judgements = [judged_object(frame, target, cameras, pictures) for target in objects]
     judged = [judgement[0] for judgement in judgements if judgement is not None]
     seen = sum(item.pieces for item in judged)
@@ -107,11 +107,6 @@ def _cells(target: Target, cameras: Sequence[Camera]) -> int:
 
 
 def _amounts(item: ObjectAudit, count: int) -> Tensor:
-    """(K,) how much each picture shows of any look of an object; of each look the side with fewer pictures."""
-    amounts = torch.zeros(count)
-    for look in item.looks:
-        if look.evidence >= LIMITS.suspicion:
-            known = look.amounts != 0
-            side = 1 - look.amounts if 2 * int(look.shown.sum()) > int(known.sum()) else look.amounts
-            amounts = torch.maximum(amounts, torch.where(known, side, 0.0))
-    return amounts
+    """(K,) how much each picture shows of any look of an object."""
+    looks = [look.amounts for look in item.looks if look.evidence >= LIMITS.suspicion]
+    return torch.stack([torch.zeros(count), *looks]).amax(0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 import torch
 from torch import Tensor
@@ -22,14 +22,7 @@ if TYPE_CHECKING:
 def directions_in_words(region: Region, up: Vector | None) -> str:
     """The directions of a region, as a part of a sentence."""
     axis = " ".join(f"{value + 0.0:.2f}" for value in region.axis)
-    if region.elevation is not None:
-        low, high = region.elevation
-        text = (
-            f"{region.half_width:.0f} degrees of azimuth to each side of ({axis}), {low:.0f} to {high:.0f} above ground"
-        )
-    else:
-        text = f"{region.half_width:.0f} degrees of ({axis}){_height(region.axis, up)}"
-    return f"{'from everywhere but ' if region.complement else ''}within {text}"
+    return f"within {region.half_width:.0f} degrees of ({axis}){_height(region.axis, up)}"
 
 
 def _height(axis: Vector, up: Vector | None) -> str:
@@ -45,21 +38,23 @@ def _height(axis: Vector, up: Vector | None) -> str:
 def headline(audit: Audit) -> str:
     """The verdict and where it is from, in one sentence."""
     item = audit.strongest
-    if item.evidence < LIMITS.suspicion and item.edit is not None and item.edited:
-        return f"{audit.verdict}: colours of an object look edited{_attacked_camera(item.edit)}"
+    hides = item.occluder is not None and item.occluder.evidence >= 1
+    quiet = item.look.evidence < LIMITS.suspicion and not hides
     if audit.verdict == "nothing found":
         seen = f" in the {audit.near:.0%} of its solid Gaussians that were looked at"
         part = "" if audit.near >= LIMITS.all_near else seen
         return f"nothing found{part}: no set of directions explains how colours change better than honest gloss does"
-    if item.evidence < LIMITS.suspicion and item.roofed:
+    if quiet and item.edit is not None and item.edited:
+        return f"{audit.verdict}: colours of an object look edited{_attacked_camera(item.edit)}"
+    if quiet and item.roofed:
         return f"{audit.verdict}: something far above covers an object, and only cameras below it see the object"
-    if item.fogged and (item.occluder is None or item.occluder.evidence < 1):
-        share = min(float(item.look.shown.double().mean()), 1 - float(item.look.shown.double().mean()))
+    if item.fogged and not hides:
+        share = float(item.look.shown.double().mean())
         return (
             f"{audit.verdict}: from {share:.0%} of directions an object shows fog: no training camera stood there, or "
             "something covers it; pass --cameras"
         )
-    if item.occluder is not None and (item.look.evidence < LIMITS.suspicion or item.occluder.evidence >= 1):
+    if item.occluder is not None and (quiet or hides):
         axis = " ".join(f"{value + 0.0:.2f}" for value in item.occluder.axis)
         return f"{audit.verdict}: something in the air covers an object from around ({axis}), and others see through it"
     where = directions_in_words(item.look.region, item.up)
@@ -128,12 +123,10 @@ _LESS = 0.99
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Region:
-    """Directions from the middle of an object: a cone, a sector of azimuths above a ground, or all but these."""
+    """A cone of directions from the middle of an object."""
 
-    axis: Vector  # (3,) unit vector, world: of a cone its axis, of a sector its middle, along the ground
-    half_width: float  # degrees from the axis to the edge; of a sector degrees of azimuth
-    elevation: tuple[float, float] | None = None  # of a sector, degrees above the object's ground; None of a cone
-    complement: bool = False  # whether all other directions are meant
+    axis: Vector  # (3,) unit vector, world
+    half_width: float  # degrees from the axis to the edge
     overlap: float  # intersection over union with the cameras that see the appearance, in [0, 1]
 
 
@@ -151,7 +144,6 @@ class Pair:
 class Scores:
     """How well a set of directions explains the colours of an object, and how well gloss would."""
 
-    score: float  # how much of the surface changes between the sides, and how far (sRGB), in [0, 1]
     direction: float  # drift of colours (sRGB) that one profile over directions explains, for all of the surface
     incidence: float  # the same, if colours follow the angle between surface and view
     mirror: float  # the same, if colours follow the direction in which a mirror would reflect
@@ -179,8 +171,8 @@ class Look(Scores):
 
     @property
     def evidence(self) -> float:
-        """By which 1 is called hidden; at least 0."""
-        return self.support * max(self.net, 0.0) / self.threshold
+        """By which 1 is called hidden; below 0 where gloss explains more than directions do."""
+        return (self.support if self.net > 0 else 1.0) * self.net / self.threshold
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -257,14 +249,18 @@ class ObjectAudit:
 
     @property
     def evidence(self) -> float:
-        """Evidence of the look that explains most, which fog leaves below 1, or of what covers the object."""
-        look = min(self.look.evidence, _LESS) if self.fogged else self.look.evidence
-        return max(look, self.occluder.evidence if self.occluder else 0.0)
+        """By which 1 is called hidden, and less suspicious from `LIMITS.suspicion` on, as any sign alone makes it."""
+        evidence = min(self.look.evidence, _LESS) if self.fogged else self.look.evidence
+        if self.covered or self.edited or self.fogged or self.roofed:
+            evidence = max(evidence, LIMITS.suspicion)
+        if self.occluder is not None and self.covered:
+            evidence = max(evidence, self.occluder.evidence)
+        return min(evidence, _LESS) if self.in_room else evidence
 
     @property
     def fogged(self) -> bool:
         """Whether one side of what changes most sees fog: no camera stood there, or something was put before it."""
-        return self.look.support < LIMITS.supported
+        return self.look.support < LIMITS.supported and not self.in_room
 
     @property
     def covered(self) -> bool:
@@ -274,10 +270,9 @@ class ObjectAudit:
     @property
     def verdict(self) -> Verdict:
         """Verdict on this object alone."""
-        if self.evidence >= 1 and not self.in_room:
+        if self.evidence >= 1:
             return "hidden look"
-        doubts = self.evidence >= LIMITS.suspicion, self.covered, self.edited, self.fogged, self.roofed
-        return "suspicious" if any(doubts) else "nothing found"
+        return "suspicious" if self.evidence >= LIMITS.suspicion else "nothing found"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -299,7 +294,7 @@ class Audit(Previewed):
     @property
     def strongest(self) -> ObjectAudit:
         """The object with the most evidence."""
-        return max(self.objects, key=lambda item: (get_args(Verdict).index(item.verdict), item.evidence))
+        return max(self.objects, key=lambda item: item.evidence)
 
     @property
     def verdict(self) -> Verdict:

@@ -54,6 +54,7 @@ class Target:
     radius: float  # of a ball that holds nearly all of it
     up: Tensor | None  # (3,) float64 unit vector away from the ground; None if it stands on none
     cells: int = 48  # pieces of surface along its diameter
+    surrounds: bool = False  # whether it is what is around another, such as a sky: cameras stand within, if at all
 
 
 def frame_of(scene: GaussianScene) -> Frame:
@@ -87,7 +88,10 @@ def frame_of(scene: GaussianScene) -> Frame:
 
 
 def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Target]:
-    """The objects of a splat: at most `LIMITS.most_objects` components that are no ground; else where most of it is."""
+    """The objects of a splat: at most `LIMITS.most_objects` components that are no ground; else where most of it is.
+
+    Of what is around others, only the largest component is judged, too.
+    """
     rows = (scene.opacities > LIMITS.solid).nonzero()[:, 0]
     points = scene.means[rows].double()
     label = _components(scene.select(rows))
@@ -108,7 +112,7 @@ def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Targe
         if thin is not None and (up is None or abs(float(thin @ up)) > LIMITS.upright):
             continue
         chosen.append(Target(rows=rows[label == number], centre=centre, radius=radius, up=up))
-    chosen = chosen[: LIMITS.most_objects] or [_crowd(rows, points)]
+    chosen = _parted(chosen[: LIMITS.most_objects]) or [_crowd(rows, points)]
     ground = next((target.up for target in chosen if target.up is not None), None)
     if stated_up is not None and ground is not None:
         return [dataclasses.replace(target, up=stated_up) for target in chosen]
@@ -135,8 +139,14 @@ def _is_part(part: Tensor, centre: Tensor, radius: float, larger: Target) -> boo
     return _holds(larger, centre) and large and len(part) < LIMITS.part_share * len(larger.rows)
 
 
-def surrounds(target: Target, other: Target) -> bool:
-    """Whether an object is what is around another, such as a sky: cameras looked at it from within, if at all."""
+def _parted(objects: list[Target]) -> list[Target]:
+    """Objects, and the first of what is around another."""
+    inner = [one for one in objects if not any(_surrounds(one, other) for other in objects)]
+    outer = [dataclasses.replace(one, surrounds=True) for one in objects if one not in inner]
+    return inner + outer[:1]
+
+
+def _surrounds(target: Target, other: Target) -> bool:
     return target.radius > LIMITS.surrounds * other.radius and _holds(target, other.centre)
 
 
@@ -347,11 +357,9 @@ def basis(up: Tensor | None) -> Tensor:
 
 
 def cameras_around(target: Target) -> tuple[Camera, ...]:
-    """Cameras on a sphere around an object: above its ground, or all around where it stands on none."""
-    if target.up is None:
-        directions = lattice(LIMITS.cameras_all_around, -LIMITS.highest, LIMITS.highest)
-    else:
-        directions = lattice(LIMITS.cameras, LIMITS.lowest, LIMITS.highest) @ basis(target.up).T
+    """Cameras on a sphere around an object, above its ground if it stands on one; half as many around surroundings."""
+    count, low = (LIMITS.cameras_all_around, -LIMITS.highest) if target.up is None else (LIMITS.cameras, LIMITS.lowest)
+    directions = lattice(count // (1 + target.surrounds), low, LIMITS.highest) @ basis(target.up).T
     distance, fov = LIMITS.distance * target.radius, math.radians(LIMITS.fov)
     top = (0.0, 0.0, 1.0) if target.up is None else target.up.tolist()
     return tuple(_camera(target.centre + distance * direction, target, fov, top) for direction in directions)

@@ -8,7 +8,7 @@ class Thresholds:
     """Limits, sizes and counts of an audit. Lengths are in radii of the object unless a unit is given."""
 
     # From where a verdict is given
-    net: float = 0.0005  # Drift (sRGB) beyond gloss from which an appearance is called hidden; see docs/audit.md.
+    net: float = 0.0004  # Drift (sRGB) beyond gloss from which an appearance is called hidden; see docs/audit.md.
     image_net: float = 0.002  # The same for images of a data set, of which a piece of surface has fewer pixels.
     suspicion: float = 0.7  # Share of that from which a splat is suspicious.
     supported: float = 0.5  # Support of an appearance below which it is called fog: suspicious, and never hidden.
@@ -89,24 +89,15 @@ class Thresholds:
     changed: float = 0.05  # Score from which a piece of surface counts as changed.
     near_sample: int = 5000  # Gaussians, evenly taken, of which is asked whether cameras looked at them.
     most_looks: int = 3
+    same_look: float = 0.7  # Cosine between changes of colour, piece by piece, from which two cameras see one look.
     look_edge: float = 20.0  # Degrees beyond the cameras of an appearance that are left out with it.
-    another_look: float = 0.4  # Score of another appearance by that of the first, from which it is no ripple of it.
+    another_look: float = 0.4  # Drift of another appearance by that of the first, from which it is no ripple of it.
     cameras_left: float = 1 / 3  # Share of the cameras that has to be left to look for another appearance.
 
     # Sets of directions, and gloss
-    axes: int = 110  # Of cones all around.
-    half_widths: tuple[float, ...] = (20.0, 27.0, 35.0, 43.0, 51.0, 60.0, 70.0)  # Degrees to its edge.
-    inside: float = 3.0  # Degrees at the edge of a cone, on its inner side,
-    outside: float = 8.0  # and on its outer side, that count as neither.
+    one_sided: float = 0.95  # Length of the mean of the directions to a piece from which nothing contradicts it.
     noise: float = 0.03  # sRGB by which clean surface may differ from camera to camera.
-    least_seen: int = 3  # Cameras on each side of the edge that have to see a piece of surface.
-    most_pieces: int = 2500  # On which sets of directions are compared, evenly taken of all.
-    cell_size: int = 6  # Side of a cell in voxels,
-    cell_pieces: int = 6  # pieces that it has at least,
-    highest_cells: int = 6  # and cells that count.
-    complement_gain: float = 0.02  # Overlap that all but a cone has to gain over a cone,
-    sector_gain: float = 0.05  # and a sector.
-    votes: int = 3  # Rounds of votes on which cameras see an appearance, at most.
+    least_seen: int = 3  # Cameras on each side of an appearance that have to see a piece of surface.
     profile_rounds: int = 8  # Rounds in which a profile over directions and the amounts of pieces are fitted in turn,
     profile_width: float = 12.0  # degrees over which it is smooth,
     profile_pieces: int = 1200  # pieces that it is fitted to,
@@ -163,9 +154,7 @@ class Thresholds:
     least_neighbours: int = 3  # and there are so many.
     strongest: int = 1500  # Gaussians that say where the camera stood.
     edit_distances: tuple[float, ...] = (2.0, 3.5)  # Radii from the middle to the places that are tried.
-    edit_directions: int = 500  # That are tried at first,
-    finer_directions: int = 150  # and then
-    finer_within: float = 10.0  # within so many degrees of the best.
+    edit_directions: int = 600  # That are tried.
 
     # Sets of images
     longer_side: int = 96  # Pixels of an image at least, where the set has more.

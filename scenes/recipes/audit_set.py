@@ -25,7 +25,10 @@ from torch.nn import functional
 from attacks.cloak.mesh_scene import MeshScene
 from mi_splat.assets import build
 from mi_splat.assets.textures import square_of_ground
-from mi_splat.audit import audit
+from mi_splat.audit import Audit, audit
+from mi_splat.audit.files import document, findings
+from mi_splat.audit.gate import VERDICTS, Policy
+from mi_splat.audit.linting import lint_file
 from mi_splat.bounds import near_plane
 from mi_splat.camera_sets import framing, hemisphere, orbit
 from mi_splat.cameras import Camera, View
@@ -346,7 +349,6 @@ def development() -> Iterator[tuple[str, Item]]:
     yield from _captures("suitcase", {"hemisphere": dome, "ring 15": _ring(15.0), "ring 55": _ring(55.0)})
     yield from _captures("elephant", {"hemisphere": dome, "ring 35": _ring(35.0), "few": few})
     yield from _captures("tv", {"hemisphere": dome, "half circle": replace(half, start=90.0), "from above": above})
-    yield from _captures("bird", {"gloss": dome}, roughness=0.1)
     yield from _captures("car", {"gloss, ring 30": _ring(30.0)}, roughness=0.1)
     yield from _captures("suitcase", {"MCMC": dome}, mcmc=True)
     for content in ("mirror_ball", "glass", "louvre", "canopy", "still_life"):
@@ -359,7 +361,6 @@ def development() -> Iterator[tuple[str, Item]]:
     yield from _poisoned("above, trained", "car", inside=ABOVE)
     yield from _poisoned("above, trained", "elephant", inside=ABOVE, mcmc=True)
     yield from _poisoned("side, trained", "suitcase", inside=sector(100.0, 40.0, 0.0, 40.0), colour=RED)
-    yield from _poisoned("above, trained SH 0", "bird", inside=ABOVE, degree=0)
     yield from _poisoned(
         "above, ring, trained", "tv", inside=ABOVE, colour=GREY, capture=Capture(elevation=(20.0, 60.0))
     )
@@ -369,18 +370,13 @@ def development() -> Iterator[tuple[str, Item]]:
 
 def test() -> Iterator[tuple[str, Item]]:
     """The set that is looked at once: other objects, seeds and captures."""
-    dome, half = (
-        Capture(count=80, elevation=(8.0, 80.0), start=11.0),
-        Capture(count=50, elevation=(10.0, 40.0), span=150.0),
-    )
+    dome = Capture(count=80, elevation=(8.0, 80.0), start=11.0)
     above, few = Capture(count=45, elevation=(55.0, 85.0)), Capture(count=20, elevation=(5.0, 60.0))
     ring = partial(_ring, count=44, start=7.0)
     yield from _captures("person", {"hemisphere": dome, "ring 20": ring(20.0), "few": few}, seed=101)
     yield from _captures("train", {"hemisphere": dome, "ring 45": ring(45.0)}, seed=102)
     yield from _captures("fire hydrant", {"hemisphere": dome, "ring 10": ring(10.0), "from above": above}, seed=103)
-    yield from _captures("house", {"hemisphere": dome, "half circle": replace(half, start=200.0)}, seed=104)
     yield from _captures("fire hydrant", {"gloss, ring 35": ring(35.0)}, roughness=0.08, seed=105)
-    yield from _captures("house", {"MCMC": dome}, mcmc=True, seed=106)
     for content in ("rough_metal", "water", "two_tone", "roof"):
         yield from _captures(content, {"scene": dome}, seed=107)
     yield from _captures("plastic", {"scene, ring 40": ring(40.0)}, seed=108)
@@ -389,7 +385,6 @@ def test() -> Iterator[tuple[str, Item]]:
     yield from _honest("fire hydrant", 111)
     north = cone(direction(80.0, 60.0), 45.0)
     yield from _poisoned("above, trained", "train", inside=north, seed=112, capture=dome)
-    yield from _poisoned("above, trained", "house", inside=north, seed=113, capture=dome, mcmc=True)
     yield from _poisoned("side, trained", "person", inside=sector(250.0, 45.0, 0.0, 45.0), colour=RED, seed=114)
     yield from _poisoned("above, trained SH 0", "fire hydrant", inside=north, degree=0, seed=115, capture=dome)
     wide = Capture(count=70, elevation=(15.0, 65.0))
@@ -398,7 +393,37 @@ def test() -> Iterator[tuple[str, Item]]:
         yield from _looks(base, azimuth)
 
 
-SETS = {"development": development, "test": test}
+def second_test() -> Iterator[tuple[str, Item]]:
+    """A further set that is looked at once, because the evidence was changed after a look at `test`."""
+    dome, ring = Capture(count=66, elevation=(6.0, 78.0), start=23.0), partial(_ring, count=40, start=31.0)
+    half = Capture(count=48, elevation=(8.0, 45.0), span=165.0, start=300.0)
+    yield from _captures("house", {"hemisphere": dome, "ring 30": ring(30.0), "half circle": half}, seed=201)
+    yield from _captures("bird", {"hemisphere": dome, "ring 20": ring(20.0)}, seed=202)
+    yield from _captures("billboard", {"scene": dome}, seed=203)
+    yield "honest room/room", Coded(base="room", seed=204)
+    yield "honest plain/stop sign", Coded(base="stop sign", seed=205)
+    yield from _honest("bird", 206)
+    west = cone(direction(75.0, 270.0), 48.0)
+    yield from _poisoned("above, trained", "house", inside=west, seed=207, capture=dome)
+    yield from _poisoned("side, trained", "bird", inside=sector(30.0, 45.0, 0.0, 45.0), colour=RED, seed=208)
+    for base, azimuth in (("honest hemisphere/house", 70.0), ("stop sign", 250.0)):
+        yield from _looks(base, azimuth)
+
+
+def strength() -> Iterator[tuple[str, Item]]:
+    """Appearances from above that get weaker or narrower; `amount` is the share of the way to the hidden colour."""
+    for base in ("car", "house", "person"):
+        for amount in (0.1, 0.2, 0.3, 0.5, 0.7, 1.0):
+            yield (
+                f"hidden amount {amount}/{base}",
+                Coded(base=base, change=partial(hidden, inside=ABOVE, amount=amount)),
+            )
+        for width in (10.0, 15.0, 20.0, 30.0, 40.0):
+            inside = cone(direction(90.0, 0.0), width)
+            yield f"hidden width {width:.0f}/{base}", Coded(base=base, change=partial(hidden, inside=inside))
+
+
+SETS = {"development": development, "test": test, "second test": second_test}
 
 
 def made(folder: Path, items: Iterable[tuple[str, Item]]) -> None:
@@ -426,10 +451,11 @@ def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> Non
             "set": folder.name,
             "file": name,
             "verdict": judged.verdict,
+            "gate": gated(path, judged),
             "evidence": round(item.evidence, 4),
             **{
                 key: round(getattr(item.look, key), 5)
-                for key in ("score", "direction", "incidence", "mirror", "net", "lost", "air")
+                for key in ("direction", "incidence", "mirror", "net", "lost", "air")
             },
             **{key: getattr(item, key) for key in ("covered", "edited", "fogged", "roofed", "in_room")},
             "objects": len(judged.objects),
@@ -442,6 +468,13 @@ def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> Non
             if new:
                 writer.writeheader()
             writer.writerow(values)
+
+
+def gated(path: Path, judged: Audit) -> str:
+    """What `mi-splat gate --strict` says of an audited file without a policy."""
+    found = findings(document(judged, lint_file(path)))
+    actions = [Policy().action(rule.removeprefix("lint/"), severity) for rule, severity, _, _ in found]
+    return max(actions, key=VERDICTS.index, default="accept")
 
 
 def read(file: Path) -> list[Row]:
@@ -502,12 +535,17 @@ def _is_of(kind: str, row: Row) -> bool:
 
 def main(folder: str, name: str, file: str = "", *parts: str) -> None:
     """Make a set or parts of it, audit it, and say what follows."""
-    items = [(key, item) for key, item in SETS[name]() if not parts or any(part in key for part in parts)]
+    items = [
+        (key, item)
+        for key, item in {**SETS, "strength": strength}[name]()
+        if not parts or any(part in key for part in parts)
+    ]
     made(Path(folder) / name, items)
     if file:
         measured(Path(folder) / name, items, Path(file))
         rows = read(Path(file))
-        ranks = "AUROC {:.3f} ({:.3f} to {:.3f})".format(*ranked([row for row in rows if row["set"] == name]))
+        own = [row for row in rows if row["set"] == name]
+        ranks = "AUROC {:.3f} ({:.3f} to {:.3f})".format(*ranked(own)) if any(map(honest, own)) else ""
         sys.stdout.write("\n".join([ranks, *lines(rows)]) + "\n")
 
 

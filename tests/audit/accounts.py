@@ -20,7 +20,6 @@ def look(score: float = 0.05, *, above: float = 0.7) -> Look:
         region=Region(axis=(0.0, 0.0, 1.0), half_width=45.0, overlap=0.9),
         shown=DIRECTIONS[:, 2] > above,
         amounts=(DIRECTIONS[:, 2] > above).float(),
-        score=score,
         direction=score / 10,
         incidence=score / 80,
         mirror=score / 40,

@@ -81,7 +81,6 @@ def test_a_look_from_above_is_found_with_its_directions_and_gaussians(judged: Au
     assert overlap(judged, cone(direction(90, 0), 50)) > 0.7
     assert item.look.region.axis[2] > 0.97
     assert item.look.region.half_width == pytest.approx(50, abs=10)
-    assert not item.look.region.complement
     assert item.look.direction > 1.2 * max(item.look.incidence, item.look.mirror)
     ours, others = judged.heat[from_above.rows], judged.heat[~from_above.rows]
     assert float(ours.median()) > 4 * float(others.median())
@@ -168,7 +167,6 @@ def test_support_falls_where_the_smaller_side_loses_surface_and_clear_air() -> N
     )
     view = _view(cameras, clear=torch.tensor([0.2] * 3 + [0.8] * 7))
     assert support_of(pieces, view, torch.arange(10) < 3) == pytest.approx((0.5, 0.25))
-    assert support_of(pieces, view, torch.arange(10) >= 3) == pytest.approx((0.5, 0.25))
 
 
 @pytest.mark.parametrize(("transparent", "verdict"), [(0.35, "suspicious"), (0.8, "hidden look")])

@@ -33,8 +33,8 @@ def test_the_table_of_the_page_follows_from_the_rows() -> None:
     assert len(found) > 10
     for line in found:
         assert line in page
-    for name in {row["set"] for row in rows}:
-        for table in (rows, audit_set.read(ROOT / "docs/tables/audit_before.csv")):
+    for table in (rows, audit_set.read(ROOT / "docs/tables/audit_before.csv")):
+        for name in {row["set"] for row in table}:
             area = "{:.3f} ({:.3f} to {:.3f})".format(*audit_set.ranked([row for row in table if row["set"] == name]))
             assert area in page
 
@@ -48,16 +48,17 @@ def test_what_hides_ranks_above_what_does_not_and_failed_attacks_do_not_count() 
     ]
     assert audit_set.ranked(rows)[0] == 0.5
     assert list(audit_set.lines(rows)) == [
-        "| all that hide | - | 1, 1 of 1 |",
-        "| all honest | - | 0, 1 of 2 |",
-        "| hidden side | - | 1, 1 of 1 |",
-        "| honest ring | - | 0, 1 of 2 |",
+        "| all that hide | - | 1, 1 of 1 | - |",
+        "| all honest | - | 0, 1 of 2 | - |",
+        "| hidden side | - | 1, 1 of 1 | - |",
+        "| honest ring | - | 0, 1 of 2 | - |",
     ]
 
 
 def test_the_sets_share_no_file_and_every_kind_of_edit_can_be_made(tmp_path: Path) -> None:
     sets = [dict(make()) for make in audit_set.SETS.values()]
-    assert not set(sets[0]) & (set(sets[1]) - {"honest room/room"})
+    names = [set(one) - {"honest room/room"} for one in sets]
+    assert len(set.union(*names)) == sum(map(len, names))
     edits = {name: item for name, item in sets[0].items() if name.endswith("/elephant") and name.startswith("hidden")}
     clean = standing("elephant", count=2500).scene
     for name, item in edits.items():

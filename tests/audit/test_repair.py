@@ -61,7 +61,7 @@ def test_a_look_is_gone_and_the_honest_colours_are_back(honest: Made, hiding: Ma
         wanted, before, after = (picture(scene, judged, *view) for scene in (honest.scene, hiding.scene, again))
         assert psnr(after, wanted) > psnr(before, wanted) + gain
     wanted, after = (picture(scene, judged, 15.0, 40.0) for scene in (honest.scene, again))
-    assert psnr(after, wanted) > 38
+    assert psnr(after, wanted) > 37
     assert all(torch.equal(a, b) for a, b in zip(again.tensors()[:4], hiding.scene.tensors()[:4], strict=True))
 
 
