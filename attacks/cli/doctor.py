@@ -225,7 +225,6 @@ EXTRAS = {
     "ocr": ("rapidocr_onnxruntime",),
     "report": ("jinja2", "matplotlib"),
     "tflite": ("tflite",),
-    "transformers": ("transformers",),
     "usd": ("pxr",),
     "view": ("viser",),
     "yolo": ("ultralytics",),

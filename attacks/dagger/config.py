@@ -66,8 +66,8 @@ class DaggerConfig:
             small ones count for more (see `attacks.optimisers.methods.momentum`).
         required_views: Fraction of the views in which the attack has to succeed, with every detector.
         controls: Random changes that an attack has to beat: white noise that changes the object's pixels as much as it
-            does, by PSNR (noise), or white noise of the attack's norm (norm-noise), which averages out and changes
-            pixels much less.
+            does, by PSNR (noise), smooth changes that do so (smooth-noise), or white noise of the attack's norm
+            (norm-noise), which averages out and changes pixels much less.
         noise_draws: Draws of each control.
         sh_degree: Highest degree of the SH coefficients that may change, if SH may; the file gets it if it has less,
             with new coefficients that start at 0. 3 is what 3DGS writes and what the paper attacked; 0 changes a

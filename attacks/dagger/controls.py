@@ -8,18 +8,20 @@ a detector sees. So noise is scaled until the mean squared error over the object
 import math
 from collections.abc import Iterator, Sequence
 
-from torch import Generator
+import torch
+from torch import Generator, Tensor
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import View
+from attacks.observe import Control
 from attacks.search import Parameters
 from mi_splat.scene import GaussianScene
 
 TOLERANCE = 0.1
 """Difference in the object's PSNR at which noise is as large as an attack, dB."""
-_TRIALS = 16
-"""Scales that are tried."""
+_TRIALS, _WAVES, _SMOOTH_SH = 16, 8, 4
+"""Scales that are tried; plane waves of a smooth field; SH coefficients that it changes (up to degree 1)."""
 _FURTHEST = 10.0
 """Most that noise changes logits, log-scales, quaternions and, in world units, means by."""
 
@@ -36,10 +38,42 @@ def control_scenes(
     for control in config.controls:
         generator = Generator().manual_seed(config.seed + 1)  # not the draws of the attack's own starting points
         for draw in range(config.noise_draws):
-            noisy = config.budget.noise(attacked, reference, generator)
+            noisy = _noise(control, problem, attacked, reference, config, generator)
             if control != "norm-noise":
                 noisy = _matched(problem, noisy, reference, views, wanted)
             yield (control, draw), subset.applied(noisy)
+
+
+def _noise(
+    control: Control,
+    problem: Problem,
+    attacked: Parameters,
+    reference: Parameters,
+    config: DaggerConfig,
+    generator: Generator,
+) -> Parameters:
+    """The object with noise of the norm of the attack."""
+    if control != "smooth-noise":
+        return config.budget.noise(attacked, reference, generator)
+    means = problem.subset.scene.means[problem.subset.rows].detach()
+    moved = {}
+    for name, value in attacked.items():
+        field = _smooth_field(means, reference[name], generator)
+        size = (value - reference[name]).detach().norm() / field.norm().clamp(min=1e-30)
+        moved[name] = reference[name] + size * field
+    return moved
+
+
+def _smooth_field(means: Tensor, like: Tensor, generator: Generator) -> Tensor:
+    """A random change, as `like`, that agrees between neighbours: plane waves about as long as the object."""
+    place = (means - means.mean(0)) / means.std(0).max().clamp(min=1e-9)
+    waves, phases = (torch.randn(_WAVES, width, generator=generator) for width in (3, 1))
+    amplitudes = torch.randn(_WAVES, *like.shape[1:], generator=generator)
+    if like.ndim == 3:
+        amplitudes[:, _SMOOTH_SH:] = 0
+    field = (place.cpu() @ waves.T + math.pi * phases.T).cos()
+    change: Tensor = torch.tensordot(field, amplitudes, dims=1).to(like)
+    return change
 
 
 def _matched(

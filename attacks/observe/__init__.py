@@ -2,5 +2,5 @@
 
 from typing import Literal
 
-Control = Literal["noise", "norm-noise"]
+Control = Literal["noise", "smooth-noise", "norm-noise"]
 """A random change of the object, beside which an attack is judged; also its name in the column `splat` of rows."""

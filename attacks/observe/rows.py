@@ -83,7 +83,7 @@ _TABLE: tuple[tuple[str, ...], ...] = (
     (
         "splat",
         "text",
-        "clean (control), attacked, noise, norm-noise (random)",
+        "clean (control), attacked, noise, smooth-noise, norm-noise (random)",
     ),
     ("draw", "whole?", "index of the draw of a random change, from 0; empty for other splats"),
     ("detector", "text", "name of the detector"),

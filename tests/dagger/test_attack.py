@@ -76,7 +76,7 @@ def test_attack_table(
 
 
 def test_noise_changes_the_object_as_much_as_the_attack() -> None:
-    names: tuple[Control, ...] = ("noise", "norm-noise")
+    names: tuple[Control, ...] = ("noise", "smooth-noise", "norm-noise")
     result = run(controls=names, noise_draws=2, cameras=[camera(), camera(offset=0.4)])
     assert list(result.control_images) == [(name, draw) for name in names for draw in range(2)]
     attacked = result.image.psnr_object
@@ -88,7 +88,7 @@ def test_noise_changes_the_object_as_much_as_the_attack() -> None:
         else:
             assert abs(change.psnr_object - attacked) < 1.0
     rates = result.figures["control_rates"]
-    assert {name: rates[name]["total"] for name in rates} == {"norm-noise": 4}
+    assert {name: rates[name]["total"] for name in rates} == {"smooth-noise": 4, "norm-noise": 4}
     assert set(observed(result.views).rows["splat"].unique()) == {"clean", "attacked", *names}
 
 

@@ -16,8 +16,6 @@ from attacks.detectors import DETECTORS, DetectorError, DetectorSpec, load_detec
 from attacks.detectors.catalogue import (
     COCO_CLASSES,
     TORCHVISION_FILES,
-    TRANSFORMERS_HUB,
-    hub_download,
     torch_download,
 )
 from attacks.detectors.torchvision import published_weights
@@ -150,25 +148,6 @@ def test_the_fingerprint_follows_every_weight() -> None:
     with torch.no_grad():
         detector.model.roi_heads.box_predictor.cls_score.bias[3] += 1e-6
     assert detector.fingerprint != first
-
-
-@pytest.mark.parametrize("name", TRANSFORMERS_HUB)
-def test_downloads_are_looked_for_where_transformers_keeps_them(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    hub = pytest.importorskip("huggingface_hub", reason="the extra transformers is not installed")
-    entry = TRANSFORMERS_HUB[name]
-    monkeypatch.delenv("HF_HUB_CACHE", raising=False)
-    monkeypatch.setenv("HF_HOME", str(tmp_path))
-    assert not hub_download(entry).exists()
-    folder = tmp_path / "hub" / f"models--{entry.repository.replace('/', '--')}"
-    for part, text in ((f"refs/{entry.revision}", "abc"), ("snapshots/abc/model.safetensors", "x")):
-        (folder / part).parent.mkdir(parents=True)
-        (folder / part).write_text(text)
-    cached = hub.try_to_load_from_cache(
-        entry.repository, "model.safetensors", cache_dir=tmp_path / "hub", revision=entry.revision
-    )
-    assert str(hub_download(entry)) == cached
 
 
 @pytest.mark.parametrize("bad", [torch.nan, -torch.inf])
