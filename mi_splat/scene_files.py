@@ -230,7 +230,9 @@ class MixedScene:
     `parameters` take the place of the file's default values, for instance `sun_z=0.25`.
     """
 
-    def __init__(self, path: Path, *, samples: int = SAMPLES, linear: bool = False, **parameters: Any) -> None:
+    def __init__(
+        self, path: Path, *, samples: int = SAMPLES, seed: int = 0, linear: bool = False, **parameters: Any
+    ) -> None:
         if samples < 1:
             raise InvalidValueError.of("samples", "at least 1", samples, "64 are little noise")
         variant.use()
@@ -239,7 +241,7 @@ class MixedScene:
             do = 'write <integrator type="splat_ray"/>'
             raise InvalidValueError.of(str(path), "the integrator splat_ray", "another one", do)
         self.splats: SplatScene = values_of(self._loaded, path, among="surfaces")
-        self.samples, self.linear = samples, linear
+        self.samples, self.seed, self.linear = samples, seed, linear
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
         """Render one picture."""
@@ -251,7 +253,7 @@ class MixedScene:
         self._put(scene)
         film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "pixel_format": "rgb"}
         sensor = mi.load_dict({**sensor_dict(camera), "film": film})
-        picture = self._loaded.integrator().render(self._loaded, sensor, seed=0, spp=self.samples)
+        picture = self._loaded.integrator().render(self._loaded, sensor, seed=self.seed, spp=self.samples)
         flat = picture.array if self.linear else srgb_value(picture.array)
         values = torch.from_numpy(flat.numpy().copy()).reshape(camera.height, camera.width, 3)
         return values if self.linear else values.clamp(0.0, 1.0)

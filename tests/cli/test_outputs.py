@@ -172,7 +172,7 @@ REFUSED = {
     "render a.ply --cameras orbit:2@0 --out a.ply/b": (1, "a.ply"),
     "render a.ply --out a.ply/b.png": (1, "a.ply"),
     "render scene.xml --cameras back": (1, "front, side"),
-    "render a.ply --camera back": (1, "no cameras"),
+    "render a.ply --cameras back": (1, "no cameras"),
     "render notes.txt": (1, "notes.txt"),
     "render a.ply --depth --out a.png": (1, "--out with --depth: expected a name that ends in .exr"),
     "render a.ply --depth --method ray --out b.exr": (1, "--depth: expected --method tile"),
