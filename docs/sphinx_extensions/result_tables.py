@@ -45,8 +45,8 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "cloak_car_no_shadow": ("CLOAK", "[CLOAK](../cloak.md#the-study)", ("cloak_car_no_shadow",)),
     "cloak_car_stealthy": (
-        "CLOAK with the shadow left",
-        "[CLOAK](../cloak.md#at-full-size-with-the-shadow)",
+        "CLOAK at 256 x 256 pixels",
+        "[CLOAK](../cloak.md#the-study)",
         ("cloak_car_stealthy",),
     ),
     "cloak_three_appearances": (
