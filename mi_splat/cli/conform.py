@@ -517,12 +517,19 @@ def _bytes(image: Array) -> Any:
 def _compare_values(options: ConformOptions, folder: Path, every: Mapping[str, ConformanceScene]) -> int:
     """Compare the values of converted files with those of the PLY."""
     from mi_splat.cli.convert import differences
+    from mi_splat.io.errors import SplatFileError
     from mi_splat.io.splat_files import suffix_of
 
     rows, lines = list[dict[str, Any]](), list[str]()
     for name, scene in every.items():
         for path in (path for path in sorted(folder.glob(f"{name}.*")) if suffix_of(path.name)):
-            before, after = _through_file(scene, ".ply"), _load(path)
+            before = _through_file(scene, ".ply")
+            try:
+                after = _load(path)
+            except SplatFileError as problem:
+                rows.append({"name": name, "file": str(path), "unreadable": str(problem)})
+                lines.append(f"{path.name:28}unreadable: {problem}")
+                continue
             rows.append({"name": name, "file": str(path), "gaussians": [len(before), len(after)]})
             text = f"expected {len(before)} Gaussians, got {len(after)}"
             if len(before) == len(after):

@@ -1,6 +1,7 @@
 """The scenes of the 3DGS image: each wrong renderer shows in one of them, and its cause is found."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +118,17 @@ def test_our_renderer_conforms_from_the_exported_files(pack: Path, capsys: pytes
     assert max(row["largest_changes"]["opacity"] for row in files) < 0.01
     assert max(row["largest_changes"]["means, world units"] for row in files) < 1e-4  # also by the node of a glTF
     assert cli.main(["conform", "--gradients", str(pack / "gradients")]) == 0
+
+
+def test_a_converted_file_that_cannot_be_read_is_one_of_several(
+    pack: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(pack / "splats" / "order.ply", tmp_path)
+    (tmp_path / "order.spz").write_bytes(b"no splat")
+    assert cli.main(["conform", "--read", str(tmp_path), "--json"]) == DIFFERS
+    good, bad = json.loads(capsys.readouterr().out)["files"]
+    assert good["largest_changes"]["opacity"] == 0
+    assert "order.spz" in bad["unreadable"]
 
 
 def test_images_of_a_wrong_viewer_are_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
