@@ -7,7 +7,6 @@ whose colour changes most, of those that show in all five views.
 
 import argparse
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,9 @@ import torch
 from torch import Tensor
 
 from mi_splat import Camera, GaussianScene, Renderer, RenderSettings, load_splat
-from mi_splat.cameras import focal_of, orbit_pose, project_points
-from mi_splat.rotation import to_matrix
-from mi_splat.sh import sh_basis, sh_to_colour
+from mi_splat.cameras import focal_of, orbit_pose
+from mi_splat.sh import sh_basis
+from mi_splat.viewer.picking import border, colours
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "one_gaussian.png"
 ELEVATIONS = (10.0, 25.0, 40.0, 55.0, 75.0)
@@ -30,29 +29,6 @@ def camera(elevation: float, azimuth: float, target: tuple[float, float, float],
     """A camera on a sphere about a point."""
     pose = orbit_pose(target, azimuth=azimuth, elevation=elevation, distance=distance)
     return Camera(to_world=pose, focal=focal_of(math.radians(_FOV), _SIZE), width=_SIZE, height=_SIZE)
-
-
-def border(scene: GaussianScene, row: int, view: Camera) -> Tensor:
-    """(P, 2) pixels of the outline of a Gaussian at two standard deviations; none where it is not in front."""
-    mean, scales, rotation = (
-        part[row : row + 1].detach().cpu() for part in (scene.means, scene.scales, scene.rotations)
-    )
-    axes = (to_matrix(rotation)[0] * scales).T
-    ends, depths = project_points(torch.cat([mean, mean + axes, mean - axes]), view)
-    if float(depths.min()) <= 0:
-        return ends[:0]
-    sides = (ends[1:4] - ends[4:]) / 2
-    shape = torch.linalg.cholesky(sides.T @ sides + 1e-4 * torch.eye(2))
-    angles = torch.linspace(0, 2 * math.pi, 65)
-    outline: Tensor = ends[0] + 2 * torch.stack([angles.cos(), angles.sin()], dim=1) @ shape.T
-    return outline
-
-
-def colours(scene: GaussianScene, row: Tensor | int, cameras: Sequence[Camera]) -> Tensor:
-    """(views, ..., 3) colours of Gaussians as they are seen, sRGB."""
-    means, sh = scene.means[row].detach(), scene.sh[row].detach()
-    directions = torch.stack([means - view.position.to(means) for view in cameras])
-    return sh_to_colour(sh, torch.nn.functional.normalize(directions, dim=-1)).clamp(max=1)
 
 
 def chosen(scene: GaussianScene, cameras: list[Camera], render: Renderer) -> int:
