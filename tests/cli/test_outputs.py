@@ -29,7 +29,7 @@ COMMANDS = {
     "render a.ply": ("a.png", "mi_splat.cli.cameras.renderer_of"),
     "render a.ply --cameras orbit:3@20": ("", "mi_splat.cli.cameras.renderer_of"),
     "render a.ply --cameras orbit:2@20": ("a.gif", "mi_splat.cli.cameras.renderer_of"),
-    "compare a.ply": ("", "mi_splat.comparison.compare.compare"),
+    "compare a.ply": ("", "attacks.studies.compare.compare"),
     "select a.ply --cluster 1": ("a.npy", "mi_splat.cli.cameras.choose"),
     "dagger a.ply --cluster 1": ("", "attacks.dagger.attack.attack_views"),
     "dagger --region a.ply --cluster 1": ("", "attacks.dagger.attack.attack_views"),
