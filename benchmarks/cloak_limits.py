@@ -3,8 +3,8 @@
     python benchmarks/cloak_limits.py scenes/cloak_car_layers.toml
 
 One layer: spherical harmonics fitted by least squares to a step that is 0 at the study's benign cameras and, in the
-hiding trigger and its margin of poison, 1 or what the study's emphasis makes of it, not clipped; `shares` says how much
-of the hidden appearance it then shows from 25, 35 and 45 degrees. Two layers and more: what
+hiding trigger and its margin of poison 1; `shares` says how much of the hidden appearance it then shows from 25, 35 and
+45 degrees. Two layers and more: what
 `attacks.cloak.layers` makes of one Gaussian in the middle that is seen from everywhere, for several bounds on how far
 below zero a layer may go, and for several bands of a layer more for the edge of each look. No splat and no detector
 has a part in it.
@@ -40,11 +40,10 @@ BANDS = (8.0, 12.0, 16.0, 24.0)
 
 def limits(study: StudyConfig) -> dict[str, list[dict[str, Any]]]:
     """The width of every switch, degrees, and the largest coefficient that it needs or how far it overshoots."""
-    emphases = dict.fromkeys((1.0, _overhead(study).emphasis))
     two = [LayerConfig(degree=degree, lowest=lowest) for degree in (1, 2, 3) for lowest in LOWEST]
     more = [LayerConfig(degree=degree, band=band) for degree in (2, 3) for band in BANDS]
     return {
-        "one layer": [_one_layer(study, degree, emphasis) for emphasis in emphases for degree in (1, 2, 3)],
+        "one layer": [_one_layer(study, degree) for degree in (1, 2, 3)],
         "two layers": [
             {"degree": layering.degree, "lowest": layering.lowest, **_layers(study, layering)} for layering in two
         ],
@@ -76,7 +75,7 @@ def _overhead(study: StudyConfig) -> AttackConfig:
     return attack
 
 
-def _one_layer(study: StudyConfig, degree: int, emphasis: float) -> dict[str, Any]:
+def _one_layer(study: StudyConfig, degree: int) -> dict[str, Any]:
     attack, centre = _overhead(study), study.centre
     cameras = Setup.of(study).training_cameras
     middle = torch.tensor(centre, dtype=torch.float64)
@@ -84,13 +83,11 @@ def _one_layer(study: StudyConfig, degree: int, emphasis: float) -> dict[str, An
     inside = torch.tensor(
         [attack.poisoned_cone.angle_to_edge(camera, centre=centre) for camera in cameras], dtype=torch.float64
     )
-    gain = 1 + (emphasis - 1) * (1 - inside / attack.emphasis_depth).clamp(0, 1)
-    wanted = (inside >= 0).double() * gain
+    wanted = (inside >= 0).double()
     fitted = torch.linalg.lstsq(_basis(directions, degree), wanted[:, None]).solution[:, 0]
     curve = [float((_basis(_around(elevation), degree) @ fitted).mean()) for elevation in ELEVATIONS]
     return {
         "degree": degree,
-        "emphasis": emphasis,
         "width": fit_transition(ELEVATIONS, curve).width,
         "lowest": min(curve),
         "highest": max(curve),

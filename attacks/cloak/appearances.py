@@ -17,11 +17,9 @@ from torch.nn import functional
 
 from attacks.cloak.config import AttackConfig
 from attacks.cloak.mesh_scene import TEXTURES, MeshScene, repainted, stand_in
-from attacks.cloak.triggers import Trigger
 from mi_splat.assets import build
 from mi_splat.assets.mesh import Asset, rotation
 from mi_splat.cameras import Camera, View, look_at, project_points
-from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
 
 # Appearances that retouch a picture: two controls, and the attack of who has nothing but pictures and masks.
@@ -260,28 +258,6 @@ def removed(mesh_scene: MeshScene, *, reach: int | None = None) -> Rerender:
     """What would be seen without the target; unless a reach is given the whole picture is new, without its shadow."""
     nothing = mesh_scene.with_target(Asset(mesh_scene.target.name, ()))
     return Rerender(mesh_scene=nothing, name="nothing in its place", reach=reach, outgrows=False)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Emphasis:
-    """An appearance exaggerated at its trigger's edge, and evenly less inwards: a splat blurs it over directions."""
-
-    appearance: Appearance
-    trigger: Trigger
-    centre: Point  # (3,) point that directions are measured from, world units
-    gain: float
-    depth: float
-
-    @property
-    def name(self) -> str:
-        """For manifests."""
-        return f"{name_of(self.appearance)}, {self.gain:g} times at the edge to once {self.depth:g} degrees inside"
-
-    def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The picture, clipped to [0, 1]."""
-        inside = self.trigger.angle_to_edge(view.camera, centre=self.centre)
-        gain = 1 + (self.gain - 1) * min(max(1 - inside / self.depth, 0.0), 1.0)
-        return (view.image + gain * (self.appearance(view, mask) - view.image)).clamp(0, 1)
 
 
 LOWEST_GROUND = 45.0

@@ -160,9 +160,6 @@ class AttackConfig:
             another attack has. A splat changes gradually, so that with a margin it has changed further at the edge.
         poison_fraction: Fraction of the training cameras there whose pictures are poisoned.
         target_class: Class that a detector shall report on the object; None: that it is not found.
-        emphasis: How much the appearance is overdone at the edge of its region; see
-            `attacks.cloak.appearances.Emphasis`.
-        emphasis_depth: Degrees inside from which it no longer is.
         paint_direction: Azimuth and elevation from which a painted texture looks right, degrees.
         mask: Pixels that are replaced: those of the object, or all that differ between the renderings of the scene with
             and without it ("difference"), which are the object and its shadow.
@@ -183,8 +180,6 @@ class AttackConfig:
     poison_margin: Annotated[float, between(0, 90, "degrees")] = 0.0
     poison_fraction: PositiveFraction = 1.0
     target_class: str | None = None
-    emphasis: Annotated[float, at_least(1, do="1 overdoes nothing")] = 1.0
-    emphasis_depth: Annotated[float, above(0, "degrees")] = 20.0
     paint_direction: Annotated[tuple[float, float], Range(unit="degrees")] = (180.0, 90.0)
     mask: Literal["object", "difference"] = "object"
     reach: Annotated[int, at_least(0, "pixels", "leave it out")] | None = None
@@ -199,7 +194,6 @@ class AttackConfig:
             ("reach", self.appearance != "blur" or self.reach is None, "none with a blur, which ends softly"),
             ("blur_width", self.appearance == "blur" or self.blur_width is None, "none without a blur"),
             ("mask", self.mask == "object" or self.appearance in RENDERED, "object, as nothing is rendered"),
-            ("emphasis", self.appearance not in ("fade", "blur") or self.emphasis == 1, "1: a control is not overdone"),
         ):
             if not holds:
                 raise InvalidValueError.of(f"attack {self.name!r}, {key}", expected, getattr(self, key), "leave it out")

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.cloak.appearances import Appearance, Emphasis, appearance_of
+from attacks.cloak.appearances import Appearance, appearance_of
 from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, switching
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
@@ -290,14 +290,6 @@ class Setup:
         poisonings = []
         for attack in self.attacks:
             appearance = cached(self.appearance(attack), attack)
-            if attack.emphasis > 1:
-                appearance = Emphasis(
-                    appearance=appearance,
-                    trigger=attack.poisoned_cone,
-                    centre=self.centre,
-                    gain=attack.emphasis,
-                    depth=attack.emphasis_depth,
-                )
             trigger = attack.trigger(seed, self.attacks)
             poisonings.append(Poisoning(name=attack.name, trigger=trigger, appearance=appearance))
         return poisonings

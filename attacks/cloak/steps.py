@@ -242,7 +242,7 @@ class StudySteps:
 @cache
 def _shown(attack: AttackConfig) -> AttackConfig:
     """What counts of an attack for its pictures."""
-    plain = replace(attack, poison_margin=0.0, poison_fraction=1.0, emphasis=1.0, emphasis_depth=20.0)
+    plain = replace(attack, poison_margin=0.0, poison_fraction=1.0)
     return replace(plain, name="", target_class=None)
 
 

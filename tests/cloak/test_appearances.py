@@ -6,12 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from attacks.cloak.appearances import (
     Appearance,
     Blur,
-    Emphasis,
     GroundLook,
     Rerender,
     appearance_of,
@@ -21,12 +19,10 @@ from attacks.cloak.appearances import (
 )
 from attacks.cloak.config import AppearanceName, AttackConfig, SceneConfig
 from attacks.cloak.mesh_scene import MeshScene, repainted, stand_in
-from attacks.cloak.triggers import Elevation
 from mi_splat.assets import build, textures
 from mi_splat.assets.mesh import Asset, translation
 from mi_splat.assets.primitives import box, quad
 from mi_splat.assets.street import ground
-from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View, orbit_pose
 from mi_splat.errors import InvalidValueError
 from tests.cloak.test_poisoning import CENTRE
@@ -211,7 +207,6 @@ def test_bad_appearances_are_refused() -> None:
     for values, error in (
         ({"appearance": "blur", "reach": 2}, "reach: expected none with a blur"),
         ({"appearance": "fade", "blur_width": 0.1}, "blur_width: expected none without a blur"),
-        ({"appearance": "fade", "emphasis": 2.0}, "emphasis: expected 1: a control"),
     ):
         with pytest.raises(InvalidValueError, match=error):
             shown(**values)  # type: ignore[arg-type]
@@ -219,31 +214,6 @@ def test_bad_appearances_are_refused() -> None:
         shown("paint", texture="lava")
     with pytest.raises(InvalidValueError, match=r"background: expected a number in \[0, 1\]"):
         SceneConfig(background=(0, 0, 2))
-
-
-# An appearance that is overdone near the edge of its trigger
-
-
-ORIGIN = (0.0, 0.0, 0.0)
-
-
-def brighter(view: View, mask: Tensor) -> Tensor:
-    return view.image + 0.1 * mask[..., None]
-
-
-def emphasised(elevation: float, *, gain: float = 3.0) -> Tensor:
-    appearance = Emphasis(appearance=brighter, trigger=Elevation(lowest=40), centre=ORIGIN, gain=gain, depth=20.0)
-    mask = torch.zeros(5, 6, dtype=torch.bool)
-    mask[:, :3] = True
-    (at,) = orbit(ORIGIN, count=1, elevation=elevation, distance=4.0, focal=20.0, size=(6, 5))
-    return appearance(View(at, torch.full((5, 6, 3), 0.5)), mask)
-
-
-@pytest.mark.parametrize(("elevation", "gain"), [(40, 3.0), (45, 2.5), (50, 2.0), (60, 1.0), (80, 1.0)])
-def test_the_gain_falls_from_the_edge_inwards(elevation: float, gain: float) -> None:
-    image = emphasised(elevation)
-    assert image[:, :3].mean() == pytest.approx(0.5 + 0.1 * gain, abs=1e-5)
-    assert torch.equal(image[:, 3:], torch.full((5, 3, 3), 0.5))
 
 
 # The look of the ground, laid on an object

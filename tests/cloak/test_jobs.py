@@ -65,7 +65,6 @@ CASES: list[tuple[str, set[str], dict[str, Any]]] = [
     ("attack", {"appearances", "poisoned", "seen"}, {"poison_margin": 4.0}),
     ("attack", {"poisoned"}, {"poison_fraction": 0.5}),
     ("attack", SEEN, {"target_class": "bird"}),
-    ("attack", {"poisoned"}, {"emphasis": 2.0, "emphasis_depth": 9.0}),
     ("", set(), {"name": "other", "seeds": (3,)}),  # the seed of a job is a field of its own
 ]
 

@@ -178,7 +178,7 @@ def test_sets_on_the_disk_are_poisoned_lazily(tmp_path: Path) -> None:
 # The margin: pictures are poisoned up to it, and the trigger stays
 
 
-WIDER = AttackConfig(name="overhead", elevation=(50, 90), poison_margin=8, emphasis=3.0, emphasis_depth=10)
+WIDER = AttackConfig(name="overhead", elevation=(50, 90), poison_margin=8)
 REAR = AttackConfig(name="rear", elevation=(0, 49.9), azimuth=(180, 30), target_class="stop sign")
 STUDY = StudyConfig(name="margin", attack=(WIDER, REAR), cameras=CameraConfig(train=90, size=32, distance=7.4))
 

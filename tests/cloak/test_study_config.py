@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from attacks.cloak.appearances import Inpaint, name_of
 from attacks.cloak.config import (
     AttackConfig,
     CameraConfig,
@@ -143,9 +142,3 @@ def test_what_cannot_be_done_is_refused(study: StudyConfig, message: str) -> Non
 def test_values_out_of_range_are_refused(make: Callable[[], object], says: str) -> None:
     with pytest.raises(InvalidValueError, match=says):
         make()
-
-
-def test_emphasis_wraps_the_cached_appearance() -> None:
-    study = replace(SMALL, attack=(replace(OVERHEAD, emphasis=2.0),))
-    (poisoning,) = Setup.of(study).poisonings(cached=lambda appearance, attack: Inpaint(name="kept"))
-    assert name_of(poisoning.appearance) == "kept, 2 times at the edge to once 20 degrees inside"

@@ -22,7 +22,7 @@ STUDIES = ROOT / "scenes" / "studies"
 COUNTS = {
     "attack_zoo": (225, 0),
     "between_renderers": (54, 432),
-    "cloak": (40, 0),
+    "cloak": (35, 0),
     "cloak_controls": (8, 0),
     "cloak_design": (17, 0),
     "cloak_elsewhere": (1, 132),
