@@ -443,7 +443,7 @@ def fit_config(training: TrainingConfig) -> FitConfig:
 
 _GONE = (
     *("surrogate", "cleaning", "true_pictures", "point_deviations", "occluder_radius", "occluder_edge"),
-    *("label", "up", "scale", "rotate", "front"),
+    *("label", "up", "scale", "rotate", "front", "emphasis", "emphasis_depth"),
 )
 """Settings of results of November 2026 that no study has any more; in those results they are off."""
 
