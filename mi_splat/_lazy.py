@@ -22,17 +22,3 @@ def attach(
         return sorted({*vars(sys.modules[package]), *home_of})
 
     return get, names
-
-
-class Previewed:
-    """A value that a notebook shows as small pictures and a line of facts, its `repr`.
-
-    What draws them lies above all values, in the module `cards` of the package of the class. It is imported when a
-    notebook asks. So it is no part of the code that results depend on.
-    """
-
-    __slots__ = ()
-
-    def _repr_html_(self) -> str:
-        kind = next(kind for kind in type(self).__mro__ if Previewed in kind.__bases__)
-        return str(importlib.import_module(f"{kind.__module__.partition('.')[0]}.cards").html(self))

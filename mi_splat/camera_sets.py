@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mi_splat._lazy import Previewed
 from mi_splat.camera_forms import MOST, parse_form
-from mi_splat.cameras import Camera, focal_of, orbit_pose, sizes_of
+from mi_splat.cameras import Camera, focal_of, orbit_pose
 from mi_splat.datasets.transforms import read_cameras
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import above, checked_number
@@ -24,13 +23,6 @@ _GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))
 """The golden angle, degrees."""
 
 
-class CameraList(Previewed, list[Camera]):
-    """Cameras of a set, in their order; a list that a notebook shows as directions."""
-
-    def __repr__(self) -> str:
-        return f"CameraList({len(self)} cameras{sizes_of(self)})"
-
-
 def orbit(
     target: Sequence[float],
     *,
@@ -41,11 +33,11 @@ def orbit(
     size: tuple[int, int],
     start: float = 0.0,
     span: float = 360.0,
-) -> CameraList:
+) -> list[Camera]:
     """`count` cameras at equal azimuths around `target`, or over a `span` of them, the first at azimuth `start`."""
     azimuths = (start + span * i / count for i in range(count))
     poses = (orbit_pose(target, azimuth=azimuth, elevation=elevation, distance=distance) for azimuth in azimuths)
-    return CameraList(Camera(to_world=pose, focal=focal, width=size[0], height=size[1]) for pose in poses)
+    return [Camera(to_world=pose, focal=focal, width=size[0], height=size[1]) for pose in poses]
 
 
 def hemisphere(
@@ -58,7 +50,7 @@ def hemisphere(
     elevation: tuple[float, float] = (0.0, 90.0),
     start: float = 0.0,
     offset: float = 0.5,
-) -> CameraList:
+) -> list[Camera]:
     """`count` cameras spread evenly in area over a band of the upper hemisphere.
 
     They stand on a Fibonacci lattice (Swinbank and Purser 2006): heights in equal steps, azimuths in golden angles. A
@@ -78,7 +70,7 @@ def hemisphere(
         The cameras, in the order of a spiral from the lowest to the highest.
     """
     low, high = (math.sin(math.radians(e)) for e in elevation)
-    cameras = CameraList()
+    cameras = list[Camera]()
     for i in range(count):
         azimuth = (start + i * _GOLDEN) % 360.0
         angle = math.degrees(math.asin(low + (high - low) * (i + offset) / count))
@@ -103,7 +95,7 @@ def tiers(
     """`count` cameras on a hemisphere, or on rings or arcs of it, each at a distance of its own."""
     lens: dict[str, Any] = {"distance": distance, "focal": focal, "size": size}
     if elevations:
-        cameras = CameraList()
+        cameras = list[Camera]()
         for ring, elevation in enumerate(elevations):
             share = count // len(elevations) + (ring < count % len(elevations))
             turned = start + ring * _GOLDEN * (span == 360.0)
@@ -135,7 +127,7 @@ def grid(
     size: tuple[int, int],
 ) -> list[Camera]:
     """Cameras at every pair of an azimuth and an elevation, row by row from the lowest."""
-    cameras = CameraList()
+    cameras = list[Camera]()
     for row in range(elevations):
         middle = 90.0 * (row + 0.5) / elevations
         cameras += orbit(target, count=azimuths, elevation=middle, distance=distance, focal=focal, size=size)

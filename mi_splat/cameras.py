@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mi_splat._lazy import Previewed
 from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Range, above, between, check, checked_number, several_of, taken
@@ -30,7 +29,7 @@ _Point = tuple[Annotated[float, Range()], Annotated[float, Range()], Annotated[f
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
-class Camera(Previewed):
+class Camera:
     """A pinhole camera with exact pose and intrinsics.
 
     Attributes:
@@ -123,7 +122,7 @@ def as_cameras(cameras: Camera | Sequence[Camera]) -> tuple[Camera, ...]:
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class View(Previewed):
+class View:
     """A picture and the camera that took it.
 
     Attributes:
@@ -144,7 +143,7 @@ class View(Previewed):
             raise InvalidValueError.of("image", f"shape {expected}", tuple(self.image.shape), do)
 
 
-class ViewSet(Previewed, Sequence[View]):
+class ViewSet(Sequence[View]):
     """Views that need not be in memory: what can be known of them without decoding a picture, the set says itself."""
 
     __slots__ = ()

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from mi_splat import rotation as quaternion
-from mi_splat._lazy import Previewed
 from mi_splat.attributes import ATTRIBUTES, LARGEST, values_hash
 from mi_splat.errors import InvalidValueError
 from mi_splat.sh import coefficient_count, degree_of, rotate_sh
@@ -51,7 +50,7 @@ class Similarity:
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class GaussianScene(Previewed):
+class GaussianScene:
     """N Gaussians in physical values: never logits, never logarithms.
 
     The tensors are all float32, or all float64 for gradient checks, and share one device. They may require gradients:

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from mi_splat import variant
-from mi_splat._lazy import Previewed
 from mi_splat.bounds import near_plane
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, MiSplatError, listed, message
@@ -27,7 +26,7 @@ from mi_splat.scene import GaussianScene, check_scene, merge
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class SplatScene(Previewed):
+class SplatScene:
     """A splat scene file as values.
 
     Attributes:

@@ -1,8 +1,5 @@
 """Sets the Mitsuba variant, with this project's plugins registered in it."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 from mi_splat import plugins
 from mi_splat.errors import MiSplatError
 from mi_splat.mitsuba_setup import prepare_llvm, set_up_mitsuba
@@ -34,19 +31,6 @@ def use(variant: str = "") -> str:
         mi.set_variant(variant)
     plugins.register()
     return variant
-
-
-@contextmanager
-def variant_kept() -> Iterator[None]:
-    """Have the present variant again after the block, whatever renders in it."""
-    import mitsuba as mi
-
-    before = mi.variant()
-    try:
-        yield
-    finally:
-        if before and mi.variant() != before:
-            mi.set_variant(before)
 
 
 def device_of(variant: str) -> str:

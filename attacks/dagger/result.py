@@ -22,7 +22,6 @@ from attacks.rate import Rate
 from attacks.search import Step, Verdict
 from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange
-from mi_splat._lazy import Previewed
 from mi_splat.errors import counted as number_of
 from mi_splat.errors import one_line
 from mi_splat.io.images import through_png
@@ -222,7 +221,7 @@ PSNR_SLACK = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
-class Result(Previewed):
+class Result:
     """What an attack did, judged on the saved file and 8-bit pictures, from its own views or from held-out ones.
 
     Attributes:

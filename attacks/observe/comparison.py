@@ -21,7 +21,6 @@ from attacks.observe.rates import REPORTED, Confidence, Group, Measure, comparis
 from attacks.observe.rows import ATTACKED, CLEAN, Cell
 from attacks.observe.views import ViewDetections, evaluate
 from attacks.rate import FEW, Rate
-from mi_splat._lazy import Previewed
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, listed
 from mi_splat.fields import between, checked_number
@@ -30,7 +29,7 @@ from mi_splat.scene import GaussianScene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class Judged(Previewed):
+class Judged:
     """What detectors report on splats from the same cameras, on the files and pictures of 8 bits.
 
     Attributes:

@@ -15,7 +15,6 @@ from typing import Any, Protocol, overload
 import torch
 from torch import Tensor
 
-from mi_splat._lazy import Previewed
 from mi_splat.cameras import Camera, View, ViewSet, cameras_of
 from mi_splat.errors import InvalidValueError, one_line
 
@@ -88,7 +87,7 @@ class PoisonedViews(ViewSet):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class Poisoned(Previewed):
+class Poisoned:
     """A poisoned set."""
 
     views: PoisonedViews  # as many as the untouched set has, in its order

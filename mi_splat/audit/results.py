@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Literal
 import torch
 from torch import Tensor
 
-from mi_splat._lazy import Previewed
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point
@@ -276,7 +275,7 @@ class ObjectAudit:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class Audit(Previewed):
+class Audit:
     """What is hidden in a splat, as far as the file itself can tell."""
 
     objects: tuple[ObjectAudit, ...]  # from the largest; each was looked at by itself

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from mi_splat._lazy import Previewed
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison.methods import Method
@@ -232,7 +231,7 @@ class Cost:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Comparison(Previewed):
+class Comparison:
     """Pictures by camera and method, each two methods, the seconds of first calls (which may compile), and costs."""
 
     pictures: dict[str, dict[str, Tensor]]

@@ -13,7 +13,6 @@ from typing import Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from mi_splat._lazy import Previewed
 from mi_splat.cameras import Camera, RenderFn, View, cameras_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
@@ -25,7 +24,7 @@ from mi_splat.training.strategies import ScreenGradients, Step
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
-class Fit(Previewed):
+class Fit:
     """A trained splat."""
 
     scene: GaussianScene  # the result

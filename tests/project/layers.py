@@ -59,7 +59,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "training": ("mi_splat.training",),
     "audit": ("mi_splat.audit",),
     "capture": ("mi_splat.capture",),
-    "notebooks": ("mi_splat.cards",),
     "viewer": ("mi_splat.viewer",),
     "commands of mi_splat": ("mi_splat.cli",),
     "interfaces of attacks": (
@@ -73,7 +72,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "transformations": ("attacks.transformations",),
     "observation": ("attacks.observe",),
     "attacks": ("attacks.dagger", "attacks.cloak", "attacks.poisons", "attacks.audits"),
-    "notebooks of attacks": ("attacks.cards",),
     "studies": ("attacks.studies",),
     "scoreboard": ("attacks.bench",),
     "reports": ("attacks.report",),
