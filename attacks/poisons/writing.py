@@ -1,4 +1,4 @@
-"""A poisoned set as files: pictures that stayed keep their bytes, changed ones their alpha and their masks."""
+"""A poisoned set as files: pictures that stayed keep their bytes, changed ones their alpha."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torch.nn.functional import pad
 from attacks.poisons.base import Change, Poisoned, PoisonedViews
 from mi_splat.cameras import View
 from mi_splat.datasets import Dataset
-from mi_splat.datasets.writing import IMAGES, MASKS, list_transforms, make_folder, picture_name
+from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import quantise, to_bytes
 
@@ -32,10 +32,9 @@ def write_poisoned(
     done: Poisoned,
     *,
     held_out: Dataset | None = None,
-    changes_count: bool = False,
     keeps_alpha: bool = False,
 ) -> None:
-    """Write a poisoned set: transforms files, PNG pictures, masks, points.
+    """Write a poisoned set: transforms files, PNG pictures, points.
 
     A picture that stayed keeps its bytes if it is a PNG file that is read as it is, and its pixels otherwise.
     """
@@ -47,15 +46,12 @@ def write_poisoned(
     for split, (views, replaced) in parts.items():
         listing[split] = [(picture_name(split, index), camera) for index, camera in enumerate(views.cameras)]
         for index, (name, _) in enumerate(listing[split]):
-            if index not in replaced and _is_its_file(views, index):
+            if index not in replaced and views.downscale == 1 and views.paths[index].suffix == ".png":
                 shutil.copyfile(views.paths[index], images / name)
             else:
                 new = replaced.get(index)
                 opaque = None if new is None or keeps_alpha else to_bytes(new.image)
                 save_png(_pixels(views, index, new) if opaque is None else opaque, images / name)
-            mask = _counting(views, index, replaced.get(index) if changes_count else None)
-            if mask is not None:
-                save_png(to_bytes(mask), make_folder(folder / MASKS) / name)
     list_transforms(folder, listing, clean.points)
 
 
@@ -108,13 +104,6 @@ def _part(changed: Tensor) -> slice:
     return slice(start, start + _LARGEST)
 
 
-def _is_its_file(views: Dataset, index: int) -> bool:
-    """Whether a picture is what a PNG file holds, neither shrunk, turned nor undistorted."""
-    frame = views.frames[index]
-    as_it_is = frame.lens is None and not frame.upright and frame.shrunk == views.downscale
-    return as_it_is and frame.path.suffix == ".png"
-
-
 def _pixels(views: Dataset, index: int, new: View | None) -> NDArray[np.uint8]:
     """(H, W, 3) or, with alpha, (H, W, 4) of a picture's file."""
     image, alpha = (new or views[index]).image, views.alpha(index)
@@ -127,16 +116,3 @@ def _pixels(views: Dataset, index: int, new: View | None) -> NDArray[np.uint8]:
 def _straight(image: Tensor, alpha: Tensor, behind: Tensor) -> Tensor:
     """(H, W, 3) colour of the file, out of the one that is blended with what is behind."""
     return ((image - behind) / alpha.clamp(min=1 / 255)[..., None]).clamp(0, 1)
-
-
-def _counting(views: Dataset, index: int, changed: View | None) -> Tensor | None:
-    """What of a picture counts for who trains on it: as it was, and all that was changed."""
-    if views.frames[index].mask is None and views.frames[index].lens is None:
-        return None  # without reading the picture once more
-    mask = views.loss_mask(index)
-    if mask is None or changed is None:
-        return mask
-    known = views.loss_mask(index, files=False)  # what no photograph shows cannot count
-    differs = quantise(changed.image) != quantise(views[index].image)  # as files have them
-    counted = torch.where(differs.any(-1), 1.0, mask)
-    return counted if known is None else counted * known

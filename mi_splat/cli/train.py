@@ -38,8 +38,6 @@ _STRATEGY = strategy_name(FitConfig().strategy)
 class TrainOptions(JsonOptions):
     """Train a splat on pictures with cameras: a set of `mi-splat capture`, of COLMAP, or transforms.json.
 
-    Lenses with distortion (OPENCV, RADIAL, OPENCV_FISHEYE, ...) are undone as the pictures are read.
-
     Writes splat.ply, metrics.json, config.json and checkpoint.safetensors into --out. A run that was stopped goes on
     when the same command is given again, and makes the bits that it would have made. A run also goes on with more
     --iterations than it had.
@@ -61,7 +59,7 @@ class TrainOptions(JsonOptions):
     random: Annotated[int, between(1, 100_000_000, "Gaussians")] | None = None
     """Begin with so many Gaussians anywhere instead."""
     downscale: Annotated[int, between(1, 64, "times smaller"), Metavar("FACTOR")] = 1
-    """Integer factor by which the pictures shrink. Smaller ones that are in images_2, images_4, ... are used."""
+    """Integer factor by which the pictures shrink."""
     background: Colour = (0.0, 0.0, 0.0)
     """Colour behind the splat and transparent pixels, as white, #80b0e0 or 0.5,0.7,0.9."""
     near: Length | None = None
@@ -108,9 +106,6 @@ def _train(options: TrainOptions) -> None:
     with progress("loading the pictures"):
         load = partial(load_dataset, options.dataset, downscale=options.downscale, background=options.background)
         views = load(split="train")
-        if config.masks and not any(frame.mask for frame in views.frames):
-            do = "leave out --masks, or put them where the set says"
-            raise InvalidValueError.of(str(options.dataset), "masks of pictures", "none", do)
         held_out = load(split="test")
         start = _start(views, options)
         near = near_plane(start, views.cameras) if options.near is None else options.near
@@ -160,8 +155,6 @@ def _show(options: TrainOptions, count: int, seconds: float) -> None:
     if figures["psnr"] is not None:
         quality = f"PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}"
         lines.append(f"held out ({figures['held_out_views']} pictures): {quality}")
-        if figures["corrected_psnr"] is not None:
-            lines.append(f"with the exposure of each of these pictures: PSNR {figures['corrected_psnr']:.2f} dB")
     lines.append(f"took {seconds:.0f} s; figures are in {options.out / METRICS}")
     show_result({**figures, "out": str(options.out), "seconds": seconds}, *lines, as_json=options.json)
 

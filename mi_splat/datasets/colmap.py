@@ -17,17 +17,17 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera
-from mi_splat.datasets.distortion import Intrinsics
 from mi_splat.datasets.frames import (
     HELD_OUT,
+    UNDISTORT,
     DatasetError,
     DatasetWarning,
     Frame,
+    Intrinsics,
     Split,
-    find_mask,
+    camera_of,
     held_out,
-    photograph,
-    pinhole_camera,
+    picture_size,
     refuse_doubles,
     report_missing,
     within,
@@ -57,15 +57,13 @@ MODELS = {
     "EQUIRECTANGULAR": 2,
 }
 """Number of parameters of each of COLMAP's camera models, in the order of its ids."""
-ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE")
-TWO_FOCALS = ("PINHOLE", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FISHEYE")
-"""The camera models that are read, by how many focal lengths they have."""
+ONE_FOCAL, TWO_FOCALS = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"), ("PINHOLE", "OPENCV", "FULL_OPENCV")
+"""The camera models that are read if their distortion is zero, by how many focal lengths they have."""
 
 
 def unreadable(where: str, model: str) -> DatasetError:
     """The error for a camera model that is not read."""
-    do = "undistort the pictures with colmap image_undistorter, or cut panoramas into perspective images first"
-    return DatasetError.of(where, f"a camera model of {', '.join((*ONE_FOCAL, *TWO_FOCALS))}", model, do)
+    return DatasetError.of(where, "a camera model without distortion (PINHOLE)", model, UNDISTORT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,8 +244,6 @@ TEST_LIST = "test.txt"
 
 _FOLDERS = ("sparse/0", "sparse", "0", ".")
 _KINDS = (".bin", ".txt")
-_TANGENTIAL = ("OPENCV", "FULL_OPENCV")
-"""Whose third and fourth coefficient are tangential, and the sixth and later ones a divisor's."""
 
 
 def find_model(path: Path) -> Path | None:
@@ -257,7 +253,7 @@ def find_model(path: Path) -> Path | None:
 
 
 def read_colmap(
-    root: Path, cameras_file: Path, split: Split | None, every: int, downscale: int = 1
+    root: Path, cameras_file: Path, split: Split | None, every: int
 ) -> tuple[list[Frame], PointCloud | None]:
     """The frames of a split in the order of names, and the points."""
     folder = cameras_file.parent
@@ -270,11 +266,10 @@ def read_colmap(
     frames: dict[str, Frame] = {}
     for pose in poses:
         picture = within(images, pose.name, str(source))
-        mask, lens = find_mask(images.parent / "masks", Path(pose.name)), lenses[pose.lens]
-        photo = photograph(picture, mask, lens.size, downscale)
-        if photo is not None:
-            where = f"{source}, {pose.name}"
-            frames[pose.name] = photo.frame(_to_world(pose, where), lens, downscale, where)
+        if picture.is_file():
+            where, lens = f"{source}, {pose.name}", lenses[pose.lens]
+            picture_size(picture, lens.size)
+            frames[pose.name] = Frame(camera=camera_of(_to_world(pose, where), lens, where), path=picture)
     missing = [images / pose.name for pose in poses if pose.name not in frames]
     report_missing(missing, len(poses), source)
     read_poses = [pose for pose in poses if pose.name in frames]
@@ -290,7 +285,7 @@ def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[s
     cameras = {}
     for pose in _split(poses, cameras_file.with_name(TEST_LIST), split, HELD_OUT):
         where = f"{source}, {pose.name}"
-        cameras[pose.name] = pinhole_camera(_to_world(pose, where), lenses[pose.lens], where)
+        cameras[pose.name] = camera_of(_to_world(pose, where), lenses[pose.lens], where)
     return cameras
 
 
@@ -327,21 +322,9 @@ def _intrinsics(lenses: Mapping[int, Lens], number: int, source: Path) -> Intrin
         raise DatasetError.of(where, expected, got, "export the model again")
     first = lens.parameters[:1] if lens.model in ONE_FOCAL else ()
     fx, fy, cx, cy, *rest = (*first, *lens.parameters)
-    radial, tangential, divisor = rest, [0.0, 0.0], list[float]()
-    if lens.model in _TANGENTIAL:
-        radial, tangential, divisor = rest[:2] + rest[4:5], rest[2:4], rest[5:]
-    try:
-        return Intrinsics(
-            focal=(fx, fy),
-            principal=(cx, cy),
-            size=(lens.width, lens.height),
-            radial=tuple(radial),
-            divisor=tuple(divisor),
-            tangential=(tangential[0], tangential[1]),
-            fisheye=lens.model.endswith("FISHEYE"),
-        )
-    except InvalidValueError as error:
-        raise DatasetError(f"{where}: {error}") from error
+    if any(rest):  # also of NaN
+        raise unreadable(where, f"{lens.model} with distortion")
+    return Intrinsics(focal=(fx, fy), principal=(cx, cy), size=(lens.width, lens.height))
 
 
 def _to_world(pose: Pose, where: str) -> Tensor:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import operator
 import os
 from collections import OrderedDict
@@ -11,18 +10,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, overload
 
-import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera, View, ViewSet
 from mi_splat.datasets.colmap import find_model, read_colmap
-from mi_splat.datasets.distortion import Intrinsics, undistorted
-from mi_splat.datasets.frames import HELD_OUT, DatasetError, Frame, Split, downscaled, read_mask, read_picture
+from mi_splat.datasets.frames import HELD_OUT, DatasetError, Frame, Split, downscaled, read_picture
 from mi_splat.datasets.transforms import PARTS, SINGLE, find_transforms, read_transforms
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
 from mi_splat.io.errors import folder_advice
-from mi_splat.io.picture_files import check_pixels
 from mi_splat.io.points import PointCloud, load_points
 
 CACHE_BYTES = 256 << 20
@@ -30,18 +26,15 @@ CACHE_BYTES = 256 << 20
 
 
 class _Entry(NamedTuple):
-    """One picture in memory: the view, (H, W) alpha and mask, if it has them, and what of it the photograph shows."""
+    """One picture in memory: the view, and (H, W) alpha if it has it."""
 
     view: View
     alpha: Tensor | None
-    mask: Tensor | None
-    shown: Tensor | None
 
     @property
     def bytes(self) -> int:
         """Memory that it takes."""
-        planes = [plane for plane in (self.alpha, self.mask, self.shown) if plane is not None]
-        return 4 * (math.prod(self.view.image.shape) + sum(plane.numel() for plane in planes))
+        return 4 * (self.view.image.numel() + (0 if self.alpha is None else self.alpha.numel()))
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
@@ -59,16 +52,10 @@ class Dataset(ViewSet):
     def __post_init__(self) -> None:
         if not (isinstance(self.downscale, int) and self.downscale >= 1):
             raise InvalidValueError.of("downscale", "a positive integer", self.downscale, "1 keeps the size")
-        if any(self.downscale % frame.shrunk for frame in self.frames):
-            do = "load the set again with that downscale"
-            raise InvalidValueError.of("downscale", "a multiple of that of the pictures", self.downscale, do)
         if len(self.background) != 3 or not all(0 <= value <= 1 for value in self.background):
             do = "white is (1, 1, 1)"
             raise InvalidValueError.of("background", "three sRGB values in [0, 1]", self.background, do)
-        cameras = tuple(downscaled(frame.camera, self._factor(frame)) for frame in self.frames)
-        for frame, camera in zip(self.frames, cameras, strict=True):
-            if frame.lens is not None:  # which may have made the picture larger than that in the file
-                check_pixels(f"{frame.path} without its distortion", camera.width, camera.height)
+        cameras = tuple(downscaled(frame.camera, self.downscale) for frame in self.frames)
         object.__setattr__(self, "cameras", cameras)
 
     @property
@@ -78,10 +65,8 @@ class Dataset(ViewSet):
 
     @property
     def fingerprint(self) -> str:
-        """What tells this set from others: the bytes of its pictures and of their masks, and how they are read."""
-        files = [tuple(_digest(file) for file in (frame.path, frame.mask)) for frame in self.frames]
-        bent = [(frame.lens, frame.upright) for frame in self.frames if frame.lens or frame.upright]
-        return repr((files, self.downscale, self.background, *([bent] if bent else [])))
+        """What tells this set from others: the bytes of its pictures, and how they are read."""
+        return repr(([_digest(path) for path in self.paths], self.downscale, self.background))
 
     def __len__(self) -> int:
         """Number of views."""
@@ -103,22 +88,8 @@ class Dataset(ViewSet):
         """(H, W) float32 in [0, 1], opacity of the picture; None if it has none."""
         return self._read(index).alpha
 
-    def loss_mask(self, index: int, *, files: bool = True) -> Tensor | None:
-        """(H, W) float32 in [0, 1], 1 where the picture counts in a loss; None if all of it does."""
-        entry = self._read(index)
-        return _product(entry.mask if files else None, entry.shown)
-
-    def mask(self, index: int) -> Tensor | None:
-        """(H, W) float32 in [0, 1], 1 where the picture counts: its alpha times its mask; None if it has neither."""
-        entry = self._read(index)
-        return _product(entry.alpha, _product(entry.mask, entry.shown))
-
-    def _factor(self, frame: Frame) -> int:
-        """By what the picture in the file has to be made smaller."""
-        return self.downscale // frame.shrunk
-
     def _read(self, index: int) -> _Entry:
-        """A view with its alpha and its mask, from memory or from the disk."""
+        """A view with its alpha, from memory or from the disk."""
         index = range(len(self.frames))[operator.index(index)]
         entry = self._cache.pop(index, None) or self._load(index)
         self._cache[index] = entry  # as the last one
@@ -128,42 +99,18 @@ class Dataset(ViewSet):
         return entry
 
     def _load(self, index: int) -> _Entry:
-        """A view with its alpha and its mask from the disk."""
-        frame, camera = self.frames[index], self.cameras[index]
-        factor = self._factor(frame)
-        image, alpha = read_picture(frame.path, downscale=factor, background=self.background, upright=frame.upright)
-        mask = None if frame.mask is None else read_mask(frame.mask, downscale=factor)
-        size = frame.lens.size if frame.lens else (frame.camera.width, frame.camera.height)
-        wanted = (size[1] // factor, size[0] // factor)
-        for name, values in ((frame.path, image), (frame.mask, mask)):
-            if values is not None and tuple(values.shape[:2]) != wanted:
-                got, do = tuple(values.shape[:2]), "it has changed: load the set again"
-                raise DatasetError.of(str(name), f"{wanted} rows and columns", got, do)
-        if frame.lens is None:
-            return _Entry(View(camera, image), alpha, mask, None)
-        lens = frame.lens.resized(wanted[::-1], (1 / factor, 1 / factor))
-        target = Intrinsics(
-            focal=(camera.fx, camera.fy), principal=(camera.cx, camera.cy), size=(camera.width, camera.height)
-        )
-        planes = [plane[..., None] for plane in (alpha, mask) if plane is not None]
-        picture, shown = undistorted(torch.cat([image, *planes], -1), lens, target)
-        picture.clamp_(0, 1)  # the four weights of a pixel may sum to a little more
-        rest = iter(picture[..., 3:].unbind(-1))
-        alpha, mask = (None if plane is None else next(rest).contiguous() for plane in (alpha, mask))
-        view = View(camera, picture[..., :3].contiguous())
-        return _Entry(view, alpha, mask, None if bool(shown.all()) else shown.float())
+        """A view with its alpha from the disk."""
+        path, camera = self.frames[index].path, self.cameras[index]
+        image, alpha = read_picture(path, downscale=self.downscale, background=self.background)
+        if tuple(image.shape[:2]) != (camera.height, camera.width):
+            got, do = tuple(image.shape[:2]), "it has changed: load the set again"
+            raise DatasetError.of(str(path), f"{(camera.height, camera.width)} rows and columns", got, do)
+        return _Entry(View(camera, image), alpha)
 
 
-def _product(first: Tensor | None, second: Tensor | None) -> Tensor | None:
-    """Product of two masks, of which either may be missing."""
-    if first is None or second is None:
-        return second if first is None else first
-    return first * second
-
-
-def _digest(file: Path | None) -> str | None:
+def _digest(file: Path) -> str:
     try:
-        return None if file is None else sha256(file)
+        return sha256(file)
     except OSError as error:
         got = error.strerror or str(error)
         raise DatasetError.of(str(file), "the file of a picture", got, "load the set again") from error
@@ -182,16 +129,14 @@ def load_dataset(
 
     The format is found by itself: transforms_train.json and transforms_test.json, or transforms.json, or a COLMAP model
     in sparse/0, in sparse or in the folder itself, with pictures in images/. The world stays as it is in the files.
-    Headers of all pictures are read, and what does not fit is refused now; pixels are read later. Pictures of lenses
-    with distortion become those of pinhole cameras as they are read (`mi_splat.datasets.distortion`). Pictures that are
-    listed and not there are left out, with a `DatasetWarning`.
+    Headers of all pictures are read, and what does not fit is refused now; pixels are read later. Pictures that are
+    listed and not there are left out, with a `DatasetWarning`. Lenses with distortion are refused.
 
     Args:
         path: The folder, or a transforms file.
         split: "train" or "test"; None is both. Where the set has no split, every `test_every`-th picture in the order
             of names, the first included, is for tests, unless it is the only one; "test" may then be empty.
-        downscale: Integer factor by which pictures and intrinsics shrink; pixels are averaged, or taken from the
-            smaller pictures of the set, in images_2 beside images for a factor of 2, and so on.
+        downscale: Integer factor by which pictures and intrinsics shrink; pixels are averaged.
         background: sRGB colour behind transparent pixels.
         test_every: See `split`.
         cache_bytes: How much of the set may stay in memory.
@@ -200,8 +145,8 @@ def load_dataset(
         The views, whose pictures are read when they are asked for, and the points of the set if it has some.
 
     Raises:
-        DatasetError: The set is of neither kind, empty, or something in it is broken or cannot be undistorted, or more
-            than a third of the pictures are missing.
+        DatasetError: The set is of neither kind, empty, or something in it is broken, its lenses have distortion, or
+            more than a third of the pictures are missing.
         PictureFileError: A picture cannot be read.
         SplatFileError: The point cloud beside transforms cannot be read.
         InvalidValueError: An argument is out of range.
@@ -214,10 +159,10 @@ def load_dataset(
     transforms = find_transforms(root)
     model = None if transforms else find_model(root)
     if transforms:
-        frames, file = read_transforms(transforms, split, test_every, downscale)
+        frames, file = read_transforms(transforms, split, test_every)
         points = None if file is None else load_points(file)
     elif model:
-        frames, points = read_colmap(root, model, split, test_every, downscale)
+        frames, points = read_colmap(root, model, split, test_every)
     else:
         expected = "transforms.json, transforms_train.json or a COLMAP model in sparse/0"
         got = "none of these" if root.is_dir() else "no such folder"

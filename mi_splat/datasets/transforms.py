@@ -13,22 +13,21 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera, focal_of
-from mi_splat.datasets.distortion import Intrinsics
 from mi_splat.datasets.frames import (
+    UNDISTORT,
     DatasetError,
     DatasetWarning,
     Frame,
+    Intrinsics,
     Split,
-    find_mask,
+    camera_of,
     find_picture,
     held_out,
-    photograph,
-    pinhole_camera,
+    picture_size,
     refuse_doubles,
     report_missing,
     within,
 )
-from mi_splat.errors import InvalidValueError
 from mi_splat.io.parsing import DocumentReader, Fields
 
 OPENGL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
@@ -44,10 +43,7 @@ _TRANSFORMS = DocumentReader(
     error=DatasetError,
 )
 _DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-_PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
-_FISHEYE, _RATIONAL = ("OPENCV_FISHEYE", "FISHEYE"), "FULL_OPENCV"
-_DIVISOR = ("k4", "k5", "k6")
-"""Of a rational lens. Programs mean different things by k4 of other perspective lenses, so it is refused there."""
+_PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV")
 _ABOVE = 1
 """Folders above a file from which its pictures may come: some tools keep it beside their folder."""
 
@@ -59,17 +55,17 @@ def find_transforms(path: Path) -> Path | None:
     return next((path / name for name in (PARTS["train"], SINGLE, PARTS["test"]) if (path / name).is_file()), None)
 
 
-def read_transforms(path: Path, split: Split | None, every: int, downscale: int = 1) -> tuple[list[Frame], Path | None]:
+def read_transforms(path: Path, split: Split | None, every: int) -> tuple[list[Frame], Path | None]:
     """The frames of a split, and the file of the point cloud."""
     its_part = next((part for part, name in PARTS.items() if name == path.name), None)
     if its_part is None:
         document = _document(path)
-        entries = _split(document, _entries(document, path, downscale), split, every)
+        entries = _split(document, _entries(document, path), split, every)
         return [frame for _, frame in entries if frame], _points_file(document, path)
     files = {part: path.with_name(name) for part, name in PARTS.items()}
     wanted = files.values() if split is None else [files[split]]
     documents = {file: _document(file) for file in wanted if split == "train" or file.is_file()}
-    entries = [entry for file, document in documents.items() for entry in _entries(document, file, downscale)]
+    entries = [entry for file, document in documents.items() for entry in _entries(document, file)]
     refuse_doubles((str(picture) for picture, _ in entries), path)
     return [frame for _, frame in entries if frame], next(
         (points for file, doc in documents.items() if (points := _points_file(doc, file))), None
@@ -87,7 +83,7 @@ def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:
         values = {**document, **entry}
         own = _size(values, where) or size  # a frame's own values come before those of the file
         pose = _pose(values.get("transform_matrix"), where)
-        cameras.append(pinhole_camera(pose, _intrinsics(values, own, where), where))
+        cameras.append(camera_of(pose, _intrinsics(values, own, where), where))
     return cameras
 
 
@@ -102,7 +98,7 @@ def _document(path: Path) -> dict[str, Any]:
     return document
 
 
-def _entries(document: Mapping[str, Any], path: Path, downscale: int) -> list[tuple[Path, Frame | None]]:
+def _entries(document: Mapping[str, Any], path: Path) -> list[tuple[Path, Frame | None]]:
     """Every picture that a file lists, and its frame if the picture is there."""
     entries = []
     for number, entry in enumerate(document["frames"]):
@@ -112,23 +108,14 @@ def _entries(document: Mapping[str, Any], path: Path, downscale: int) -> list[tu
         where = f"{path}, frame {number} ({entry['file_path'][:200]})"
         picture = find_picture(within(path.parent, entry["file_path"], where, above=_ABOVE))
         values = {**document, **entry}
-        photo = photograph(picture, _mask(entry, path, picture, where), _size(values, where), downscale)
-        frame = None
-        if photo is not None:
-            pose, lens = _pose(values.get("transform_matrix"), where), _intrinsics(values, photo.size, where)
-            frame = photo.frame(pose, lens, downscale, where)
+        frame, claimed = None, _size(values, where)
+        if picture.is_file():
+            lens = _intrinsics(values, picture_size(picture, claimed), where)
+            frame = Frame(camera=camera_of(_pose(values.get("transform_matrix"), where), lens, where), path=picture)
         entries.append((picture, frame))
     refuse_doubles((str(picture) for picture, _ in entries), path)
     report_missing([picture for picture, frame in entries if frame is None], len(entries), path)
     return entries
-
-
-def _mask(entry: Mapping[str, Any], path: Path, picture: Path, where: str) -> Path | None:
-    """The mask that the frame names, or that lies in a folder masks/."""
-    if isinstance(entry.get("mask_path"), str):
-        return within(path.parent, entry["mask_path"], f"{where}: mask_path", above=_ABOVE)
-    name = Path(*Path(entry["file_path"]).parent.parts, picture.name)
-    return find_mask(path.parent / "masks", name.relative_to("images") if name.parts[0] == "images" else name)
 
 
 def _number(values: Mapping[str, Any], key: str, where: str) -> float | None:
@@ -148,38 +135,19 @@ def _size(values: Mapping[str, Any], where: str) -> tuple[int, int] | None:
 
 def _intrinsics(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Intrinsics:
     model = str(values.get("camera_model", _PERSPECTIVE[0])).upper()
-    if model not in (*_PERSPECTIVE, *_FISHEYE, _RATIONAL):
-        do = "undistort the pictures first, for instance with colmap image_undistorter"
-        known = f"a camera_model, one of {', '.join((*_PERSPECTIVE, *_FISHEYE, _RATIONAL))}"
-        raise DatasetError.of(where, known, model[:60], do)
-    fisheye = model in _FISHEYE or bool(values.get("is_fisheye"))
-    distortion = {key: _number(values, key, where) or 0.0 for key in _DISTORTION}
-    radial, divisor = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "k3"), _DIVISOR * (model == _RATIONAL)
-    usable = (*radial, *divisor, *(() if fisheye else ("p1", "p2")))
-    if others := [key for key, value in distortion.items() if value and key not in usable]:
-        kind = "a fisheye lens" if fisheye else "a lens of this kind"
-        do = "undistort the pictures first, for instance with colmap image_undistorter"
-        if not fisheye:
-            do += f", or name the camera_model {_RATIONAL} if they are a divisor as OpenCV's"
-        raise DatasetError.of(where, f"{', '.join(usable)} of {kind}", ", ".join(others), do)
+    if model not in _PERSPECTIVE or values.get("is_fisheye"):
+        got = model[:60] if model not in _PERSPECTIVE else "is_fisheye"
+        raise DatasetError.of(where, f"a camera_model, one of {', '.join(_PERSPECTIVE)}", got, UNDISTORT)
+    if bent := [key for key in _DISTORTION if _number(values, key, where)]:
+        raise DatasetError.of(where, "a lens without distortion", ", ".join(bent), UNDISTORT)
     focal = [_focal(values, axis, pixels, where) for axis, pixels in zip("xy", size, strict=True)]
     known_focal = [value for value in focal if value is not None]
     if not known_focal:
         raise DatasetError.of(where, "fl_x or camera_angle_x", "neither", "add one of the two")
     fx, fy = (known_focal[0] if value is None else value for value in focal)
     cx, cy = (_number(values, key, where) for key in ("cx", "cy"))
-    try:
-        return Intrinsics(
-            focal=(fx, fy),
-            principal=(size[0] / 2 if cx is None else cx, size[1] / 2 if cy is None else cy),
-            size=size,
-            radial=tuple(distortion[key] for key in radial),
-            divisor=tuple(distortion[key] for key in divisor),
-            tangential=(distortion["p1"], distortion["p2"]),
-            fisheye=fisheye,
-        )
-    except InvalidValueError as error:
-        raise DatasetError(f"{where}: {error}") from error
+    principal = (size[0] / 2 if cx is None else cx, size[1] / 2 if cy is None else cy)
+    return Intrinsics(focal=(fx, fy), principal=principal, size=size)
 
 
 def _pose(matrix: object, where: str) -> Tensor:

@@ -17,7 +17,7 @@ from mi_splat.io.errors import from_os_error
 from mi_splat.io.points import PointCloud, save_points, to_bytes
 from mi_splat.rotation import from_matrix
 
-IMAGES, MASKS = "images", "masks"
+IMAGES = "images"
 """Folders of the pictures in every set that is written here, and of their masks."""
 
 Listing = Mapping[str, Sequence[tuple[str, Camera]]]

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
+from PIL import Image, UnidentifiedImageError
 
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.errors import LFS_ADVICE, LFS_POINTER, from_os_error
@@ -90,12 +90,6 @@ def picture_header(
         return picture.size, picture.mode
 
 
-def lies_on_its_side(path: Path) -> bool:
-    """Whether a picture's EXIF orientation swaps its width and height."""
-    with _opened(path, str(path), FORMATS) as picture:
-        return picture.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
-
-
 def check_scans(picture: Image.Image, what: str) -> None:
     """Raise if a picture, opened and not yet decoded, is a JPEG of so many scans that decoding takes minutes."""
     if picture.format == "TIFF" and "jpeg" in str(picture.info.get("compression")):
@@ -127,16 +121,14 @@ def _scans(data: bytes) -> int:
     return scans
 
 
-def load_picture(
-    source: Path | bytes, what: str = "", *, formats: Sequence[str] = FORMATS, upright: bool = False
-) -> Image.Image:
+def load_picture(source: Path | bytes, what: str = "", *, formats: Sequence[str] = FORMATS) -> Image.Image:
     """A whole picture, decoded."""
     with _opened(source, what or str(source), formats) as picture:
         if picture.format in _ANIMATED and getattr(picture, "is_animated", False):
             raise PictureFileError.of(what or str(source), "one picture", "an animation", "save one picture of it")
         check_scans(picture, what or str(source))
         picture.load()
-        return ImageOps.exif_transpose(picture) if upright else picture.copy()
+        return picture.copy()
 
 
 @contextmanager

@@ -34,10 +34,6 @@ class FitConfig:
         lr_sh: Learning rate of the first SH coefficient.
         lr_sh_divisor: By how much that of the other coefficients is smaller; 20 in the published recipe.
         lr_sh_final: Last one; between them it decays exponentially. None is as at first.
-        masks: Leave out of the loss what is black in the masks of the set, people who walk by for instance.
-        exposure: Train an affine map of colours for each picture along with the splat, for pictures whose exposure or
-            white balance differ. Held-out pictures are compared with the splat as it is, and a second time after the
-            affine map of colours that fits each best.
         eval_interval: Steps between two evaluations on the held-out pictures; 0 evaluates at the end only.
 
     Raises:
@@ -58,8 +54,6 @@ class FitConfig:
     lr_sh: LearningRate = 2.5e-3
     lr_sh_divisor: Annotated[float, above(0)] = 2.5
     lr_sh_final: DecayingRate | None = None
-    masks: bool = False
-    exposure: bool = False
     eval_interval: Annotated[int, at_least(0, "steps", "0 evaluates at the end only")] = 1000
 
     def __post_init__(self) -> None:

@@ -17,8 +17,8 @@ from mi_splat.cameras import Camera, RenderFn, View, cameras_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
-from mi_splat.training.evaluation import HasMasks, score
-from mi_splat.training.losses import masked, photometric_loss
+from mi_splat.training.evaluation import score
+from mi_splat.training.losses import photometric_loss
 from mi_splat.training.state import Progress, TrainingError, TrainState, check_start
 from mi_splat.training.strategies import ScreenGradients, Step
 
@@ -41,7 +41,7 @@ class Fit:
 __all__ = ["Fit", "FitConfig", "Progress", "TrainState", "TrainingError", "advance", "fit", "scene_extent"]
 
 OnStep = Callable[[Progress], None]
-Target = tuple[Camera, Tensor, Tensor | None]
+Target = tuple[Camera, Tensor]
 
 
 @runtime_checkable
@@ -111,7 +111,7 @@ def advance(
         do = "use Renderer(screen_gradients=ScreenGradients())"
         expected = f"a renderer that keeps screen gradients, for {type(config.strategy).__name__}"
         raise InvalidValueError.of("render", expected, type(render).__name__, do)
-    target_of = targets_of(views, state.parameters["means"].device, files=config.masks)
+    target_of = targets_of(views, state.parameters["means"].device)
     while state.iteration < config.iterations:
         loss = _step(state, target_of, len(views), render)
         if state.iteration < config.iterations:  # what is changed last is trained no more
@@ -119,7 +119,7 @@ def advance(
         scored = None
         every = config.eval_interval
         if state.iteration == config.iterations or (every and state.iteration % every == 0):
-            scored = score(state.result(), held_out, render, corrected=config.exposure)
+            scored = score(state.result(), held_out, render)
         line = Progress(iteration=state.iteration, loss=loss, count=len(state.parameters["means"]), held_out=scored)
         if state.iteration == config.iterations or scored is not None:
             state.history.append(line)
@@ -133,13 +133,12 @@ def _keep_freed_memory() -> None:
     torch.empty(31 << 20, dtype=torch.uint8)
 
 
-def targets_of(views: Sequence[View], device: torch.device, *, files: bool) -> Callable[[int], Target]:
-    """Camera, image and mask by number, on a device; a GPU keeps as many as fill a quarter of its memory."""
+def targets_of(views: Sequence[View], device: torch.device) -> Callable[[int], Target]:
+    """Camera and image by number, on a device; a GPU keeps as many as fill a quarter of its memory."""
 
     def load(index: int) -> Target:
-        view, masks = views[index], views if isinstance(views, HasMasks) else None
-        mask = masks.loss_mask(index, files=files) if masks else None
-        return view.camera, view.image.to(device), None if mask is None else mask.to(device)
+        view = views[index]
+        return view.camera, view.image.to(device)
 
     if device.type == "cpu":
         return load
@@ -150,15 +149,11 @@ def targets_of(views: Sequence[View], device: torch.device, *, files: bool) -> C
 def _step(state: TrainState, target_of: Callable[[int], Target], count: int, render: RenderFn) -> float:
     """One image, its loss, its gradient, and a step of Adam."""
     index, scene = state.next_view(count), state.scene()
-    camera, target, mask = target_of(index)
-    image = render(scene, camera)
-    image = masked(state.exposed(image, index, count), target, mask)
-    loss = photometric_loss(image, target, lambda_dssim=state.config.lambda_dssim)
+    camera, target = target_of(index)
+    loss = photometric_loss(render(scene, camera), target, lambda_dssim=state.config.lambda_dssim)
     state.optimiser.zero_grad()
     value = differentiate(state, loss, scene)
     state.descend()
-    if state.exposures is not None:
-        state.exposures.step(state.iteration / state.config.iterations)
     state.iteration += 1
     return value
 

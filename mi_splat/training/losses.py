@@ -109,8 +109,3 @@ def photometric_loss(image: Tensor, reference: Tensor, *, lambda_dssim: float = 
         raise InvalidValueError.of("image", expected, tuple(image.shape), "render it at that size")
     loss: Tensor = _Photometric.apply(image, reference, lambda_dssim)
     return loss
-
-
-def masked(image: Tensor, reference: Tensor, mask: Tensor | None) -> Tensor:
-    """The picture with the reference where a mask is 0, so that no error is left there."""
-    return image if mask is None else reference + mask.to(image.device)[..., None] * (image - reference)

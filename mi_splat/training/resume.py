@@ -25,11 +25,11 @@ from mi_splat.processes import deferred_interrupt
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import Fit, OnStep, advance, scene_extent
-from mi_splat.training.state import MOMENTS, Exposures, Progress, TrainState, check_start
+from mi_splat.training.state import MOMENTS, Progress, TrainState, check_start
 from mi_splat.training.strategies import strategy_config, strategy_name
 
 FORMAT = 4  # of a checkpoint
-_STRATEGY, _EXPOSURES = "strategy/", "exposures/"
+_STRATEGY = "strategy/"
 _MOST_VIEWS = 1 << 31
 
 
@@ -67,8 +67,6 @@ def save_state(state: TrainState, path: Path) -> None:
         adam = state.optimiser.state.get(state.parameters[name], {})
         tensors |= {f"{key}/{name}": adam[key] for key in MOMENTS if key in adam}
     tensors |= {f"{_STRATEGY}{name}": value for name, value in state.strategy_state.items()}
-    if state.exposures is not None:
-        tensors |= {f"{_EXPOSURES}{name}": value for name, value in state.exposures.tensors().items()}
     tensors["generator"] = state.generator.get_state()
     notes = {
         "format": FORMAT,
@@ -128,17 +126,13 @@ def _assemble(notes: Fields, tensors: dict[str, Tensor]) -> TrainState:
             state.optimiser.state[state.parameters[name]] = adam
     check_like(groups["strategy"], state.strategy_state, f"{notes.where}, strategy", _READER)
     state.strategy_state = groups["strategy"]
-    if config.exposure and groups["exposures"]:
-        count = max(1, len(groups["exposures"].get("maps", ())))
-        check_like(groups["exposures"], Exposures(count, torch.device("cpu")).tensors(), notes.where, _READER)
-        state.exposures = Exposures.of(groups["exposures"], torch.device("cpu"))
     _restore(state, notes, tensors.get("generator"))
     return state
 
 
 def _parts(tensors: Mapping[str, Tensor]) -> dict[str, dict[str, Tensor]]:
     """The tensors of a checkpoint by what stands before the / in their names."""
-    groups: dict[str, dict[str, Tensor]] = {group: {} for group in ("parameters", "strategy", "exposures", *MOMENTS)}
+    groups: dict[str, dict[str, Tensor]] = {group: {} for group in ("parameters", "strategy", *MOMENTS)}
     for key, value in tensors.items():
         group, _, name = key.partition("/")
         groups.setdefault(group, {})[name] = value
@@ -289,7 +283,7 @@ def _figures(fit: Fit, held_out: int) -> dict[str, object]:
     """How true the held-out views are, and how it came about."""
     scores = fit.history[-1].held_out
     return {
-        **dict.fromkeys(("psnr", "ssim", "corrected_psnr")),
+        **dict.fromkeys(("psnr", "ssim")),
         **({} if scores is None else asdict(scores)),
         "held_out_views": held_out,
         "gaussians": len(fit.scene),

@@ -19,8 +19,6 @@ from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import Scores
 from mi_splat.training.strategies import Edit, build_strategy
 
-_FIRST, _LAST = 1e-2, 1e-3
-"""Learning rates, as published (code of 3D Gaussian Splatting of October 2024); it decays exponentially."""
 MOMENTS = ("exp_avg", "exp_avg_sq", "step")
 """What Adam keeps of each tensor, by torch's names; the first two for each row."""
 
@@ -61,50 +59,6 @@ class Adam:
                 tensor.grad = None
 
 
-class Exposures:
-    """A (3, 4) map for each picture of a set: a matrix and what is added, from the splat's sRGB to the picture's.
-
-    Nothing says which exposure is the right one. So the mean of the maps is kept the identity, and the splat has the
-    mean exposure; left free, all maps and the splat drift together. Adam knows a map at a time.
-    """
-
-    def __init__(self, count: int, device: torch.device) -> None:
-        self.values = torch.eye(3, 4, device=device).repeat(count, 1, 1)
-        self.maps = [exposure_map.requires_grad_(True) for exposure_map in self.values.unbind()]
-        self.optimiser = Adam([{"params": self.maps}])
-
-    def applied(self, image: Tensor, index: int) -> Tensor:
-        """(H, W, 3) colours as a picture has them."""
-        return image[..., :3] @ self.maps[index][:, :3].T + self.maps[index][:, 3]
-
-    def step(self, progress: float) -> None:
-        """A step of Adam on the map that has a gradient, which is cleared; then all are moved to their mean."""
-        for group in self.optimiser.param_groups:
-            group["lr"] = math.exp((1 - progress) * math.log(_FIRST) + progress * math.log(_LAST))
-        self.optimiser.step()
-        self.optimiser.zero_grad()
-        self.values -= self.values.mean(0) - torch.eye(3, 4, device=self.values.device)
-
-    def tensors(self) -> dict[str, Tensor]:
-        """All of it in four tensors, the maps and what Adam keeps of them."""
-        kept = [self.optimiser.state.get(exposure_map, {}) for exposure_map in self.maps]
-        zeros = {"exp_avg": torch.zeros(3, 4), "exp_avg_sq": torch.zeros(3, 4), "step": torch.zeros(())}
-        moments = {key: torch.stack([adam.get(key, zeros[key]).cpu() for adam in kept]) for key in MOMENTS}
-        return {"maps": self.values.cpu().clone(), **moments}
-
-    @classmethod
-    def of(cls, tensors: dict[str, Tensor], device: torch.device) -> Exposures:
-        """The inverse of `tensors`."""
-        made = cls(len(tensors["maps"]), device)
-        made.values.copy_(tensors["maps"])
-        for index, exposure_map in enumerate(made.maps):
-            if tensors["step"][index] > 0:
-                made.optimiser.state[exposure_map] = {
-                    key: tensors[key][index].clone().to("cpu" if key == "step" else device) for key in MOMENTS
-                }
-        return made
-
-
 class TrainingError(MiSplatError):
     """Training that cannot go on: values that are not finite, or nothing left to train."""
 
@@ -142,7 +96,6 @@ class TrainState:
         self.parameters = {name: value.float() for name, value in values.items()}
         self.iteration, self.view_queue = 0, list[int]()
         self.history = list[Progress]()
-        self.exposures: Exposures | None = None
         self.generator = Generator().manual_seed(seed)
         self.strategy = build_strategy(config.strategy)
         self.strategy_state = _moved(self.strategy.initial_state(len(start)), start.means.device)
@@ -156,8 +109,6 @@ class TrainState:
 
     def to(self, device: torch.device) -> None:
         """Move everything that is trained or counted to another device."""
-        if self.exposures is not None:
-            self.exposures = Exposures.of(self.exposures.tensors(), device)
         self.strategy_state = _moved(self.strategy_state, device)
         old, self.parameters = self.parameters, _moved(self.parameters, device)
         for group in self.optimiser.param_groups:
@@ -216,14 +167,6 @@ class TrainState:
         for group in self.optimiser.param_groups:
             group["lr"] = rates[group["name"]]
         self.optimiser.step()
-
-    def exposed(self, image: Tensor, index: int, count: int) -> Tensor:
-        """A picture of the splat with the exposure of one of `count` views, if exposures are trained."""
-        if not self.config.exposure:
-            return image
-        if self.exposures is None:
-            self.exposures = Exposures(count, image.device)
-        return self.exposures.applied(image, index)
 
     def next_view(self, count: int) -> int:
         """Number of the view to look at; all are seen once before any is seen again."""

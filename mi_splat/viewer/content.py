@@ -22,7 +22,6 @@ from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.scene_files import open_scene, resized
-from mi_splat.training.evaluation import HasMasks
 from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
 from mi_splat.viewer.session import DIFFERENCE, SIDE_BY_SIDE
 
@@ -36,8 +35,7 @@ def photographs_of(
     views = load_dataset(path, split=None, background=background)
     longest = max(max(camera.width, camera.height) for camera in views.cameras)
     factor = -(-longest // LONGEST_SIDE)
-    if factor > 1 and not any(factor % frame.shrunk for frame in views.frames):
-        views = replace(views, downscale=factor)
+    views = replace(views, downscale=factor)
     held_out = frozenset(load_dataset(path, split="test").paths)
     names, first = unique_names(file.stem for file in views.paths), views.cameras[0]
     labels = [f"{name} (held out)" if file in held_out else name for name, file in zip(names, views.paths, strict=True)]
@@ -129,12 +127,6 @@ class Photographs:
     def from_camera(self, camera: str | None) -> Tensor | None:
         """(H, W, 3) the picture of the camera of this name; None if there is none."""
         return None if camera is None or camera not in self.numbers else self.views[self.numbers[camera]].image
-
-    def valid_pixels(self, camera: str | None) -> Tensor | None:
-        """(H, W) 0 where the image of a camera is masked, as at the border of an undistorted one; None if nowhere."""
-        if camera is None or camera not in self.numbers or not isinstance(self.views, HasMasks):
-            return None
-        return self.views.loss_mask(self.numbers[camera], files=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

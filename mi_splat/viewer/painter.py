@@ -18,7 +18,6 @@ from mi_splat.labels import write_label
 from mi_splat.metrics import psnr
 from mi_splat.rasterization.frozen import between_stages
 from mi_splat.scene import GaussianScene
-from mi_splat.training.losses import masked
 from mi_splat.viewer.content import Content, Inspection, Inspector
 from mi_splat.viewer.orbit import Orbit, camera_options
 from mi_splat.viewer.picking import Picked, border, tinted
@@ -138,10 +137,6 @@ class Painter:
         if len(self.content.names) < 2 or (photographs and self._photograph(orbit) is None):
             return None
         first, second = (self.picture(name, orbit) for name in self.content.names)
-        if photographs is not None:
-            valid = photographs.valid_pixels(self.content.camera_name(orbit))
-            if valid is not None:
-                second = masked(second, first, _resized(valid[..., None], self.content.size_at(orbit))[..., 0])
         return None if torch.equal(first, second) else float(psnr(first, second))
 
     def comparison(self, orbit: Orbit) -> str:

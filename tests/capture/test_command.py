@@ -42,7 +42,7 @@ def test_the_command_takes_cameras_of_a_file_and_sizes(tmp_path: Path, capsys: p
     again = [word for word in again if word not in ("--size", "16")]
     assert cli.main(again) == 0
     ours, theirs = (load_dataset(tmp_path / name) for name in "ab")
-    assert ours.mask(0) is not None
+    assert ours.alpha(0) is not None
     assert theirs[0].image.shape == (12, 20, 3)
     assert all(torch.equal(a.to_world, b.to_world) for a, b in zip(ours.cameras, theirs.cameras, strict=True))
 

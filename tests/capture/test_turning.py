@@ -46,9 +46,9 @@ def command(folder: Path, path: str, *more: str) -> list[str]:
 def test_near_cuts_what_is_near(tmp_path: Path) -> None:
     path = str(write_glb(tmp_path, truck()))
     assert cli.main(command(tmp_path, path, "--rgba", "--near", "7")) == 0
-    cut = load_dataset(tmp_path / "out").mask(0)
+    cut = load_dataset(tmp_path / "out").alpha(0)
     assert cli.main(command(tmp_path / "b", path, "--rgba")) == 0
-    whole = load_dataset(tmp_path / "b" / "out").mask(0)
+    whole = load_dataset(tmp_path / "b" / "out").alpha(0)
     assert cut is not None
     assert whole is not None
     assert 0 < float(cut.sum()) < float(whole.sum())

@@ -120,7 +120,7 @@ def test_alpha_leaves_the_surfaces_alone(tmp_path: Path) -> None:
     settings = CaptureSettings(samples=16, rgba=True, points=300)
     write_capture(source(CUBE), cameras(2), tmp_path, settings=settings)
     black, white = (load_dataset(tmp_path, background=(level,) * 3) for level in (0.0, 1.0))
-    mask = black.mask(0)
+    mask = black.alpha(0)
     assert mask is not None
     assert mask[0, 0] == 0
     assert mask[8, 8] == 1

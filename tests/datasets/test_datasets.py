@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mi_splat.cameras import Camera, View, look_at, project_points
-from mi_splat.datasets import DatasetError, DatasetWarning, load_dataset
+from mi_splat.datasets import DatasetWarning, load_dataset
 from mi_splat.errors import MiSplatError
 from mi_splat.rotation import normalise, to_matrix
 from tests.datasets.sets import (
@@ -42,7 +42,7 @@ def test_sets_come_back_as_they_were(name: str, tolerance: float, tmp_path: Path
         assert dataset.points is not None
         assert torch.equal(dataset.points.colours, CLOUD.colours)
         torch.testing.assert_close(dataset.points.points, CLOUD.points, atol=1e-7, rtol=0)
-        assert dataset.mask(0) is None
+        assert dataset.alpha(0) is None
     assert len(load_dataset(tmp_path / "set", split=None)) == len(VIEWS) + len(TESTS)
 
 
@@ -96,7 +96,7 @@ def test_a_set_of_blender(tmp_path: Path) -> None:
     share = 128 / 255
     assert black[0].image[3, 3].tolist() == pytest.approx([share, 0, 0])
     assert white[0].image[3, 3].tolist() == pytest.approx([1, 1 - share, 1 - share])
-    mask = black.mask(0)
+    mask = black.alpha(0)
     assert mask is not None
     assert mask.shape == (10, 20)
     assert mask[0, 0] == pytest.approx(share)
@@ -168,7 +168,7 @@ def test_binary_models(tmp_path: Path) -> None:
     assert load_dataset(tmp_path).points is None
 
 
-# The pictures of a set: modes, alpha, masks, shrinking, and that they are read only when needed
+# The pictures of a set: modes, alpha, shrinking, and that they are read only when needed
 
 
 @pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGB", "RGBA", "CMYK"])
@@ -179,7 +179,7 @@ def test_pictures_of_any_8_bit_mode(mode: str, tmp_path: Path) -> None:
     Image.new("RGB", (8, 8), (255, 255, 255)).convert(mode).save(tmp_path / "images" / f"train_00000{suffix}")
     dataset = load_dataset(tmp_path)
     assert dataset[0].image.min() == 1.0
-    assert (dataset.mask(0) is not None) == (mode in ("LA", "RGBA"))
+    assert (dataset.alpha(0) is not None) == (mode in ("LA", "RGBA"))
 
 
 def test_alpha_is_written_and_blended(tmp_path: Path) -> None:
@@ -189,26 +189,10 @@ def test_alpha_is_written_and_blended(tmp_path: Path) -> None:
     dataset = load_dataset(tmp_path, background=(1.0, 0.5, 0.25))
     assert torch.equal(dataset[0].image[:, :9], VIEWS[0].image[:, :9])
     assert dataset[0].image[4, 12].tolist() == [1.0, 0.5, 0.25]
-    mask = dataset.mask(0)
+    mask = dataset.alpha(0)
     assert mask is not None
     assert torch.equal(mask, alpha)
     assert torch.equal(load_dataset(tmp_path, split="test")[0].image, TESTS[0].image)
-
-
-@pytest.mark.parametrize("name", FORMATS)
-@pytest.mark.parametrize("mask", ["train_00001.png", "train_00001.png.png"])
-def test_masks_in_their_folder(name: str, mask: str, tmp_path: Path) -> None:
-    FORMATS[name](tmp_path, VIEWS[:3])
-    values = np.zeros((13, 18), np.uint8)
-    values[:6] = 255
-    (tmp_path / "masks").mkdir()
-    Image.fromarray(values).save(tmp_path / "masks" / mask)
-    dataset = load_dataset(tmp_path, split=None)
-    assert dataset.mask(0) is None
-    second = dataset.mask(1)
-    assert second is not None
-    assert torch.equal(second, torch.from_numpy(values).float() / 255)
-    assert torch.equal(dataset[1].image, VIEWS[1].image)
 
 
 def test_shrinking_averages_and_scales_the_camera(tmp_path: Path) -> None:
@@ -231,42 +215,6 @@ def test_pictures_that_are_missing_are_left_out(name: str, tmp_path: Path) -> No
         with pytest.warns(DatasetWarning, match=r"1 of 6 pictures missing \(train_00002(\.png)?\); going on without"):
             dataset = load_dataset(tmp_path, split=split, test_every=4 if split == "test" else 2)  # type: ignore[arg-type]
         assert "".join(path.stem[-1] for path in dataset.paths) == wanted
-
-
-def test_a_picture_is_as_its_camera_saw_it(tmp_path: Path) -> None:
-    # A telephone held upright writes rows of 18 pixels and says that they are columns.
-    write_transforms(tmp_path, [view(0), view(1, width=13, height=18)])
-    pixels = (VIEWS[0].image.numpy() * 255 + 0.5).astype(np.uint8)
-    exif = Image.Exif()
-    exif[274] = 6
-    for number in range(2):
-        Image.fromarray(pixels).save(tmp_path / "images" / f"train_0000{number}.png", exif=exif)
-    dataset = load_dataset(tmp_path)
-    assert torch.equal(dataset[0].image, VIEWS[0].image)
-    assert torch.equal(dataset[1].image, torch.rot90(VIEWS[0].image, -1))
-    Image.fromarray(pixels).save(tmp_path / "images" / "train_00001.png")
-    with pytest.raises(DatasetError, match="expected 13 x 18 pixels, got 18 x 13"):
-        load_dataset(tmp_path)
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_smaller_pictures_of_the_set_are_used(name: str, tmp_path: Path) -> None:
-    FORMATS[name](tmp_path, VIEWS[:2])
-    small = tmp_path / "images_2"
-    small.mkdir()
-    for number in range(2):
-        Image.new("RGB", (9, 7), (255, 0, 0)).save(small / f"train_0000{number}.png")  # 6.5 rows, rounded
-    shutil.move(tmp_path / "images", tmp_path / "elsewhere")
-    two = load_dataset(tmp_path, split=None, downscale=2)
-    camera = two.cameras[0]
-    assert two[0].image.shape == (7, 9, 3)
-    assert two[0].image[0, 0].tolist() == [1, 0, 0]
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((10.65, 19.7 * 7 / 13, 4.125, 7.75 * 7 / 13))
-    with pytest.raises(DatasetError, match="2 of 2 pictures missing"):
-        load_dataset(tmp_path, split=None)
-    Image.new("RGB", (9, 5)).save(small / "train_00001.png")
-    with pytest.raises(DatasetError, match=r"images_2.*expected 9 x 6\.5 pixels, rounded, got 9 x 5"):
-        load_dataset(tmp_path, split=None, downscale=2)
 
 
 def test_pictures_are_read_when_they_are_needed(tmp_path: Path) -> None:

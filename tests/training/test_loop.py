@@ -97,7 +97,7 @@ def test_a_gpu_keeps_images(monkeypatch: pytest.MonkeyPatch) -> None:
     _, views, _ = scene_and_views(8)
     room = 4 * 2 * 20 * 36 * 32  # of which a quarter holds two images
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (room, room))
-    target_of = targets_of(views, torch.device("meta"), files=False)
+    target_of = targets_of(views, torch.device("meta"))
     first = target_of(0)
     assert first[1].is_meta
     assert target_of(1) is target_of(1)

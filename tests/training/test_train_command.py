@@ -52,7 +52,6 @@ def test_a_set_without_test_pictures_can_be_trained_on(dataset: Path, tmp_path: 
         (["--start", "none.ply"], 1, "none.ply"),
         (["--random", "60", "--max-gaussians", "50"], 1, "expected at most max_gaussians = 50 Gaussians, got 60"),
         (["--renderer", "ray", "--strategy", "classic"], 1, 'expected the method "tile", got "ray"'),
-        (["--masks"], 1, "expected masks of pictures, got none"),
         (["--random", "9", "--start", "a.ply"], 1, "--random: expected no other start, got --start a.ply"),
         (["--trainable", "sh"], 2, "strategy"),
         (["--trainable", "colour"], 2, "trainable"),

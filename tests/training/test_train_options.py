@@ -4,24 +4,18 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
-from PIL import Image
 
 from attacks import cli
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import View
-from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
 from mi_splat.io.points import PointCloud
 from mi_splat.rendering import Renderer
-from mi_splat.training.config import FitConfig
-from mi_splat.training.loop import fit
-from mi_splat.training.strategies import FixedConfig
 from tests.datasets.sets import write_transforms
 from tests.gaussians import varied_scene
-from tests.training.sets import views_of, watching, write_set
+from tests.training.sets import write_set
 
 
 @pytest.fixture
@@ -97,28 +91,3 @@ def test_a_set_without_points_starts_anywhere_and_it_is_said(
     words = ["train", str(dataset), "--out", str(tmp_path / "out"), "--iterations", "1"]
     assert cli.main([*words, "--max-gaussians", "20"]) == 0
     assert "the set has no points: starting on 20 Gaussians anywhere" in capsys.readouterr().err
-
-
-def test_masked_pixels_do_not_count(dataset: Path) -> None:
-    """Half of every picture is painted red, and masked; without masks the splat becomes red there."""
-    (dataset / "masks").mkdir()
-    listing = json.loads((dataset / "transforms_train.json").read_text())
-    for frame, path in zip(listing["frames"], load_dataset(dataset).paths, strict=True):
-        pixels = np.asarray(Image.open(path)).copy()
-        pixels[:, :16] = (255, 0, 0)
-        Image.fromarray(pixels).save(path)
-        mask = np.full(pixels.shape[:2], 255, np.uint8)
-        mask[:, :16] = 0
-        Image.fromarray(mask).save(dataset / "masks" / path.name)
-        frame["mask_path"] = f"masks/{path.name}"
-    (dataset / "transforms_train.json").write_text(json.dumps(listing))
-    truth, views = views_of()
-    start = truth.replace(sh=torch.zeros_like(truth.sh))
-    redness = {}
-    for masks in (False, True):
-        config = FitConfig(iterations=60, masks=masks, sh_degree=1, lr_sh=0.05, strategy=FixedConfig())
-        trained = fit(load_dataset(dataset), start, render=watching(), config=config).scene
-        red = Renderer()(trained, views[0].camera)[:, :16] - views[0].image[:, :16]
-        redness[masks] = float(red[..., 0].mean())
-    assert redness[False] > 0.03
-    assert abs(redness[True]) < 0.01
