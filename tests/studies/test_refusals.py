@@ -108,7 +108,7 @@ MISREAD = {"kind": "m-ifgsm"}
     ],
 )
 def test_studies_of_other_kinds(table: dict[str, Any], match: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: Toy(), origin="", licence="")
+    spec = ClassifierSpec(load=lambda: Toy(), origin="", licence="")
     monkeypatch.setitem(CLASSIFIERS, "toy", spec)
     monkeypatch.setattr(registry.DETECTORS, "own", {**registry.DETECTORS.own, **KNOWN})
     with pytest.raises(Exception, match=match):
