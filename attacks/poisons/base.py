@@ -175,12 +175,11 @@ def sign_steps(
     return picture.detach()
 
 
-def chosen_views(views: Sequence[View], share: float, seed: int) -> list[int]:
-    """Positions of the pictures to change, rising; those of a smaller share are among those of a larger."""
+def positions(views: Sequence[View]) -> range:
+    """Those of the pictures to change; an error if there are none."""
     if not len(views):
         raise InvalidValueError.of("views", "at least one", "none", "capture views first")
-    order = torch.randperm(len(views), generator=torch.Generator().manual_seed(seed)).tolist()
-    return sorted(order[: round(share * len(views))])
+    return range(len(views))
 
 
 def check_masks(masks: Masks | None, views: int) -> None:

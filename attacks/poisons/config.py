@@ -29,7 +29,6 @@ CLIP_DEVIATION = (0.26862954, 0.26130258, 0.27577711)
 """Standard deviation of each channel by which CLIP divides, sRGB."""
 
 Eps = Annotated[int, between(0, 255, "steps of 1/255", "8, 16 and 24 are the paper's")]
-StepSize = Annotated[float, above(0, "steps of 1/255", "2 is the paper's")]
 
 _STRENGTHS: dict[PictureFilter, tuple[float, Range]] = {
     "blur": (1.5, Range(low=0, high=10, open_low=True, unit="pixels", do="1.5 is usual")),
@@ -87,11 +86,9 @@ class UniformNoiseConfig(Checked):
 
     Attributes:
         eps: Largest change of a channel, in steps of 1/255.
-        share: Part of the pictures that is changed, drawn by the seed.
     """
 
     eps: Eps = 16
-    share: Fraction = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,18 +97,14 @@ class RaisedVariationConfig(Checked):
 
     Attributes:
         eps: Largest change of a channel, in steps of 1/255.
-        share: Part of the pictures that is changed, drawn by the seed.
         variation: What is raised.
-        variation_steps: Steps along the sign of its gradient.
-        step_size: Length of each, in steps of 1/255.
+        variation_steps: Steps along the sign of its gradient, each of 2/255 as in the paper.
         through: A filter through which the variation is looked at; None looks at the picture itself.
     """
 
     eps: Eps = 16
-    share: Fraction = 1.0
     variation: Variation = "both"
     variation_steps: Steps = 15
-    step_size: StepSize = 2.0
     through: Through = None
 
 
@@ -124,14 +117,11 @@ class PoisonSplatConfig(Checked):
     Attributes:
         eps: Largest change of a channel, in steps of 1/255; None sets no ball: the pictures are the decoy's.
         steps: Of the decoy; each looks at one camera.
-        share: Part of the pictures that is changed, drawn by the seed. The decoy looks at all cameras anyway, and what
-            a small share changes is among what a larger one does.
         variation: What is raised.
-        variation_steps: Steps along the sign of its gradient, at each camera anew.
-        step_size: Length of each, in steps of 1/255.
+        variation_steps: Steps along the sign of its gradient, at each camera anew, each of 2/255 as in the paper.
         decoy_every: Cameras whose gradients are summed in one step of the decoy's optimiser.
-        densify_every: Steps between two rounds in which the decoy is cloned, split and pruned; 0 never does it.
-        prune_large: Whether these rounds also remove what is large, as the victim's do once opacities were reset.
+        densify_every: Steps between two rounds in which the decoy is cloned, split and pruned; 0 never does it. They
+            also remove what is large, as the victim's do once opacities were reset.
         max_gaussians: The decoy is not made larger than this; None sets no limit.
         through: A filter of pictures that the victim is known to use: variation and the decoy's loss are those of what
             it leaves. None knows of no filter.
@@ -139,13 +129,10 @@ class PoisonSplatConfig(Checked):
 
     eps: Eps | None = 16
     steps: Steps = 2000
-    share: Fraction = 1.0
     variation: Variation = "both"
     variation_steps: Steps = 15
-    step_size: StepSize = 2.0
     decoy_every: Steps = 1
     densify_every: Annotated[int, at_least(0, "steps", "0 never does it")] = 100
-    prune_large: bool = True
     max_gaussians: Annotated[int, at_least(1, "Gaussians", "leave it out for no limit")] | None = None
     through: Through = None
 
@@ -171,7 +158,6 @@ class MIFGSMConfig(Checked):
         steps: Along the sign of the gradient.
         step: Length of each, in units of `deviation`.
         deviation: Of each channel, sRGB. CLIP's, so that the change is the same whoever is deceived.
-        share: Part of the pictures that is changed, drawn by the seed.
         paste: "resized": the picture that was changed at the classifier's size, brought back to its own, takes the
             object's place, as published; a larger picture loses detail there. "difference": only the change is
             brought back, and added. "direct": the picture itself is changed, through the classifier's scaling.
@@ -188,7 +174,6 @@ class MIFGSMConfig(Checked):
     steps: Steps = 30
     step: Annotated[float, above(0, "standard deviations", "0.02 is the paper's")] = 0.02
     deviation: tuple[float, float, float] = CLIP_DEVIATION
-    share: Fraction = 1.0
     paste: Paste = "resized"
     target: str | None = None
     through: FilterConfig | None = None

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from attacks.poisons.base import OnStep, Poisoned, ball, chosen_views, poisoned, sign_steps, within_ball
+from attacks.poisons.base import OnStep, Poisoned, ball, poisoned, positions, sign_steps, within_ball
 from attacks.poisons.config import FilterConfig, PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig, Variation
 from attacks.poisons.defences import filtered
 from mi_splat import variant
@@ -56,14 +56,13 @@ class Decoy:
         steps: int,
         every: int = 1,
         strategy: StrategyConfig | None = None,
-        prune_large: bool = False,
         look: Callable[[Tensor], Tensor] | None = None,
         seed: int = 0,
         on_step: OnStep | None = None,
     ) -> GaussianScene:
         """The decoy after some steps, each towards the target at one camera; cameras come in shuffled epochs."""
         state = self._begun(views, steps, strategy or FixedConfig(), seed)
-        if strategy is not None and prune_large:
+        if strategy is not None:  # as the victim's rounds do once opacities were reset
             state.strategy_state["opacities_were_reset"][:] = True
         screen_gradients = ScreenGradients() if strategy is not None else None
         render, look = self._renderer(screen_gradients), look or (lambda image: image)
@@ -132,7 +131,7 @@ def raised(image: Tensor, clean: Tensor, config: PoisonSplatConfig | RaisedVaria
         ball(clean, config.eps),
         lambda picture: total_variation(look(picture), config.variation),
         steps=config.variation_steps,
-        step=config.step_size / 255,
+        step=2 / 255,  # the paper's
     )
 
 
@@ -144,11 +143,10 @@ class PoisonSplat:
     begun: Decoy
 
     def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
-        """The poisoned set; with eps or a share of 0 it is the untouched one, picture for picture."""
+        """The poisoned set; with an eps of 0 it is the untouched one, picture for picture."""
         config, begun = self.config, self.begun
-        chosen = chosen_views(views, config.share, seed)
-        about = _about("poison-splat", config, seed)
-        if config.eps == 0 or not chosen:
+        chosen, about = positions(views), _about("poison-splat", config, seed)
+        if config.eps == 0:
             return poisoned(views, {}, about)
         decoy = self.decoy(views, seed=seed, on_step=on_step)
         about |= {"start": scene_hash(begun.start), "start_gaussians": len(begun.start), "decoy_gaussians": len(decoy)}
@@ -167,7 +165,6 @@ class PoisonSplat:
             steps=config.steps,
             every=config.decoy_every,
             strategy=self._strategy(),
-            prune_large=config.prune_large,
             look=_through(config.through),
             seed=seed,
             on_step=on_step,
@@ -194,7 +191,7 @@ class UniformNoise:
     config: UniformNoiseConfig = field(default_factory=UniformNoiseConfig)
 
     def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
-        """The set with noise; each picture's is its own, whatever share is changed."""
+        """The set with noise; each picture's is its own."""
         eps = self.config.eps
 
         def noisy(view: View, index: int) -> Tensor:
@@ -229,13 +226,12 @@ def _one_by_one(
     seed: int,
     on_step: OnStep | None,
 ) -> Poisoned:
-    """A set of which each chosen picture is changed by itself."""
-    chosen = chosen_views(views, config.share, seed) if config.eps else []
+    """A set of which each picture is changed by itself."""
     pictures = {}
-    for number, index in enumerate(chosen, start=1):
+    for index in positions(views) if config.eps else ():
         pictures[index] = change(views[index], index)
         if on_step is not None:
-            on_step(number, len(chosen))
+            on_step(index + 1, len(views))
     return poisoned(views, pictures, _about(kind, config, seed))
 
 

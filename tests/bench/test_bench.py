@@ -17,9 +17,7 @@ from attacks.detectors.catalogue import SMALL_WEIGHTS
 from attacks.detectors.registry import CHOSEN_WEIGHTS
 from attacks.observe.rows import read_rows
 from attacks.report.checking import check_result, read_result
-from attacks.studies import attack as attack_kind
 from mi_splat.ledger import engines
-from mi_splat.processes import INTERRUPTED
 from tests.project.layers import ROOT
 from tests.studies.toy import toys, write_toy
 
@@ -159,32 +157,6 @@ def test_weights_of_a_file_are_asked(suite: Path, tmp_path: Path, monkeypatch: p
     assert worker.stdout.strip() == str(file), "processes that do jobs know the file"
 
 
-def test_a_killed_run_goes_on(suite: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done, ran = [0], attack_kind.run
-
-    def killed(*given: Any) -> Any:
-        done[0] += 1
-        if done[0] > 3:
-            raise KeyboardInterrupt
-        return ran(*given)
-
-    store = str(suite.parent / "second")
-    monkeypatch.setattr(attack_kind, "run", killed)
-    words = ("--store", store, "--columns", "one_view")
-    assert bench(suite, "again", *words) == INTERRUPTED
-    assert not (suite.parent / "again" / "row.json").exists()
-
-    def counted(*given: Any) -> Any:
-        done.append(1)
-        return ran(*given)
-
-    monkeypatch.setattr(attack_kind, "run", counted)
-    assert bench(suite, "again", *words) == 0
-    assert len(done) - 1 == 12 - 3
-    first, second = (read(folder / "row.json") for folder in (out, suite.parent / "again"))
-    assert second["columns"]["one_view"] == first["columns"]["one_view"]
-
-
 def test_a_row_is_counted_again_without_attacks(
     out: Path, suite: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -208,10 +180,8 @@ def test_a_defence_is_judged_on_the_same_views(suite: Path, out: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (("fasterrcnn_smal",), "fasterrcnn_small"),
         (("fake_colour", "--suite", "v11"), "suite: expected v1"),
         (("fake_colour", "--defence", "SH of degree 9"), "SH of degree"),
-        (("fake_colour", "--columns", "one-view"), "one_view"),
     ],
 )
 def test_what_is_not_there_is_said(words: tuple[str, ...], text: str, capsys: pytest.CaptureFixture[str]) -> None:

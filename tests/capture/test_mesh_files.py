@@ -16,7 +16,7 @@ from PIL import Image
 from mi_splat.assets.mesh import Asset
 from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.settings import MeshSettings
-from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.errors import MiSplatError
 from tests.capture.trucks import packed
 
 pytest.importorskip("trimesh")
@@ -190,11 +190,6 @@ def test_faces_of_vertices_that_are_not_there(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(faces, struct.pack("<6H", 60000, 1, 2, 0, 2, 3)))
     with pytest.raises(MiSplatError, match="a face with vertex 60000 of 4"):
         load_mesh(path)
-
-
-def test_a_scale_of_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match="scale"):
-        load_mesh(write_glb(tmp_path), MeshSettings(scale=0.0))
 
 
 def test_a_mesh_far_from_its_origin_is_refused(tmp_path: Path) -> None:

@@ -46,12 +46,11 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(name in text and summary in text for name, summary in cli.COMMANDS.items())
 
 
-@pytest.mark.parametrize(("typed", "meant"), [("dager", "dagger"), ("rendr", "render"), ("detector", "detectors")])
-def test_unknown_command_names_the_nearest(typed: str, meant: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main([typed]) == 2
+def test_unknown_command_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["dager"]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert f"did you mean {meant}?" in captured.err
+    assert "did you mean dagger?" in captured.err
     assert len(captured.err.splitlines()) == 1
 
 
@@ -61,21 +60,13 @@ def test_unknown_command_names_the_nearest(typed: str, meant: str, capsys: pytes
         (["info"], "arguments: expected FILE, got none; add it"),
         (["info", "a.ply", "--nonsense"], "options: expected those of the command, got --nonsense"),
         (["train", "s", "--out", "o", "--iteratons", "5"], "did you mean --iterations?"),
-        (["dagger", "a.ply", "--steps", "many"], "--steps: expected a whole number >= 1 (steps), got 'many'"),
-        (["dagger", "a.ply", "--confidence", "much"], "--confidence: expected a number in [0, 1], got 'much'"),
-        (["dagger", "a.ply", "--steps", "0"], "dagger: --steps: expected a number >= 1 (steps), got 0"),
         (["dagger", "a.ply", "--norm", "l7"], "--norm: expected one of linf, l2, l2_per_gaussian, got l7"),
         (["dagger", "a.ply", "--size", "small"], "--size: expected pixels as 256 or 256x192, got 'small'"),
         (
             ["view", "a.ply", "--background", "skyblu"],
             "--background: expected a colour, got 'skyblu'; did you mean skyblue?",
         ),
-        (["render", "a.ply", "--background", "2,0,0"], "--background: expected a number in [0, 1] (sRGB), got 2.0"),
         (["select", "a.ply", "--up", "q"], "--up: expected an axis such as y or -y, or three numbers, got 'q'"),
-        (
-            ["train", "s", "--out", "o", "--strategy", "best"],
-            "--strategy: expected one of classic, mcmc, fixed, got best",
-        ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

@@ -36,10 +36,6 @@ def test_wrong_inputs_are_refused_before_torch_is_imported(
     [
         ("dagger a.ply --target Person", "got Person; did you mean person?"),
         ("dagger a.ply --object car --target car", "another class than the object's, car, got car"),
-        (
-            "dagger a.ply --object stop_sign --target stop sign",
-            "another class than the object's, stop sign, got stop sign",
-        ),
         ("dagger a.ply --object person", "--target: expected another class than the object's, person"),
         (
             "dagger a.ply --objective hide --target person",
@@ -51,7 +47,6 @@ def test_wrong_inputs_are_refused_before_torch_is_imported(
         ("evaluate a.ply b.ply --original car --target car", "another class than the object's, car"),
         ("evaluate a.ply b.ply --detectors yolov8n_small yolov8n_small", "--detectors: expected different names"),
         ("detect a.png --weights a b", "--weights: expected 1 files, got 2"),
-        ("dagger a.ply --eps 0", "--eps: expected a number > 0"),
     ],
 )
 def test_wrong_names_are_refused_before_a_command_starts(
@@ -59,8 +54,7 @@ def test_wrong_names_are_refused_before_a_command_starts(
 ) -> None:
     for command in cli.COMMANDS:
         monkeypatch.setattr(cli.module_of(command), "run", None)
-    listed = words.replace("stop sign", "stop%sign").split()
-    assert cli.main([word.replace("%", " ") for word in listed]) in (1, 2)
+    assert cli.main(words.split()) in (1, 2)
     told = capsys.readouterr().err
     assert says in told
     assert len(told.splitlines()) == 1

@@ -65,16 +65,6 @@ def pixels(path: Path) -> np.ndarray:
         return np.asarray(picture)
 
 
-def test_render_frames_a_bare_splat(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = folder / "new" / "picture.png"
-    assert cli.main(["render", str(folder / "cloud.ply"), "--out", str(out), "--size", "60x40", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["gaussians"] == 400
-    picture = pixels(out)
-    assert picture.shape == (40, 60, 3)
-    assert picture[20, 30].min() > 128
-    assert picture[[0, 0, -1, -1], [0, -1, 0, -1]].max() < 20
-
-
 def test_render_takes_the_first_camera_or_the_one_named(folder: Path) -> None:
     for words, shape in (([], (32, 48, 3)), (["--cameras", "side"], (40, 20, 3)), (["--size", "24x16"], (16, 24, 3))):
         out = folder / "picture.png"

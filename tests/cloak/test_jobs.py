@@ -172,8 +172,5 @@ def test_without_a_near_plane_it_follows_the_object() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_code_of_a_job_is_all_that_it_may_run(kind: str) -> None:
     code = set(closure(kind))
-    assert "mi_splat.scene" in code
-    if not kind.endswith("pictures"):
-        assert {"mi_splat.sh", "mi_splat.rasterization.projection"} <= code
     assert not {"attacks.cloak.study", "attacks.cloak.steps", "mi_splat.ledger.store"} & code
     assert {job.kind for job in jobs(STUDY).values()} == set(KINDS)

@@ -31,7 +31,7 @@ from mi_splat.io import load_splat
 from mi_splat.ledger import Done, Job
 from mi_splat.scene import GaussianScene
 from tests.cloak.test_jobs import KINDS
-from tests.cloak.tiny_study import MODULES, STUDY, Redness, done, study_in, summary
+from tests.cloak.tiny_study import MODULES, STUDY, done, study_in, summary
 from tests.ledger.drive import Ledger
 
 pytestmark = pytest.mark.slow
@@ -154,15 +154,6 @@ def test_its_figures_follow_from_its_rows(finished: Path, tmp_path: Path) -> Non
     assert len([name for name, value in flat(result.record).items() if isinstance(value, tuple)]) > 40
     copy = pack(finished, tmp_path / "copy", story.figures)
     assert replace(study_in(copy.folder / "study.toml"), name=STUDY.name) == STUDY
-
-
-def test_a_splat_that_was_edited_is_not_looked_at(finished: Path, tmp_path: Path) -> None:
-    steps = steps_of()
-    copied(finished, tmp_path)
-    splat = Ledger(tmp_path / "stages").do(steps.splat("clean", 0)).folder / "splat.ply"
-    splat.write_bytes(splat.read_bytes() + b"\0")
-    with pytest.raises(InvalidValueError, match="expected the files that it wrote"):
-        Ledger(tmp_path / "stages").do(steps.seen(steps.splat("clean", 0), Redness(), every=2))
 
 
 def test_the_command_forecasts_does_and_reports(

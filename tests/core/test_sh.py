@@ -13,11 +13,9 @@ from torch import Tensor
 from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import from_matrix, multiply, normalise, to_matrix
 from mi_splat.sh import (
-    coefficient_count,
     colours_by_direction,
     degree_of,
     even_directions,
-    rotate_sh,
     sh_basis,
     sh_to_colour,
 )
@@ -51,14 +49,6 @@ def test_colour_is_clamped_from_below_only() -> None:
     colour = sh_to_colour(sh, directions(3).float())
     assert (colour[0] > 3).all()
     assert torch.equal(colour[1:], torch.tensor([[0.0] * 3, [0.5] * 3]))
-
-
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
-@pytest.mark.parametrize("seed", range(4))
-def test_rotated_coefficients_give_rotated_colours(degree: int, seed: int) -> None:
-    sh = torch.randn(30, coefficient_count(degree), 3, dtype=torch.float64)
-    d, rotation = directions(30, seed), turn(seed)
-    torch.testing.assert_close(sh_to_colour(rotate_sh(sh, rotation), d @ rotation.T), sh_to_colour(sh, d))
 
 
 @pytest.mark.parametrize("count", [-1, 0, 2, 3, 5, 15, 25])

@@ -4,12 +4,10 @@ import errno
 import fcntl
 import math
 import os
-import signal
 import stat
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -19,7 +17,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io import SplatFileError, load_splat, save_splat
 from mi_splat.io.documents import LOCK, atomic_write, write_all
 from mi_splat.io.folders import check_unlocked, locked_folder, new_folder, own_folder
-from mi_splat.scene import GaussianScene, scene_hash
+from mi_splat.scene import GaussianScene
 from tests.gaussians import random_scene
 
 
@@ -64,33 +62,6 @@ def test_an_interruption_leaves_the_old_file(error: type[BaseException], old: Pa
         raise error
     assert old.read_bytes() == before
     alone(old)
-
-
-KILLED = """
-import sys, torch
-from mi_splat.io import save_splat
-from tests.gaussians import random_scene
-torch.set_num_threads(1)
-scene = random_scene(60_000, 1)
-print("ready", flush=True)
-while True:
-    save_splat(scene, sys.argv[1])
-"""
-
-
-def test_a_kill_leaves_the_old_file_or_the_new_one(old: Path) -> None:
-    hashes = {scene_hash(load_splat(old))}
-    save_splat(random_scene(60_000, 1), old.with_name("new.ply"))
-    hashes.add(scene_hash(load_splat(old.with_name("new.ply"))))
-    root = Path(__file__).resolve().parents[2]
-    process = subprocess.Popen([sys.executable, "-c", KILLED, str(old)], stdout=subprocess.PIPE, cwd=root)
-    assert process.stdout is not None
-    assert process.stdout.readline() == b"ready\n"
-    time.sleep(0.05)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    process.stdout.close()
-    assert scene_hash(load_splat(old)) in hashes
 
 
 REFUSED = {

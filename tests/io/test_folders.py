@@ -53,15 +53,6 @@ def have(out: Path, *records: str) -> None:
         pass
 
 
-def test_a_folder_appears_whole(tmp_path: Path) -> None:
-    out = tmp_path / "a" / "b"
-    with new_folder(out) as folder:
-        (folder / "result.json").write_text("new")
-        assert not out.exists()
-    assert names(out) == ["result.json"]
-    assert names(out.parent) == ["b"]
-
-
 def test_an_older_result_is_refused_or_replaced_whole(tmp_path: Path) -> None:
     out = result_in(tmp_path / "out")
     with pytest.raises(

@@ -1,23 +1,8 @@
 """Links, style and spelling of the pages, which `make lint` checks, and that the checker can fail."""
 
-import subprocess
-import sys
 from pathlib import Path
 
-import pytest
-
 from tests.project import prose
-from tests.project.documented_commands import ROOT
-
-
-def test_pages_keep_links_and_style() -> None:
-    assert prose.check() == []
-
-
-def test_pages_are_spelled_right() -> None:
-    pytest.importorskip("codespell_lib", reason="spelling is checked by codespell, of the extra dev")
-    done = subprocess.run([sys.executable, "-m", "codespell_lib"], cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout
 
 
 def test_complaints() -> None:

@@ -93,17 +93,6 @@ def test_alpha_output_is_the_oracles() -> None:
     np.testing.assert_allclose(picture[..., :3], reference, rtol=0, atol=PICTURE_ERROR)
 
 
-def test_nothing_visible_is_background() -> None:
-    scene = varied_scene(30, degree=0, seed=0)
-    view = camera(9, 5)
-    away = scene.replace(means=scene.means + torch.tensor([1e4, 1e4, 0.0]))
-    faint = scene.replace(opacities=torch.full((30,), 1 / 256))
-    empty = scene.select(torch.zeros(30, dtype=torch.bool))
-    for case in (away, faint, empty):
-        picture = Renderer(RenderSettings(background=BACKGROUND))(case, view)
-        torch.testing.assert_close(picture, torch.tensor(BACKGROUND).expand(5, 9, 3))
-
-
 # --------------------------------------------------------------------------------------------------------- gradients
 
 

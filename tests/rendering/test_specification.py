@@ -34,23 +34,6 @@ def centre(scene: GaussianScene, *, near: float = 0.2) -> float:
     return float(Renderer(RenderSettings(near=near))(scene, VIEW)[4, 4, 0])
 
 
-def test_alpha_under_1_255_contributes_nothing() -> None:
-    assert centre(blobs([1.0], [1.0001 / 255])) == pytest.approx(1 / 255, rel=2e-4)
-    assert centre(blobs([1.0], [0.9999 / 255])) == 0.0
-
-
-def test_a_pixel_stops_before_its_transmittance_is_under_1e_4() -> None:
-    last = 1 - 1.01e-2  # 0.01 is left in front of it, 1.01e-4 behind it
-    assert centre(blobs([1.0, 2.0], [0.99, last])) == pytest.approx(1 - 1.01e-4, abs=1e-6)
-    last = 1 - 0.99e-2  # 0.99e-4 behind it: it is not taken
-    assert centre(blobs([1.0, 2.0], [0.99, last])) == pytest.approx(0.99, abs=1e-6)
-
-
-def test_a_stopped_pixel_stays_stopped() -> None:
-    """Even for what is so faint that it would not bring the transmittance under 1e-4."""
-    assert centre(blobs([1.0, 2.0, 3.0], [0.99, 0.99999, 0.1])) == pytest.approx(0.99, abs=1e-6)
-
-
 def test_what_lies_behind_the_stop_has_no_gradient() -> None:
     values = [0.98, 0.97, 0.98, 0.5]  # the third would leave 1.2e-5
     opacities = torch.tensor(values, requires_grad=True)

@@ -16,7 +16,7 @@ from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.selection.clusters import clusters
 from mi_splat.selection.config import Selection
-from mi_splat.selection.select import box_mask, doubts, load_mask, require_visible, save_mask, select
+from mi_splat.selection.select import doubts, load_mask, require_visible, save_mask, select
 from mi_splat.selection.visibility import contributions, object_weight, pixel_weights
 from tests.fakes import blobs, camera, toy_scene
 from tests.gaussians import random_scene
@@ -133,12 +133,6 @@ def test_a_click_looks_around_itself_only(variant: str) -> None:
 
 
 # Boxes and mask files
-
-
-def test_a_box_holds_what_lies_in_it() -> None:
-    scene, box = random_scene(500), (-1.0, -0.5, -0.25, 1.0, 0.5, 0.25)
-    low, high = torch.tensor(box).view(2, 3)
-    assert torch.equal(box_mask(scene, box), ((scene.means >= low) & (scene.means <= high)).all(1))
 
 
 @pytest.mark.parametrize("kind", [np.bool_, np.uint8, np.int64])

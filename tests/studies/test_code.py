@@ -5,9 +5,6 @@ import pickle
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-from attacks import cli
 from mi_splat.import_closure import closure
 from tests.project.layers import PACKAGES, ROOT
 from tests.studies.toy import settings, work_of, write_toy
@@ -43,26 +40,3 @@ def test_jobs_load_no_code_that_is_not_in_their_keys(tmp_path: Path, warm: Warm)
     assert loaded - set(closure(*kinds)) <= set(closure("mi_splat.ledger.plans", "mi_splat.ledger.engines")), (
         "name it in the kind's module"
     )
-
-
-STUDY = """
-study = "dagger"
-scene = "scenes/car_street.xml"
-object = "car"
-target = "person"
-attack = { steps = 1, noise_draws = 1 }
-[matrix]
-seed = [0, 1]
-[judge]
-condition = "ray"
-"""
-
-
-@pytest.mark.nightly
-def test_a_study_runs_in_two_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(ROOT)
-    (tmp_path / "small.toml").write_text(STUDY)
-    words = ["study", "run", str(tmp_path / "small.toml"), "--store", str(tmp_path / "store"), "--workers", "2"]
-    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
-    record = json.loads((tmp_path / "out" / "result.json").read_text())
-    assert (len(record["attacks"]), len(record["looks"])) == (2, 1)

@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from attacks import cli
 from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.detectors import registry
 from attacks.studies.running import work_of
@@ -22,18 +21,14 @@ pytestmark = pytest.mark.usefixtures("toys")
     [
         ("", "study in s: expected dagger or dagger-eot, got 'None'|got None"),
         ('study = "daggr"', "did you mean dagger"),
-        ('study = ["dagger"]', "study in s: expected dagger or dagger-eot"),
-        ('study = "dagger"\nquestion = 3', "question in s: expected a sentence, got 3"),
         ('study = "dagger"\nmatrix = 3', "matrix in s: expected a table, got 3"),
         ('study = "dagger"\n[matrix]\nseed = 3', "seed in s: expected a list of one or more values, got 3"),
         ('study = "dagger"\n[matrix]\nseed = []', "seed in s: expected a list of one or more values"),
         ('study = "dagger"\n[matrix]\nseed = [1, 1]', "values with different names"),
         ('study = "dagger"\n[[case]]\nmatrix = { seed = [1] }', "case in s: expected names"),
-        ('study = "dagger"\n[[case]]\nname = "a"\n[[case]]\nname = "a"', "case in s: expected names"),
         ('study = "dagger"\n[case]\nname = "a"', r"write \[\[case\]\]"),
         ('study = "dagger"\n[bisect]\nfield = "a"', "bisect in s"),
         ('study = "dagger"\n[bisect]\nfield = "a"\nvalues = [2, 1]', "rising numbers"),
-        ('study = "dagger"\n[matrix', "TOML"),
     ],
 )
 def test_files(text: str, match: str, tmp_path: Path) -> None:
@@ -48,8 +43,6 @@ def test_files(text: str, match: str, tmp_path: Path) -> None:
     [
         ({"targt": "tv"}, "did you mean target"),
         ({"attack": {"ep": 1.0}}, "did you mean eps"),
-        ({"attack": {"seed": 1}}, "attack in toy: expected no seed"),
-        ({"objective": {"confidnce": 0.5}}, "did you mean confidence"),
         ({"target": "persn"}, "did you mean person"),
         ({"aim": "hide"}, "target: expected what the aim hide has, got person"),
         ({"target": "none"}, "name the class wanted"),
@@ -59,10 +52,8 @@ def test_files(text: str, match: str, tmp_path: Path) -> None:
         ({"camera": 2}, "expected 0 to 1, got 2"),
         ({"renderer": "rey"}, "did you mean ray"),
         ({"gradient": "rey"}, "did you mean ray"),
-        ({"study": "dagger-eot", "object": "tree"}, "expected one of rest, car, got tree"),
         ({"judge": {"condition": "rey"}}, "did you mean ray"),
         ({"judge": {"condition": "09:30"}}, "need the street"),
-        ({"judge": {"detectr": "a"}}, "did you mean detector"),
         ({"judge": {"matrix": {"condition": ["", "as attacked"]}}}, "got 2: fake_colour, own renderer"),
     ],
 )
@@ -86,7 +77,6 @@ MISREAD = {"kind": "m-ifgsm"}
         ({**CLOAK, "colour": 1}, "colour"),
         ({**CLOAK, "bisect": {"field": "cameras.train", "values": [8, 9]}}, "expected no bisect"),
         ({**CLOAK, "judge": {"matrix": {"condition": [".spx"]}}}, "did you mean .spz"),
-        ({**CLOAK, "judge": {"every": 0}}, "every"),
         ({**CLOAK, "judge": {"condition": "ray", "matrix": {"every": [4, 9]}}}, "got 2: .* seed 0, ray"),
         ({**CLOAK, "judge": {"sun": {"scene": STREET}, "matrix": {"condition": ["09:30"]}}}, "expected layers"),
         ({**CLOAK, "attack": [{"name": "a", "elevation": [89.99, 90]}]}, "expected at least one camera"),
@@ -98,9 +88,7 @@ MISREAD = {"kind": "m-ifgsm"}
         ({**POISON, "defence": {"limit": 1.0, "filter": {"name": "blur"}}}, "one of filter, limit and prune"),
         ({**POISON, "defense": {"limit": 1.0}}, "key in toy.*defence"),
         ({**POISON, "judge": {"matrix": {"condition": ["ray"]}}}, "no judge"),
-        ({**POISON, "device": "gpu"}, "device: expected one of cpu, cuda"),
         ({**POISON, "detectors": ["redness"]}, "class for redness: expected one of car, stop sign, got tv"),
-        ({**POISON, "detectors": ["rednes"]}, "detector: expected .*redness"),
         ({**POISON, "poison": MISREAD}, "a classifier that M-IFGSM deceives, got none"),
         ({"study": "poison", "scene": {"object": "bird"}, "poison": MISREAD, "deceive": "toy"}, "tv, car, got bird"),
         ({**POISON, "poison": {**MISREAD, "target": "tv"}, "deceive": "toy"}, "target for toy: .* car, got tv"),
@@ -113,8 +101,3 @@ def test_studies_of_other_kinds(table: dict[str, Any], match: str, monkeypatch: 
     monkeypatch.setattr(registry.DETECTORS, "own", {**registry.DETECTORS.own, **KNOWN})
     with pytest.raises(Exception, match=match):
         work_of(study_of(table, "toy"))
-
-
-def test_the_command_says_it_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["study", "run", str(tmp_path / "nowhere.toml")]) == 1
-    assert "study: expected a TOML file" in capsys.readouterr().err
