@@ -1,19 +1,13 @@
 """How far apart two pictures are."""
 
-from collections.abc import Callable
-from typing import cast
-
 import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor
 
-from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.errors import InvalidValueError
 
 _WINDOW = 11
 """Pixels on the side of the window of `ssim`."""
-
-Perceptual = Callable[[Tensor, Tensor], Tensor]
-"""A distance of two pictures, (H, W, 3) sRGB in [0, 1] each: a scalar."""
 
 
 def mse(image: Tensor, reference: Tensor) -> Tensor:
@@ -49,24 +43,6 @@ def _windowed(planes: Tensor) -> Tensor:
     row = (weights / weights.sum()).expand(planes.shape[1], 1, 1, _WINDOW)
     padded = F.pad(planes, 4 * [_WINDOW // 2], mode="reflect")
     return F.conv2d(F.conv2d(padded, row, groups=len(row)), row.mT, groups=len(row))
-
-
-def load_lpips() -> Perceptual:
-    """Learned perceptual image patch similarity (Zhang et al. 2018) of AlexNet, as torchmetrics has it."""
-    from torchmetrics.image.lpip import LearnedPerceptualImagePatchSimilarity  # takes seconds
-
-    try:
-        measure = LearnedPerceptualImagePatchSimilarity(net_type="alex", normalize=True)
-    except (OSError, RuntimeError) as error:  # no network, or a broken download
-        expected = "the weights of alex in torch's cache, or a network that reaches torchvision's hub"
-        do = "go without it, or put the file there"
-        raise MiSplatError.of("lpips", expected, str(error).splitlines()[0], do) from error
-
-    def distance(image: Tensor, reference: Tensor) -> Tensor:
-        _check_shapes(image, reference)
-        return cast("Tensor", measure(*(picture.movedim(-1, 0)[None].clamp(0, 1) for picture in (image, reference))))
-
-    return distance
 
 
 def _check_shapes(image: Tensor, reference: Tensor) -> None:

@@ -65,8 +65,7 @@ def run(options: SelectOptions) -> None:
     for path in options.out:
         if not (is_picture(path) or path.suffix.lower() in (".npy", ".ply")):
             raise InvalidValueError.of("--out", "names that end in .png, .jpg, .npy or .ply", path, "change the ending")
-        mask = options.selection.mask
-        check_not_input(path, options.scene, mask if isinstance(mask, Path) else None)
+        check_not_input(path, options.scene, options.selection.mask)
         check_writable(path.parent)
     with progress("selecting"):
         loaded = open_scene(options.scene)

@@ -233,10 +233,8 @@ def _entry(name: str, entry: Any, path: Path) -> tuple[str, int]:
 
 RECORD = "result.json"
 """The file that every folder of results holds."""
-META = "meta.json"
-"""The file that leads to the images of an unbundled SOG."""
-IN_FOLDERS = ("splat.ply", "attacked.ply", META)
-"""Names by which a folder has one splat: of a training, of an attack, and of an unbundled SOG."""
+IN_FOLDERS = ("splat.ply", "attacked.ply")
+"""Names by which a folder has one splat: of a training and of an attack."""
 
 
 def splat_in(folder: str | os.PathLike[str]) -> str | None:

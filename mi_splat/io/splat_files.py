@@ -21,7 +21,7 @@ from mi_splat.io.errors import (
     from_os_error,
     path_name,
 )
-from mi_splat.io.folders import META, splat_in
+from mi_splat.io.folders import splat_in
 from mi_splat.io.loaded import Encoded, Loaded, arrays_of, open_regular
 from mi_splat.io.ply import read_header, write_ply
 
@@ -41,6 +41,7 @@ _MAGIC |= {b"PXR-USDC": ".usdc", b"#usda": ".usda"}
 _OTHERS = {
     ".gltf": "pack it into one .glb, for instance with gltf-transform",
     ".obj": "this is a mesh: capture pictures of it with mi-splat capture, and train a splat on them",
+    ".json": "bundle an unbundled SOG as .sog with splat-transform",
     ".lcc": "convert it to .ply with splat-transform",
     ".lcc2": "convert it to .ply with splat-transform",
     ".csv": "save it as .ply; splat-transform writes .csv from that",
@@ -54,13 +55,11 @@ _PROGRAMS = (".pt", ".pth", ".ckpt", ".pkl", ".pickle")
 def suffix_of(path: str) -> str | None:
     """The suffix of the format that a name promises; None if it ends otherwise."""
     name = os.path.basename(path).lower()
-    if name == META or name.endswith("." + META):
-        return META
     return max((suffix for suffix in SUFFIXES if name.endswith(suffix)), key=len, default=None)
 
 
 def format_to_read(path: str, head: bytes) -> str:
-    """The suffix of the format of a file, ".ply" also for compressed ones, `META` for an unbundled SOG.
+    """The suffix of the format of a file, ".ply" also for compressed ones.
 
     A name that promises nothing is overruled by the file's mark; one that promises something else is an error.
     """
@@ -73,7 +72,7 @@ def format_to_read(path: str, head: bytes) -> str:
         raise _unknown(path)
     if named in (None, marked) and marked is not None:
         return marked
-    if marked is not None and named in (".splat", META, *_MAGIC.values()):
+    if marked is not None and named in (".splat", *_MAGIC.values()):
         raise SplatFileError.of(path, f"a {named} file", f"the mark of a {marked} file", f"rename it to {marked}")
     return str(named)
 
@@ -83,8 +82,6 @@ def format_to_write(path: str) -> str:
     named = suffix_of(path)
     if named is None:
         raise _unknown(path)
-    if named == META:
-        raise SplatFileError.of(path, "a format that is written", "an unbundled SOG", "save it as .sog")
     if named in USD:
         require_usd(path)
     return named
@@ -114,7 +111,6 @@ _FORMATS = {
     ".glb": ("mi_splat.io.formats.gltf", "read_glb", "write_glb"),
     ".spz": ("mi_splat.io.formats.spz", "read_spz", "write_spz"),
     ".sog": ("mi_splat.io.formats.sog", "read_sog", "write_sog"),
-    META: ("mi_splat.io.formats.sog", "read_sog_folder", ""),
     ".splat": ("mi_splat.io.formats.splat32", "read_splat", "write_splat"),
     **dict.fromkeys(USD, ("mi_splat.io.formats.usd", "read_usd", "write_usd")),
 }
@@ -137,7 +133,7 @@ def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "dr
     ellipsoids, the splat was trained with antialiasing and is to be drawn with it.
 
     Args:
-        path: A splat file; or a folder with one: of `mi-splat train` or `dagger`, or with the meta.json of a SOG.
+        path: A splat file; or a folder with one: of `mi-splat train` or `dagger`.
         on_invalid: What to do with Gaussians that are not valid (a value is not finite in float32 or above 1e9, the
             scale vanishes, the quaternion is zero): raise, or drop them with a `SplatFileWarning` that says how many
             and which.

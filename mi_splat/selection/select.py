@@ -52,15 +52,6 @@ def load_mask(path: Path, scene: GaussianScene) -> Tensor:
     raise InvalidValueError.of(str(path), "a file that ends in .npy or .ply", path.suffix or "no ending", do)
 
 
-def mask_of(values: object, count: int) -> Tensor:
-    """(N,) bool mask from one bool (or 0 and 1) a Gaussian, or from row numbers."""
-    try:
-        array = np.asarray(values)
-    except ValueError:  # rows of different lengths
-        array = np.empty((0, 0))
-    return _from_array(array, count, "mask")
-
-
 def save_mask(mask: Tensor, path: Path) -> None:
     """Save a (N,) bool mask as .npy; the file appears whole or not at all."""
     buffer = io.BytesIO()
@@ -180,8 +171,7 @@ def select(
     if selection.box is not None:
         mask &= box_mask(scene, selection.box)
     if selection.mask is not None:
-        given = selection.mask
-        mask &= load_mask(given, scene) if isinstance(given, Path) else mask_of(given, len(scene))
+        mask &= load_mask(selection.mask, scene)
     if selection.cluster is not None:
         labels = _clusters(scene, selection)
         if selection.cluster > (count := len(labels.bincount())):

@@ -82,7 +82,7 @@ def pick(click: Click, content: Content, render: RenderFn, before: Picked | None
     """The object at a pixel, as `mi-splat select --click` selects it."""
     splat, size, (x, y) = content.splat(click.splat), content.size_at(click.orbit), click.pixel
     view = click.orbit.camera(size)
-    mask = select(splat.scene, Selection(click=(click.pixel,)), camera=view, render=render)
+    mask = select(splat.scene, Selection(click=(f"{x},{y}",)), camera=view, render=render)
     row = int(pixel_weights(splat.scene, view, click.pixel, render).argmax())
     if click.adds and before is not None and before.fits(splat.scene):
         return Picked(splat=splat.name, mask=mask | before.mask, row=row)

@@ -23,8 +23,6 @@ from mi_splat.errors import MiSplatError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene_files import read_scene
-from mi_splat.selection.config import Selection
-from mi_splat.selection.select import select
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import MCMCConfig
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
@@ -102,8 +100,6 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "images of 0 to 255": (lambda: check_images(torch.full((1, 8, 8, 3), 200.0)), "divide 8-bit values by 255"),
     "a mask of fractions": (lambda: GaussianSubset.of(toy_scene()[0], [0.5, 0.5]), "mask: expected bool"),  # type: ignore[list-item]
     "an empty mask": (lambda: GaussianSubset.of(toy_scene()[0], []), "at least one Gaussian"),
-    "a mask that is too long": (lambda: select(toy_scene()[0], Selection(mask=np.ones(41, bool))), "mask: expected"),
-    "a click that is no pixel": (lambda: Selection(click=((1.5, 2),)), "click: expected"),  # type: ignore[arg-type]
     "half a step": (lambda: FitConfig(iterations=2.5), r"a whole number >= 1 \(steps\), got 2.5"),  # type: ignore[arg-type]
     "a step in words": (lambda: DaggerConfig(steps="3"), r"steps: expected a whole number >= 1 \(steps\), got '3'"),  # type: ignore[arg-type]
     "a switch for a number": (lambda: FitConfig(iterations=True), "iterations: expected a whole number"),

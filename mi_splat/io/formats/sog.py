@@ -1,4 +1,4 @@
-"""SOG of PlayCanvas, version 2: lossless WebP pictures of bytes and codebooks, in a zip archive or a folder.
+"""SOG of PlayCanvas, version 2: lossless WebP pictures of bytes and codebooks, in a zip archive.
 
 Source: read-sog.ts and write-sog.ts of github.com/playcanvas/splat-transform, and the format's page in the PlayCanvas
 manual. Means are 16 bits over the range of sign(x) ln(1 + |x|), scales, first SH coefficients and other ones each an
@@ -9,7 +9,6 @@ archive's directory and from the pictures' headers, before anything is decompres
 import dataclasses
 import io
 import json
-import os
 import struct
 import zipfile
 import zlib
@@ -31,7 +30,6 @@ from mi_splat.io.loaded import (
     bytes_of,
     check_count,
     drop_largest,
-    open_regular,
     read_whole,
     restore_largest,
     validated,
@@ -64,19 +62,7 @@ _Picture = Callable[..., NDArray[np.uint8]]
 def read_sog(file: io.FileIO, path: str) -> Loaded:
     """Read a bundled SOG."""
     data = read_whole(file)
-    return _read(archive_files(data, path), len(data), path)
-
-
-def read_sog_folder(file: io.FileIO, path: str) -> Loaded:
-    """Read an unbundled SOG: its meta.json, and the pictures beside it."""
-    folder = os.path.dirname(path) or "."
-    with os.scandir(folder) as entries:
-        size = sum(entry.stat().st_size for entry in entries if entry.is_file())
-    files = folder_files(folder)
-    return _read(lambda name, most: files(os.path.basename(path) if name == _META else name, most), size, path)
-
-
-def _read(files: Files, size: int, path: str) -> Loaded:
+    files, size = archive_files(data, path), len(data)
     meta = parse(files(_META, _META_LIMIT), path, limit=_META_LIMIT)
     if meta.values.get("version") != 2:
         do = "convert it with splat-transform"
@@ -302,19 +288,6 @@ def _bounded(plain: bytes, most: int, where: str) -> bytes:
     if len(plain) > most:
         raise SplatFileError.of(where, f"at most {most} bytes", "more", _AGAIN)
     return plain
-
-
-def folder_files(folder: str) -> Files:
-    """The files in a folder, by plain names only."""
-
-    def read(name: str, most: int) -> bytes:
-        path = os.path.join(folder, name)
-        if os.path.basename(name) != name or name in ("", ".", ".."):
-            raise SplatFileError.of(folder, "plain names of pictures", repr(name[:60]), _AGAIN)
-        with open_regular(path) as file:
-            return _bounded(file.read(most + 1), most, path)
-
-    return read
 
 
 def _check_directory(data: bytes, path: str) -> None:
