@@ -23,7 +23,7 @@ from mi_splat.errors import listed
 from mi_splat.io.camera_records import describe
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats.gltf import COMPONENTS, EXTENSION, Glb, open_glb
-from mi_splat.io.loaded import Loaded, arrays_of, as_scene
+from mi_splat.io.loaded import Loaded, arrays_of, as_scene, validated
 from mi_splat.io.parsing import Fields
 from mi_splat.io.splat_files import load_stored
 from mi_splat.overdraw import Layers, overdraw
@@ -76,14 +76,13 @@ def worst_overdraw(scene: GaussianScene) -> Overdraw | None:
         return None
     cameras = list(_cameras(scene))
     near = near_plane_of(*_ball(scene.means.double()), cameras)
-    worst, tried = None, 0
+    most, tried = -1.0, 0
     for camera, layers in zip(cameras, overdraw(scene, cameras, near=near), strict=True):
         tried += 1
-        if worst is None or layers.mean() > worst[1].mean():
-            worst = camera, layers
-        if layers.mean() >= STOPS:
+        if (mean := float(layers.mean())) > most:
+            most, worst = mean, (camera, layers)
+        if mean >= STOPS:
             break
-    assert worst is not None
     return Overdraw(camera=worst[0], layers=worst[1], tried=tried)
 
 
@@ -372,7 +371,7 @@ def lint_file(path: Path, stored: Loaded | None = None) -> Lint:
 
 def lint_scene(scene: GaussianScene) -> Lint:
     """Check a scene."""
-    return _lint(Loaded(arrays_of(scene), np.empty(0, np.int64), ""), [])
+    return _lint(validated(*arrays_of(scene).values()), [])
 
 
 def _lint(loaded: Loaded, findings: list[Finding]) -> Lint:

@@ -87,8 +87,18 @@ def _any(values: NDArray[np.bool_]) -> Mask:
     return np.asarray(values.any(axis=tuple(range(1, values.ndim))))
 
 
-def _out_of_range(stored: Stored, largest: float) -> Mask:
-    arrays = stored.arrays
+def _of_invalid(find: Callable[[Arrays, float], Mask]) -> Callable[[Stored, float], Mask]:
+    """A rule that only Gaussians which are not valid can break: the others are not looked at again."""
+
+    def rows(stored: Stored, threshold: float) -> Mask:
+        found = ~stored.valid
+        found[found] = find({name: value[~stored.valid] for name, value in stored.arrays.items()}, threshold)
+        return found
+
+    return rows
+
+
+def _out_of_range(arrays: Arrays, largest: float) -> Mask:
     rows = _any((arrays["scales"] <= 0) | (arrays["scales"] > largest))
     rows |= _any((arrays["opacities"] < 0) | (arrays["opacities"] > 1))
     for name in ("means", "sh"):
@@ -97,17 +107,16 @@ def _out_of_range(stored: Stored, largest: float) -> Mask:
     return rows
 
 
-def _quaternion(stored: Stored, _: float) -> Mask:
-    return _any(~np.isfinite(stored.arrays["rotations"]))
+def _quaternion(arrays: Arrays, _: float) -> Mask:
+    return _any(~np.isfinite(arrays["rotations"]))
 
 
-def _not_finite(stored: Stored, largest: float) -> Mask:
-    arrays = stored.arrays
+def _not_finite(arrays: Arrays, largest: float) -> Mask:
     rows = _any(np.isnan(arrays["scales"]))
     for name in ("means", "opacities", "sh"):
         rows |= _any(~np.isfinite(arrays[name]))
     # What a reader refuses for another reason is not finite in the file only: an infinite logit has a sigmoid.
-    return rows | (~stored.valid & ~_out_of_range(stored, largest) & ~_quaternion(stored, 0))
+    return rows | (~_out_of_range(arrays, largest) & ~_quaternion(arrays, 0))
 
 
 def _giant(stored: Stored, factor: float) -> Mask:
@@ -136,14 +145,19 @@ def _if_many(rows: Mask, share: float) -> Mask:
 
 def repeats(arrays: Arrays) -> Mask:
     """(N,) which Gaussians equal an earlier one to the bit; by a hash of 64 bits."""
-    count = len(arrays["means"])
-    key = np.zeros(count, np.uint64)
-    for value in arrays.values():
-        for column in np.ascontiguousarray(value).view(np.uint32).reshape(count, -1).T:
-            key = (key ^ column) * np.uint64(0x9E3779B97F4A7C15)
-            key ^= key >> np.uint64(32)
-    repeated = np.ones(count, np.bool_)
-    repeated[np.unique(key, return_index=True)[1]] = False
+    rows = np.arange(len(arrays["means"]))
+    for names in (("means",), tuple(arrays)):  # few share a position, and only these are looked at whole
+        key = np.zeros(len(rows), np.uint64)
+        for name in names:
+            for column in arrays[name].view(np.uint32).reshape(len(arrays[name]), -1).T:
+                key = (key ^ column[rows]) * np.uint64(0x9E3779B97F4A7C15)
+                key ^= key >> np.uint64(32)
+        ordered = np.sort(key)
+        shared = np.isin(key, ordered[1:][ordered[1:] == ordered[:-1]])
+        rows, key = rows[shared], key[shared]
+    repeated = np.zeros(len(arrays["means"]), np.bool_)
+    repeated[rows] = True
+    repeated[rows[np.unique(key, return_index=True)[1]]] = False
     return repeated
 
 
@@ -160,9 +174,9 @@ def colour_overshoot(sh: NDArray[np.float32]) -> NDArray[np.float32]:
     basis = np.stack(values, axis=1).astype(np.float32)
     far = np.zeros(len(sh), np.float32)
     for first in range(0, len(sh), _CHUNK):
-        part = sh[first : first + _CHUNK]
-        from_grey = np.abs(np.einsum("dk,nkc->ndc", basis, part, optimize=True))
-        far[first : first + _CHUNK] = from_grey.reshape(len(part), -1).max(1) - 0.5
+        part = sh[first : first + _CHUNK].transpose(1, 2, 0)
+        from_grey = basis @ part.reshape(len(part), -1)
+        far[first : first + _CHUNK] = np.abs(from_grey, out=from_grey).max(0).reshape(3, -1).max(0) - 0.5
     return far
 
 
@@ -173,8 +187,9 @@ def _bands(stored: Stored) -> list[Mask]:
 
 
 def _empty_degree(stored: Stored, _: float) -> Mask:
-    bands = _bands(stored)
-    return stored.valid & (len(bands) > 0 and not bands[-1].any())
+    sh = stored.arrays["sh"]
+    top = sh[:, degree_of(sh.shape[1]) ** 2 :]
+    return stored.valid & (sh.shape[1] > 1 and not top[:_CHUNK].any() and not top.any())
 
 
 def _partial_degree(stored: Stored, share: float) -> Mask:
@@ -190,21 +205,21 @@ RULES = (
         severity="error",
         threshold=LARGEST,
         reason="A number is not finite (NaN or infinite): renderers show black squares, or nothing.",
-        find=_not_finite,
+        find=_of_invalid(_not_finite),
     ),
     Rule(
         name="out-of-range",
         severity="error",
         threshold=LARGEST,
         reason=f"A scale is 0 or negative, an opacity is outside 0 to 1, or a number is above {LARGEST:g}.",
-        find=_out_of_range,
+        find=_of_invalid(_out_of_range),
     ),
     Rule(
         name="quaternion",
         severity="error",
         threshold=0,
         reason="The quaternion is zero or not finite, so the Gaussian has no orientation.",
-        find=_quaternion,
+        find=_of_invalid(_quaternion),
     ),
     Rule(
         name="giant",

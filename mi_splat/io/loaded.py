@@ -7,7 +7,7 @@ import math
 import os
 import stat
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -226,11 +226,11 @@ def validated(
     arrays = [np.require(value, np.float32, ("C", "W", "O")) for value in (means, scales, rotations, opacities, sh)]
     arrays[2] = unit(arrays[2])
     good = [
-        np.abs(arrays[0]) <= LARGEST,
-        (arrays[1] > 0) & (arrays[1] <= LARGEST),
-        np.isfinite(arrays[2]),
-        (arrays[3] >= 0) & (arrays[3] <= 1),
-        np.abs(arrays[4]) <= LARGEST,
+        _where(arrays[0], lambda value: np.abs(value) <= LARGEST),
+        _where(arrays[1], lambda value: (value > 0) & (value <= LARGEST)),
+        _where(arrays[2], np.isfinite),
+        _where(arrays[3], lambda value: (value >= 0) & (value <= 1)),
+        _where(arrays[4], lambda value: np.abs(value) <= LARGEST),
     ]
     valid = np.ones(len(arrays[0]), np.bool_)
     for value in good:
@@ -240,6 +240,14 @@ def validated(
     return Loaded(
         dict(zip(ATTRIBUTES, arrays, strict=True)), bad, _reason(arrays, good, int(bad[0])) if len(bad) else ""
     )
+
+
+def _where(
+    values: NDArray[np.float32], inside: Callable[[NDArray[np.float32]], NDArray[np.bool_]]
+) -> NDArray[np.bool_]:
+    """Which values lie in an interval; where the extremes do, all do, and no array is made."""
+    extremes = np.array([values.min(), values.max()]) if values.size else values
+    return np.broadcast_to(np.True_, values.shape) if inside(extremes).all() else inside(values)
 
 
 def _reason(arrays: list[NDArray[np.float32]], good: list[NDArray[np.bool_]], row: int) -> str:
