@@ -77,8 +77,7 @@ def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
         location = {"physicalLocation": {"artifactLocation": address, "region": {"startLine": 1}}}
         artifacts.append({"location": {"uri": address["uri"]}, "properties": {"verdict": document["verdict"]}})
         if "error" in document:
-            note = {"level": "error", "message": {"text": document["error"]}, "locations": [location]}
-            notes.append(note)
+            notes.append({"level": "error", "message": {"text": document["error"]}, "locations": [location]})
             continue
         artifacts[-1]["properties"]["summary"] = document["summary"]
         for finding in document.get("lint") or ():
@@ -127,8 +126,8 @@ def findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
 
 
 def _rule(name: str, level: Severity, what: str, do: str) -> dict[str, Any]:
-    default = {"level": level}
-    return {"id": name, "shortDescription": {"text": what}, "help": {"text": do}, "defaultConfiguration": default}
+    texts = {"shortDescription": {"text": what}, "help": {"text": do}}
+    return {"id": name, **texts, "defaultConfiguration": {"level": level}}
 
 
 def _level(severity: str) -> Severity:
@@ -185,8 +184,7 @@ def write_pictures(
     target = Path(folder)
     with new_folder(target, force=force) as temporary:
         pairs = save_pairs(judged.audit, temporary, show)
-        record = {"story": "audit", "file": source, **account, **pairs}
-        save_json({**record, **origin()}, temporary / RECORD)
+        save_json({"story": "audit", "file": source, **account, **pairs, **origin()}, temporary / RECORD)
     return [target / name for name in (RECORD, *(picture["file"] for picture in pairs["pictures"]))]
 
 
@@ -320,8 +318,7 @@ def write(
     force: bool = False,
 ) -> list[Path]:
     """Write the files of an audit into a new folder, whole or not at all."""
-    target = Path(folder)
-    more = dict[str, Any](pictures=[], cameras=[])
+    target, more = Path(folder), dict[str, Any](pictures=[], cameras=[])
     with new_folder(target, force=force) as temporary:
         if audit is not None and scene is not None:
             more = _evidence(audit, scene, temporary)

@@ -242,8 +242,7 @@ def _words(extension: object) -> Iterator[Finding]:
         elif value is not None and not isinstance(value, str):
             yield _finding("extension", f"the property {name} has to be a string.")
         elif value is not None and value not in known:
-            expected = " or ".join(known)
-            reason = f"the extension names no {name} {value!r:.40}, only {expected}: few programs will read it."
+            reason = f"the extension names no {name} {value!r:.40}, only {' or '.join(known)}: few programs read it."
             yield _finding("extension", reason, "warning")
 
 
@@ -254,8 +253,7 @@ def _degrees(attributes: Mapping[str, Any]) -> Iterator[Finding]:
     highest = max((degree for degree, _ in present), default=0)
     wanted = {(degree, order) for degree in range(1, highest + 1) for order in range(2 * degree + 1)}
     for degree, order in sorted(wanted - present):
-        reason = f"SH reach degree {highest}, and SH_DEGREE_{degree}_COEF_{order} is missing."
-        yield _finding("degree", reason)
+        yield _finding("degree", f"SH reach degree {highest}, and SH_DEGREE_{degree}_COEF_{order} is missing.")
     ours = [name for name in attributes if str(name).startswith(EXTENSION + ":")]
     strange = [name for name in ours if name not in _ATTRIBUTES and not _SH.fullmatch(name)]
     strange += [f"SH_DEGREE_{degree}_COEF_{order}" for degree, order in sorted(present) if order > 2 * degree]
@@ -379,10 +377,8 @@ def _lint(loaded: Loaded, findings: list[Finding]) -> Lint:
     findings = [*findings, *(findings_of(stored) if len(stored.valid) else ())]
     if loaded.is_antialiased:
         findings.append(Finding(rule="render-mode", severity="note", reason=_RENDER_MODE))
-    valid = (
-        {name: value[stored.valid] for name, value in loaded.arrays.items()} if len(loaded.invalid) else loaded.arrays
-    )
-    worst = worst_overdraw(as_scene(valid))
+    valid = slice(None) if stored.valid.all() else stored.valid
+    worst = worst_overdraw(as_scene({name: value[valid] for name, value in loaded.arrays.items()}))
     if worst is not None and (finding := worst.finding()) is not None:
         findings.append(finding)
     return Lint(findings=tuple(findings), gaussians=len(stored.valid), overdraw=worst)

@@ -87,18 +87,10 @@ def _any(values: NDArray[np.bool_]) -> Mask:
     return np.asarray(values.any(axis=tuple(range(1, values.ndim))))
 
 
-def _of_invalid(find: Callable[[Arrays, float], Mask]) -> Callable[[Stored, float], Mask]:
-    """A rule that only Gaussians which are not valid can break: the others are not looked at again."""
-
-    def rows(stored: Stored, threshold: float) -> Mask:
-        found = ~stored.valid
-        found[found] = find({name: value[~stored.valid] for name, value in stored.arrays.items()}, threshold)
-        return found
-
-    return rows
-
-
-def _out_of_range(arrays: Arrays, largest: float) -> Mask:
+def _out_of_range(stored: Stored, largest: float) -> Mask:
+    arrays = stored.arrays
+    if stored.valid.all():
+        return ~stored.valid
     rows = _any((arrays["scales"] <= 0) | (arrays["scales"] > largest))
     rows |= _any((arrays["opacities"] < 0) | (arrays["opacities"] > 1))
     for name in ("means", "sh"):
@@ -107,16 +99,19 @@ def _out_of_range(arrays: Arrays, largest: float) -> Mask:
     return rows
 
 
-def _quaternion(arrays: Arrays, _: float) -> Mask:
-    return _any(~np.isfinite(arrays["rotations"]))
+def _quaternion(stored: Stored, _: float) -> Mask:
+    return _any(~np.isfinite(stored.arrays["rotations"]))
 
 
-def _not_finite(arrays: Arrays, largest: float) -> Mask:
+def _not_finite(stored: Stored, largest: float) -> Mask:
+    arrays = stored.arrays
+    if stored.valid.all():
+        return ~stored.valid
     rows = _any(np.isnan(arrays["scales"]))
     for name in ("means", "opacities", "sh"):
         rows |= _any(~np.isfinite(arrays[name]))
     # What a reader refuses for another reason is not finite in the file only: an infinite logit has a sigmoid.
-    return rows | (~_out_of_range(arrays, largest) & ~_quaternion(arrays, 0))
+    return rows | (~stored.valid & ~_out_of_range(stored, largest) & ~_quaternion(stored, 0))
 
 
 def _giant(stored: Stored, factor: float) -> Mask:
@@ -180,12 +175,6 @@ def colour_overshoot(sh: NDArray[np.float32]) -> NDArray[np.float32]:
     return far
 
 
-def _bands(stored: Stored) -> list[Mask]:
-    """For each band from 1 on, the (N,) rows in which it is not all zero."""
-    sh = stored.arrays["sh"]
-    return [_any(sh[:, degree**2 : (degree + 1) ** 2] != 0) for degree in range(1, degree_of(sh.shape[1]) + 1)]
-
-
 def _empty_degree(stored: Stored, _: float) -> Mask:
     sh = stored.arrays["sh"]
     top = sh[:, degree_of(sh.shape[1]) ** 2 :]
@@ -193,8 +182,12 @@ def _empty_degree(stored: Stored, _: float) -> Mask:
 
 
 def _partial_degree(stored: Stored, share: float) -> Mask:
-    few = [rows for rows in _bands(stored) if 0 < rows.sum() <= share * len(rows)]
-    return few[0] if few else np.zeros_like(stored.valid)
+    sh = stored.arrays["sh"]
+    for degree in range(1, degree_of(sh.shape[1]) + 1):
+        rows = _any(sh[:, degree**2 : (degree + 1) ** 2] != 0)
+        if 0 < rows.sum() <= share * len(rows):
+            return rows
+    return np.zeros_like(stored.valid)
 
 
 COLOUR_SHARE = 0.01  # of all Gaussians, from which colours out of range are a finding
@@ -205,21 +198,21 @@ RULES = (
         severity="error",
         threshold=LARGEST,
         reason="A number is not finite (NaN or infinite): renderers show black squares, or nothing.",
-        find=_of_invalid(_not_finite),
+        find=_not_finite,
     ),
     Rule(
         name="out-of-range",
         severity="error",
         threshold=LARGEST,
         reason=f"A scale is 0 or negative, an opacity is outside 0 to 1, or a number is above {LARGEST:g}.",
-        find=_of_invalid(_out_of_range),
+        find=_out_of_range,
     ),
     Rule(
         name="quaternion",
         severity="error",
         threshold=0,
         reason="The quaternion is zero or not finite, so the Gaussian has no orientation.",
-        find=_of_invalid(_quaternion),
+        find=_quaternion,
     ),
     Rule(
         name="giant",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
     from mi_splat.audit.results import Audit
     from mi_splat.cameras import Camera
-    from mi_splat.io.loaded import Loaded
     from mi_splat.scene import GaussianScene
     from mi_splat.scene_files import SplatScene
 
@@ -153,6 +153,8 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
     from mi_splat.audit.files import document, write
     from mi_splat.audit.linting import lint_file, lint_scene
     from mi_splat.datasets import is_dataset
+    from mi_splat.io.errors import SplatFileError
+    from mi_splat.io.splat_files import load_stored
     from mi_splat.scene_files import open_scene
 
     path, folder = options.file, options.out
@@ -160,7 +162,9 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
         return _audited_pictures(path, folder, options)
     with progress(f"auditing {path.name}"):
         loaded = open_scene(path) if path.suffix.lower() == ".xml" else None
-        stored, lint = None if loaded else _stored(path), None
+        stored, lint = None, None
+        with contextlib.suppress(SplatFileError):  # lint says what is wrong
+            stored = None if loaded else load_stored(path)
         if options.only != "looks":
             lint = lint_scene(loaded.scene) if loaded else lint_file(path, stored)
         scene, judged, cameras, unjudged = None, None, None, "only lint was asked for"
@@ -195,17 +199,6 @@ def _audited_pictures(path: Path, folder: Path | None, options: AuditOptions) ->
     if folder:
         files = write_pictures(judged, views, folder, account=account, source=str(path), force=options.force)
     return {"file": str(path), **account, "files": [str(file) for file in files]}
-
-
-def _stored(path: Path) -> Loaded | None:
-    """What a splat file holds, read once; None if it cannot be read, which lint says."""
-    from mi_splat.io.errors import SplatFileError
-    from mi_splat.io.splat_files import load_stored
-
-    try:
-        return load_stored(path)
-    except SplatFileError:
-        return None
 
 
 def _with_looks(loaded: SplatScene, options: AuditOptions) -> tuple[GaussianScene, Audit, Sequence[Camera] | None]:

@@ -242,9 +242,7 @@ def validated(
     )
 
 
-def _where(
-    values: NDArray[np.float32], inside: Callable[[NDArray[np.float32]], NDArray[np.bool_]]
-) -> NDArray[np.bool_]:
+def _where(values: Array, inside: Callable[[Array], Any]) -> Any:
     """Which values lie in an interval; where the extremes do, all do, and no array is made."""
     extremes = np.array([values.min(), values.max()]) if values.size else values
     return np.broadcast_to(np.True_, values.shape) if inside(extremes).all() else inside(values)
