@@ -175,11 +175,12 @@ def sign_steps(
     return picture.detach()
 
 
-def positions(views: Sequence[View]) -> range:
-    """Those of the pictures to change; an error if there are none."""
+def chosen_views(views: Sequence[View], share: float, seed: int) -> list[int]:
+    """Positions of the pictures to change, rising; those of a smaller share are among those of a larger."""
     if not len(views):
         raise InvalidValueError.of("views", "at least one", "none", "capture views first")
-    return range(len(views))
+    order = torch.randperm(len(views), generator=torch.Generator().manual_seed(seed)).tolist()
+    return sorted(order[: round(share * len(views))])
 
 
 def check_masks(masks: Masks | None, views: int) -> None:

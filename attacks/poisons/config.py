@@ -86,9 +86,11 @@ class UniformNoiseConfig(Checked):
 
     Attributes:
         eps: Largest change of a channel, in steps of 1/255.
+        share: Part of the pictures that is changed, drawn by the seed.
     """
 
     eps: Eps = 16
+    share: Fraction = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,12 +99,14 @@ class RaisedVariationConfig(Checked):
 
     Attributes:
         eps: Largest change of a channel, in steps of 1/255.
+        share: Part of the pictures that is changed, drawn by the seed.
         variation: What is raised.
         variation_steps: Steps along the sign of its gradient, each of 2/255 as in the paper.
         through: A filter through which the variation is looked at; None looks at the picture itself.
     """
 
     eps: Eps = 16
+    share: Fraction = 1.0
     variation: Variation = "both"
     variation_steps: Steps = 15
     through: Through = None
@@ -117,6 +121,8 @@ class PoisonSplatConfig(Checked):
     Attributes:
         eps: Largest change of a channel, in steps of 1/255; None sets no ball: the pictures are the decoy's.
         steps: Of the decoy; each looks at one camera.
+        share: Part of the pictures that is changed, drawn by the seed. The decoy looks at all cameras anyway, and what
+            a small share changes is among what a larger one does.
         variation: What is raised.
         variation_steps: Steps along the sign of its gradient, at each camera anew, each of 2/255 as in the paper.
         decoy_every: Cameras whose gradients are summed in one step of the decoy's optimiser.
@@ -129,6 +135,7 @@ class PoisonSplatConfig(Checked):
 
     eps: Eps | None = 16
     steps: Steps = 2000
+    share: Fraction = 1.0
     variation: Variation = "both"
     variation_steps: Steps = 15
     decoy_every: Steps = 1
@@ -158,6 +165,7 @@ class MIFGSMConfig(Checked):
         steps: Along the sign of the gradient.
         step: Length of each, in units of `deviation`.
         deviation: Of each channel, sRGB. CLIP's, so that the change is the same whoever is deceived.
+        share: Part of the pictures that is changed, drawn by the seed.
         paste: "resized": the picture that was changed at the classifier's size, brought back to its own, takes the
             object's place, as published; a larger picture loses detail there. "difference": only the change is
             brought back, and added. "direct": the picture itself is changed, through the classifier's scaling.
@@ -174,6 +182,7 @@ class MIFGSMConfig(Checked):
     steps: Steps = 30
     step: Annotated[float, above(0, "standard deviations", "0.02 is the paper's")] = 0.02
     deviation: tuple[float, float, float] = CLIP_DEVIATION
+    share: Fraction = 1.0
     paste: Paste = "resized"
     target: str | None = None
     through: FilterConfig | None = None

@@ -23,9 +23,9 @@ from attacks.poisons.base import (
     Poisoned,
     ball,
     check_masks,
+    chosen_views,
     mask_of,
     poisoned,
-    positions,
     sign_steps,
     within_ball,
 )
@@ -63,7 +63,7 @@ class MIFGSM:
             got = f"{config.decoy_steps} steps of a decoy {'without' if self.decoy is None else 'beside'} one"
             raise InvalidValueError.of("decoy", "one if it shall take steps", got, "pass one, or no decoy_steps")
         check_masks(self.masks, len(views))
-        chosen = positions(views) if config.eps != 0 else []
+        chosen = chosen_views(views, config.share, seed) if config.eps != 0 else []
         masks = {index: self._mask(index, views[index]) for index in chosen}
         unsure = config.least_confidence
         skipped = [index for index in chosen if self._confidence(views[index].image, true) < unsure]

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from attacks.poisons.base import OnStep, Poisoned, ball, poisoned, positions, sign_steps, within_ball
+from attacks.poisons.base import OnStep, Poisoned, ball, chosen_views, poisoned, sign_steps, within_ball
 from attacks.poisons.config import FilterConfig, PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig, Variation
 from attacks.poisons.defences import filtered
 from mi_splat import variant
@@ -143,10 +143,11 @@ class PoisonSplat:
     begun: Decoy
 
     def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
-        """The poisoned set; with an eps of 0 it is the untouched one, picture for picture."""
+        """The poisoned set; with eps or a share of 0 it is the untouched one, picture for picture."""
         config, begun = self.config, self.begun
-        chosen, about = positions(views), _about("poison-splat", config, seed)
-        if config.eps == 0:
+        chosen = chosen_views(views, config.share, seed)
+        about = _about("poison-splat", config, seed)
+        if config.eps == 0 or not chosen:
             return poisoned(views, {}, about)
         decoy = self.decoy(views, seed=seed, on_step=on_step)
         about |= {"start": scene_hash(begun.start), "start_gaussians": len(begun.start), "decoy_gaussians": len(decoy)}
@@ -191,7 +192,7 @@ class UniformNoise:
     config: UniformNoiseConfig = field(default_factory=UniformNoiseConfig)
 
     def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
-        """The set with noise; each picture's is its own."""
+        """The set with noise; each picture's is its own, whatever share is changed."""
         eps = self.config.eps
 
         def noisy(view: View, index: int) -> Tensor:
@@ -226,12 +227,13 @@ def _one_by_one(
     seed: int,
     on_step: OnStep | None,
 ) -> Poisoned:
-    """A set of which each picture is changed by itself."""
+    """A set of which each chosen picture is changed by itself."""
+    chosen = chosen_views(views, config.share, seed) if config.eps else []
     pictures = {}
-    for index in positions(views) if config.eps else ():
+    for number, index in enumerate(chosen, start=1):
         pictures[index] = change(views[index], index)
         if on_step is not None:
-            on_step(index + 1, len(views))
+            on_step(number, len(chosen))
     return poisoned(views, pictures, _about(kind, config, seed))
 
 

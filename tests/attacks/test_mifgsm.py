@@ -114,9 +114,10 @@ def test_a_decoy_changes_all_cameras_alike() -> None:
 
 
 def test_what_leaves_the_set_as_it_is(views: list[View]) -> None:
-    done = attack(replace(ANY, eps=0))(views)
-    assert done.manifest["changed"] == 0
-    assert all(done.views[i] is views[i] for i in range(3))
+    for config in (replace(ANY, eps=0), replace(ANY, share=0.0)):
+        done = attack(config)(views)
+        assert done.manifest["changed"] == 0
+        assert all(done.views[i] is views[i] for i in range(3))
     unsure = attack(replace(ANY, least_confidence=1.0))(views)
     assert unsure.manifest["skipped"] == [0, 1, 2]
     assert unsure.manifest["changed"] == 0

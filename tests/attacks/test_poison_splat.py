@@ -75,11 +75,12 @@ def test_pictures_change_within_the_ball_and_again_alike(poison: PicturePoison, 
         assert [c.sha256_after for c in done.changes] != [c.sha256_after for c in other.changes]
 
 
-def test_without_a_ball_the_very_views_come_back(views: list[View]) -> None:
+@pytest.mark.parametrize("nothing", [{"eps": 0}, {"share": 0.0}], ids=str)
+def test_without_a_ball_or_a_share_the_very_views_come_back(nothing: dict[str, Any], views: list[View]) -> None:
     poisons: list[PicturePoison] = [
-        attack(replace(SHORT, eps=0)),
-        UniformNoise(config=UniformNoiseConfig(eps=0)),
-        RaisedVariation(config=RaisedVariationConfig(eps=0)),
+        attack(replace(SHORT, **nothing)),
+        UniformNoise(config=UniformNoiseConfig(**nothing)),
+        RaisedVariation(config=RaisedVariationConfig(**nothing)),
     ]
     for poison in poisons:
         done = poison(views, seed=0)
@@ -177,6 +178,7 @@ def test_what_cameras_cannot_sample_is_pruned(views: list[View]) -> None:
     ("make", "words"),
     [
         (lambda: PoisonSplatConfig(eps=256), "eps: expected a number in"),
+        (lambda: PoisonSplatConfig(share=1.5), "share"),
         (lambda: FilterConfig(name="fourier", strength=2.0), "strength of fourier"),
         (lambda: UniformNoise()([]), "views: expected at least one"),
     ],
