@@ -12,7 +12,6 @@ from typing import Any
 
 import polars as pl
 
-from attacks import tables
 from attacks.observe.rates import REPORTED, Measure, blocks_of, count
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
 from attacks.rate import Rate, pooled
@@ -121,12 +120,6 @@ def _rates(rows: pl.DataFrame, wanted: Mapping[str, str], condition: str = "") -
     return none if rows.is_empty() else count(rows, measures, clusters=("block", "seed"))[()]
 
 
-def markdown(rows: Sequence[Record]) -> str:
-    """Rows as Markdown."""
-    table = table_of(rows)
-    return tables.markdown(table.head, table.rows) + "\n"
-
-
 def table_of(rows: Sequence[Record]) -> Table:
     """A table of rows, the highest score first; those without one are below, and have no rank."""
     ranked = sorted((row for row in rows if row["score"]), key=lambda row: -row["score"]["mean"])
@@ -142,27 +135,6 @@ def table_of(rows: Sequence[Record]) -> Table:
     heads["warnings"] = lambda line: " ".join(line[1]["warnings"]) or "-"
     heads["CPU minutes"] = lambda line: f"{line[1]['cpu_seconds']['all'] / 60:.1f}"
     return Table.of("Robustness", heads, lines)
-
-
-def defences(rows: Sequence[Record]) -> str:
-    """A table of what defences save and cost; a line for each defence, detector and column."""
-    lines = [
-        (row, column, row["columns"][column])
-        for row in sorted(rows, key=lambda row: (row["defence"], row["detector"]["name"]))
-        for column in COLUMNS
-        if row["defence"] and row["columns"][column].get("defended")
-    ]
-    heads: dict[str, Any] = {
-        "defence": lambda line: line[0]["defence"],
-        "detector": lambda line: line[0]["detector"]["name"],
-        "attack": lambda line: HEADS[line[1]],
-        "without it": lambda line: _rate(line[2]["robust"]),
-        "with it": lambda line: _rate(line[2]["defended"]["robust"]),
-        "the attacker knows it": lambda line: _rate(line[2]["defended"].get("robust_who_knows")),
-        "clean, with it": lambda line: _rate(line[2]["defended"]["clean"]),
-    }
-    table = Table.of("", heads, lines)
-    return tables.markdown(table.head, table.rows) + "\n"
 
 
 def _score_words(score: Record | None) -> str:

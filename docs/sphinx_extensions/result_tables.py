@@ -5,11 +5,14 @@ They are not kept in the repository, so that no figure of them can be out of dat
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
+
+    from attacks.tables import Table
 
 _LAYERS = "[CLOAK in the finished file: variants](../cloak-layers.md#variants)"
 PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
@@ -116,7 +119,8 @@ def write_pages(app: Sphinx) -> None:
     import study_tables
     from detector_figures import compared_page, table_page
 
-    from attacks.bench.row import defences, markdown
+    from attacks.bench.row import table_of
+    from attacks.tables import markdown
     from mi_splat.io.parsing import read_json
 
     docs = Path(app.srcdir)
@@ -127,13 +131,41 @@ def write_pages(app: Sphinx) -> None:
         _write(figures.with_suffix(".md"), table_page(figures))
     _write(docs / "tables" / "detectors" / "compared.md", compared_page())
     rows = [read_json(path) for path in sorted((docs / "bench" / "v1").glob("*/row.json"))]
-    for name, title, text in (
-        ("bench_v1", "Robustness benchmark: rows of detectors", markdown([row for row in rows if not row["defence"]])),
-        ("bench_v1_defences", "Robustness benchmark: rows of defences", defences(rows)),
+    for name, title, table in (
+        ("bench_v1", "rows of detectors", table_of([row for row in rows if not row["defence"]])),
+        ("bench_v1_defences", "rows of defences", defences([row for row in rows if row["defence"]])),
     ):
-        _write(docs / "tables" / f"{name}.md", f"# {title}\n\n{text}")
+        text = markdown(table.head, table.rows)
+        _write(docs / "tables" / f"{name}.md", f"# Robustness benchmark: {title}\n\n{text}\n")
     for name in study_tables.STUDIES:
         _write(docs / "tables" / f"study_{name}.md", study_tables.page(name, docs / "tables"))
+
+
+def defences(rows: list[dict[str, Any]]) -> Table:
+    """What defences save and cost; a line for each defence, detector and column."""
+    from attacks.bench.row import HEADS
+    from attacks.rate import Rate
+    from attacks.tables import Table
+
+    def rate(values: Mapping[str, Any] | None) -> str:
+        return "-" if values is None else Rate.of(values).short(interval=True)
+
+    lines = [
+        (row, head, row["columns"][column])
+        for row in sorted(rows, key=lambda row: (row["defence"], row["detector"]["name"]))
+        for column, head in HEADS.items()
+        if row["columns"][column].get("defended")
+    ]
+    heads: dict[str, Any] = {
+        "defence": lambda line: line[0]["defence"],
+        "detector": lambda line: line[0]["detector"]["name"],
+        "attack": lambda line: line[1],
+        "without it": lambda line: rate(line[2]["robust"]),
+        "with it": lambda line: rate(line[2]["defended"]["robust"]),
+        "the attacker knows it": lambda line: rate(line[2]["defended"].get("robust_who_knows")),
+        "clean, with it": lambda line: rate(line[2]["defended"]["clean"]),
+    }
+    return Table.of("", heads, lines)
 
 
 def _write(path: Path, text: str) -> None:
