@@ -89,12 +89,7 @@ def test_flags_that_cameras_of_a_file_do_not_follow_are_refused(
     ("more", "says"),
     [
         (["--cameras", "sphere:3"], "hemisphere:N"),
-        (["--cameras", "orbit:0@20"], "1 to 100000 cameras, got 0"),
         (["--cameras", "hemisphere:1000000000"], "1 to 100000 cameras, got 1000000000"),
-        (["--size", "0"], "size"),
-        (["--fov", "180"], "fov"),
-        (["--distance", "-1"], "distance"),
-        (["--test", "-1"], "test"),
         (["--up", "y"], "--up"),
         (["--scale", "2"], "--scale"),
         (["--ground", "road"], "--ground"),

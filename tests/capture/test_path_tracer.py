@@ -130,6 +130,3 @@ def test_a_large_picture_is_traced_in_bands(monkeypatch: pytest.MonkeyPatch) -> 
     banded = tracer.picture(camera(), seed=0)
     assert not torch.equal(whole, banded)
     assert psnr(whole, banded) > 30
-
-
-# Samples of a picture: exactly as many as were asked for, and nothing of Mitsuba's log on stdout

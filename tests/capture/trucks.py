@@ -44,49 +44,19 @@ class Truck:
 
 
 def truck() -> Truck:
-    """A pickup with bonnet, cabin, windows, bed, lamps and four round wheels; 5 m long, 276 triangles."""
-    boxes = [
-        ((1.75, 0, 0.8), (1.5, 1.8, 0.6), "cab"),  # bonnet
-        ((0.2, 0, 0.8), (1.6, 1.8, 0.6), "cab"),
-        ((-1.55, 0, 0.85), (1.9, 1.84, 0.7), "bed"),
-        ((2.51, 0, 0.85), (0.04, 1.5, 0.2), "glass"),  # lamps
-    ]
-    solids = [(np.array(middle) + 0.5 * np.array(size) * _CORNERS, colour) for middle, size, colour in boxes]
-    solids.append((_cabin(1.0), "cab"))
-    solids += [
-        (_cabin(0.75) * (1, 1.18, 1) + (0, 0, 0.04), "glass"),
-        (_cabin(0.8) * (1.12, 0.8, 1) - (0.03, 0, 0), "glass"),
-    ]
-    triangles = [(points[[a, b, c, a, c, d]], colour) for points, colour in solids for a, b, c, d in _QUADS]
-    triangles += [(part, "tyre") for x in (1.65, -1.6) for y in (-0.83, 0.83) for part in _wheel(x, y)]
-    places = [(list(COLOURS).index(colour) + 0.5) / len(COLOURS) for _, colour in triangles]
-    uvs = [np.full((len(part), 2), (u, 0.5)) for u, (part, _) in zip(places, triangles, strict=True)]
-    return Truck(np.concatenate([part for part, _ in triangles]), np.concatenate(uvs))
-
-
-_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
-_QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-
-
-def _cabin(size: float) -> NDArray[np.float64]:
-    """(8, 3) corners of a cabin that is narrower above."""
-    points = np.array([0.2, 0, 1.4]) + _CORNERS * (0.8, 0.85, 0.3 * size)
-    points[_CORNERS[:, 2] > 0] -= _CORNERS[_CORNERS[:, 2] > 0] * (0.35 * size, 0.12 * size, 0)
-    return points
-
-
-def _wheel(x: float, y: float, *, sides: int = 12) -> list[NDArray[np.float64]]:
-    """Triangles of a wheel about an axis along y."""
-    angles = np.linspace(0, -2 * np.pi, sides + 1)
-    rim = np.column_stack([x + 0.38 * np.cos(angles), np.zeros(sides + 1), 0.38 + 0.38 * np.sin(angles)])
-    inner, outer = (rim + np.array([0, side, 0]) for side in (y - 0.12, y + 0.12))
-    middles = [np.array([x, y + side, 0.38]) for side in (-0.12, 0.12)]
-    triangles = []
-    for i in range(sides):
-        triangles.append(np.stack([inner[i], inner[i + 1], outer[i + 1], inner[i], outer[i + 1], outer[i]])[::-1])
-        triangles.append(np.stack([middles[0], inner[i + 1], inner[i]])[::-1])
-        triangles.append(np.stack([middles[1], outer[i], outer[i + 1]])[::-1])
-    return triangles
+    """A box of each colour: 5 m long, 48 triangles."""
+    boxes = {
+        "cab": ((0.95, 0, 1.1), (3.1, 1.8, 1.2)),
+        "bed": ((-1.55, 0, 0.85), (1.9, 1.84, 0.7)),
+        "tyre": ((0, 0, 0.25), (4.2, 1.6, 0.5)),
+        "glass": ((2.51, 0, 0.85), (0.04, 1.5, 0.2)),
+    }
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    corners = [corner for a, b, c, d in quads for corner in (a, b, c, a, c, d)]
+    solids = [np.array(middle) + 0.5 * np.array(size) * signs for middle, size in (boxes[name] for name in COLOURS)]
+    places = (np.arange(len(solids)).repeat(len(corners)) + 0.5) / len(solids)
+    return Truck(np.concatenate([solid[corners] for solid in solids]), np.column_stack([places, 0 * places + 0.5]))
 
 
 def stripes() -> Image.Image:
@@ -109,14 +79,12 @@ def write_glb(
     image: Mapping[str, Any] | None = None,
     texture: Mapping[str, Any] | None = None,
     attributes: Mapping[str, NDArray[Any]] | None = None,
-    node: Mapping[str, Any] | None = None,
     required: tuple[str, ...] = (),
-    mode: int = 4,
 ) -> Path:
     """y up.
 
     What is given takes the place of the usual: a material whose base colour is texture 0, a texture whose source is
-    image 0, an image of the bytes of `stripes`, and TEXCOORD_0; `node` has more keys of the only node.
+    image 0, an image of the bytes of `stripes`, and TEXCOORD_0.
     """
     made = made.placed(y_up=True)
     down = (made.uvs * (1, -1) + (0, 1)).astype("<f4")
@@ -141,8 +109,8 @@ def write_glb(
     usual = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
     primitive = {"attributes": {name: i for i, name in enumerate(arrays)}}
     document = {
-        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, **(node or {})}],
-        "meshes": [{"primitives": [{**primitive, "material": 0, "mode": mode}]}],
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{**primitive, "material": 0, "mode": 4}]}],
         "materials": [dict(usual if material is None else material)],
         "textures": [dict({"source": 0} if texture is None else texture)],
         "images": [dict({"bufferView": len(arrays), "mimeType": "image/png"} if image is None else image)],

@@ -22,7 +22,6 @@ from attacks.detectors.torchvision import published_weights
 from attacks.detectors.weights import FrozenModel, apply_weights, read_weights
 from tests.detectors.contract import check_detector, random_detector
 from tests.fakes import ColourDetector
-from tests.plug_ins.distribution import install, on_path
 
 SPEC = DetectorSpec(
     name="fake_colour",
@@ -31,16 +30,6 @@ SPEC = DetectorSpec(
     origin="a test",
     licence="none",
 )
-
-PLUGIN = """
-from attacks.detectors import DetectorSpec
-
-def load(weights):
-    from tests.fakes import ColourDetector
-    return ColourDetector()
-
-SPEC = DetectorSpec(name="plugged", load=load, classes=("car", "person"), origin="a plug-in", licence="MIT")
-"""
 
 
 @pytest.fixture
@@ -77,20 +66,6 @@ def test_a_name_is_given_once(registered: DetectorSpec, name: str) -> None:
     spec = DetectorSpec(name=name, load=SPEC.load, classes=("car",), origin="", licence="")
     with pytest.raises(DetectorError, match=f"expected a name that is free, got '{name}'"):
         register_detector(spec)
-
-
-def test_an_entry_point_is_a_detector_of_every_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = on_path(tmp_path, monkeypatch)
-    install(path, {"mi_splat.detectors/plugged": "plugged_detector:SPEC"}, plugged_detector=PLUGIN)
-    assert "plugged" in DETECTORS
-    assert "plugged_detector" not in sys.modules, "looking at the names imports nothing"
-    assert listed(capsys)["plugged"]["origin"] == "a plug-in"
-    assert isinstance(load_detector("plugged"), ColourDetector)
-    assert cli.main(["detectors"]) == 0
-    assert "plugged\n  weights: there\n  from: a plug-in (MIT)\n  2 classes: car, person\n" in capsys.readouterr().out
-    sys.modules.pop("plugged_detector")
 
 
 def test_what_is_missing_is_said() -> None:

@@ -159,7 +159,6 @@ def test_formats_that_can_keep_the_render_mode(suffix: str, tmp_path: Path) -> N
         (["antialiased 1"], True),
         (["postshot.anti_aliasing=1"], True),
         (["  SPLATRENDERMODE:  MIP"], True),
-        (["SplatRenderMode: default"], False),
         (["antialiased 1", "antialiased 0"], False),
         (["SplatRenderMode: default", "antialiased 1"], True),
         (["antialiased images were used"], False),

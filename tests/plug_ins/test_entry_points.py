@@ -19,7 +19,7 @@ from attacks.cli.poison import kind_names, kind_of
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary, write_report
-from attacks.detectors import DETECTORS
+from attacks.detectors import DETECTORS, load_detector
 from attacks.objectives import hide
 from attacks.observe.conditions import CONDITIONS, Viewing, check_condition, condition_of, package_of
 from attacks.optimisers import OPTIMISERS
@@ -55,6 +55,7 @@ from attacks.poisons.specs import PoisonSpec
 from mi_splat.audit.rules import Rule
 from mi_splat.comparison.methods import RendererSpec
 from mi_splat.rendering import Renderer
+from tests.fakes import ColourDetector
 
 
 def slide(settings):
@@ -111,7 +112,8 @@ def darker(config, decoy):
 POISON = PoisonSpec(name="dark", config=Dark, make=darker)
 RULE = Rule(name="many", severity="note", threshold=5, reason="There are many.",
             find=lambda stored, most: stored.valid & (len(stored.valid) > most))
-DETECTOR = DetectorSpec(name="plugged", load=lambda weights: 3, classes=("car",), origin="a plug-in", licence="MIT")
+DETECTOR = DetectorSpec(name="plugged", load=lambda weights: ColourDetector(), classes=("car", "person"),
+                        origin="a plug-in", licence="MIT")
 TAKEN = Rule(name="giant", severity="note", threshold=5, reason="Same.", find=lambda stored, most: stored.valid)
 FAILING = Rule(name="failing", severity="note", threshold=0, reason="It fails.", find=lambda stored, none: 1 / 0)
 """
@@ -239,6 +241,12 @@ def test_a_poison_is_a_kind_with_flags_of_its_own(brought: Path) -> None:
     options = cli.parse("poison", ["SET", "--kind", "dark", "--by", "0.25", "--out", "out"])
     assert options.poison.by == 0.25
     assert not kind_of("dark").needs_splat
+
+
+def test_a_detector_is_loaded_and_listed(brought: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert isinstance(load_detector("plugged"), ColourDetector)
+    assert cli.main(["detectors"]) == 0
+    assert "plugged\n  weights: there\n  from: a plug-in (MIT)\n  2 classes: car, person\n" in capsys.readouterr().out
 
 
 def test_a_rule_is_heard_in_every_audit(brought: Path) -> None:

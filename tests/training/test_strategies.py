@@ -4,7 +4,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera, look_at
 from mi_splat.training.strategies import ClassicConfig, Edit, MCMCConfig
 from mi_splat.training.strategies.classic import densify_and_prune
 from mi_splat.training.strategies.mcmc import relocate
@@ -79,9 +78,3 @@ def test_relocated_gaussians_look_like_the_one_they_came_from() -> None:
     untouched = [i for i in range(4) if i != parent]
     for name, tensor in after.items():
         assert torch.equal(tensor[untouched], before[name][untouched])
-
-
-# The statistics of centres that densification goes by
-
-
-CAMERA = Camera(to_world=look_at((4, 0, 1), (0, 0, 0)), focal=50.0, width=40, height=40)
