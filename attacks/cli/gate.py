@@ -200,7 +200,7 @@ def _in_words(line: Line) -> str:
     parts = [f"{line['file']}: {line['verdict']}", *([f"  {line['error']}"] if line["error"] else [])]
     for claim, values in line["claims"].items():
         parts += [f"  {claim}, {item['verdict']}: {item['rule']} {item['reason']}" for item in values["reasons"]]
-    return "\n".join(parts)
+    return "\n".join("\\n".join(part.splitlines()) for part in parts)  # a name must not make up lines of its own
 
 
 def _save_sarif(lines: Sequence[Line], path: Path) -> None:

@@ -210,7 +210,9 @@ def parse(
 ) -> _Type:
     """The options in the user's words; ends the process for --help."""
     parser = parser_of(kind, program=program, description=description, defaults=defaults)
-    given, rest = parser.parse_known_intermixed_args([_dashed(word) for word in words])
+    end = words.index("--") if "--" in words else len(words)
+    paths = [f"./{word}" if word.startswith("-") else word for word in words[end + 1 :]]
+    given, rest = parser.parse_known_intermixed_args([*map(_dashed, words[:end]), *paths])
     if rest:
         flags = [flag for action in parser._actions for flag in action.option_strings]
         unknown = next((word for word in rest if word.startswith("-")), rest[0]).partition("=")[0]

@@ -48,7 +48,6 @@ PASSED = [row(claim) for claim in CLAIMS[:-1]]
         ({"giant": "refuse"}, row("numbers", "giant", "warning"), "refuse"),
         ({"warning": "quarantine"}, row("numbers", "giant", "warning"), "quarantine"),
         ({"error": "quarantine"}, row("cost", "overdraw", "error"), "quarantine"),
-        ({}, row("hidden appearance", "hidden-look", "error"), "refuse"),
         ({}, row("hidden appearance", "suspicious-look", "warning"), "quarantine"),
         ({}, row("hidden appearance", "occluder", "error"), "refuse"),
         ({}, row("edits", judged=False, reason="too few"), "not judged"),
@@ -65,7 +64,10 @@ def test_what_was_not_judged_is_no_pass() -> None:
     told = Policy().verdict(PASSED[:3])
     assert told["verdict"] == told["claims"]["hidden appearance"]["verdict"] == "not judged"
     assert Policy(claims=CLAIMS[:3]).verdict(PASSED[:3])["verdict"] == "accept"
-    assert Policy().verdict([])["verdict"] == "not judged"
+    told = Policy().verdict([])
+    assert told["verdict"] == "not judged"
+    line = gate._in_words({"file": "b.ply: accept\na.ply", "error": None, **told})
+    assert line == "b.ply: accept\\na.ply: not judged"
 
 
 def alike(first: str, second: str) -> bool:
@@ -133,10 +135,13 @@ def run(
 def test_honest_trained_files_pass_and_need_no_standard_input(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    files = [str(SCENES / f"{name}.ply") for name in ("car_street_car", "stop_sign_stop_sign")]
-    status, told = run(capsys, monkeypatch, tmp_path, [], *files)
+    files = {f"--policy={name}.ply": SCENES / f"{name}.ply" for name in ("car_street_car", "stop_sign_stop_sign")}
+    for name, file in files.items():  # names of files that are no options
+        (tmp_path / name).symlink_to(file)
+    monkeypatch.chdir(tmp_path)
+    status, told = run(capsys, monkeypatch, tmp_path, [], "--", *files)
     assert status == 0
-    assert [one["verdict"] for one in told.values()] == ["accept", "accept"]
+    assert {name: one["verdict"] for name, one in told.items()} == dict.fromkeys(files, "accept")
 
 
 def test_every_line_has_a_verdict_and_a_hostile_file_takes_none_with_it(
