@@ -33,7 +33,7 @@ from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import FitConfig, Progress, advance, scene_extent
 from mi_splat.training.losses import photometric_loss
 from mi_splat.training.state import TrainState
-from mi_splat.training.strategies import FixedConfig, strategy_config, strategy_names
+from mi_splat.training.strategies import STRATEGIES, FixedConfig, strategy_config
 
 WARM_UP = 40
 LOOK = 250
@@ -95,7 +95,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("set")
     parser.add_argument("--iterations", type=int, default=7000)
-    parser.add_argument("--strategy", choices=strategy_names(), default="classic")
+    parser.add_argument("--strategy", choices=STRATEGIES, default="classic")
     parser.add_argument("--max-gaussians", type=int, default=40_000)
     parser.add_argument("--background", type=float, nargs=3, default=(0.0, 0.0, 0.0))
     parser.add_argument("--until", type=float, help="stop at this held-out PSNR, dB")

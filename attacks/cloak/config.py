@@ -30,7 +30,7 @@ from mi_splat.fields import (
     decode,
 )
 from mi_splat.training.config import FitConfig
-from mi_splat.training.strategies import strategy_config, strategy_names
+from mi_splat.training.strategies import STRATEGIES, strategy_config
 
 _WIDTH = Range(low=0, high=90, open_high=True, unit="degrees")
 
@@ -330,7 +330,7 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         check(self)
-        check_choice("training.strategy", self.strategy, strategy_names())
+        check_choice("training.strategy", self.strategy, STRATEGIES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Folder, Length, Metavar, OutFolder, Seed, at_least, between
 from mi_splat.io.parsing import read_json
 from mi_splat.training.config import FitConfig
-from mi_splat.training.strategies import strategy_config, strategy_name, strategy_names
+from mi_splat.training.strategies import STRATEGIES, strategy_config, strategy_name
 
 if TYPE_CHECKING:
     from mi_splat.datasets import Dataset
@@ -47,7 +47,7 @@ class TrainOptions(JsonOptions):
     """Folder of the set."""
     out: OutFolder
     """Folder for the results; made if it is not there."""
-    strategy: Annotated[str, Metavar("|".join(strategy_names()))] = _STRATEGY
+    strategy: Annotated[str, Metavar("|".join(STRATEGIES))] = _STRATEGY
     """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC relocation, or not at all. For the flags
     of one add --help."""
     fit: FitConfig = field(default_factory=FitConfig)
@@ -75,7 +75,7 @@ class TrainOptions(JsonOptions):
 
 def defaults(words: Sequence[str]) -> dict[str, Any]:
     """The strategy and its options, which say what further flags there are."""
-    name = choice_among(strategy_names(), words, "--strategy", _STRATEGY)
+    name = choice_among(STRATEGIES, words, "--strategy", _STRATEGY)
     return {"strategy": name, "fit": FitConfig(strategy=strategy_config(name))}
 
 
@@ -119,7 +119,6 @@ def _train(options: TrainOptions) -> None:
     _warn_of_culled(start, views, near)
     begun = time.monotonic()
     with progress("training", total=config.iterations) as advance:
-        describe = _ProgressText()
 
         def on_resume(state: TrainState) -> None:
             whole = f"the run has all its {config.iterations:,} steps; only its results are written again"
@@ -128,7 +127,8 @@ def _train(options: TrainOptions) -> None:
             advance("training", state.iteration)
 
         def on_step(step: Progress) -> None:
-            advance(describe(step))
+            held_out = "" if step.held_out is None else f", held out {step.held_out.psnr:.2f} dB"
+            advance(f"loss {step.loss:.4f}, {step.count:,} Gaussians{held_out}")
 
         trained = train(
             views,
@@ -198,20 +198,3 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
         warn(f"starting on {limit:,} of {len(cloud.points):,} points, evenly at random: no more are allowed")
         cloud = thinned(cloud, limit, seed=options.seed)
     return from_points(cloud.points, cloud.colours)
-
-
-class _ProgressText:
-    """Loss, number of Gaussians, rate since this call of the program, and the last score of the held-out views."""
-
-    def __init__(self) -> None:
-        self._begun: tuple[int, float] | None = None
-        self._held_out = ""
-
-    def __call__(self, step: Progress) -> str:
-        if self._begun is None:
-            self._begun = step.iteration, time.monotonic()
-        elif step.held_out is not None:
-            self._held_out = f", held out {step.held_out.psnr:.2f} dB"
-        first, begun = self._begun
-        rate = (step.iteration - first) / max(time.monotonic() - begun, 1e-3)
-        return f"loss {step.loss:.4f}, {step.count:,} Gaussians, {rate:.1f} steps/s{self._held_out}"

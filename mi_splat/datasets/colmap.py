@@ -37,28 +37,16 @@ from mi_splat.io.points import PointCloud
 from mi_splat.rotation import to_matrix
 
 MODELS = {
-    "SIMPLE_PINHOLE": 3,
-    "PINHOLE": 4,
-    "SIMPLE_RADIAL": 4,
-    "RADIAL": 5,
-    "OPENCV": 8,
-    "OPENCV_FISHEYE": 8,
-    "FULL_OPENCV": 12,
-    "FOV": 5,
-    "SIMPLE_RADIAL_FISHEYE": 4,
-    "RADIAL_FISHEYE": 5,
-    "THIN_PRISM_FISHEYE": 12,
-    "RAD_TAN_THIN_PRISM_FISHEYE": 16,
-    "SIMPLE_DIVISION": 4,
-    "DIVISION": 5,
-    "SIMPLE_FISHEYE": 3,
-    "FISHEYE": 4,
-    "EUCM": 6,
-    "EQUIRECTANGULAR": 2,
+    "SIMPLE_PINHOLE": (0, 3),
+    "PINHOLE": (1, 4),
+    "SIMPLE_RADIAL": (2, 4),
+    "RADIAL": (3, 5),
+    "OPENCV": (4, 8),
+    "FULL_OPENCV": (6, 12),
 }
-"""Number of parameters of each of COLMAP's camera models, in the order of its ids."""
-ONE_FOCAL, TWO_FOCALS = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"), ("PINHOLE", "OPENCV", "FULL_OPENCV")
-"""The camera models that are read if their distortion is zero, by how many focal lengths they have."""
+"""Id and number of parameters of the camera models of COLMAP that are read if their distortion is zero."""
+ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+"""Those of them that have one focal length; the others have two."""
 
 
 def unreadable(where: str, model: str) -> DatasetError:
@@ -135,12 +123,13 @@ class _Binary:
 
     def lenses(self) -> Iterator[tuple[int, Lens]]:
         """Ids and cameras."""
-        names = tuple(MODELS)
+        models = {number: (name, count) for name, (number, count) in MODELS.items()}
         for _ in self._records():
             number, model, width, height = self._take("iiQQ")
-            if not 0 <= model < len(names):
+            if model not in models:
                 raise unreadable(f"{self._path}, camera {number}", f"number {model}")
-            yield number, Lens(names[model], width, height, self._take(f"{MODELS[names[model]]}d"))
+            name, count = models[model]
+            yield number, Lens(name, width, height, self._take(f"{count}d"))
 
     def poses(self) -> Iterator[tuple[int, Pose]]:
         """Ids and pictures."""
@@ -315,10 +304,10 @@ def _intrinsics(lenses: Mapping[int, Lens], number: int, source: Path) -> Intrin
     if number not in lenses:
         raise DatasetError.of(str(source), f"a camera {number}", "none", "export the model again")
     lens, where = lenses[number], f"{source}, camera {number}"
-    if lens.model not in (*ONE_FOCAL, *TWO_FOCALS):
+    if lens.model not in MODELS:
         raise unreadable(where, lens.model)
-    if len(lens.parameters) != MODELS[lens.model]:
-        expected, got = f"{MODELS[lens.model]} parameters of {lens.model}", len(lens.parameters)
+    if len(lens.parameters) != (count := MODELS[lens.model][1]):
+        expected, got = f"{count} parameters of {lens.model}", len(lens.parameters)
         raise DatasetError.of(where, expected, got, "export the model again")
     first = lens.parameters[:1] if lens.model in ONE_FOCAL else ()
     fx, fy, cx, cy, *rest = (*first, *lens.parameters)

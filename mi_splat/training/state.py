@@ -17,7 +17,7 @@ from mi_splat.io.parameters import from_raw_parameters, to_raw_parameters
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import Scores
-from mi_splat.training.strategies import Edit, build_strategy
+from mi_splat.training.strategies import Edit
 
 MOMENTS = ("exp_avg", "exp_avg_sq", "step")
 """What Adam keeps of each tensor, by torch's names; the first two for each row."""
@@ -97,7 +97,7 @@ class TrainState:
         self.iteration, self.view_queue = 0, list[int]()
         self.history = list[Progress]()
         self.generator = Generator().manual_seed(seed)
-        self.strategy = build_strategy(config.strategy)
+        self.strategy = config.strategy.build()
         self.strategy_state = _moved(self.strategy.initial_state(len(start)), start.means.device)
         trained = {"sh0", "shN"} if "sh" in config.trainable else set[str]()
         trained |= set(config.trainable) & set(self.parameters)

@@ -88,7 +88,6 @@ BAD = {
 
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:aa\nsize 134\n"
-HEADER = "one format, elements with a count"
 NEEDED = splat_names(1, normals=False)
 LISTED = listed("binary_little_endian")
 PLY = {

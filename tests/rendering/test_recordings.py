@@ -28,7 +28,6 @@ STAGES = (
 VIEW = Camera(
     to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=10.0, elevation=20.0, distance=3.0), focal=40.0, width=37, height=29
 )
-KEYS = ("data", "opacities", "sh_coeffs")
 
 
 def misaligned(values: Any, offset: int = 4) -> NDArray[np.float32]:

@@ -18,7 +18,6 @@ from tests.cloak.tiny_study import STUDY, known
 from tests.project.layers import ROOT
 from tests.report.results import cloak_record, rate
 
-ATTACKS = {"attack": [{"name": "a", "elevation": [50, 90]}]}
 STREET = str(ROOT / "scenes" / "mixed" / "car_among_meshes.xml")
 
 

@@ -60,10 +60,12 @@ def views_of(count: int = 6) -> tuple[GaussianScene, list[View]]:
         return truth, [View(camera, Renderer()(truth, camera).clamp(0, 1)) for camera in cameras]
 
 
-def write_set(folder: Path) -> Path:
-    """Pictures of `views_of` on the disk, the first one as a test picture too, with a grey cloud."""
+def write_set(folder: Path, factor: float = 1.0) -> Path:
+    """Pictures of `views_of` on the disk, the first one as a test picture too, with a grey cloud, and scaled."""
     truth, views = views_of()
-    cloud = PointCloud(truth.means, torch.full((50, 3), 0.5))
+    cameras = orbit((0.0, 0.0, 0.0), count=6, elevation=20.0, distance=4.0 * factor, focal=36.0, size=(32, 32))
+    views = [View(camera, view.image) for camera, view in zip(cameras, views, strict=True)]
+    cloud = PointCloud(factor * truth.means, torch.full((50, 3), 0.5))
     write_transforms(folder, views, test=views[:1], points=cloud)
     return folder
 

@@ -7,7 +7,7 @@ from torch import Tensor
 from mi_splat.rendering import Renderer
 from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import TrainState, advance, scene_extent
-from mi_splat.training.strategies import ClassicConfig, Edit, FixedConfig, MCMCConfig, build_strategy
+from mi_splat.training.strategies import ClassicConfig, Edit, FixedConfig, MCMCConfig
 from mi_splat.training.strategies.classic import ClassicStrategy, densify_and_prune, reset_opacities
 from mi_splat.training.strategies.mcmc import explore
 from tests.training.sets import Seen, scene_and_views, small, step_of, watching
@@ -143,7 +143,7 @@ def test_a_reset_makes_adam_forget() -> None:
 
 def test_mcmc_rounds_come_in_their_time_and_noise_at_every_step() -> None:
     config = MCMCConfig(densify_from=4, densify_until=8, densify_interval=2, max_gaussians=None)
-    strategy = build_strategy(config)
+    strategy = config.build()
     values = small(20)
     values["opacities"][:] = 0.005  # of little opacity, so that the noise moves them
     rounds = []

@@ -5,16 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 
 from attacks import cli
-from mi_splat.camera_sets import orbit
-from mi_splat.cameras import View
 from mi_splat.io import load_splat
-from mi_splat.io.points import PointCloud
-from mi_splat.rendering import Renderer
-from tests.datasets.sets import write_transforms
-from tests.gaussians import varied_scene
 from tests.training.sets import write_set
 
 
@@ -27,23 +20,10 @@ def figures(out: Path) -> Any:
     return json.loads((out / "metrics.json").read_text())
 
 
-def small_set(folder: Path, factor: float) -> Path:
-    """The set of `write_set`, so many times its size."""
-    truth = varied_scene(50, degree=1, seed=9)
-    large = orbit((0.0, 0.0, 0.0), count=6, elevation=20.0, distance=4.0, focal=36.0, size=(32, 32))
-    with torch.no_grad():
-        pictures = [Renderer()(truth, camera).clamp(0, 1) for camera in large]
-    cameras = orbit((0.0, 0.0, 0.0), count=6, elevation=20.0, distance=4.0 * factor, focal=36.0, size=(32, 32))
-    views = [View(camera, picture) for camera, picture in zip(cameras, pictures, strict=True)]
-    cloud = PointCloud(factor * truth.means, torch.full((50, 3), 0.5))
-    write_transforms(folder, views, test=views[:1], points=cloud)
-    return folder
-
-
 def test_a_small_scene_is_trained_like_a_large_one(tmp_path: Path) -> None:
     scores = []
     for name, factor in (("large", 1.0), ("small", 0.02)):
-        folder, out = small_set(tmp_path / name, factor), tmp_path / f"{name}-out"
+        folder, out = write_set(tmp_path / name, factor), tmp_path / f"{name}-out"
         assert cli.main(["train", str(folder), "--out", str(out), "--iterations", "60"]) == 0
         scores.append(figures(out)["psnr"])
     assert scores[1] == pytest.approx(scores[0], abs=0.5)
@@ -51,7 +31,7 @@ def test_a_small_scene_is_trained_like_a_large_one(tmp_path: Path) -> None:
 
 
 def test_near_is_an_option_and_what_it_culls_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder, out = small_set(tmp_path / "small", 0.02), tmp_path / "out"
+    folder, out = write_set(tmp_path / "small", 0.02), tmp_path / "out"
     assert cli.main(["train", str(folder), "--out", str(out), "--iterations", "3", "--near", "0.2"]) == 0
     printed = capsys.readouterr().err
     assert "in 6 of 6 pictures, up to 50 of 50 Gaussians are nearer than near = 0.2" in printed

@@ -12,10 +12,10 @@ from torch import Generator, Tensor
 from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import normalise, to_matrix
 from mi_splat.training.strategies.base import Edit, Step, Strategy, normal
-from mi_splat.training.strategies.config import ClassicConfig
 
 if TYPE_CHECKING:
     from mi_splat.training.strategies.base import Parameters, State
+    from mi_splat.training.strategies.config import ClassicConfig
 
 SPLIT_SCALE = 1.6
 """By which the two children of a split are smaller than their parent."""

@@ -1,10 +1,12 @@
 """The options of each strategy; light, so that a command line can be parsed without torch."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
-from mi_splat.fields import Checked, Fraction, Metavar, Steps, above, at_least
+from mi_splat.errors import InvalidValueError
+from mi_splat.fields import Checked, Fraction, Metavar, Steps, above, at_least, check_choice
+from mi_splat.training.strategies.base import FixedStrategy, Strategy
 
 Interval = Annotated[int, at_least(0, "steps")]
 Opacity = Annotated[Fraction, Metavar("OPACITY")]
@@ -33,6 +35,10 @@ class StrategyConfig(Checked):
     """Whether Gaussians are added, so that `max_gaussians` matters."""
 
     max_gaussians: Annotated[int, at_least(1, "Gaussians", "leave it out for no limit")] | None = 100_000
+
+    def build(self) -> Strategy:
+        """The strategy with these options; each derived class makes its own."""
+        return FixedStrategy()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +69,12 @@ class ClassicConfig(StrategyConfig):
     prune_scale: Annotated[float, above(0, "shares of the scene's extent"), Metavar("SHARE")] = 0.1
     opacity_reset_interval: Interval = 3000
 
+    def build(self) -> Strategy:
+        """The strategy with these options."""
+        from mi_splat.training.strategies.classic import ClassicStrategy
+
+        return ClassicStrategy(self)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MCMCConfig(StrategyConfig):
@@ -88,6 +100,12 @@ class MCMCConfig(StrategyConfig):
     opacity_reg: Weight = 0.01
     scale_reg: Weight = 0.01
 
+    def build(self) -> Strategy:
+        """The strategy with these options."""
+        from mi_splat.training.strategies.mcmc import MCMCStrategy
+
+        return MCMCStrategy(self)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixedConfig(StrategyConfig):
@@ -95,3 +113,22 @@ class FixedConfig(StrategyConfig):
 
     needs_trainable: ClassVar[tuple[Attribute, ...]] = ()
     adds_gaussians: ClassVar[bool] = False
+
+
+STRATEGIES: dict[str, type[StrategyConfig]] = {"classic": ClassicConfig, "mcmc": MCMCConfig, "fixed": FixedConfig}
+"""The options of each strategy by its name; add yours, so that commands, studies and checkpoints can name it."""
+
+
+def strategy_config(name: str, **options: Any) -> StrategyConfig:
+    """The options of the strategy with a name; those that are not given have their defaults."""
+    check_choice("strategy", name, STRATEGIES)
+    return STRATEGIES[name](**options)
+
+
+def strategy_name(config: StrategyConfig) -> str:
+    """The name of a strategy's options among `STRATEGIES`."""
+    for name, kind in STRATEGIES.items():
+        if type(config) is kind:
+            return name
+    do = "add it to mi_splat.training.strategies.STRATEGIES, so that a checkpoint can name it"
+    raise InvalidValueError.of("strategy", "one of STRATEGIES", type(config).__name__, do)

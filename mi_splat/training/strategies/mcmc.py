@@ -12,10 +12,10 @@ from torch import Generator, Tensor
 from mi_splat.rotation import normalise, to_matrix
 from mi_splat.scene import GaussianScene
 from mi_splat.training.strategies.base import Edit, Step, Strategy, normal
-from mi_splat.training.strategies.config import MCMCConfig
 
 if TYPE_CHECKING:
     from mi_splat.training.strategies.base import Parameters, State
+    from mi_splat.training.strategies.config import MCMCConfig
 
 
 class MCMCStrategy(Strategy):
