@@ -9,11 +9,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from mi_splat.camera_forms import MOST, parse_form
 from mi_splat.cameras import Camera, focal_of, orbit_pose
 from mi_splat.datasets.transforms import read_cameras
+from mi_splat.directions import UP
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import above, checked_number
+from mi_splat.rotation import from_z
 
 MARGIN = 1.05
 """How much farther away cameras are than would just show the whole of what they look at."""
@@ -50,6 +54,7 @@ def hemisphere(
     elevation: tuple[float, float] = (0.0, 90.0),
     start: float = 0.0,
     offset: float = 0.5,
+    up: Sequence[float] = UP,
 ) -> list[Camera]:
     """`count` cameras spread evenly in area over a band of the upper hemisphere.
 
@@ -65,6 +70,7 @@ def hemisphere(
         elevation: Lowest and highest elevation in degrees.
         start: Azimuth of the first camera in degrees.
         offset: Where in its step of height each camera stands, in [0, 1].
+        up: (3,) direction in which the hemisphere bulges.
 
     Returns:
         The cameras, in the order of a spiral from the lowest to the highest.
@@ -75,8 +81,16 @@ def hemisphere(
         azimuth = (start + i * _GOLDEN) % 360.0
         angle = math.degrees(math.asin(low + (high - low) * (i + offset) / count))
         pose = orbit_pose(target, azimuth=azimuth, elevation=angle, distance=distance)
-        cameras.append(Camera(to_world=pose, focal=focal, width=size[0], height=size[1]))
+        cameras.append(with_up(Camera(to_world=pose, focal=focal, width=size[0], height=size[1]), target, up))
     return cameras
+
+
+def with_up(camera: Camera, centre: Sequence[float], up: Sequence[float]) -> Camera:
+    """A camera that was placed around a point with z up, turned with that point fixed so that `up` is up."""
+    turn = from_z(torch.tensor(up, dtype=torch.float64))
+    if torch.equal(turn, torch.eye(3, dtype=torch.float64)):
+        return camera
+    return camera.turned(turn, torch.tensor(centre, dtype=torch.float64))
 
 
 def tiers(

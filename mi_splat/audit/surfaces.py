@@ -257,18 +257,39 @@ def grid_of(scene: GaussianScene) -> Grid:
 
 def free_positions(scene: GaussianScene) -> Tensor | None:
     """(P, 3) float64 positions inside a room from which it is seen; None where the scene is seen from outside."""
-    grid = grid_of(scene)
-    close = functional.max_pool3d(grid.filled[None, None].float(), 3, stride=1, padding=1)[0, 0] > 0
-    free = (~close).nonzero()
-    if not len(free):
+    grid, free, positions, share = _enclosed(scene)
+    within = share >= LIMITS.enclosed_share and _between(grid, positions, free) > LIMITS.between
+    return positions if within else None
+
+
+def place_inside(scene: GaussianScene, direction: Tensor) -> tuple[tuple[float, float, float], float, bool] | None:
+    """A free position amid a hollow scene, how far away in a direction a camera may look at it, and if it is a room."""
+    if not bool((scene.opacities > LIMITS.solid).any()):
         return None
-    free = free[:: max(1, len(free) // LIMITS.room_places)]
-    positions = grid.low + (free + 0.5) * grid.size
+    grid, free, positions, share = _enclosed(scene)
+    if share < LIMITS.enclosed_share:
+        return None
+    middle = positions[(positions - positions.mean(0)).norm(dim=1).argmin()]
+    steps = torch.arange(4 * max(grid.filled.shape))[:, None] / 2 * grid.size
+    cells = ((middle + steps * direction - grid.low) / grid.size).floor().long()
+    x, y, z = kept = cells.clamp(min=0).minimum(torch.tensor(grid.filled.shape) - 1).T
+    ends = (cells != kept.T).any(1) | ~free[x, y, z]
+    distance = float(steps[max(1, int(ends.nonzero()[0]) - 1)])
+    x, y, z = middle.tolist()
+    is_room = _between(grid, positions, free) > LIMITS.between  # rather than a hollow box, which has nothing in it
+    return (x, y, z), distance, is_room
+
+
+def _enclosed(scene: GaussianScene) -> tuple[Grid, Tensor, Tensor, float]:
+    """The grid of a scene, its free voxels, and of those the middles of enclosed ones and their share."""
+    grid = grid_of(scene)
+    free = functional.max_pool3d(grid.filled[None, None].float(), 3, stride=1, padding=1)[0, 0] == 0
+    tried = free.nonzero()
+    tried = tried[:: max(1, len(tried) // LIMITS.room_places)]
+    positions = grid.low + (tried + 0.5) * grid.size
     ends = grid.ends(positions, torch.from_numpy(even_directions(LIMITS.room_rays)))
     enclosed = ends.double().mean(1) > LIMITS.enclosed
-    if float(enclosed.double().mean()) < LIMITS.enclosed_share:
-        return None
-    return positions[enclosed] if _between(grid, positions[enclosed], ~close) > LIMITS.between else None
+    return grid, free, positions[enclosed], float(enclosed.double().sum() / max(1, len(tried)))
 
 
 def _between(grid: Grid, positions: Tensor, free: Tensor) -> float:

@@ -8,9 +8,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from mi_splat.audit.surfaces import place_inside
 from mi_splat.bounds import bounds, culled_in_view, near_plane, nothing_in_view
 from mi_splat.camera_forms import FORMS
-from mi_splat.camera_sets import camera_set, framing
+from mi_splat.camera_sets import camera_set, framing, with_up
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.cli.console import warn
 from mi_splat.cli.options import CameraOptions, axis_name
@@ -70,7 +71,23 @@ def find_cameras(
         good = (camera for camera, share in zip(tried, shares, strict=True) if share >= _GOOD * max(shares))
         return {"orbit": next(good)}
     azimuth = AZIMUTH if options.azimuth is None else options.azimuth
-    return {"orbit": _orbit(target, options, azimuth, ELEVATION if options.elevation is None else options.elevation)}
+    elevation = ELEVATION if options.elevation is None else options.elevation
+    if focus is None and options.centre is None and options.distance is None:
+        options = _inside(target, options, azimuth, elevation)
+    return {"orbit": _orbit(target, options, azimuth, elevation)}
+
+
+def _inside(target: GaussianScene, options: CameraOptions, azimuth: float, elevation: float) -> CameraOptions:
+    """The options with a place inside, if the scene is a room."""
+    turn = from_z(torch.tensor(options.up, dtype=torch.float64))
+    way = turn @ orbit_pose((0, 0, 0), azimuth=azimuth, elevation=elevation, distance=1)[:3, 3]
+    if (place := place_inside(target, way)) is None:
+        return options
+    centre, distance, is_room = place
+    if not is_room:
+        warn(f"the scene is hollow; if it is an empty room, pass --distance {distance:.2g} to look from inside")
+        return options
+    return dataclasses.replace(options, centre=centre, distance=distance)
 
 
 def render_settings(loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]) -> RenderSettings:
@@ -157,7 +174,7 @@ def _named(
     elif _is_set(text, loaded):
         centre, distance, focal = _placement(target, options)
         cameras = camera_set(text, centre, distance=distance, focal=focal, size=options.size or SIZE)
-        return _numbered(text.partition(":")[0], [_turned(camera, centre, options.up) for camera in cameras])
+        return _numbered(text.partition(":")[0], [with_up(camera, centre, options.up) for camera in cameras])
     else:
         names = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "no name, since the scene has no cameras"
         raise InvalidValueError.of("camera", f"{names}; or {FORMS}, or a folder", text, "name one that is there")
@@ -202,15 +219,7 @@ def _orbit(target: GaussianScene, options: CameraOptions, azimuth: float, elevat
     centre, distance, focal = _placement(target, options)
     width, height = options.size or SIZE
     pose = orbit_pose(centre, azimuth=azimuth, elevation=elevation, distance=distance, roll=options.camera_roll)
-    return _turned(Camera(to_world=pose, focal=focal, width=width, height=height), centre, options.up)
-
-
-def _turned(camera: Camera, centre: tuple[float, float, float], up: tuple[float, float, float]) -> Camera:
-    """A camera that was placed around a point with z up, turned with that point fixed so that `up` is up."""
-    turn = from_z(torch.tensor(up, dtype=torch.float64))
-    if torch.equal(turn, torch.eye(3, dtype=torch.float64)):
-        return camera
-    return camera.turned(turn, torch.tensor(centre, dtype=torch.float64))
+    return with_up(Camera(to_world=pose, focal=focal, width=width, height=height), centre, options.up)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

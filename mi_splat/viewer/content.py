@@ -11,9 +11,10 @@ import torch
 from PIL import ImageDraw
 from torch import Tensor
 
+from mi_splat.audit.surfaces import place_inside
 from mi_splat.bounds import bounds
 from mi_splat.camera_sets import framing
-from mi_splat.cameras import Camera, View
+from mi_splat.cameras import Camera, View, orbit_pose
 from mi_splat.datasets import is_dataset, load_dataset
 from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, message
@@ -249,7 +250,10 @@ def content_of_file(path: Path, *, name: str | None = None, clean: Path | None =
 
 
 def whole(scene: GaussianScene) -> Orbit:
-    """The camera from which `mi-splat render` shows all of a scene."""
+    """The camera from which `mi-splat render` shows all of a scene, or a room from inside."""
     (centre, radius), fov = bounds(scene), 45.0
     distance, _ = framing(radius, fov=fov, size=(640, 480))
+    place = place_inside(scene, orbit_pose((0, 0, 0), azimuth=30, elevation=20, distance=1)[:3, 3])
+    if place is not None and place[2]:
+        centre, distance, _ = place
     return Orbit(target=centre, azimuth=30.0, elevation=20.0, distance=round(distance, 4), fov=fov)

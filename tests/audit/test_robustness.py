@@ -7,7 +7,7 @@ import torch
 
 from mi_splat.audit.auditing import audit, seen_share
 from mi_splat.audit.results import summary
-from mi_splat.audit.surfaces import cameras_around, frame_of, free_positions, targets, whole
+from mi_splat.audit.surfaces import cameras_around, frame_of, free_positions, place_inside, targets, whole
 from mi_splat.audit.thresholds import LIMITS
 from tests.audit import scenes
 from tests.audit.scenes import Made, standing
@@ -35,7 +35,9 @@ def test_a_room_is_seen_from_within_and_an_object_is_not(suitcase: Made, monkeyp
     monkeypatch.setitem(vars(LIMITS), "image_size", 64)
     for scene in (suitcase.scene, suitcase.scene.select(suitcase.rows)):
         assert free_positions(frame_of(scene).scene) is None
-    room = scenes.room()
+    room, ahead = scenes.room(), torch.tensor([0.0, 0.6, 0.8], dtype=torch.float64)
+    places = [place_inside(scene, ahead) for scene in (room.scene, room.scene.select(~room.rows), suitcase.scene)]
+    assert [place and place[2] for place in places] == [True, False, None]
     judged = audit(room.scene)
     (item,) = judged.objects
     assert item.in_room

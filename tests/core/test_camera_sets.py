@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from mi_splat.camera_sets import camera_set, framing, held_out_set, orbit
+from mi_splat.camera_sets import camera_set, framing, held_out_set, hemisphere, orbit
 from mi_splat.cameras import Camera, View, project_points
 from mi_splat.errors import InvalidValueError
 from tests.datasets.sets import write_transforms
@@ -45,15 +45,16 @@ def test_sets(spec: str, count: int, lowest: float, highest: float) -> None:
     azimuth, elevation = angles(made)
     band = (lowest - 1e-6, highest + 1e-6)
     assert band[0] <= elevation.min() <= elevation.max() <= band[1]
-    if count > 1:
-        assert (
-            len({(round(a, 6), round(e, 6)) for a, e in zip(azimuth.tolist(), elevation.tolist(), strict=True)})
-            == count
-        )
+    assert len(torch.stack([azimuth, elevation], dim=1).mul(1e6).round().unique(dim=0)) == count
     pixels, depth = project_points(torch.tensor([CENTRE], dtype=torch.float64), made[0])
     assert pixels[0].tolist() == pytest.approx([8, 6])
     assert depth.item() == pytest.approx(2)
     assert (made[0].width, made[0].height, made[0].fx) == (16, 12, 20)
+
+
+def test_a_hemisphere_bulges_upwards() -> None:
+    made = hemisphere(CENTRE, count=9, distance=2.0, focal=20.0, size=(16, 12), up=(0.0, -1.0, 0.0))
+    assert all(camera.position[1] < CENTRE[1] and camera.to_world[1, 1] > 0 for camera in made)  # y of images is down
 
 
 @pytest.mark.parametrize("size", [(160, 120), (120, 160)])
