@@ -10,7 +10,7 @@ from mi_splat import provenance
 from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions
-from mi_splat.fields import Metavar, OutFolder, Seed, between
+from mi_splat.fields import Metavar, OutFolder, between
 
 EXAMPLES = (
     "compare scenes/car_street.xml --methods tile,ray,volprim --cameras all --out out/compare",
@@ -42,10 +42,6 @@ class CompareOptions(ResultOptions):
     """Compare the gradients of methods that have them."""
     rounds: Annotated[int, between(0, 1000, "rounds", "5 is usual")] = 5
     """How often each method is timed, in turn; 0 measures no time."""
-    amplify: Annotated[float, between(1, 1000, "times", "8 is usual"), Metavar("FACTOR")] = 8.0
-    """By how much differences are multiplied in the pictures."""
-    seed: Seed = 0
-    """Of the random weights of the pixels whose weighted sum is differentiated."""
 
 
 def run(options: CompareOptions) -> None:
@@ -58,19 +54,14 @@ def run(options: CompareOptions) -> None:
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
 
     check_new_folder(options.out, force=options.force)
-    config = Comparing(
-        scene=str(options.scene),
-        methods=options.methods,
-        view=options.view,
-        config=CompareConfig(gradients=options.gradients, rounds=options.rounds, seed=options.seed),
-        amplify=options.amplify,
-    )
+    measure = CompareConfig(gradients=options.gradients, rounds=options.rounds)
+    config = Comparing(scene=str(options.scene), methods=options.methods, view=options.view, config=measure)
     with progress("comparing") as advance:
         comparison, record = measured(config, advance)
         record = {"story": "compare", **record, **provenance.origin()}
         text = sections(tables({options.scene.name: record}))
         with new_folder(options.out, force=options.force) as folder:
-            sheets = save_sheets(comparison.pictures, folder, factor=options.amplify)
+            sheets = save_sheets(comparison.pictures, folder)
             save_json(record, folder / RECORD)
             save_text(text + "".join(f"\n![{sheet.stem}]({sheet.name})\n" for sheet in sheets), folder / TABLE)
     show_result({**record, "out": str(options.out)}, text, f"{options.out}: images and {TABLE}", as_json=options.json)

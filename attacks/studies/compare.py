@@ -16,13 +16,13 @@ from attacks.studies.running import Attempt, Observed, Work, copied, names_of
 from attacks.studies.study_file import Point, Study, with_none
 from attacks.tables import Table
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.cli.cameras import find_cameras, renderer_of
+from mi_splat.cli.cameras import ALL, find_cameras, renderer_of
 from mi_splat.cli.options import CameraOptions
 from mi_splat.comparison.compare import FORWARD, GRADIENT, CompareConfig, Comparison, as_dict, compare, save_sheets
 from mi_splat.comparison.methods import FOLDER, load_methods
 from mi_splat.datasets.frames import Split
 from mi_splat.fields import Checked, decode
-from mi_splat.io.camera_records import describe
+from mi_splat.io.camera_records import OF, describe
 from mi_splat.io.documents import save_json
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
@@ -30,10 +30,10 @@ from mi_splat.ledger import Done, Job
 from mi_splat.ledger.job import Out
 from mi_splat.ledger.plans import Result
 from mi_splat.scene import scene_hash
-from mi_splat.scene_files import MixedScene, holds_surfaces, open_scene
+from mi_splat.scene_files import MixedScene, SplatScene, holds_surfaces, open_scene
 
 VARIES = (RECORD,)
-_COSTS = {"first call": "first_seconds", "image": FORWARD, "image and gradient": GRADIENT}
+_COSTS = {"image": FORWARD, "image and gradient": GRADIENT}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +45,6 @@ class Comparing(Checked):
     view: CameraOptions = field(default_factory=CameraOptions)
     parameters: Mapping[str, float] = field(default_factory=dict)  # in place of default values of a scene with meshes
     config: CompareConfig = field(default_factory=CompareConfig)
-    amplify: float = 8.0  # factor of differences in the sheets
 
 
 def measured(
@@ -58,7 +57,7 @@ def measured(
         def makes_meshes(samples: int) -> MixedScene:
             return MixedScene(path, samples=samples, seed=samples, **config.parameters)  # type: ignore[arg-type]
 
-    loaded = open_scene(path) if makes_meshes is None else makes_meshes(1).splats
+    loaded = _splats(config)
     cameras = find_cameras(loaded, config.view, split=split)
     settings = renderer_of(loaded, config.view, cameras).settings
     methods = load_methods(config.methods, settings, cameras, meshes=makes_meshes)
@@ -71,23 +70,33 @@ def measured(
         "background": list(settings.background),
         "near": settings.near,
         **asdict(config.config),
-        "amplify": config.amplify,
         **as_dict(comparison, methods),
         "cameras": [describe(name, camera) for name, camera in cameras.items()],
     }
 
 
+def _splats(config: Comparing) -> SplatScene:
+    """The splats of a scene, also of one with meshes."""
+    path = Path(config.scene)
+    return MixedScene(path, samples=1, **config.parameters).splats if holds_surfaces(path) else open_scene(path)  # type: ignore[arg-type]
+
+
 def run(config: Comparing, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
     """Compare, and write a record and a sheet for each camera."""
     comparison, record = measured(config, lambda text: out.progress(text, 0, 0), split="test")
-    save_sheets(comparison.pictures, out.files, factor=config.amplify)
+    save_sheets(comparison.pictures, out.files)
     save_json(record, out / RECORD)
     return []
 
 
 def files_of(config: Comparing) -> dict[str, Path]:
     """The files that a comparison reads, as inputs of a job."""
-    named = [Path(text.removeprefix(FOLDER)) for text in (*config.methods, *config.view.cameras)]
+    named = [Path(text.removeprefix(FOLDER)) for text in config.methods if text.startswith(FOLDER)]
+    for text in config.view.cameras:
+        source = text if Path(text).exists() else text.rpartition(OF)[0]
+        named_so = Path(text).is_dir() and (text == ALL or text in _splats(config).cameras)  # cameras come first
+        if source and Path(source).exists() and not named_so:
+            named.append(Path(source))
     files = [file for path in named for file in ([path] if path.is_file() else sorted(path.rglob("*.*")))]
     inputs = scene_files(Path(config.scene)) if config.scene.endswith(".xml") else {"scene": Path(config.scene)}
     return {**inputs, **{f"file {number}": file for number, file in enumerate(files)}}
@@ -145,10 +154,10 @@ def tables(points: Mapping[str, Mapping[str, Any]]) -> Iterator[Table]:
                 costs.append((f"{title}, {words}", *map(_cost, spent)))
     head = ("setting", *(" and ".join(pair) for pair in pairs))
     yield Table(caption="Difference of images: PSNR, SSIM", head=head, rows=tuple(errors))
-    caption = "Gradients: cosine, its median over Gaussians, length of the difference over that of the first"
+    caption = "Gradients: cosine, length of the difference over that of the first"
     if gradients:
         yield Table(caption=caption, head=head, rows=tuple(gradients))
-    caption = "Processor time, and its ratio to the first method; the first call may compile"
+    caption = "Processor time, and its ratio to the first method"
     yield Table(caption=caption, head=("setting", *methods), rows=tuple(costs))
 
 
@@ -164,10 +173,8 @@ def _agreement(pair: Mapping[str, Any] | None, attribute: str) -> str:
     found = pair["gradients"][attribute]
     if found["cosine"] is None:
         return "no gradient, or not finite"
-    return ", ".join(number(found[key], ".3f") for key in ("cosine", "median_cosine", "relative_error"))
+    return ", ".join(number(found[key], ".3f") for key in ("cosine", "relative_error"))
 
 
-def _cost(cost: Any) -> str:
-    if isinstance(cost, Mapping):
-        return f"{number(cost['seconds'], '.3f', 's')}, {number(cost['ratio'], '.2f')}"
-    return number(cost, ".3f", "s")
+def _cost(cost: Mapping[str, float] | None) -> str:
+    return "-" if cost is None else f"{number(cost['seconds'], '.3f', 's')}, {number(cost['ratio'], '.2f')}"

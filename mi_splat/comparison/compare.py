@@ -30,6 +30,8 @@ from mi_splat.scene import GaussianScene
 WIDTH = 256
 """Pixels that a picture is wide on a sheet, at least."""
 GAP = 4
+AMPLIFY = 8.0
+"""Factor of the differences in a sheet."""
 PICTURES = "pictures"
 """Folder that has a folder for each method, whose pictures can be compared again."""
 
@@ -59,12 +61,12 @@ def _labelled(pixels: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
     return np.asarray(picture)
 
 
-def save_sheets(pictures: Mapping[str, Mapping[str, Tensor]], folder: Path, *, factor: float) -> list[Path]:
+def save_sheets(pictures: Mapping[str, Mapping[str, Tensor]], folder: Path) -> list[Path]:
     """Write a sheet for each camera, and each picture on its own."""
     sheets = []
     for view, seen in pictures.items():
         sheets.append(folder / f"{file_name(view)}.png")
-        save_png(sheet(seen, factor=factor), sheets[-1])
+        save_png(sheet(seen, factor=AMPLIFY), sheets[-1])
         for name, picture in seen.items():
             pictures_folder = folder / PICTURES / file_name(name)
             pictures_folder.mkdir(parents=True, exist_ok=True)
@@ -137,53 +139,33 @@ class GradientAgreement:
     """How well two gradients of one attribute agree, over all cameras that were added."""
 
     def __init__(self) -> None:
-        # Of each Gaussian: first . second, first . first, second . second, |first - second|^2.
-        self._sums = torch.zeros(0, 4, dtype=torch.float64)
+        self._sums = torch.zeros(4, dtype=torch.float64)  # first . second, and squares of both and of the difference
 
     def add(self, first: Tensor, second: Tensor) -> None:
         """Take in the gradients, (N, ...) each, of one more picture."""
-        x, y = (gradient.detach().cpu().double().reshape(len(gradient), -1) for gradient in (first, second))
-        products = ((x, y), (x, x), (y, y), (x - y, x - y))
-        sums = torch.stack([(a * b).sum(1) for a, b in products], dim=1)
-        self._sums = self._sums + sums if len(self._sums) else sums
+        x, y = (gradient.detach().cpu().double().flatten() for gradient in (first, second))
+        self._sums += torch.stack([x @ y, x @ x, y @ y, (x - y) @ (x - y)])
 
     @property
     def cosine(self) -> float | None:
         """Cosine of the angle between them, 1 if they point the same way; None if one is 0 or not finite."""
-        return _cosine(*self._sums.sum(0)[:3].tolist())
-
-    @property
-    def median_cosine(self) -> float | None:
-        """The median of that over the Gaussians to which both give a gradient; None if there is none.
-
-        A few Gaussians with large gradients, needles above all, decide the cosine of the whole; they do not decide it.
-        """
-        each = [_cosine(*row) for row in self._sums[:, :3].tolist()]
-        known = [cosine for cosine in each if cosine is not None]
-        return statistics.median(known) if known else None
+        product, first, second, _ = self._sums.tolist()
+        lengths = math.sqrt(first * second)
+        return max(-1.0, min(1.0, product / lengths)) if lengths > 0 and math.isfinite(lengths) else None
 
     @property
     def relative_error(self) -> float | None:
         """Length of the difference over the length of the first; None if that is 0, or something is not finite."""
-        _, first, _, gap = self._sums.sum(0).tolist()
+        _, first, _, gap = self._sums.tolist()
         return math.sqrt(gap / first) if first > 0 and math.isfinite(first) and math.isfinite(gap) else None
-
-    def as_dict(self) -> dict[str, float | None]:
-        """As JSON can hold it."""
-        names = ("cosine", "median_cosine", "relative_error")
-        return {name: getattr(self, name) for name in names}
-
-
-def _cosine(product: float, first: float, second: float) -> float | None:
-    """Cosine of two vectors by their products; None if one is 0 or not finite."""
-    lengths = math.sqrt(first * second)
-    return max(-1.0, min(1.0, product / lengths)) if lengths > 0 and math.isfinite(lengths) else None
 
 
 FORWARD, GRADIENT = "picture", "picture_and_gradient"
 """Kinds of calls whose cost is measured."""
 Agreement = dict[str, GradientAgreement]
 """Of two methods, by attribute."""
+Cost = dict[str, Any]
+"""Processor seconds of all threads: the median, those of each round, and the median ratio to the first method."""
 Run = Callable[[], None]
 
 
@@ -217,26 +199,12 @@ class Pair:
         return pooled(list(self.distances.values()))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cost:
-    """Processor seconds of each round, of all threads together, and the median ratio to the first method."""
-
-    seconds: tuple[float, ...]
-    ratio: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """As JSON can hold it."""
-        middle = statistics.median(self.seconds)
-        return {"seconds": middle, "rounds": list(self.seconds), "ratio": self.ratio}
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Comparison:
-    """Pictures by camera and method, each two methods, the seconds of first calls (which may compile), and costs."""
+    """Pictures by camera and method, each two methods, and costs."""
 
     pictures: dict[str, dict[str, Tensor]]
     pairs: dict[tuple[str, str], Pair]
-    first_seconds: dict[str, float]
     costs: dict[str, dict[str, Cost]]
 
     def __repr__(self) -> str:
@@ -258,15 +226,11 @@ def compare(
         if len(given) < least:
             raise InvalidValueError.of(what, f"{least} or more", len(given), "name more")
     pictures: dict[str, dict[str, Tensor]] = {}
-    first_seconds: dict[str, float] = {}
     for view, camera in cameras.items():
         pictures[view] = {}
         for name, method in methods.items():
             on_step(f"{name} from {view}")
-            begun = time.process_time()
             pictures[view][name] = _picture(name, method, scene, camera)
-            if method.renders:
-                first_seconds.setdefault(name, time.process_time() - begun)
     agreement = _agreement(scene, cameras, methods, config, on_step) if config.gradients else {}
     pairs = {}
     for names in combinations(methods, 2):
@@ -277,7 +241,7 @@ def compare(
         }
         pairs[names] = Pair(bits=bits, distances=distances, agreement=agreement.get(names))
     costs = _costs(scene, next(iter(cameras.values())), methods, config, on_step) if config.rounds else {}
-    return Comparison(pictures=pictures, pairs=pairs, first_seconds=first_seconds, costs=costs)
+    return Comparison(pictures=pictures, pairs=pairs, costs=costs)
 
 
 def _picture(name: str, method: Method, scene: GaussianScene, camera: Camera) -> Tensor:
@@ -362,26 +326,23 @@ def costs_of(runs: Mapping[str, Run], *, rounds: int, on_step: Callable[[str], N
             seconds[name].append(time.process_time() - begun)
     first = next(iter(seconds.values()), [])
     return {
-        name: Cost(
-            seconds=tuple(times),
-            ratio=statistics.median(time / base for time, base in zip(times, first, strict=True)),
-        )
+        name: {
+            "seconds": statistics.median(times),
+            "rounds": times,
+            "ratio": statistics.median(time / base for time, base in zip(times, first, strict=True)),
+        }
         for name, times in seconds.items()
     }
 
 
 def as_dict(comparison: Comparison, methods: Mapping[str, Method]) -> dict[str, Any]:
     """What was measured, as JSON can hold it; a figure that was not measured is null."""
-    costs = {
-        kind: {name: cost.as_dict() for name, cost in by_method.items()} for kind, by_method in comparison.costs.items()
-    }
     return {
         "methods": {
             name: {
                 "differentiable": method.differentiable,
                 "bits": method.bits,
-                "first_seconds": comparison.first_seconds.get(name),
-                **{kind: costs.get(kind, {}).get(name) for kind in (FORWARD, GRADIENT)},
+                **{kind: comparison.costs.get(kind, {}).get(name) for kind in (FORWARD, GRADIENT)},
             }
             for name, method in methods.items()
         },
@@ -391,7 +352,11 @@ def as_dict(comparison: Comparison, methods: Mapping[str, Method]) -> dict[str, 
                 "bits": pair.bits,
                 **_figures(pair.whole),
                 "by_camera": {view: _figures(distance) for view, distance in pair.distances.items()},
-                "gradients": pair.agreement and {name: each.as_dict() for name, each in pair.agreement.items()},
+                "gradients": pair.agreement
+                and {
+                    name: {"cosine": each.cosine, "relative_error": each.relative_error}
+                    for name, each in pair.agreement.items()
+                },
             }
             for names, pair in comparison.pairs.items()
         ],

@@ -8,7 +8,9 @@ import torch
 from PIL import Image
 
 from attacks import cli
+from attacks.studies.compare import Comparing, files_of
 from attacks.studies.running import run_study
+from mi_splat.cli.options import CameraOptions
 from mi_splat.comparison.methods import OverMeshes
 from mi_splat.io import save_splat
 from mi_splat.rendering import Renderer, RenderSettings
@@ -77,6 +79,15 @@ def test_refused_in_one_line_with_nothing_written(
     assert message in error
     assert len(error.splitlines()) == 1
     assert sorted(toy.rglob("*")) == before
+
+
+def test_a_folder_that_is_called_like_a_method_is_no_input(toy: Path) -> None:
+    for name in ("tile", "orbit:4@20", "all"):
+        (toy / name).mkdir()
+        (toy / name / "a.png").touch()
+    view = CameraOptions(cameras=("all", "orbit:4@20"))
+    files = files_of(Comparing(scene="toy.ply", methods=("tile", "ray"), view=view))
+    assert sorted(path.parent.name for path in files.values()) == ["", "orbit:4@20"]  # cameras are read of that one
 
 
 @pytest.mark.slow

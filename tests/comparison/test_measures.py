@@ -61,15 +61,6 @@ def test_agreement_of_gradients() -> None:
     assert agreement([1.0, 1.0], [math.nan, 1.0]) == (None, None)
 
 
-def test_one_large_gradient_does_not_decide_the_median() -> None:
-    first = torch.tensor([[1e6, 0.0], [1.0, 2.0], [2.0, 1.0], [0.0, 0.0]])
-    second = first * torch.tensor([[-1.0], [1.0], [3.0], [1.0]])
-    agreed = GradientAgreement()
-    agreed.add(first, second)
-    assert agreed.cosine == pytest.approx(-1.0)
-    assert agreed.median_cosine == pytest.approx(1.0)
-
-
 def test_the_length_of_a_quaternion_has_no_gradient() -> None:
     """Two renderers that differ in whether they normalise quaternions agree."""
 
@@ -93,7 +84,7 @@ def test_costs_take_turns_and_are_ratios() -> None:
 
     costs = costs_of({"a": lambda: calls.append("a"), "b": slow}, rounds=3, on_step=lambda text: None)
     assert calls == [*"ab", *"ababab"]
-    assert costs["b"].ratio > 1
+    assert costs["b"]["ratio"] > 1
 
 
 # Mitsuba's own integrator beside ours, where they have to agree: on Gaussians that lie apart from each other

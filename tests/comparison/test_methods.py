@@ -106,14 +106,14 @@ def test_what_differs_is_measured_and_what_cannot_be_is_null() -> None:
         assert one["cosine"] == pytest.approx(1.0, abs=1e-6)
         assert one["relative_error"] == pytest.approx(0.1, rel=1e-3)
     costs = document["methods"]
-    assert (costs["files"]["first_seconds"], costs["files"][FORWARD], costs["files"][GRADIENT]) == (None, None, None)
+    assert (costs["files"][FORWARD], costs["files"][GRADIENT]) == (None, None)
     assert costs["blobs"][FORWARD]["ratio"] == 1.0  # the first that renders
     assert len(costs["dark"][GRADIENT]["rounds"]) == 2
 
 
 def test_a_folder_with_the_same_pictures_is_equal(tmp_path: Path, registered: None) -> None:
     seen = {name: {"blobs": blobs(SCENE, view)} for name, view in CAMERAS.items()}
-    save_sheets(seen, tmp_path, factor=8)
+    save_sheets(seen, tmp_path)
     given = ("blobs", f"folder:{tmp_path / 'pictures' / 'blobs'}")
     with pytest.raises(InvalidValueError, match="blobs twice"):
         load_methods(given, RenderSettings(), CAMERAS)
@@ -128,11 +128,11 @@ def test_a_folder_with_the_same_pictures_is_equal(tmp_path: Path, registered: No
 def test_a_folder_that_lacks_a_picture_or_has_another_size(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"left\.png for the camera left, got an empty folder"):
         load_methods(("tile", f"folder:{tmp_path}"), RenderSettings(), CAMERAS)
-    save_sheets({"left": {"x": blobs(SCENE, camera(24))}}, tmp_path, factor=8)
+    save_sheets({"left": {"x": blobs(SCENE, camera(24))}}, tmp_path)
     folder = tmp_path / "pictures" / "x"
     with pytest.raises(DatasetError, match=r"right\.png for the camera right, got none among left\.png"):
         load_methods(("tile", f"folder:{folder}"), RenderSettings(), CAMERAS)
-    save_sheets({"right": {"x": blobs(SCENE, camera(12))}}, tmp_path, factor=8)
+    save_sheets({"right": {"x": blobs(SCENE, camera(12))}}, tmp_path)
     with pytest.raises(DatasetError, match="expected 24 x 24 pixels, got 12 x 12"):
         load_methods(("tile", f"folder:{folder}"), RenderSettings(), CAMERAS)
 
