@@ -142,6 +142,10 @@ def _unrotated(splat: Splat) -> Splat:
     return splat._replace(rotations=np.where(empty, (1.0, 0.0, 0.0, 0.0), splat.rotations))
 
 
+def _in_16_bits(splat: Splat) -> Splat:
+    return splat._replace(means=splat.means.astype(np.float16))
+
+
 _QUATERNIONS = {
     "read as x, y, z, w": lambda splat: splat._replace(rotations=splat.rotations[:, [3, 0, 1, 2]]),
     "conjugated": lambda splat: splat._replace(rotations=splat.rotations * [1, -1, -1, -1]),
@@ -156,20 +160,13 @@ DEVIATIONS = (
     Deviation("length of quaternions", "not divided out", "wrong", _convention(unit_rotations=False)),
     Deviation("broken rows", "a quaternion of zeros taken as no rotation", "another choice", _file(_unrotated)),
     Deviation("broken rows", "NaN taken as 0", "wrong", _file(lambda splat: Splat(*map(np.nan_to_num, splat)))),
-    Deviation(
-        "positions",
-        "in 16 bits",
-        "another choice",
-        _file(lambda splat: splat._replace(means=splat.means.astype(np.float16))),
-    ),
+    Deviation("positions", "in 16 bits", "another choice", _file(_in_16_bits)),
     Deviation("scales", "not exponentiated", "wrong", _setup(scales=np.abs)),
     Deviation("opacities", "not through a sigmoid", "wrong", _setup(opacities=lambda values: np.clip(values, 0, 1))),
     Deviation("SH coefficients", "read coefficient by coefficient", "wrong", _file(_by_coefficient)),
     Deviation("signs of SH", "without the Condon-Shortley phase", "wrong", _file(_odd_signs)),
     Deviation("direction of SH", "from Gaussian to camera", "wrong", _convention(towards="camera")),
-    Deviation(
-        "direction of SH", "in the camera's frame", "wrong", _convention(towards="gaussian in the camera's frame")
-    ),
+    Deviation("direction of SH", "in the camera's frame", "wrong", _convention(towards="camera's frame")),
     Deviation("direction of SH", "the optical axis", "wrong", _convention(towards="optical axis")),
     *(
         Deviation("degree of SH", f"at most {degree}", "another choice", _convention(sh_degree=degree))
@@ -185,9 +182,7 @@ DEVIATIONS = (
     Deviation("low-pass filter", "none", "another choice", _convention(low_pass=0.0)),
     Deviation("low-pass filter", "0.1 pixels^2", "another choice", _convention(low_pass=0.1)),
     Deviation("low-pass filter", "1 pixel^2", "another choice", _convention(low_pass=1.0)),
-    Deviation(
-        "compensation", "opacity lowered for the low-pass filter", "another choice", _convention(compensated=True)
-    ),
+    Deviation("compensation", "opacity lowered for the filter", "another choice", _convention(compensated=True)),
     *(
         Deviation("cut-off", f"at {text} standard deviations", "another choice", _convention(cutoff=value))
         for text, value in (("2", 2.0), ("sqrt(8)", 8**0.5), ("3", 3.0))

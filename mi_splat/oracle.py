@@ -66,7 +66,7 @@ class Convention:
     pixel_centre: float = 0.5  # where the first pixel is sampled
     unit_rotations: bool = True  # quaternions are divided by their length
     sh_degree: int = 3  # higher bands are left out
-    towards: Literal["gaussian", "camera", "gaussian in the camera's frame", "optical axis"] = "gaussian"
+    towards: Literal["gaussian", "camera", "camera's frame", "optical axis"] = "gaussian"
     clamp: Literal["below 0", "outside 0 to 1", "none"] = "below 0"  # of colours
 
 
@@ -218,14 +218,10 @@ def gradients(
 ) -> Splat:
     """Derivatives of sum(on_image * image) + sum(on_alpha * alpha) + sum(on_depth * depth) by every attribute.
 
-    Args:
-        splat: Gaussians, see above.
-        camera: Camera, see above.
+    Args: as of `render`, and
         on_image: (H, W, 3) derivative of a loss by the image.
         on_alpha: (H, W) derivative of a loss by alpha.
         on_depth: (H, W) derivative of a loss by the mean depth.
-        background: (3,) colour behind all Gaussians.
-        convention: Choices of the renderer.
     """
     projected, values = project(splat, camera, convention), Splat(*_arrays(splat))
     depth, centre, conic, opacity, colour = (np.zeros(array.shape) for array in projected[:5])
@@ -289,19 +285,11 @@ def pixel_rays(camera: Any) -> tuple[Array, Array, Array]:
 
 
 def render_rays(
-    splat: Any,
-    camera: Any,
-    *,
-    background: ArrayLike = (0.0, 0.0, 0.0),
-    near: float = 0.2,
-    to_mean: bool = False,
+    splat: Any, camera: Any, *, background: ArrayLike = (0.0, 0.0, 0.0), near: float = 0.2, to_mean: bool = False
 ) -> tuple[Array, Array]:
     """The image (H, W, 3) of Gaussians evaluated and sorted where each is densest along a ray, and its alpha (H, W).
 
-    Args:
-        splat: Gaussians, see above.
-        camera: Camera, see above.
-        background: (3,) colour behind all Gaussians.
+    Args: as of `render`, and
         near: Depth before which nothing is drawn.
         to_mean: Whether SH are evaluated in the direction of the mean, as when rasterising, and not of the ray.
     """
@@ -347,7 +335,7 @@ def _sh_directions(offset: Array, camera: Any, convention: Convention) -> Array:
     if convention.towards == "optical axis":
         return np.broadcast_to(_pose(camera)[:3, 2].astype(offset.dtype), offset.shape)
     directions: Array = offset / _norm(offset)
-    if convention.towards == "gaussian in the camera's frame":
+    if convention.towards == "camera's frame":
         return directions @ _pose(camera)[:3, :3]
     return directions if convention.towards == "gaussian" else -directions
 

@@ -127,8 +127,10 @@ def differences(before: GaussianScene, after: GaussianScene) -> dict[str, float]
 
     degree = max(before.degree, after.degree)
     old, new = before.with_degree(degree), after.with_degree(degree)
-    first, second = old.rotations.double(), new.rotations.double()
-    chord = torch.minimum((first - second).norm(dim=1), (first + second).norm(dim=1))  # q and -q are one rotation
+    # q and -q are one rotation, and half a turn about an axis of its own leaves a Gaussian as it is.
+    w, x, y, z = new.rotations.double().T
+    same = torch.stack([w, x, y, z, -x, w, z, -y, -y, -z, w, x, -z, y, -x, w], dim=1).reshape(-1, 4, 4)
+    chord = (old.rotations.double()[:, None] - torch.cat([same, -same], dim=1)).norm(dim=2).amin(1)
     changes = {
         "means, world units": _largest(old.means - new.means),
         "scales, ratio": math.exp(_largest(old.scales.double().log() - new.scales.double().log())),

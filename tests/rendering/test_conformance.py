@@ -124,9 +124,11 @@ def test_a_converted_file_that_cannot_be_read_is_one_of_several(
     pack: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copy(pack / "splats" / "order.ply", tmp_path)
+    shutil.copy(pack / "splats" / "sh_1.spz", tmp_path / "quaternion.spz")
     (tmp_path / "order.spz").write_bytes(b"no splat")
     assert cli.main(["conform", "--read", str(tmp_path), "--json"]) == DIFFERS
-    good, bad = json.loads(capsys.readouterr().out)["files"]
+    other, good, bad = json.loads(capsys.readouterr().out)["files"]
+    assert [row["conforms"] for row in (other, good, bad)] == [False, True, False]
     assert good["largest_changes"]["opacity"] == 0
     assert "order.spz" in bad["unreadable"]
 
@@ -203,7 +205,7 @@ def test_what_a_format_cannot_hold_is_no_error(tmp_path: Path) -> None:
     ("words", "said"),
     [
         ([], "expected one of a folder of images, --list, --export, --read and --gradients"),
-        (["--list", "--read", "."], "pass one of them"),
+        (["--list", "--read", "."], "pass only one"),
         (["EMPTY"], "expected images such as quaternion.png, got none; render what mi-splat conform --export writes"),
         (["--read", "EMPTY"], "expected files such as quaternion.spz, got none"),
         (["--export", "EMPTY/pack", "--formats", ".obj"], ".obj"),

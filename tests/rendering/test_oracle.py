@@ -11,7 +11,7 @@ from torch import Tensor
 
 from mi_splat import oracle
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.cameras import Camera
+from mi_splat.cli.conform import _camera
 from mi_splat.conformance import assert_renders_like_3dgs, random_splat
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
@@ -54,15 +54,7 @@ def test_a_right_renderer_passes_and_wrong_ones_are_named() -> None:
     render = Renderer()
 
     def ours(splat: oracle.Splat, view: oracle.PinholeCamera) -> Tensor:
-        pose = torch.from_numpy(view.to_world)
-        camera = Camera(
-            to_world=pose,
-            focal=(view.fx, view.fy),
-            width=view.width,
-            height=view.height,
-            principal=(view.cx, view.cy),
-        )
-        return render(GaussianScene(*map(torch.from_numpy, splat)), camera)
+        return render(GaussianScene(*map(torch.from_numpy, splat)), _camera(view))
 
     assert_renders_like_3dgs(ours, tolerance=1e-5)
     with pytest.raises(
