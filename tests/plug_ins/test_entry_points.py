@@ -336,28 +336,30 @@ def test_the_command_line_knows_them(
     assert message in capsys.readouterr().err
 
 
+LAZY = 'from attacks.aims import ObjectiveSpec\nIT = ObjectiveSpec(name="dull", make=lambda label, least: 3)\n'
+
+
 def test_an_objective_that_gives_none_is_refused(path: Path) -> None:
-    text = 'from attacks.aims import ObjectiveSpec\nIT = ObjectiveSpec(name="bad", make=lambda label, least: 3)\n'
-    install(path, {"mi_splat.objectives/bad": "lazy:IT"}, lazy=text)
+    install(path, {"mi_splat.objectives/dull": "lazy:IT"}, lazy=LAZY)
     with pytest.raises(InvalidValueError, match="objective: expected an Objective, got int"):
-        objective_of("bad")
+        objective_of("dull")
     with pytest.raises(InvalidValueError, match="target: expected what the aim hide has, got person"):
         objective_of("hide", "person")
 
 
 def test_the_doctor_tries_each_and_says_what_is_wrong(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     entries = {
-        "mi_splat.objectives/dim-car": "brought:OBJECTIVE",
-        "mi_splat.renderers/bad": "brought:MISSING",
-        "mi_splat.objective/lost": "brought:OBJECTIVE",
+        "mi_splat.objectives/dull": "lazy:IT",
+        "mi_splat.renderers/bad": "lazy:MISSING",
+        "mi_splat.objective/lost": "lazy:IT",
     }
-    install(path, entries, brought=BROUGHT)
+    install(path, entries, lazy=LAZY)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(path), *filter(None, [os.environ.get("PYTHONPATH")])]))
     findings = {point[1]: doctor._plug_in(point) for point in brought_by_packages()}
     assert {name: finding.state for name, finding in findings.items()} == {
-        **{"dim-car": "works", "bad": "fails", "lost": "fails"}
+        **{"dull": "works", "bad": "fails", "lost": "fails"}
     }
-    assert findings["dim-car"].detail == "brought:OBJECTIVE of plugged 1.0 (mi_splat.objectives)"
+    assert findings["dull"].detail == "lazy:IT of plugged 1.0 (mi_splat.objectives)"
     assert "expected something that can be imported" in findings["bad"].advice
     assert findings["lost"].advice == "no command looks there; did you mean mi_splat.objectives?"
     assert not any(finding.required for finding in findings.values())
