@@ -54,6 +54,11 @@ def load_prototypes(
     return FrozenClassifier("prototypes", model, chosen, Preparation())
 
 
+def load(network: str, weights: Path | None, classes: Sequence[str] | None) -> FrozenClassifier:
+    """As the registry calls it."""
+    return load_prototypes(weights, classes=classes)
+
+
 class Features(nn.Module):
     """MobileNetV2 up to the mean over its last maps: (B, 3, S, S) to (B, 1280)."""
 

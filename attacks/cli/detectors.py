@@ -53,7 +53,7 @@ def run(options: DetectorsOptions) -> None:
     if options.force:
         raise UsageError.of("--force", "--get or --from beside it", "neither", "say what to get again")
     detectors = [_detector(name) for name in DETECTORS]
-    classifiers = [{"name": name, **_state(spec)} for name, spec in CLASSIFIERS.items()]
+    classifiers = [_classifier(name) for name in CLASSIFIERS]
     lines = [line for entry in (*detectors, *classifiers) for line in _lines(entry)]
     show_result({"detectors": detectors, "classifiers": classifiers}, *lines, as_json=options.json)
 
@@ -114,6 +114,12 @@ def _detector(name: str) -> dict[str, Any]:
         return {"name": name, **nothing, "available": False, "advice": str(error)}
     weights = "" if spec.weights is None else str(spec.weights())
     return {"name": name, "classes": list(spec.classes), "weights": weights, **_state(spec)}
+
+
+def _classifier(name: str) -> dict[str, Any]:
+    spec = CLASSIFIERS[name]
+    title = f"{name}:NETWORK" if spec.networks else name
+    return {"name": title, "networks": spec.networks, **_state(spec)}
 
 
 def _state(spec: Any) -> dict[str, Any]:

@@ -74,7 +74,7 @@ class MisreadingConfig(ObjectConfig):
     """M-IFGSM on a set of pictures.
 
     Attributes:
-        classifier: Who shall misread the object, see `mi-splat detectors`.
+        classifier: Who shall misread the object: prototypes, or torchvision:NETWORK.
         label: The object's true class, by a name that the classifier knows.
         attack: How the object's pixels are changed.
     """

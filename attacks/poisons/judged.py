@@ -32,7 +32,7 @@ from mi_splat.sh import dc_to_colour
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
-LOADS = ("attacks.classifiers.prototypes",)
+LOADS = ("attacks.classifiers.prototypes", "attacks.classifiers.torchvision")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -49,7 +49,7 @@ def names(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 @pytest.fixture(autouse=True)
 def toy(monkeypatch: pytest.MonkeyPatch) -> None:
-    spec = ClassifierSpec(load=lambda: toy_classifier(), origin="", licence="")
+    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: toy_classifier(), origin="", licence="")
     monkeypatch.setitem(CLASSIFIERS, "toy", spec)
 
 

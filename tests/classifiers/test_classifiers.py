@@ -8,7 +8,7 @@ import pytest
 import torch
 from safetensors import safe_open
 from torch import nn
-from torchvision.transforms._presets import ImageClassification
+from torchvision.models import SqueezeNet1_1_Weights, squeezenet1_1
 
 from attacks.classifiers import prototypes
 from attacks.classifiers.base import Classifier
@@ -46,16 +46,37 @@ def test_gradients_are_those_of_finite_differences() -> None:
         assert float(high - low) == pytest.approx(2 * float((gradient * step).sum()), rel=1e-3)
 
 
-@pytest.mark.parametrize("size", [(300, 280), (90, 140)])
-def test_pictures_are_prepared_as_the_library_does(size: tuple[int, int]) -> None:
+@pytest.mark.parametrize("size", [(300, 280), (224, 224), (90, 140)])
+def test_pictures_are_prepared_as_the_library_does(size: tuple[int, int], tmp_path: Path) -> None:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(1)
+        model = squeezenet1_1(weights=None).eval()
+    path = tmp_path / "random.pth"
+    torch.save(model.state_dict(), path)
+    classifier = load_classifier("torchvision:squeezenet1_1", weights=path)
+    assert len(classifier.classes) == len(set(classifier.classes)) == 1000
     pictures = noise(1, *size, 3)
-    expected = ImageClassification(crop_size=224, resize_size=224)(pictures.permute(0, 3, 1, 2))
-    assert torch.allclose(Preparation()(pictures), expected, atol=1e-5)
+    with torch.no_grad():
+        expected = model(SqueezeNet1_1_Weights.IMAGENET1K_V1.transforms()(pictures.permute(0, 3, 1, 2)))
+        assert torch.allclose(classifier.scores(pictures), expected, atol=1e-5)
 
 
-def test_other_names_are_refused() -> None:
-    with pytest.raises(InvalidValueError, match="classifier: expected one of prototypes, got prototype"):
-        load_classifier("prototype")
+def test_a_network_of_other_classes_and_what_does_not_fit(tmp_path: Path) -> None:
+    path = tmp_path / "two.pth"
+    torch.save(squeezenet1_1(weights=None, num_classes=2).state_dict(), path)
+    two = load_classifier("torchvision:squeezenet1_1", weights=path, classes=["car", "bird"])
+    assert two.scores(noise(1, 64, 64, 3)).shape == (1, 2)
+    assert (
+        two.fingerprint
+        != load_classifier("torchvision:squeezenet1_1", weights=path, classes=["tv", "bird"]).fingerprint
+    )
+    with pytest.raises(DetectorError, match="2 of another shape"):
+        load_classifier("torchvision:squeezenet1_1", weights=path)
+    with pytest.raises(InvalidValueError, match="did you mean squeezenet1_1"):
+        load_classifier("torchvision:squeezenet11", weights=path)
+    for name in ("torchvision", "prototypes:x", "rubbish"):
+        with pytest.raises(InvalidValueError, match="classifier"):
+            load_classifier(name)
 
 
 def test_rows_of_what_is_seen() -> None:

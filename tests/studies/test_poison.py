@@ -118,7 +118,7 @@ def test_cloak_is_one_of_the_poisons() -> None:
 
 @pytest.mark.usefixtures("scalar")
 def test_what_detectors_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    spec = ClassifierSpec(load=lambda: Toy("car", "tv"), origin="", licence="")
+    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: Toy("car", "tv"), origin="", licence="")
     monkeypatch.setitem(CLASSIFIERS, "toy", spec)
     classifier_of.cache_clear()
     monkeypatch.setattr(registry.DETECTORS, "own", {**registry.DETECTORS.own, **KNOWN})

@@ -96,7 +96,7 @@ MISREAD = {"kind": "m-ifgsm"}
     ],
 )
 def test_studies_of_other_kinds(table: dict[str, Any], match: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    spec = ClassifierSpec(load=lambda: Toy(), origin="", licence="")
+    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: Toy(), origin="", licence="")
     monkeypatch.setitem(CLASSIFIERS, "toy", spec)
     monkeypatch.setattr(registry.DETECTORS, "own", {**registry.DETECTORS.own, **KNOWN})
     with pytest.raises(Exception, match=match):
