@@ -45,7 +45,7 @@ def test_sets(spec: str, count: int, lowest: float, highest: float) -> None:
     azimuth, elevation = angles(made)
     band = (lowest - 1e-6, highest + 1e-6)
     assert band[0] <= elevation.min() <= elevation.max() <= band[1]
-    assert len(torch.stack([azimuth, elevation], dim=1).mul(1e6).round().unique(dim=0)) == count
+    assert len(torch.stack([azimuth, elevation], dim=1).mul(1e6).round().unique(dim=0)) == count  # type: ignore[no-untyped-call]
     pixels, depth = project_points(torch.tensor([CENTRE], dtype=torch.float64), made[0])
     assert pixels[0].tolist() == pytest.approx([8, 6])
     assert depth.item() == pytest.approx(2)
