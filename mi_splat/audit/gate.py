@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
@@ -12,6 +12,9 @@ from mi_splat.audit.thresholds import LIMITS
 from mi_splat.fields import Checked, at_least
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from mi_splat.io.loaded import Arrays
     from mi_splat.scene import GaussianScene
 
@@ -31,6 +34,7 @@ ROWS, RESULT = "rows.json", "result.json"
 STATED = ("net", "suspicion", "supported", "covered", "seen_through", "aimed", "grain")
 """The thresholds that a verdict line states; `result.json` in the store has all."""
 Row = dict[str, Any]
+_CHUNK = 1 << 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,21 +103,32 @@ def fingerprint(arrays: Arrays) -> str:
 
     from mi_splat.sh import dc_to_colour
 
-    rows = np.concatenate([value.reshape(len(value), -1) for value in arrays.values()], axis=1)
-    good = np.isfinite(rows).all(1) & (arrays["scales"] > 0).all(1)
-    if not arrays["opacities"][good].any():
+    good = (arrays["scales"] > 0).all(1)
+    for value in arrays.values():
+        good &= np.isfinite(value).all(axis=tuple(range(1, value.ndim)))
+    total = arrays["opacities"][good].sum(dtype=np.float64)
+    if not total > 0:
         return ""
-    means, scales, _, weight, sh = (value[good].astype(np.float64) for value in arrays.values())
-    weight = weight / weight.sum()
-    offset = means - weight @ means
-    covariance = (offset * weight[:, None]).T @ offset
+    numbers = np.split(np.flatnonzero(good), range(_CHUNK, int(good.sum()), _CHUNK))
+
+    def parts() -> Iterator[list[NDArray[np.float64]]]:
+        """A part of the Gaussians after the other, as sums of all at once take much memory."""
+        for rows in numbers:
+            means, scales, _, opacities, sh = (value[rows].astype(np.float64) for value in arrays.values())
+            yield [means, scales, opacities / total, opacities, dc_to_colour(sh[:, 0]).clip(0, 1)]
+
+    middle = sum(weight @ means for means, _, weight, *_ in parts())
+    covariance = sum(((means - middle) * weight[:, None]).T @ (means - middle) for means, _, weight, *_ in parts())
     size = max(math.sqrt(np.trace(covariance)), 1e-30)
-    near = weight * np.exp(-np.sqrt((offset**2).sum(1)) / size)
-    columns = np.column_stack(
-        [1 + np.sort(np.log2(scales / size), axis=1) / 24, arrays["opacities"][good], dc_to_colour(sh[:, 0]).clip(0, 1)]
-    )
-    middles = weight @ columns
-    spreads = 2 * np.sqrt(weight @ (columns - middles) ** 2)
+    sums = np.zeros((3, 8))
+    for means, scales, weight, opacities, colours in parts():
+        near = weight * np.exp(-np.linalg.norm(means - middle, axis=1) / size)
+        spans = 1 + np.sort(np.log2(scales / size), axis=1) / 24
+        columns = np.column_stack([np.ones(len(means)), spans, opacities, colours])
+        sums += weight @ columns, weight @ columns**2, near @ columns
+    middles, squares, nearest = sums[:, 1:]
+    spreads = 2 * np.sqrt((squares - middles**2).clip(0))
     extents = np.sqrt(np.linalg.eigvalsh(covariance).clip(0)) / size
-    values = [math.log2(len(means)) / 32, *extents, *middles, *spreads, near.sum(), *(near @ columns / near.sum())]
+    count, share = math.log2(good.sum()) / 32, sums[2, 0]
+    values = [count, *extents, *middles, *spreads, share, *(nearest / share)]
     return bytes(round(255 * min(max(float(value), 0.0), 1.0)) for value in values).hex()
