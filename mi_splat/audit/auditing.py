@@ -31,6 +31,7 @@ from mi_splat.audit.surfaces import (
     frame_of,
     free_positions,
     in_sight,
+    own_surface,
     sight,
     targets,
     whole,
@@ -59,8 +60,8 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, up: 
         jobs, in_room = [(whole(frame.scene), cameras_in_frame(frame, cameras, LIMITS.given_size))], False
     objects, heats = [], []
     for target, around in jobs:
-        outside = cameras is None and not in_room
-        if (judged := judged_object(frame, target, around, in_room=in_room, outside=outside)) is not None:
+        beside = [other for other, _ in jobs if other is not target and not other.surrounds]
+        if (judged := judged_object(frame, target, around, beside=beside, in_room=in_room)) is not None:
             objects.append(judged[0])
             heats.append(judged[1])
     pieces = sum(item.pieces for item in objects)
@@ -115,24 +116,25 @@ def judged_object(
     cameras: tuple[Camera, ...],
     pictures: Sequence[Tensor] | None = None,
     *,
+    beside: Sequence[Target] = (),
     in_room: bool = False,
-    outside: bool = False,
 ) -> tuple[ObjectAudit, Tensor] | None:
     """Judge one object, and say in (N,) heat which Gaussians of the frame carry what was found."""
     rows = in_sight(frame.scene, target, cameras)
     scene = frame.scene.select(rows)
     view = sight(scene, target, cameras, pictures)
     pieces = elements(view, target)
+    full = pictures is None and not target.surrounds
+    pieces = own_surface(frame.scene, pieces, target, beside) if full else pieces
     if not bool(pieces.judged.any()):
         return None
     threshold = LIMITS.net if pictures is None else LIMITS.image_net
-    surface_looks = looks_of(pieces, view, threshold)
+    surface_looks = sorted(looks_of(pieces, view, LIMITS.suspicion * threshold), key=lambda look: -look.net)
     looks = [_look(frame, view, look, threshold) for look in surface_looks]
     by_piece = torch.stack([piece_scores(look.pieces, look.shown) for look in surface_looks]).amax(0)
     area = (pieces.size * frame.to_world.scale) ** 2
     able = reachable(pieces, view)
-    full = pictures is None and not target.surrounds
-    occluder, covered = cover_of(frame.scene, view, target) if full else (None, {})
+    occluder, covered = cover_of(frame.scene, view, target) if full and not target.core else (None, {})
     judged = ObjectAudit(
         rows=frame.order[target.rows],
         centre=vector(frame.point(target.centre)),
@@ -147,7 +149,8 @@ def judged_object(
         occluder=occluder and dataclasses.replace(occluder, axis=_turned(frame, occluder.axis)),
         edit=edit_of(frame, target) if full else None,
         in_room=in_room or target.surrounds,
-        roofed=full and outside and is_roofed(frame.scene, target),
+        plain=pictures is None and not bool(frame.scene.sh[:, 1:].any()),
+        roofed=full and not in_room and is_roofed(frame.scene, target),
     )
     heat = torch.zeros(len(frame.scene))
     if judged.look.evidence >= LIMITS.suspicion and pictures is None:
@@ -161,6 +164,8 @@ def _look(frame: Frame, view: Sight, look: Explanation, threshold: float) -> Loo
     """A look in the world."""
     region = region_of(view.directions, look.shown)
     by_piece = piece_scores(look.pieces, look.shown)
+    cameras, change = pair_of(look.pieces, view, by_piece, look.shown) or ((), 0.0)
+    pair = [_in_world(frame, view.cameras[number]) for number in cameras]
     lost, air = support_of(look.pieces, view, look.shown)
     return Look(
         region=dataclasses.replace(region, axis=_turned(frame, region.axis)),
@@ -171,22 +176,13 @@ def _look(frame: Frame, view: Sight, look: Explanation, threshold: float) -> Loo
         lost=lost,
         air=air,
         area=int((by_piece > LIMITS.changed).sum()) * (look.pieces.size * frame.to_world.scale) ** 2,
-        pair=_pair(frame, look.pieces, view, by_piece, look.shown),
+        pair=Pair(inside=pair[0], outside=pair[1], change=change, numbers=cameras) if cameras else None,
     )
 
 
 def _turned(frame: Frame, axis: Vector) -> Vector:
     """A direction of the frame as one of the world."""
     return vector(frame.direction(torch.tensor(axis, dtype=torch.float64)))
-
-
-def _pair(frame: Frame, pieces: Elements, view: Sight, score: Tensor, shown: Tensor) -> Pair | None:
-    """The two cameras that prove a look, in the world."""
-    numbers = pair_of(pieces, view, score, shown)
-    if numbers is None:
-        return None
-    inside, outside = (_in_world(frame, view.cameras[number]) for number in numbers[:2])
-    return Pair(inside=inside, outside=outside, change=numbers[2], numbers=numbers[:2])
 
 
 def _in_world(frame: Frame, camera: Camera) -> Camera:
@@ -212,7 +208,7 @@ def seen_share(frame: Frame, jobs: list[Job]) -> float:
 
 
 def looks_of(pieces: Elements, view: Sight, threshold: float) -> list[Explanation]:
-    """The looks of an object: first the one that explains most, then those that are left without its cameras."""
+    """The looks of an object: the one that explains most, then those that are left without its cameras."""
     looks: list[Explanation] = []
     kept = torch.ones(len(view.cameras), dtype=torch.bool)
     while len(looks) < LIMITS.most_looks and int(kept.sum()) >= LIMITS.cameras_left * len(kept):

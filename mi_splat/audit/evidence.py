@@ -133,14 +133,10 @@ def _camera(scene: GaussianScene, strange: Tensor, target: Target) -> tuple[Tens
 
 def cover_of(scene: GaussianScene, view: Sight, target: Target) -> tuple[Occluder | None, dict[int, Tensor]]:
     """What covers an object, in the frame, and (H, W) bool the pixels that show it, by number of the blocked camera."""
-    centre = target.centre.float()
-    heights = scene.means[target.rows] @ (centre if target.up is None else target.up.float())
-    floor = float(heights.kthvalue(max(1, len(heights) // 50)).values)
     blocked, points, shown = torch.zeros(len(view.cameras)), list[Tensor](), dict[int, Tensor]()
     for number, (camera, depth) in enumerate(zip(view.cameras, view.depths, strict=True)):
         air, core, surface = air_before(depth, camera, target, LIMITS.air)
-        if target.up is not None:
-            air &= surface @ target.up.float() > floor + LIMITS.floor * target.radius
+        air &= target.above(scene, surface, LIMITS.floor)
         blocked[number] = air.sum() / core.clamp(min=1)
         if blocked[number] > LIMITS.blocked:
             shown[number] = air
@@ -205,7 +201,7 @@ def _through(view: Sight, points: Tensor, free: Tensor, radius: float) -> float:
     return beyond / (beyond + seen) if beyond + seen >= LIMITS.least_cover_points else 0.0
 
 
-def pair_of(pieces: Elements, view: Sight, score: Tensor, shown: Tensor) -> tuple[int, int, float] | None:
+def pair_of(pieces: Elements, view: Sight, score: Tensor, shown: Tensor) -> tuple[tuple[int, int], float] | None:
     """The two cameras between which the surface that both see changes most, near each other if possible."""
     rows = score.argsort(descending=True)[: LIMITS.pair_pieces]
     rows = rows[score[rows] > 0]
@@ -222,9 +218,8 @@ def pair_of(pieces: Elements, view: Sight, score: Tensor, shown: Tensor) -> tupl
         weight[number], change[number] = both.sum(1), (both * gap).sum(1)
     near = (angles_between(view.directions[inside], view.directions[outside]) / 2).deg2rad().cos()
     first, second = divmod(int((change * near).argmax()), len(outside))
-    if not weight[first, second] > 0:
-        return None
-    return int(inside[first]), int(outside[second]), float(change[first, second] / weight[first, second])
+    found = (int(inside[first]), int(outside[second])), float(change[first, second] / weight[first, second])
+    return found if weight[first, second] > 0 else None
 
 
 def heat_of(

@@ -20,8 +20,7 @@ def region_of(directions: Tensor, shown: Tensor) -> Region:
     axis = functional.normalize(directions[shown].sum(0), dim=0)
     sets = angles_between(axis[None], directions) <= _WIDTHS[:, None]
     overlap = (sets & shown).sum(1) / (sets | shown).sum(1).clamp(min=1)
-    best = int(overlap.argmax())
-    return Region(axis=vector(axis), half_width=float(_WIDTHS[best]), overlap=float(overlap[best]))
+    return Region(axis=vector(axis), half_width=float(_WIDTHS[overlap.argmax()]))
 
 
 def _reflected(view: Sight, positions: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
@@ -81,7 +80,7 @@ def support_of(pieces: Elements, view: Sight, shown: Tensor) -> tuple[float, flo
 
 # Does one profile over directions, of whatever form, explain how colours drift? Each piece follows it by an amount and
 # a colour of its own; both are fitted in turn. Gloss follows a profile over mirrored directions or angles of incidence.
-# What one over directions explains beyond that is the evidence: about 0 if honest.
+# What one over directions explains beyond that, times its share of it all, is the evidence: about 0 if honest.
 
 
 def _explained(colours: Tensor, seen: Tensor, bins: Tensor, smooth: Tensor, starts: Tensor) -> tuple[Tensor, Tensor]:
@@ -137,11 +136,12 @@ def explain(pieces: Elements, view: Sight, kept: Tensor) -> Explanation:
     by_angle, _ = _explained(colours, seen, angle, near, (steps - steps.mean())[None])
     shown = _alike(pieces, _narrower_side(profile, kept, view.directions))
     inside, outside = profile[shown].mean(), profile[kept & ~shown].mean()
+    direction, beyond = by_direction.mean(), (by_direction - torch.maximum(by_mirror, by_angle)).mean()
     return Explanation(
-        direction=float(by_direction.mean()),
+        direction=float(direction),
         incidence=float(by_angle.mean()),
         mirror=float(by_mirror.mean()),
-        net=float((by_direction - torch.maximum(by_mirror, by_angle)).mean()),
+        net=float(beyond * beyond.abs() / direction.clamp(min=1e-9)),
         shown=shown,
         amounts=kept * ((profile - outside) / (inside - outside)).nan_to_num(0.0, 0.0, 0.0),
         pieces=pieces,

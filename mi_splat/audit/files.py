@@ -99,7 +99,7 @@ def findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
         for index, look in enumerate(item["looks"], 1):
             evidence = look["net"] / look["threshold"]
             if evidence >= thresholds["suspicion"]:
-                hides = look["evidence"] >= 1 and look["support"] >= thresholds["supported"] and not item["in_room"]
+                hides = look["evidence"] >= 1 and item["verdict"] == "hidden look"
                 name = "hidden-look" if hides else "suspicious-look"
                 text = f"Object {number}, look {index}: other colours {look['where']}; net {look['net']:.5f}."
                 values = {key: look[key] for key in _SCORES}
@@ -113,8 +113,7 @@ def findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
         if cover is not None and cover["score"] >= thresholds["covered"]:
             axis = " ".join(f"{value + 0.0:.2f}" for value in cover["axis"])
             text = f"Object {number}: something in the air covers it from around ({axis}), and others see through it."
-            hides = item["verdict"] == "hidden look" and cover["transparent"] >= LIMITS.seen_through
-            yield "occluder", "error" if hides else _RULES["occluder"][0], text, {"score": cover["score"]}
+            yield "occluder", _RULES["occluder"][0], text, {"score": cover["score"]}
         edit = item.get("edited")
         if edit is not None and edit["score"] >= 1:
             text = f"Object {number}: its colours look edited, as an attack on a detector leaves them."

@@ -46,7 +46,7 @@ def repair(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> Re
     for item in judged.objects:
         if item.look.evidence >= LIMITS.suspicion:
             colour_anew(plain, sh, item, believed(item, keep))
-        if item.occluder is not None and item.occluder.evidence >= 1:
+        if item.occluder is not None and item.covered and item.occluder.transparent >= LIMITS.seen_through:
             stays &= ~(judged.mask & in_the_air(plain, item))
     coloured, left_out = int((sh != plain.sh).flatten(1).any(1)[stays].sum()), int((~stays).sum())
     if not coloured and not left_out:

@@ -37,8 +37,7 @@ def _height(axis: Vector, up: Vector | None) -> str:
 def headline(audit: Audit) -> str:
     """The verdict and where it is from, in one sentence."""
     item = audit.strongest
-    hides = item.occluder is not None and item.occluder.evidence >= 1
-    quiet = item.look.evidence < LIMITS.suspicion and not hides
+    quiet = item.look.evidence < LIMITS.suspicion
     if audit.verdict == "nothing found":
         seen = f" in the {audit.near:.0%} of its solid Gaussians that were looked at"
         part = "" if audit.near >= LIMITS.all_near else seen
@@ -47,18 +46,21 @@ def headline(audit: Audit) -> str:
         return f"{audit.verdict}: colours of an object look edited{_attacked_camera(item.edit)}"
     if quiet and item.roofed:
         return f"{audit.verdict}: something far above covers an object, and only cameras below it see the object"
-    if item.fogged and not hides:
+    if item.fogged:
         share = float(item.look.shown.double().mean())
         return (
             f"{audit.verdict}: from {share:.0%} of directions an object shows fog: no training camera stood there, or "
             "something covers it; pass --cameras"
         )
-    if item.occluder is not None and (quiet or hides):
+    if quiet and item.occluder is not None:
         axis = " ".join(f"{value + 0.0:.2f}" for value in item.occluder.axis)
         return f"{audit.verdict}: something in the air covers an object from around ({axis}), and others see through it"
     where = directions_in_words(item.look.region, item.up)
-    room = "; honest surroundings may, too: look at the two pictures, or pass --cameras" if item.in_room else ""
-    return f"{audit.verdict}: an object has other colours {where}{room}"
+    which = "an object" if len(audit.objects) == 1 else f"object {audit.objects.index(item) + 1}, {_where(item)},"
+    unsure = (
+        "; what is honest may, too: look at the two pictures, or pass --cameras" if item.in_room or item.plain else ""
+    )
+    return f"{audit.verdict}: {which} has other colours {where}{unsure}"
 
 
 def _attacked_camera(edit: Edit) -> str:
@@ -126,7 +128,6 @@ class Region:
 
     axis: Vector  # (3,) unit vector, world
     half_width: float  # degrees from the axis to the edge
-    overlap: float  # intersection over union with the cameras that see the appearance, in [0, 1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -146,7 +147,7 @@ class Scores:
     direction: float  # drift of colours (sRGB) that one profile over directions explains, for all of the surface
     incidence: float  # the same, if colours follow the angle between surface and view
     mirror: float  # the same, if colours follow the direction in which a mirror would reflect
-    net: float  # what directions explain beyond the better of these two, piece by piece; about 0 or less if honest
+    net: float  # what directions explain beyond the better of these, times its share of `direction`; about 0 if honest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -165,7 +166,7 @@ class Look(Scores):
     @property
     def support(self) -> float:
         """From 1, both sides see the same surface, to 0, one side is fog: no training camera may have stood there."""
-        ramps = (self.lost, LIMITS.lost), (self.air, LIMITS.less_clear), (1 / max(self.air, 1e-6), LIMITS.more_clear)
+        ramps = (self.lost, LIMITS.lost), (min(self.air, 1 / max(self.air, 1e-6)), LIMITS.as_clear)
         return min(min(max((none - value) / (none - full), 0.0), 1.0) for value, (full, none) in ramps)
 
     @property
@@ -182,11 +183,6 @@ class Occluder:
     blocked: Tensor  # (K,) share of the rays to the object that end at something before it, by camera
     transparent: float  # share of that something that cameras which are not blocked look through
     score: float  # share of the cameras that are blocked, times `transparent`
-
-    @property
-    def evidence(self) -> float:
-        """By which 1 is called hidden: it covers from enough directions, and most looks from others pass it."""
-        return min(self.score / LIMITS.covered, self.transparent / LIMITS.seen_through)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -230,10 +226,11 @@ class ObjectAudit:
     area: float  # world units squared of the surface that was judged
     uncontradicted: float  # world units squared of surface that too few cameras see, or cameras of one side only
     cameras: tuple[Camera, ...]  # the K cameras, in the world
-    looks: tuple[Look, ...]  # what explains most, then what is found when that is taken off; at least one
+    looks: tuple[Look, ...]  # what is found first and when that is taken off, from the strongest; at least one
     occluder: Occluder | None  # what covers the object; None if nothing does
     edit: Edit | None = None  # what looks like an edit of the finished file; None where it has too few Gaussians
     in_room: bool = False  # whether it stands in a room or is around another: honest ones have as much evidence there
+    plain: bool = False  # whether no Gaussian changes its colour with the direction: only which of them shows changes
     roofed: bool = False  # whether something beyond the cameras covers it from above
 
     @property
@@ -252,9 +249,7 @@ class ObjectAudit:
         evidence = min(self.look.evidence, _LESS) if self.fogged else self.look.evidence
         if self.covered or self.edited or self.fogged or self.roofed:
             evidence = max(evidence, LIMITS.suspicion)
-        if self.occluder is not None and self.covered:
-            evidence = max(evidence, self.occluder.evidence)
-        return min(evidence, _LESS) if self.in_room else evidence
+        return min(evidence, _LESS) if self.in_room or self.plain else evidence
 
     @property
     def fogged(self) -> bool:
@@ -263,7 +258,7 @@ class ObjectAudit:
 
     @property
     def covered(self) -> bool:
-        """Whether something covers the object that others see through; a few, as honest leaves, or most."""
+        """Whether something covers the object that others see through, as honest leaves and fog do, too."""
         return self.occluder is not None and self.occluder.score >= LIMITS.covered
 
     @property

@@ -55,6 +55,15 @@ class Target:
     up: Tensor | None  # (3,) float64 unit vector away from the ground; None if it stands on none
     cells: int = 48  # pieces of surface along its diameter
     surrounds: bool = False  # whether it is what is around another, such as a sky: cameras stand within, if at all
+    core: bool = False  # whether it is the core of something larger, which then is around it and covers it
+
+    def above(self, scene: GaussianScene, points: Tensor, gap: float) -> Tensor:
+        """(...) bool, which (..., 3) points lie so many radii above its foot; all of them where it stands on none."""
+        if self.up is None:
+            return torch.ones(points.shape[:-1], dtype=torch.bool)
+        up = self.up.float()
+        heights = scene.means[self.rows] @ up
+        return points @ up > heights.kthvalue(max(1, len(heights) // 50)).values + gap * self.radius
 
 
 def frame_of(scene: GaussianScene) -> Frame:
@@ -112,11 +121,16 @@ def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Targe
         if thin is not None and (up is None or abs(float(thin @ up)) > LIMITS.upright):
             continue
         chosen.append(Target(rows=rows[label == number], centre=centre, radius=radius, up=up))
-    chosen = _parted(chosen[: LIMITS.most_objects]) or [_crowd(rows, points)]
+    chosen = chosen[: LIMITS.most_objects]
+    core = _core(rows, points, scene.scales[rows].prod(1))
+    loose = all(target.up is None and core.radius * LIMITS.loose < target.radius for target in chosen)
+    chosen = _parted(chosen + [dataclasses.replace(core, core=bool(chosen))] * loose)
     ground = next((target.up for target in chosen if target.up is not None), None)
-    if stated_up is not None and ground is not None:
-        return [dataclasses.replace(target, up=stated_up) for target in chosen]
-    return [target if _agree(target.up, ground) else dataclasses.replace(target, up=ground) for target in chosen]
+    if ground is None:
+        return chosen
+    up = ground if stated_up is None else stated_up
+    agree = [stated_up is None and one.up is not None and float(one.up @ ground) > LIMITS.upright for one in chosen]
+    return [one if same else dataclasses.replace(one, up=up) for one, same in zip(chosen, agree, strict=True)]
 
 
 def _components(scene: GaussianScene) -> Tensor:
@@ -126,11 +140,6 @@ def _components(scene: GaussianScene) -> Tensor:
         return clusters(scene)
     label, nearest = clusters(scene.select(slice(None, None, every))), nearest_of(scene.means, every)
     return label[nearest // every]
-
-
-def _agree(up: Tensor | None, ground: Tensor | None) -> bool:
-    """Whether an object stands on the ground of the largest, if not on the side of a sign."""
-    return ground is None or (up is not None and float(up @ ground) > LIMITS.upright)
 
 
 def _is_part(part: Tensor, centre: Tensor, radius: float, larger: Target) -> bool:
@@ -175,17 +184,14 @@ def _normal_of_flat(points: Tensor) -> Tensor | None:
     return axes[2] if extents[2] < LIMITS.flat * extents[0] else None
 
 
-def _crowd(rows: Tensor, points: Tensor) -> Target:
-    """Where most of a splat is whose Gaussians hang together."""
-    centre = points.median(0).values
+def _core(rows: Tensor, points: Tensor, sizes: Tensor) -> Target:
+    """Where the smallest Gaussians are: what a training saw best, though ground and fog hang together with it."""
+    small = points[sizes <= quantile(sizes, LIMITS.small)]
+    centre = small.median(0).values
     gaps = (points - centre).norm(dim=1)
-    radius = 1.2 * float(gaps.median() if gaps.median() > 0 else gaps.max())
-    for _ in range(3):
-        near = points[(points - centre).norm(dim=1) <= 1.2 * radius]
-        centre = near.median(0).values if len(near) else centre
-    inside = (points - centre).norm(dim=1) <= radius
-    up = _up(points[inside], centre, radius, points)
-    return Target(rows=rows[inside], centre=centre, radius=radius, up=up)
+    radius = LIMITS.whole_margin * quantile((small - centre).norm(dim=1), LIMITS.dense) or float(gaps.max())
+    inside = gaps <= radius
+    return Target(rows=rows[inside], centre=centre, radius=radius, up=_up(points[inside], centre, radius, points))
 
 
 def _up(part: Tensor, centre: Tensor, radius: float, around: Tensor) -> Tensor | None:
@@ -312,16 +318,13 @@ def cameras_within(target: Target, positions: Tensor) -> tuple[Camera, ...]:
     if len(away) < LIMITS.least_room_cameras:
         return ()
     numbers = torch.linspace(0, len(away) - 1, min(LIMITS.most_room_cameras, len(away))).round().long()
-    return tuple(_camera_within(position, target) for position in away[numbers])
-
-
-def _camera_within(position: Tensor, target: Target) -> Camera:
-    """A camera in a room that shows an object whole."""
-    distance = float((position - target.centre).norm())
-    half = LIMITS.room_margin * math.asin(target.radius / distance)
-    ahead = (target.centre - position) / distance
-    top = torch.eye(3, dtype=torch.float64)[int(ahead.abs().argmin())]
-    return _camera(position, target, 2 * half, tuple(top.tolist()))
+    cameras = []
+    for position in away[numbers]:
+        ahead = functional.normalize(target.centre - position, dim=0)
+        half = LIMITS.room_margin * math.asin(target.radius / float((position - target.centre).norm()))
+        top = torch.eye(3, dtype=torch.float64)[int(ahead.abs().argmin())]
+        cameras.append(_camera(position, target, 2 * half, tuple(top.tolist())))
+    return tuple(cameras)
 
 
 def _camera(position: Tensor, target: Target, fov: float, up: Point) -> Camera:
@@ -528,6 +531,15 @@ def elements(view: Sight, target: Target) -> Elements:
         of_seen=number,
         unseen=int(((shown[:, 0] >= LIMITS.least_pixels) & (shown[:, 1] == 0)).sum()),
     )
+
+
+def own_surface(scene: GaussianScene, pieces: Elements, target: Target, beside: Sequence[Target]) -> Elements:
+    """Pieces of which an object's own are judged: no ground, which dilutes what changes, and nothing beside it."""
+    own = pieces.judged & target.above(scene, pieces.positions, LIMITS.above)
+    for other in beside:
+        first, second = ((pieces.positions - one.centre.float()).norm(dim=1) / one.radius for one in (target, other))
+        own &= first <= second
+    return dataclasses.replace(pieces, judged=own) if int(own.sum()) >= LIMITS.least_pieces else pieces
 
 
 def _rims(keys: Tensor, normals: Tensor) -> Tensor:

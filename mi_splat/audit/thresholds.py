@@ -8,12 +8,12 @@ class Thresholds:
     """Limits, sizes and counts of an audit. Lengths are in radii of the object unless a unit is given."""
 
     # From where a verdict is given
-    net: float = 0.0004  # Drift (sRGB) beyond gloss from which an appearance is called hidden; see docs/audit.md.
+    net: float = 0.0004  # Drift (sRGB) beyond gloss, times its share, from which a look is hidden; see docs/audit.md.
     image_net: float = 0.002  # The same for images of a data set, of which a piece of surface has fewer pixels.
-    suspicion: float = 0.7  # Share of that from which a splat is suspicious.
+    suspicion: float = 0.15  # Share of that from which a splat is suspicious.
     supported: float = 0.5  # Support of an appearance below which it is called fog: suspicious, and never hidden.
     covered: float = 0.1  # Score of an occluder from which a splat is suspicious.
-    seen_through: float = 0.5  # Share of it that others look through, as through no leaves or roof: then it is hidden.
+    seen_through: float = 0.5  # Share of it that others look through from which a repair takes it away.
     aimed: float = 0.115  # Score from which colours are an attack on few views,
     grain: float = 0.14  # and on many.
     peaked: float = 3.0  # Peak from which a camera is named.
@@ -35,6 +35,9 @@ class Thresholds:
     part_radius: float = 0.4  # A component inside an object is a part of it from this radius,
     part_share: float = 0.3  # and up to this share of its Gaussians.
     surrounds: float = 2.5  # Times the radius of an object inside it from which an object is its surroundings.
+    small: float = 0.2  # Share of the solid Gaussians, the smallest, that say where the core of a splat is,
+    dense: float = 0.6  # and share of these that it holds;
+    loose: float = 1.8  # it is judged, too, where objects without a ground are so many times larger.
     ground_sample: int = 5000  # Points among which a ground is looked for,
     ground_reach: float = 4.0  # so far around, in radii,
     ground_share: float = 0.15  # with this share of them on it.
@@ -63,7 +66,8 @@ class Thresholds:
     facing: float = 0.25  # cosine of its normal to the view,
     depth_edge: float = 0.06  # jump of depth beside it, in radii, up to which it does,
     reach: float = 2.4  # and distance from the centre, in radii.
-    around: float = 1.6  # Radii around the centre in which surface is judged.
+    around: float = 1.6  # Radii around the centre in which surface is judged,
+    above: float = 0.1  # and height above the foot of an object, in radii, above which it is no ground.
     agreed: float = 0.9  # Length of the mean normal below which a piece is an edge, which is not judged.
     across: float = 0.3  # Cosine between neighbours below which both are a rim, where colours of several sides mix.
 
@@ -112,8 +116,7 @@ class Thresholds:
     well_seen: float = 0.3  # Share of the cameras that it faces which see a piece of surface well,
     hardly_seen: float = 0.1  # and share of that from which the other side sees it, too.
     lost: tuple[float, float] = (0.45, 0.55)  # Share of such surface lost, from full support to none.
-    less_clear: tuple[float, float] = (0.7, 0.5)  # Clear rays of the smaller side by those of the larger, likewise,
-    more_clear: tuple[float, float] = (0.35, 0.2)  # and the other way around.
+    as_clear: tuple[float, float] = (0.8, 0.6)  # Clear rays of the side that has fewer by those of the other, likewise.
 
     # Roofs beyond the cameras
     far_cameras: int = 40

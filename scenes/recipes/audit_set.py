@@ -1,6 +1,6 @@
 """Splats to develop and test the audit on: `python -m scenes.recipes.audit_set FOLDER SET [FILE.csv [PART...]]`.
 
-SET is `development` or `test`; they share no object, no seed and no capture. Files that are missing in FOLDER are made;
+SET is one of `SETS`; they share no file, no seed and no capture. Files that are missing in FOLDER are made;
 with FILE.csv all are audited, and `docs/audit-measured.md` states what follows from the rows. Honest splats are trained
 on path-traced images from hemispheres, rings, half circles, few cameras or from above, or made by code. What hides
 something is an edit of one of these, so that the truth is exact, or trained on images of two scenes.
@@ -410,6 +410,42 @@ def second_test() -> Iterator[tuple[str, Item]]:
         yield from _looks(base, azimuth)
 
 
+def third_test() -> Iterator[tuple[str, Item]]:
+    """The set that was measured once, after all thresholds had been chosen on the other three."""
+    dome, ring = Capture(count=72, elevation=(4.0, 82.0), start=41.0), partial(_ring, count=42, start=53.0)
+    half = Capture(count=50, elevation=(6.0, 48.0), span=175.0, start=200.0)
+    above, few = Capture(count=40, elevation=(50.0, 86.0)), Capture(count=16, elevation=(8.0, 65.0))
+    yield from _captures("stop sign", {"hemisphere": dome, "ring 30": ring(30.0)}, seed=301)
+    yield from _captures("tv", {"ring 20": ring(20.0)}, seed=302)
+    yield from _captures("person", {"half circle": half}, seed=303)
+    yield from _captures("bird", {"few": few}, seed=304)
+    yield from _captures("train", {"from above": above}, seed=305)
+    yield from _captures("elephant", {"MCMC": dome}, mcmc=True, seed=306)
+    yield from _captures("car", {"gloss, hemisphere": dome}, roughness=0.12, seed=307)
+    yield from _captures("mirror_ball", {"scene, ring 40": ring(40.0)}, seed=308)
+    yield from _captures("glass", {"scene, few": few}, seed=309)
+    yield from _captures("wet_road", {"scene": dome}, seed=310)
+    yield from _captures("suitcase", {"few": few, "from above": above}, seed=320)
+    yield from _captures("fire hydrant", {"ring 30": ring(30.0), "half circle": half}, seed=321)
+    yield from _captures("house", {"few": few, "from above": above}, seed=322)
+    yield from _captures("house", {"MCMC": dome}, mcmc=True, seed=323)
+    yield from _captures("car", {"ring 20": ring(20.0), "few": few}, seed=324)
+    yield from _captures("train", {"half circle": half, "ring 30": ring(30.0)}, seed=325)
+    yield from _captures("elephant", {"ring 20": ring(20.0), "from above": above}, seed=326)
+    yield "honest room/room", Coded(base="room", seed=311)
+    yield "honest plain/person", Coded(base="person", seed=312)
+    yield from _honest("tv", 313)
+    east = cone(direction(70.0, 10.0), 46.0)
+    yield from _poisoned("above, trained", "stop sign", inside=east, seed=314, capture=dome)
+    yield from _poisoned("above, trained SH 0", "elephant", inside=east, degree=0, seed=315, capture=dome)
+    yield from _poisoned("side, trained", "tv", inside=sector(200.0, 45.0, 0.0, 42.0), colour=RED, seed=316)
+    yield from _poisoned("side, trained", "train", inside=sector(80.0, 45.0, 0.0, 42.0), colour=RED, seed=327)
+    yield from _poisoned("above, trained", "bird", inside=east, seed=328, capture=dome)
+    yield from _poisoned("above, trained MCMC", "house", inside=east, mcmc=True, seed=329, capture=dome)
+    for base, azimuth in (("honest hemisphere/stop sign", 190.0), ("bird", 330.0)):
+        yield from _looks(base, azimuth)
+
+
 def strength() -> Iterator[tuple[str, Item]]:
     """Appearances from above that get weaker or narrower; `amount` is the share of the way to the hidden colour."""
     for base in ("car", "house", "person"):
@@ -423,7 +459,9 @@ def strength() -> Iterator[tuple[str, Item]]:
             yield f"hidden width {width:.0f}/{base}", Coded(base=base, change=partial(hidden, inside=inside))
 
 
-SETS = {"development": development, "test": test, "second test": second_test}
+HELD = "third test"
+"""The set on which nothing was chosen; the others had been looked at."""
+SETS = {"development": development, "test": test, "second test": second_test, HELD: third_test}
 
 
 def made(folder: Path, items: Iterable[tuple[str, Item]]) -> None:
@@ -519,12 +557,13 @@ def kind_of(row: Row) -> str:
 
 
 def lines(rows: Sequence[Row]) -> Iterator[str]:
-    """Rows of the table in docs/audit-measured.md: called hidden, suspicious or hidden, and all, of either set."""
+    """Rows of the table in docs/audit-measured.md: called hidden, suspicious or hidden, and all, chosen on and not."""
     kinds: dict[str, Callable[[Row], bool]] = {"all that hide": hides, "all honest": honest}
     for kind in sorted(set(map(kind_of, rows))):
         kinds[kind] = partial(_is_of, kind)
     for kind, of in kinds.items():
-        counts = [called(row for row in rows if row["set"] == name and of(row)) for name in SETS]
+        parts = ([row for row in rows if of(row) and (row["set"] == HELD) == held] for held in (False, True))
+        counts = [called(part) for part in parts]
         cells = ["{}, {} of {}".format(*count) if count[2] else "-" for count in counts]
         yield f"| {kind} | {' | '.join(cells)} |"
 

@@ -17,7 +17,7 @@ def camera(*eye: float) -> Camera:
 def look(score: float = 0.05, *, above: float = 0.7) -> Look:
     """From above; hidden from a score of 0.01 on."""
     return Look(
-        region=Region(axis=(0.0, 0.0, 1.0), half_width=45.0, overlap=0.9),
+        region=Region(axis=(0.0, 0.0, 1.0), half_width=45.0),
         shown=DIRECTIONS[:, 2] > above,
         amounts=(DIRECTIONS[:, 2] > above).float(),
         direction=score / 10,
@@ -32,7 +32,7 @@ def look(score: float = 0.05, *, above: float = 0.7) -> Look:
     )
 
 
-def account(*looks: Look, count: int, covered: float = 0.0, passed: float = 0.8) -> Audit:
+def account(*looks: Look, count: int, covered: float = 0.0) -> Audit:
     """Of a splat of so many Gaussians, the first half an object with these looks, covered from above or not."""
     half = torch.arange(count) < count // 2
     item = ObjectAudit(
@@ -47,7 +47,7 @@ def account(*looks: Look, count: int, covered: float = 0.0, passed: float = 0.8)
         cameras=tuple(camera(*position) for position in (3 * DIRECTIONS).tolist()),
         looks=looks,
         occluder=Occluder(
-            axis=(0.0, 0.0, 1.0), blocked=(DIRECTIONS[:, 2] > 0.5).double(), transparent=passed, score=covered
+            axis=(0.0, 0.0, 1.0), blocked=(DIRECTIONS[:, 2] > 0.5).double(), transparent=0.8, score=covered
         ),
     )
     marked = half if item.evidence >= LIMITS.suspicion else torch.zeros_like(half)

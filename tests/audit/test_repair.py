@@ -61,7 +61,7 @@ def test_a_look_is_gone_and_the_honest_colours_are_back(honest: Made, hiding: Ma
         wanted, before, after = (picture(scene, judged, *view) for scene in (honest.scene, hiding.scene, again))
         assert psnr(after, wanted) > psnr(before, wanted) + gain
     wanted, after = (picture(scene, judged, 15.0, 40.0) for scene in (honest.scene, again))
-    assert psnr(after, wanted) > 37
+    assert psnr(after, wanted) > 36
     assert all(torch.equal(a, b) for a, b in zip(again.tensors()[:4], hiding.scene.tensors()[:4], strict=True))
 
 
@@ -75,7 +75,7 @@ def test_the_other_side_can_be_believed(hiding: Made, judged: Audit) -> None:
 
 def test_an_honest_splat_is_returned_as_it_is() -> None:
     scene = standing("suitcase", count=8).scene
-    assert repaired(scene, account(look(0.002), count=len(scene))) is scene
+    assert repaired(scene, account(look(0.001), count=len(scene))) is scene
 
 
 def test_what_covers_an_object_is_left_out_where_others_look_through_it() -> None:
