@@ -551,8 +551,9 @@ def called(rows: Iterable[Row]) -> tuple[int, int, int]:
 
 
 def kind_of(row: Row) -> str:
-    """The kind of a splat: what comes before the object in its name; all rings are one."""
+    """The kind of a splat: what comes before the object in its name; all rings are one, and all scenes."""
     kind = str(row["file"]).partition("/")[0]
+    kind = kind.partition(",")[0] if kind.startswith("honest") else kind
     return kind.rstrip(" 0123456789") if "ring" in kind else kind
 
 
