@@ -132,12 +132,11 @@ def test_an_honest_neighbour_of_what_hides_something_is_not_called_so(suitcase: 
     """They stand so near that each shows among what is around the other."""
     part = from_above.scene.select(from_above.rows)
     size = float(part.means[:, 0].max() - part.means[:, 0].min())
-    moved = part.replace(means=part.means + torch.tensor([1.6 * size, 0.0, 0.0]))
+    moved = part.replace(means=part.means + torch.tensor([1.3 * size, 0.0, 0.0]))
     judged = audit(merge(suitcase.scene.with_degree(3), moved))
-    verdicts = {item.verdict: item for item in judged.objects}
-    assert len(judged.objects) == 2
-    assert verdicts["hidden look"].centre[0] > 1.3 * size
-    assert abs(verdicts["nothing found"].centre[0]) < 0.3 * size
+    honest, hides = sorted(judged.objects, key=lambda item: item.centre[0])
+    assert honest.verdict != "hidden look"
+    assert hides.verdict == "hidden look"
     assert headline(judged).startswith(f"hidden look: object {1 + judged.objects.index(judged.strongest)}, ")
 
 
