@@ -268,22 +268,40 @@ def free_positions(scene: GaussianScene) -> Tensor | None:
     return positions if within else None
 
 
-def place_inside(scene: GaussianScene, direction: Tensor) -> tuple[tuple[float, float, float], float, bool] | None:
-    """A free position amid a hollow scene, how far away in a direction a camera may look at it, and if it is a room."""
+_AHEAD = 0.9  # cosine of an angle to the middle of a picture, up to which it shows a Gaussian
+
+
+def place_inside(
+    scene: GaussianScene, ways: Sequence[Tensor]
+) -> tuple[tuple[float, float, float], float, int, bool] | None:
+    """A free position amid a hollow scene, how far from it a camera may stand, on which way, and if it is a room.
+
+    Of the ways, (3,) float64 unit vectors from the position, it is the one from which most Gaussians are ahead.
+    """
     if not bool((scene.opacities > LIMITS.solid).any()):
         return None
     grid, free, positions, share = _enclosed(scene)
     if share < LIMITS.enclosed_share:
         return None
     middle = positions[(positions - positions.mean(0)).norm(dim=1).argmin()]
-    steps = torch.arange(4 * max(grid.filled.shape))[:, None] / 2 * grid.size
-    cells = ((middle + steps * direction - grid.low) / grid.size).floor().long()
-    x, y, z = kept = cells.clamp(min=0).minimum(torch.tensor(grid.filled.shape) - 1).T
-    ends = (cells != kept.T).any(1) | ~free[x, y, z]
-    distance = float(steps[max(1, int(ends.nonzero()[0]) - 1)])
+    places = []
+    for number, way in enumerate(ways):
+        distance = _free_on(grid, free, middle, way)
+        ahead = functional.normalize(scene.means.double() - middle - distance * way, dim=1) @ -way
+        places.append((int((ahead > _AHEAD).sum()), distance, number))
+    _, distance, number = max(places)
     x, y, z = middle.tolist()
     is_room = _between(grid, positions, free) > LIMITS.between  # rather than a hollow box, which has nothing in it
-    return (x, y, z), distance, is_room
+    return (x, y, z), distance, number, is_room
+
+
+def _free_on(grid: Grid, free: Tensor, start: Tensor, way: Tensor) -> float:
+    """How far it is from a free position to the last free voxel on a way."""
+    steps = torch.arange(4 * max(grid.filled.shape))[:, None] / 2 * grid.size
+    cells = ((start + steps * way - grid.low) / grid.size).floor().long()
+    x, y, z = kept = cells.clamp(min=0).minimum(torch.tensor(grid.filled.shape) - 1).T
+    ends = (cells != kept.T).any(1) | ~free[x, y, z]
+    return float(steps[max(1, int(ends.nonzero()[0]) - 1)])
 
 
 def _enclosed(scene: GaussianScene) -> tuple[Grid, Tensor, Tensor, float]:

@@ -73,21 +73,24 @@ def find_cameras(
     azimuth = AZIMUTH if options.azimuth is None else options.azimuth
     elevation = ELEVATION if options.elevation is None else options.elevation
     if focus is None and options.centre is None and options.distance is None:
-        options = _inside(target, options, azimuth, elevation)
+        options, azimuth = _inside(target, options, azimuth, elevation)
     return {"orbit": _orbit(target, options, azimuth, elevation)}
 
 
-def _inside(target: GaussianScene, options: CameraOptions, azimuth: float, elevation: float) -> CameraOptions:
-    """The options with a place inside, if the scene is a room."""
+def _inside(
+    target: GaussianScene, options: CameraOptions, azimuth: float, elevation: float
+) -> tuple[CameraOptions, float]:
+    """The options with a place inside, if the scene is a room; and the azimuth, the best of four if none is given."""
     turn = from_z(torch.tensor(options.up, dtype=torch.float64))
-    way = turn @ orbit_pose((0, 0, 0), azimuth=azimuth, elevation=elevation, distance=1)[:3, 3]
-    if (place := place_inside(target, way)) is None:
-        return options
-    centre, distance, is_room = place
+    tried = [azimuth + more for more in ((0, 90, 180, 270) if options.azimuth is None else (0,))]
+    poses = [orbit_pose((0, 0, 0), azimuth=one, elevation=elevation, distance=1) for one in tried]
+    if (place := place_inside(target, [turn @ pose[:3, 3] for pose in poses])) is None:
+        return options, azimuth
+    centre, distance, number, is_room = place
     if not is_room:
         warn(f"the scene is hollow; if it is an empty room, pass --distance {distance:.2g} to look from inside")
-        return options
-    return dataclasses.replace(options, centre=centre, distance=distance)
+        return options, azimuth
+    return dataclasses.replace(options, centre=centre, distance=distance), tried[number]
 
 
 def render_settings(loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]) -> RenderSettings:

@@ -253,7 +253,9 @@ def whole(scene: GaussianScene) -> Orbit:
     """The camera from which `mi-splat render` shows all of a scene, or a room from inside."""
     (centre, radius), fov = bounds(scene), 45.0
     distance, _ = framing(radius, fov=fov, size=(640, 480))
-    place = place_inside(scene, orbit_pose((0, 0, 0), azimuth=30, elevation=20, distance=1)[:3, 3])
-    if place is not None and place[2]:
-        centre, distance, _ = place
-    return Orbit(target=centre, azimuth=30.0, elevation=20.0, distance=round(distance, 4), fov=fov)
+    azimuths = [30.0, 120.0, 210.0, 300.0]
+    poses = [orbit_pose((0, 0, 0), azimuth=azimuth, elevation=20, distance=1) for azimuth in azimuths]
+    place, azimuth = place_inside(scene, [pose[:3, 3] for pose in poses]), azimuths[0]
+    if place is not None and place[-1]:
+        centre, distance, azimuth = *place[:2], azimuths[place[2]]
+    return Orbit(target=centre, azimuth=azimuth, elevation=20.0, distance=round(distance, 4), fov=fov)
