@@ -369,18 +369,20 @@ def _compare_images(options: ConformOptions, every: Mapping[str, ConformanceScen
             warn(f"no image of {', '.join(missing)}: these facts are not tested")
         setups = {name: _as_read(every[name], options.format) for name in given}
         by_model = dict[str, list[dict[str, Any]]]()
-        for model in ("tile", "ray"):
+        for model in sorted(("tile", "ray"), key=lambda model: model != options.model):
             by_model[model] = []
             for name, (image, bits) in given.items():
                 advance(f"{name}, {model}")
                 reference = np.dstack(_reference(setups[name], model))[..., : image.shape[2]]
                 by_model[model].append({"name": name, **_distance(image, reference, bits)})
+            if all(row["conforms"] for row in by_model[model]):
+                break
         rows, conforming = by_model[options.model], {key: sum(r["conforms"] for r in by_model[key]) for key in by_model}
         better = max(conforming, key=lambda key: (conforming[key], key == options.model))
-        right = [row["name"] for row in rows if row["psnr"] is not None]
-        images = {name: given[name][0][..., :3] for name in right}
+        images = {row["name"]: given[row["name"]][0][..., :3] for row in rows if row["psnr"] is not None}
         advance("looking for causes")
-        causes = find_deviations(images, setups) if options.model == "tile" else []
+        wrong = conforming[options.model] < len(rows)
+        causes = find_deviations(images, setups) if wrong and options.model == "tile" else []
     found = [
         {"switch": c.deviation.switch, "value": c.deviation.value, "kind": c.deviation.kind, "decibels": c.decibels}
         for c in causes
@@ -389,11 +391,9 @@ def _compare_images(options: ConformOptions, every: Mapping[str, ConformanceScen
     document = {"story": "conformance", "images": str(options.images), **settings, "scenes": rows, "causes": found}
     if options.out is not None:
         _save_page(options, options.out, document, images, setups)
-    lines = _lines(rows, causes)
-    if better != options.model:
-        lines.append(f"{conforming[better]} images conform to the reference of --model {better}: compare with that.")
-    show_result(document, *lines, as_json=options.json)
-    return 0 if all(row["conforms"] for row in rows) else DIFFERS
+    hint = f"{conforming[better]} images conform to the reference of --model {better}: compare with that."
+    show_result(document, *_lines(rows, causes), *[hint] * (better != options.model), as_json=options.json)
+    return DIFFERS if wrong else 0
 
 
 def _images(folder: Path, every: Mapping[str, ConformanceScene]) -> Iterator[tuple[str, tuple[Array, int]]]:

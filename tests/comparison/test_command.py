@@ -116,7 +116,7 @@ def test_a_composite_shows_the_splat_where_no_mesh_is_in_front() -> None:
     behind = meshes(scene.replace(opacities=torch.zeros_like(scene.opacities)), camera)
     hidden, opaque = meshes.depths(camera) < side.depth, side.alpha > 0.999
     assert (hidden & opaque).sum() > 20  # by the lamp post and the shelter
-    assert torch.equal(image[hidden], behind[hidden])
+    torch.testing.assert_close(image[hidden], behind[hidden], rtol=0, atol=1e-6)  # threads add samples in any order
     shown = opaque & ~hidden
     assert shown.sum() > 200
     torch.testing.assert_close(image[shown], side.image[shown], rtol=0, atol=2e-3)
