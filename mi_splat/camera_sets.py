@@ -70,7 +70,7 @@ def hemisphere(
         elevation: Lowest and highest elevation in degrees.
         start: Azimuth of the first camera in degrees.
         offset: Where in its step of height each camera stands, in [0, 1].
-        up: (3,) direction in which the hemisphere bulges.
+        up: (3,) direction from the centre to the pole.
 
     Returns:
         The cameras, in the order of a spiral from the lowest to the highest.

@@ -218,10 +218,8 @@ def gradients(
 ) -> Splat:
     """Derivatives of sum(on_image * image) + sum(on_alpha * alpha) + sum(on_depth * depth) by every attribute.
 
-    Args: as of `render`, and
-        on_image: (H, W, 3) derivative of a loss by the image.
-        on_alpha: (H, W) derivative of a loss by alpha.
-        on_depth: (H, W) derivative of a loss by the mean depth.
+    These are the derivatives of a loss by what `render` gives: on_image (H, W, 3), on_alpha (H, W), and on_depth
+    (H, W) by the mean depth. The other arguments are those of `render`.
     """
     projected, values = project(splat, camera, convention), Splat(*_arrays(splat))
     depth, centre, conic, opacity, colour = (np.zeros(array.shape) for array in projected[:5])
@@ -289,9 +287,8 @@ def render_rays(
 ) -> tuple[Array, Array]:
     """The image (H, W, 3) of Gaussians evaluated and sorted where each is densest along a ray, and its alpha (H, W).
 
-    Args: as of `render`, and
-        near: Depth before which nothing is drawn.
-        to_mean: Whether SH are evaluated in the direction of the mean, as when rasterising, and not of the ray.
+    Nothing is drawn before the depth `near`. With `to_mean` SH are evaluated in the direction of the mean, as when
+    rasterising, and not of the ray. The other arguments are those of `render`.
     """
     origin, directions, lengths = pixel_rays(camera)
     means, *_, sh = _arrays(splat)

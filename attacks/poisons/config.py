@@ -126,8 +126,8 @@ class PoisonSplatConfig(Checked):
         variation: What is raised.
         variation_steps: Steps along the sign of its gradient, at each camera anew, each of 2/255 as in the paper.
         decoy_every: Cameras whose gradients are summed in one step of the decoy's optimiser.
-        densify_every: Steps between two rounds in which the decoy is cloned, split and pruned; 0 never does it. They
-            also remove what is large, as the victim's do once opacities were reset.
+        densify_every: Steps between two rounds in which the decoy is cloned, split and pruned; 0 never does it.
+            These rounds also remove what is large, as the victim's do once opacities were reset.
         max_gaussians: The decoy is not made larger than this; None sets no limit.
         through: A filter of pictures that the victim is known to use: variation and the decoy's loss are those of what
             it leaves. None knows of no filter.

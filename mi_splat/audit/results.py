@@ -58,7 +58,9 @@ def headline(audit: Audit) -> str:
     where = directions_in_words(item.look.region, item.up)
     which = "an object" if len(audit.objects) == 1 else f"object {audit.objects.index(item) + 1}, {_where(item)},"
     unsure = (
-        "; what is honest may, too: look at the two pictures, or pass --cameras" if item.in_room or item.plain else ""
+        "; honest splats can look so, too: see the two pictures, or pass --cameras"
+        if item.in_room or item.plain
+        else ""
     )
     return f"{audit.verdict}: {which} has other colours {where}{unsure}"
 

@@ -4,6 +4,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -11,8 +12,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cameras import Camera, focal_of, look_at
-from mi_splat.directions import Point
+from mi_splat.cameras import Camera, focal_of, look_at, orbit_pose
+from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings, SideOutputs
 from mi_splat.rotation import from_z, to_matrix
@@ -268,39 +269,48 @@ def free_positions(scene: GaussianScene) -> Tensor | None:
     return positions if within else None
 
 
-_AHEAD = 0.9  # cosine of an angle to the middle of a picture, up to which it shows a Gaussian
+AROUND = (30.0, 120.0, 210.0, 300.0)
+"""Azimuths from which a room may be shown, degrees."""
+_AHEAD = 0.9
+"""Cosine of an angle to the middle of a picture, up to which it shows a Gaussian."""
+
+
+class Inside(NamedTuple):
+    """Where a camera may stand in a hollow scene."""
+
+    centre: tuple[float, float, float]  # a free position amid the scene, to look at
+    distance: float  # from there to the camera, world units
+    azimuth: float  # of the camera, degrees
+    is_room: bool  # rather than a hollow box, which has nothing in it
 
 
 def place_inside(
-    scene: GaussianScene, ways: Sequence[Tensor]
-) -> tuple[tuple[float, float, float], float, int, bool] | None:
-    """A free position amid a hollow scene, how far from it a camera may stand, on which way, and if it is a room.
-
-    Of the ways, (3,) float64 unit vectors from the position, it is the one from which most Gaussians are ahead.
-    """
+    scene: GaussianScene, azimuths: Sequence[float] = AROUND, *, elevation: float = 20.0, up: Point = UP
+) -> Inside | None:
+    """Where to stand in a hollow scene, at the azimuth from which most Gaussians are ahead."""
     if not bool((scene.opacities > LIMITS.solid).any()):
         return None
     grid, free, positions, share = _enclosed(scene)
     if share < LIMITS.enclosed_share:
         return None
     middle = positions[(positions - positions.mean(0)).norm(dim=1).argmin()]
-    places = []
-    for number, way in enumerate(ways):
+    turn, places = from_z(torch.tensor(up, dtype=torch.float64)), []
+    for azimuth in azimuths:
+        way = turn @ orbit_pose((0, 0, 0), azimuth=azimuth, elevation=elevation, distance=1)[:3, 3]
         distance = _free_on(grid, free, middle, way)
         ahead = functional.normalize(scene.means.double() - middle - distance * way, dim=1) @ -way
-        places.append((int((ahead > _AHEAD).sum()), distance, number))
-    _, distance, number = max(places)
+        places.append((int((ahead > _AHEAD).sum()), distance, azimuth))
+    _, distance, azimuth = max(places)
     x, y, z = middle.tolist()
-    is_room = _between(grid, positions, free) > LIMITS.between  # rather than a hollow box, which has nothing in it
-    return (x, y, z), distance, number, is_room
+    return Inside((x, y, z), distance, azimuth, _between(grid, positions, free) > LIMITS.between)
 
 
 def _free_on(grid: Grid, free: Tensor, start: Tensor, way: Tensor) -> float:
     """How far it is from a free position to the last free voxel on a way."""
     steps = torch.arange(4 * max(grid.filled.shape))[:, None] / 2 * grid.size
     cells = ((start + steps * way - grid.low) / grid.size).floor().long()
-    x, y, z = kept = cells.clamp(min=0).minimum(torch.tensor(grid.filled.shape) - 1).T
-    ends = (cells != kept.T).any(1) | ~free[x, y, z]
+    kept = cells.clamp(min=0).minimum(torch.tensor(grid.filled.shape) - 1)
+    ends = (cells != kept).any(1) | ~free[kept.unbind(1)]
     return float(steps[max(1, int(ends.nonzero()[0]) - 1)])
 
 

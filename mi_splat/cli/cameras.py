@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from mi_splat.audit.surfaces import place_inside
+from mi_splat.audit.surfaces import AROUND, place_inside
 from mi_splat.bounds import bounds, culled_in_view, near_plane, nothing_in_view
 from mi_splat.camera_forms import FORMS
 from mi_splat.camera_sets import camera_set, framing, with_up
@@ -23,7 +23,6 @@ from mi_splat.directions import UP
 from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import SplatScene, open_scene, resized
 from mi_splat.selection.config import Selection
@@ -81,16 +80,14 @@ def _inside(
     target: GaussianScene, options: CameraOptions, azimuth: float, elevation: float
 ) -> tuple[CameraOptions, float]:
     """The options with a place inside, if the scene is a room; and the azimuth, the best of four if none is given."""
-    turn = from_z(torch.tensor(options.up, dtype=torch.float64))
-    tried = [azimuth + more for more in ((0, 90, 180, 270) if options.azimuth is None else (0,))]
-    poses = [orbit_pose((0, 0, 0), azimuth=one, elevation=elevation, distance=1) for one in tried]
-    if (place := place_inside(target, [turn @ pose[:3, 3] for pose in poses])) is None:
+    azimuths = AROUND if options.azimuth is None else [azimuth]
+    if (place := place_inside(target, azimuths, elevation=elevation, up=options.up)) is None:
         return options, azimuth
-    centre, distance, number, is_room = place
-    if not is_room:
-        warn(f"the scene is hollow; if it is an empty room, pass --distance {distance:.2g} to look from inside")
+    if not place.is_room:
+        do = f"pass --distance {place.distance:.2g} to look from inside"
+        warn(f"the scene is hollow; if it is an empty room, {do}")
         return options, azimuth
-    return dataclasses.replace(options, centre=centre, distance=distance), tried[number]
+    return dataclasses.replace(options, centre=place.centre, distance=place.distance), place.azimuth
 
 
 def render_settings(loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]) -> RenderSettings:

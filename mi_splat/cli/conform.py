@@ -369,7 +369,7 @@ def _compare_images(options: ConformOptions, every: Mapping[str, ConformanceScen
             warn(f"no image of {', '.join(missing)}: these facts are not tested")
         setups = {name: _as_read(every[name], options.format) for name in given}
         by_model = dict[str, list[dict[str, Any]]]()
-        for model in sorted(("tile", "ray"), key=lambda model: model != options.model):
+        for model in ("tile", "ray") if options.model == "tile" else ("ray", "tile"):
             by_model[model] = []
             for name, (image, bits) in given.items():
                 advance(f"{name}, {model}")
@@ -391,8 +391,10 @@ def _compare_images(options: ConformOptions, every: Mapping[str, ConformanceScen
     document = {"story": "conformance", "images": str(options.images), **settings, "scenes": rows, "causes": found}
     if options.out is not None:
         _save_page(options, options.out, document, images, setups)
-    hint = f"{conforming[better]} images conform to the reference of --model {better}: compare with that."
-    show_result(document, *_lines(rows, causes), *[hint] * (better != options.model), as_json=options.json)
+    lines = _lines(rows, causes)
+    if better != options.model:
+        lines.append(f"{conforming[better]} images conform to the reference of --model {better}: compare with that.")
+    show_result(document, *lines, as_json=options.json)
     return DIFFERS if wrong else 0
 
 
@@ -435,7 +437,6 @@ def _as_read(scene: ConformanceScene, suffix: str) -> Setup:
 
 
 def _reference(setup: Setup, model: str) -> tuple[Array, Array]:
-    """The image and alpha of the definition."""
     from mi_splat.oracle import render_rays
 
     if model == "ray":
@@ -529,6 +530,7 @@ def _compare_values(options: ConformOptions, folder: Path, every: Mapping[str, C
         if len(before) == len(after):
             changes = differences(before, after.select(_nearest(before, after)))
             rounding = differences(before, _through_file(scene, suffix_of(path.name) or ""))
+            # A ratio that has not changed is 1, and any other change 0.
             limits = {key: 3 * value - 2 * key.endswith("ratio") + _CHANGE for key, value in rounding.items()}
             row["conforms"] = all(value <= limits.get(key, _CHANGE) for key, value in changes.items())
             row |= {"largest_changes": changes, "rounding": rounding}
@@ -585,16 +587,14 @@ def _compare_gradients(options: ConformOptions, folder: Path, every: Mapping[str
             length, same = np.linalg.norm(exact[key]) or 1.0, values.shape == exact[key].shape
             off[key] = float(np.linalg.norm(values - exact[key]) / length) if same else None
         good = bool(off) and all(value is not None and value <= _GRADIENT for value in off.values())
-        texts = (f"{key} {'of another shape' if value is None else f'{value:.2g}'}" for key, value in off.items())
-        rows.append({"name": name, "file": str(path), "conforms": good, "relative_errors": off})
-        rows[-1]["text"] = ", ".join(texts)
+        text = ", ".join(f"{key} {'of another shape' if v is None else f'{v:.2g}'}" for key, v in off.items())
+        rows.append({"name": name, "file": str(path), "conforms": good, "relative_errors": off, "text": text})
     do = "save them as mi-splat conform --export does"
     _check_some(rows, folder, f"gradients such as {next(iter(every))}.npz with arrays such as means", do)
     return _report(options, "gradients", rows)
 
 
 def _report(options: ConformOptions, key: str, rows: list[dict[str, Any]]) -> int:
-    """Show a line for each file, and return the exit status."""
     lines = [f"{Path(row['file']).name:30}{_VERDICTS[row['conforms']]:10}{row.pop('text')}" for row in rows]
     show_result({key: rows}, *lines, as_json=options.json)
     return 0 if all(row["conforms"] for row in rows) else DIFFERS

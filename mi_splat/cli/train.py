@@ -118,6 +118,7 @@ def _train(options: TrainOptions) -> None:
         }
     _warn_of_culled(start, views, near)
     begun = time.monotonic()
+    held_out_score = ""
     with progress("training", total=config.iterations) as advance:
 
         def on_resume(state: TrainState) -> None:
@@ -127,8 +128,10 @@ def _train(options: TrainOptions) -> None:
             advance("training", state.iteration)
 
         def on_step(step: Progress) -> None:
-            held_out = "" if step.held_out is None else f", held out {step.held_out.psnr:.2f} dB"
-            advance(f"loss {step.loss:.4f}, {step.count:,} Gaussians{held_out}")
+            nonlocal held_out_score
+            if step.held_out is not None:
+                held_out_score = f", held out {step.held_out.psnr:.2f} dB"
+            advance(f"loss {step.loss:.4f}, {step.count:,} Gaussians{held_out_score}")
 
         trained = train(
             views,

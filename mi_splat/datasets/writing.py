@@ -18,7 +18,7 @@ from mi_splat.io.points import PointCloud, save_points, to_bytes
 from mi_splat.rotation import from_matrix
 
 IMAGES = "images"
-"""Folders of the pictures in every set that is written here, and of their masks."""
+"""Folder of the pictures in every set that is written here."""
 
 Listing = Mapping[str, Sequence[tuple[str, Camera]]]
 """Of each split, train and test, the file name of every picture and its camera."""

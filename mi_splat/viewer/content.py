@@ -14,7 +14,7 @@ from torch import Tensor
 from mi_splat.audit.surfaces import place_inside
 from mi_splat.bounds import bounds
 from mi_splat.camera_sets import framing
-from mi_splat.cameras import Camera, View, orbit_pose
+from mi_splat.cameras import Camera, View
 from mi_splat.datasets import is_dataset, load_dataset
 from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, message
@@ -253,9 +253,7 @@ def whole(scene: GaussianScene) -> Orbit:
     """The camera from which `mi-splat render` shows all of a scene, or a room from inside."""
     (centre, radius), fov = bounds(scene), 45.0
     distance, _ = framing(radius, fov=fov, size=(640, 480))
-    azimuths = [30.0, 120.0, 210.0, 300.0]
-    poses = [orbit_pose((0, 0, 0), azimuth=azimuth, elevation=20, distance=1) for azimuth in azimuths]
-    place, azimuth = place_inside(scene, [pose[:3, 3] for pose in poses]), azimuths[0]
-    if place is not None and place[-1]:
-        centre, distance, azimuth = *place[:2], azimuths[place[2]]
+    azimuth, place = 30.0, place_inside(scene)
+    if place is not None and place.is_room:
+        centre, distance, azimuth = place.centre, place.distance, place.azimuth
     return Orbit(target=centre, azimuth=azimuth, elevation=20.0, distance=round(distance, 4), fov=fov)

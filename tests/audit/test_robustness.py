@@ -35,10 +35,10 @@ def test_a_room_is_seen_from_within_and_an_object_is_not(suitcase: Made, monkeyp
     monkeypatch.setitem(vars(LIMITS), "image_size", 64)
     for scene in (suitcase.scene, suitcase.scene.select(suitcase.rows)):
         assert free_positions(frame_of(scene).scene) is None
-    room, ways = scenes.room(), list(torch.tensor([[0.8, 0.6, 0.0], [-0.8, 0.6, 0.0]], dtype=torch.float64))
-    places = [place_inside(scene, ways) for scene in (room.scene, room.scene.select(~room.rows), suitcase.scene)]
-    assert [place and place[-1] for place in places] == [True, False, None]
-    assert [place[2] for place in places[:1] if place] == [1]  # the suitcase stands towards +x
+    room = scenes.room()
+    places = [place_inside(scene) for scene in (room.scene, room.scene.select(~room.rows), suitcase.scene)]
+    assert [place and place.is_room for place in places] == [True, False, None]
+    assert [place.azimuth for place in places[:1] if place] == [210.0]  # the suitcase stands towards +x and +y
     judged = audit(room.scene)
     (item,) = judged.objects
     assert item.in_room

@@ -38,7 +38,7 @@ class StrategyConfig(Checked):
 
     def build(self) -> Strategy:
         """The strategy with these options; each derived class makes its own."""
-        return FixedStrategy()
+        raise NotImplementedError(f"{type(self).__name__}.build")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,6 +113,10 @@ class FixedConfig(StrategyConfig):
 
     needs_trainable: ClassVar[tuple[Attribute, ...]] = ()
     adds_gaussians: ClassVar[bool] = False
+
+    def build(self) -> Strategy:
+        """The strategy with these options."""
+        return FixedStrategy()
 
 
 STRATEGIES: dict[str, type[StrategyConfig]] = {"classic": ClassicConfig, "mcmc": MCMCConfig, "fixed": FixedConfig}
