@@ -4,7 +4,8 @@ A Gaussian touches an interval of tiles in each row of tiles. Only its two ends 
 the picture costs one step for each row and not one for each tile.
 """
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import drjit as dr
@@ -14,48 +15,73 @@ from numpy.typing import NDArray
 
 from mi_splat import variant
 from mi_splat.cameras import Camera
-from mi_splat.rasterization import binning, layouts
+from mi_splat.rasterization import binning
 from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.frozen import aligned, buffer, numbers, run
-from mi_splat.rasterization.layouts import Layout
-from mi_splat.rasterization.picture import sh_terms, tile_columns
+from mi_splat.rasterization.layouts import TENSORS
+from mi_splat.rasterization.picture import tile_columns
 from mi_splat.rasterization.pinhole import KernelCamera, Pinhole
 from mi_splat.rasterization.stages import projected
 from mi_splat.scene import GaussianScene, check_scene
 
 Layers = NDArray[np.int32]
 """(rows, columns) numbers of Gaussians on the lists of the tiles of a picture, `TILE` x `TILE` pixels each."""
+_ROUNDING = 1.0001  # in float32 a Gaussian may reach a little beyond its box
 
 
-def overdraw(scene: GaussianScene, cameras: Sequence[Camera], *, near: float) -> Iterator[Layers]:
-    """How many Gaussians the list of each tile holds, camera by camera: exactly those that `rasterize` would make."""
+def most_layers(
+    scene: GaussianScene, cameras: Sequence[Camera], *, near: float, stop: float = math.inf
+) -> tuple[int, Layers, int]:
+    """Which of some cameras, of one size, has the most layers in the mean; its layers; and how many were tried.
+
+    Layers are exactly the lists that `rasterize` would make. The first camera with a mean from `stop` is the last.
+    """
     check_scene("scene", scene)
     variant.use()
     geometry = [value.detach().float().contiguous().flatten() for value in scene.tensors()[:4]]
     grey = scene.sh.detach().new_zeros(3 * len(scene)).float()  # colours cost time, and hide nothing from a list
     arrays = tuple(aligned(mi.Float(value)) for value in (*geometry, grey))
-    for camera in cameras:
-        columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
-        edges = buffer((columns + 1) * rows, mi.Int32, 0)
-        if len(scene):
-            index = numbers(mi.variant(), len(scene))
-            size = dr.opaque(mi.Int32, camera.width), dr.opaque(mi.Int32, camera.height)
-            hole = Pinhole(camera=camera, near=near).for_kernels()
-            run(count_edges, layouts.TENSORS, sh_terms(arrays), arrays, index, size, hole, edges)
-        yield edges.numpy().reshape(rows, columns + 1).cumsum(axis=1, dtype=np.int32)[:, :-1]
+    index = numbers(mi.variant(), len(scene))
+    width, height = cameras[0].width, cameras[0].height
+    columns, rows = -(-width // TILE), -(-height // TILE)
+
+    def counted(stage: Callable[..., Any], number: int, *into: Any) -> Any:
+        size = dr.opaque(mi.Int32, width), dr.opaque(mi.Int32, height)
+        return run(stage, arrays, index, size, Pinhole(camera=cameras[number], near=near).for_kernels(), *into)
+
+    tried, counts = len(cameras), [-1] * len(cameras)
+    most = [_ROUNDING * counted(count_boxes, number)[0] for number in range(tried)]
+    in_order = max(most) >= stop * rows * columns
+    for number in sorted(range(tried), key=lambda number: number if in_order else -most[number]):
+        if most[number] >= max(counts):
+            counts[number] = counted(count, number)[0]
+        if counts[number] >= stop * rows * columns:
+            tried = number + 1
+            break
+    worst = counts.index(max(counts))
+    edges = buffer((columns + 1) * rows, mi.Int32, 0)
+    counted(count_edges, worst, edges)
+    return worst, edges.numpy().reshape(rows, columns + 1).cumsum(axis=1, dtype=np.int32)[:, :-1], tried
 
 
-def count_edges(
-    layout: Layout,
-    terms: int,
-    arrays: tuple[Any, ...],
-    index: Any,
-    size: tuple[Any, Any],
-    camera: KernelCamera,
-    edges: Any,
-) -> None:
+def count(arrays: tuple[Any, ...], index: Any, size: tuple[Any, Any], camera: KernelCamera) -> Any:
+    """UInt64, how many tiles all Gaussians touch."""
+    splat, extent, _, visible = projected(TENSORS.read(arrays, index, 1), camera)
+    return dr.sum(mi.UInt64(binning.count_tiles(splat, extent, visible, *size)))
+
+
+def count_boxes(arrays: tuple[Any, ...], index: Any, size: tuple[Any, Any], camera: KernelCamera) -> Any:
+    """UInt64, how many tiles the boxes around them touch: no fewer, in a fraction of the time."""
+    splat, extent, _, visible = projected(TENSORS.read(arrays, index, 1), camera)
+    top, bottom = binning.tile_rows(splat, extent, size[1])
+    left, right = binning.pixel_span(splat.centre.x, -extent.x, extent.x, size[0])
+    box = (bottom - top + 1) * dr.maximum(right // TILE - left // TILE + 1, 0)
+    return dr.sum(mi.UInt64(dr.select(visible, box, 0)))
+
+
+def count_edges(arrays: tuple[Any, ...], index: Any, size: tuple[Any, Any], camera: KernelCamera, edges: Any) -> None:
     """Add 1 where the tiles of a Gaussian begin in a row, and -1 after they end."""
-    splat, extent, _, visible = projected(layout.read(arrays, index, terms), camera)
+    splat, extent, _, visible = projected(TENSORS.read(arrays, index, 1), camera)
     width, height = size
     stride = tile_columns(width) + 1
     first, last = binning.tile_rows(splat, extent, height)

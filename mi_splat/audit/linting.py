@@ -26,7 +26,7 @@ from mi_splat.io.formats.gltf import COMPONENTS, EXTENSION, Glb, open_glb
 from mi_splat.io.loaded import Loaded, arrays_of, as_scene, validated
 from mi_splat.io.parsing import Fields
 from mi_splat.io.splat_files import load_stored
-from mi_splat.overdraw import Layers, overdraw
+from mi_splat.overdraw import Layers, most_layers
 from mi_splat.scene import GaussianScene
 
 SIZE = 1024  # pixels along each side of the picture that is counted
@@ -76,14 +76,8 @@ def worst_overdraw(scene: GaussianScene) -> Overdraw | None:
         return None
     cameras = list(_cameras(scene))
     near = near_plane_of(*_ball(scene.means.double()), cameras)
-    most, tried = -1.0, 0
-    for camera, layers in zip(cameras, overdraw(scene, cameras, near=near), strict=True):
-        tried += 1
-        if (mean := float(layers.mean())) > most:
-            most, worst = mean, (camera, layers)
-        if mean >= STOPS:
-            break
-    return Overdraw(camera=worst[0], layers=worst[1], tried=tried)
+    worst, layers, tried = most_layers(scene, cameras, near=near, stop=STOPS)
+    return Overdraw(camera=cameras[worst], layers=layers, tried=tried)
 
 
 def _ball(points: Tensor) -> tuple[list[float], float]:
@@ -92,11 +86,13 @@ def _ball(points: Tensor) -> tuple[list[float], float]:
 
 
 def _cameras(scene: GaussianScene) -> Iterator[Camera]:
-    """Around the middle 98 % of the means along each axis; around the half nearest to the median, too, if small."""
-    means = scene.means.double()[:: max(1, len(scene) // _POINTS)]
+    """Along the main axes and some others, each as near as shows the middle 98 % of the means along each axis.
+
+    As many are around the half of the means nearest to their median, too, if that is small.
+    """
+    means = scene.means[:: max(1, len(scene) // _POINTS)].double()
     size = float(scene.scales.amax(1).median())
-    ordered = means.sort(0).values
-    low, high = ordered[round(0.01 * (len(means) - 1))], ordered[round(0.99 * (len(means) - 1))]
+    low, high = (means.kthvalue(1 + round(share * (len(means) - 1)), dim=0).values for share in (0.01, 0.99))
     whole = means[((means >= low) & (means <= high)).all(1)]
     far = (means - means.median(0).values).norm(dim=1)
     core = means[far <= far.median()]
@@ -104,19 +100,16 @@ def _cameras(scene: GaussianScene) -> Iterator[Camera]:
     if not sets or _ball(core)[1] < _CORE * _ball(whole)[1]:
         sets.append(core)
     for points in sets:
-        yield from _around(points, size)
-
-
-def _around(points: Tensor, size: float) -> Iterator[Camera]:
-    """Cameras that look along the main axes of (M, 3) points and along some others, each as near as shows them all."""
-    middle = torch.tensor(_ball(points)[0], dtype=torch.float64)
-    axes = torch.linalg.eigh((points - middle).T @ (points - middle)).eigenvectors.T
-    for direction in torch.cat([axes, -axes, lattice(_DIRECTIONS, -80, 80)]):
-        along = (points - middle) @ direction
-        across = (points - middle - along[:, None] * direction).norm(dim=1)
-        distance = float(along.max()) + (float(across.max()) + size) / math.tan(_FOV / 2)
-        pose = look_at((middle + distance * direction).tolist(), middle.tolist())
-        yield Camera(to_world=pose, focal=SIZE / 2 / math.tan(_FOV / 2), width=SIZE, height=SIZE)
+        middle = torch.tensor(_ball(points)[0], dtype=torch.float64)
+        away = points - middle
+        axes = torch.linalg.eigh(away.T @ away).eigenvectors.T
+        directions = torch.cat([axes, -axes, lattice(_DIRECTIONS, -80, 80)])
+        along = away @ directions.T
+        across = (away.square().sum(1, keepdim=True) - along.square()).amax(0).clamp(min=0).sqrt()
+        distances = along.amax(0) + (across + size) / math.tan(_FOV / 2)
+        for eye in (middle + distances[:, None] * directions).tolist():
+            pose = look_at(eye, middle.tolist())
+            yield Camera(to_world=pose, focal=SIZE / 2 / math.tan(_FOV / 2), width=SIZE, height=SIZE)
 
 
 def overdraw_picture(worst: Overdraw) -> NDArray[np.uint8]:

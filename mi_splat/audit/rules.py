@@ -129,8 +129,9 @@ def scene_radius(stored: Stored) -> float:
 
 
 def _needle(stored: Stored, ratio: float) -> Mask:
-    ordered = np.sort(stored.arrays["scales"], axis=1)
-    return stored.shown & _any(ordered[:, 2:] > ratio * ordered[:, 1:2])
+    a, b, c = stored.arrays["scales"].T
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    return np.asarray(stored.shown & (np.maximum(high, c) > ratio * np.maximum(low, np.minimum(high, c))))
 
 
 def _if_many(rows: Mask, share: float) -> Mask:
@@ -157,33 +158,36 @@ def repeats(arrays: Arrays) -> Mask:
 
 
 def _colour(stored: Stored, by: float) -> Mask:
-    rows = stored.shown.copy()
-    rows[rows] = colour_overshoot(stored.arrays["sh"][rows]) > by
-    return _if_many(rows, COLOUR_SHARE)
+    return _if_many(stored.shown & _overshoots(stored.arrays["sh"], by), COLOUR_SHARE)
 
 
-def colour_overshoot(sh: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(N,) how far a Gaussian's colour leaves [0, 1] (sRGB) in the direction and channel where it does so most."""
+def _overshoots(sh: NDArray[np.float32], by: float) -> Mask:
+    """(N,) whether a channel of a Gaussian's colour leaves [0, 1] (sRGB) by more than so much in some direction."""
     x, y, z = _DIRECTIONS.T
     values = [value for degree in range(degree_of(sh.shape[1]) + 1) for value in band((x, y, z), degree)]
     basis = np.stack(values, axis=1).astype(np.float32)
-    far = np.zeros(len(sh), np.float32)
+    largest = np.kron(np.abs(basis).max(0)[:, None], np.eye(3, dtype=np.float32))
+    far = np.zeros(len(sh), np.bool_)
     for first in range(0, len(sh), _CHUNK):
-        part = sh[first : first + _CHUNK].transpose(1, 2, 0)
-        from_grey = basis @ part.reshape(len(part), -1)
-        far[first : first + _CHUNK] = np.abs(from_grey, out=from_grey).max(0).reshape(3, -1).max(0) - 0.5
+        part = sh[first : first + _CHUNK]
+        most = np.abs(part).reshape(len(part), -1) @ largest  # few can be as far
+        rows = np.flatnonzero((most > 0.999 * (by + 0.5)).any(1))
+        from_grey = np.tensordot(basis, part[rows], (1, 1))
+        far[first + rows] = (np.abs(from_grey, out=from_grey).max(0) - 0.5 > by).any(1)
     return far
 
 
 def _empty_degree(stored: Stored, _: float) -> Mask:
     sh = stored.arrays["sh"]
     top = sh[:, degree_of(sh.shape[1]) ** 2 :]
-    return stored.valid & (sh.shape[1] > 1 and not top[:_CHUNK].any() and not top.any())
+    return stored.valid & (sh.shape[1] > 1 and not top[:SHOWN].any() and not top.any())
 
 
 def _partial_degree(stored: Stored, share: float) -> Mask:
     sh = stored.arrays["sh"]
     for degree in range(1, degree_of(sh.shape[1]) + 1):
+        if np.count_nonzero(sh[:, degree**2, 0]) > share * len(sh):  # at once what is so in nearly all files
+            continue
         rows = _any(sh[:, degree**2 : (degree + 1) ** 2] != 0)
         if 0 < rows.sum() <= share * len(rows):
             return rows
