@@ -162,7 +162,7 @@ def judged_object(
 
 def _look(frame: Frame, view: Sight, look: Explanation, threshold: float) -> Look:
     """A look in the world."""
-    region = region_of(view.directions, look.shown)
+    region = region_of(view.directions, look.amounts, look.shown)
     by_piece = piece_scores(look.pieces, look.shown)
     cameras, change = pair_of(look.pieces, view, by_piece, look.shown) or ((), 0.0)
     pair = [_in_world(frame, view.cameras[number]) for number in cameras]

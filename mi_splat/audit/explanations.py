@@ -15,12 +15,14 @@ from mi_splat.audit.thresholds import LIMITS
 _WIDTHS = torch.arange(6, 91, 2, dtype=torch.float64)
 
 
-def region_of(directions: Tensor, shown: Tensor) -> Region:
-    """The cone of directions that overlaps most with the cameras that see an appearance."""
-    axis = functional.normalize(directions[shown].sum(0), dim=0)
-    sets = angles_between(axis[None], directions) <= _WIDTHS[:, None]
-    overlap = (sets & shown).sum(1) / (sets | shown).sum(1).clamp(min=1)
-    return Region(axis=vector(axis), half_width=float(_WIDTHS[overlap.argmax()]))
+def region_of(directions: Tensor, amounts: Tensor, shown: Tensor) -> Region:
+    """The cone around an appearance: of (K,) amounts, high ones attract its axis, and its edge explains the most."""
+    weights = shown * amounts.double().clamp(min=0) ** LIMITS.attraction
+    axis = functional.normalize(weights @ directions, dim=0)
+    sets = (angles_between(axis[None], directions) <= _WIDTHS[:, None]).double()
+    inside = sets.sum(1)
+    between = sets @ (amounts - amounts.mean()).double() / (inside * (len(amounts) - inside)).sqrt().clamp(min=1)
+    return Region(axis=vector(axis), half_width=float(_WIDTHS[between.argmax()]))
 
 
 def _reflected(view: Sight, positions: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:

@@ -96,6 +96,7 @@ class Thresholds:
     same_look: float = 0.7  # Cosine between changes of colour, piece by piece, from which two cameras see one look.
     look_edge: float = 20.0  # Degrees beyond the cameras of an appearance that are left out with it.
     another_look: float = 0.4  # Drift of another appearance by that of the first, from which it is no ripple of it.
+    attraction: int = 3  # Power of the amounts of an appearance by which cameras attract the axis of its region.
     cameras_left: float = 1 / 3  # Share of the cameras that has to be left to look for another appearance.
 
     # Sets of directions, and gloss
