@@ -225,11 +225,7 @@ def _of_object(item: ObjectAudit) -> dict[str, Any]:
         "occluder": cover and _values(cover, "axis", "transparent", "score"),
         "edited": _of_edit(item),
         "seen_from": [
-            {
-                "direction": direction,
-                "looks": [number for number, shows in enumerate(shown) if shows],
-                "blocked": blocked,
-            }
+            {"direction": direction, "looks": [look for look, shows in enumerate(shown) if shows], "blocked": blocked}
             for direction, shown, blocked in zip(
                 item.directions.tolist(),
                 torch.stack([look.shown for look in item.looks], 1).tolist(),

@@ -331,20 +331,11 @@ class Lint:
 
     def document(self) -> dict[str, Any]:
         """As JSON can hold it."""
-        worst = self.overdraw
-        return {
-            "lint": [dataclasses.asdict(finding) for finding in self.findings],
-            "cost": {
-                "overdraw": worst
-                and {
-                    "mean": worst.mean,
-                    "highest": worst.highest,
-                    "size": SIZE,
-                    "cameras": worst.tried,
-                    "camera": describe("overdraw", worst.camera),
-                },
-            },
-        }
+        cost: dict[str, Any] = {"overdraw": None}
+        if (worst := self.overdraw) is not None:
+            counts = {"mean": worst.mean, "highest": worst.highest, "size": SIZE, "cameras": worst.tried}
+            cost["overdraw"] = {**counts, "camera": describe("overdraw", worst.camera)}
+        return {"lint": [dataclasses.asdict(finding) for finding in self.findings], "cost": cost}
 
 
 def lint_file(path: Path, stored: Loaded | None = None) -> Lint:

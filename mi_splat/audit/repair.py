@@ -77,10 +77,8 @@ def believed(item: ObjectAudit, keep: Keep) -> Tensor:
 
 def colour_anew(scene: GaussianScene, sh: Tensor, item: ObjectAudit, trust: Tensor) -> None:
     """Put new coefficients of the Gaussians of an object into a tensor."""
-    near = (scene.means.double() - torch.tensor(item.centre, dtype=torch.float64)).norm(
-        dim=1
-    ) < LIMITS.around * item.radius
-    rows = near.nonzero()[:, 0]
+    offsets = scene.means.double() - torch.tensor(item.centre, dtype=torch.float64)
+    rows = (offsets.norm(dim=1) < LIMITS.around * item.radius).nonzero()[:, 0]
     every = math.ceil(len(rows) * len(trust) / _MOST_WEIGHTS)
     cameras, trust = item.cameras[::every], trust[::every]
     render = Renderer(RenderSettings(near=near_plane(scene, cameras)))

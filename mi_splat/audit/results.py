@@ -57,11 +57,8 @@ def headline(audit: Audit) -> str:
         return f"{audit.verdict}: something in the air covers an object from around ({axis}), and others see through it"
     where = directions_in_words(item.look.region, item.up)
     which = "an object" if len(audit.objects) == 1 else f"object {audit.objects.index(item) + 1}, {_where(item)},"
-    unsure = (
-        "; honest splats can look so, too: see the two pictures, or pass --cameras"
-        if item.in_room or item.plain
-        else ""
-    )
+    doubt = "; honest splats can look so, too: see the two pictures, or pass --cameras"
+    unsure = doubt if item.in_room or item.plain else ""
     return f"{audit.verdict}: {which} has other colours {where}{unsure}"
 
 

@@ -24,16 +24,7 @@ from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 from mi_splat.cli.console import UsageError
 from mi_splat.errors import InvalidValueError, nearest
-from mi_splat.fields import (
-    Converter,
-    FieldError,
-    Metavar,
-    Range,
-    check_choice,
-    field_type,
-    taken,
-    type_hints,
-)
+from mi_splat.fields import Converter, FieldError, Metavar, Range, check_choice, field_type, taken, type_hints
 
 _Type = TypeVar("_Type")
 
