@@ -131,7 +131,8 @@ def judged_object(
     threshold = LIMITS.net if pictures is None else LIMITS.image_net
     surface_looks = sorted(looks_of(pieces, view, LIMITS.suspicion * threshold), key=lambda look: -look.net)
     looks = [_look(frame, view, look, threshold) for look in surface_looks]
-    by_piece = torch.stack([piece_scores(look.pieces, look.shown) for look in surface_looks]).amax(0)
+    shown = zip(surface_looks, looks, strict=True)
+    by_piece = torch.stack([piece_scores(found.pieces, look.shown) for found, look in shown]).amax(0)
     area = (pieces.size * frame.to_world.scale) ** 2
     able = reachable(pieces, view)
     occluder, covered = cover_of(frame.scene, view, target) if full and not target.core else (None, {})
@@ -161,13 +162,13 @@ def judged_object(
 
 
 def _look(frame: Frame, view: Sight, look: Explanation, threshold: float) -> Look:
-    """A look in the world."""
+    """A look in the world: without fog the tail of its profile, if the narrower side is not the one it is skewed to."""
     region = region_of(view.directions, look.amounts, look.shown)
     by_piece = piece_scores(look.pieces, look.shown)
     cameras, change = pair_of(look.pieces, view, by_piece, look.shown) or ((), 0.0)
     pair = [_in_world(frame, view.cameras[number]) for number in cameras]
     lost, air = support_of(look.pieces, view, look.shown)
-    return Look(
+    stated = Look(
         region=dataclasses.replace(region, axis=_turned(frame, region.axis)),
         shown=look.shown,
         amounts=look.amounts,
@@ -178,6 +179,9 @@ def _look(frame: Frame, view: Sight, look: Explanation, threshold: float) -> Loo
         area=int((by_piece > LIMITS.changed).sum()) * (look.pieces.size * frame.to_world.scale) ** 2,
         pair=Pair(inside=pair[0], outside=pair[1], change=change, numbers=cameras) if cameras else None,
     )
+    if look.tail is None or stated.support < LIMITS.supported:
+        return stated
+    return dataclasses.replace(_look(frame, view, look.tail, threshold), lost=lost, air=air)
 
 
 def _turned(frame: Frame, axis: Vector) -> Vector:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -40,6 +40,7 @@ class Explanation(Scores):
     shown: Tensor  # (K,) bool, the cameras that see the look
     amounts: Tensor  # (K,) how much of it each camera sees: in the mean 1 where it is shown, else 0
     pieces: Elements  # the surface that it was measured on
+    tail: Explanation | None = None  # the same for the cameras in the tail of the profile, if that is on the other side
 
 
 def angles_between(first: Tensor, second: Tensor) -> Tensor:
@@ -138,25 +139,42 @@ def explain(pieces: Elements, view: Sight, kept: Tensor) -> Explanation:
     by_mirror, _ = _explained(colours, seen, mirror, _close(places), places.float().T)
     by_angle, _ = _explained(colours, seen, angle, near, (steps - steps.mean())[None])
     shown = _alike(pieces, _narrower_side(profile, kept, view.directions))
-    inside, outside = profile[shown].mean(), profile[kept & ~shown].mean()
     direction, beyond = by_direction.mean(), (by_direction - torch.maximum(by_mirror, by_angle)).mean()
-    return Explanation(
+    explanation = Explanation(
         direction=float(direction),
         incidence=float(by_angle.mean()),
         mirror=float(by_mirror.mean()),
         net=float(beyond * beyond.abs() / direction.clamp(min=1e-9)),
         shown=shown,
-        amounts=kept * ((profile - outside) / (inside - outside)).nan_to_num(0.0, 0.0, 0.0),
+        amounts=_amounts(profile, kept, shown),
         pieces=pieces,
     )
+    skewed = (profile - profile[kept].mean()) * kept
+    skewed *= skewed.pow(3).sum().sign()
+    high = kept & (skewed > _split(skewed[kept]))
+    if bool((shown & high).any()) or int(high.sum()) <= LIMITS.least_seen:
+        return explanation
+    tail = _alike(pieces, high & (skewed > _split(skewed[high])))
+    return replace(explanation, tail=replace(explanation, shown=tail, amounts=_amounts(profile, kept, tail)))
+
+
+def _amounts(profile: Tensor, kept: Tensor, shown: Tensor) -> Tensor:
+    """(K,) profile of kept cameras, scaled to means of 1 where an appearance is shown and of 0 elsewhere."""
+    inside, outside = profile[shown].mean(), profile[kept & ~shown].mean()
+    return kept * ((profile - outside) / (inside - outside)).nan_to_num(0.0, 0.0, 0.0)
+
+
+def _split(values: Tensor) -> Tensor:
+    """Above which of the values lies one of the two sets that differ most (Otsu 1979)."""
+    values = values.sort().values
+    count, low = torch.arange(1, len(values)), values.cumsum(0)[:-1]
+    gap = low / count - (values.sum() - low) / (len(values) - count)
+    return values[(count * (len(values) - count) * gap.square()).argmax()]
 
 
 def _narrower_side(profile: Tensor, kept: Tensor, directions: Tensor) -> Tensor:
-    """(K,) bool, of the two sides of kept cameras that differ most (Otsu 1979) the one that lies closer together."""
-    values = profile[kept].sort().values
-    count, low = torch.arange(1, len(values)), values.cumsum(0)[:-1]
-    gap = low / count - (values.sum() - low) / (len(values) - count)
-    high = kept & (profile > values[(count * (len(values) - count) * gap.square()).argmax()])
+    """(K,) bool, of the two sides of kept cameras that differ most the one that lies closer together."""
+    high = kept & (profile > _split(profile[kept]))
     sides = torch.stack([high, kept & ~high])
     means = (sides.double() @ directions).norm(dim=1) / sides.sum(1).clamp(min=1)
     return sides[means.argmax()]

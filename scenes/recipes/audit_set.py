@@ -26,9 +26,12 @@ from attacks.cloak.mesh_scene import MeshScene
 from mi_splat.assets import build
 from mi_splat.assets.textures import square_of_ground
 from mi_splat.audit import Audit, audit
+from mi_splat.audit.explanations import angles_between
 from mi_splat.audit.files import document, findings
 from mi_splat.audit.gate import VERDICTS, Policy
 from mi_splat.audit.linting import lint_file
+from mi_splat.audit.results import ObjectAudit
+from mi_splat.audit.surfaces import lattice
 from mi_splat.bounds import near_plane
 from mi_splat.camera_sets import framing, hemisphere, orbit
 from mi_splat.cameras import Camera, View
@@ -194,6 +197,7 @@ class Coded:
     change: Callable[[Made], Made] = lambda made: made
     seed: int = 0
     strength: float = 1.0
+    inside: Inside | None = None  # where what it hides shows
 
     def make(self, folder: Path) -> tuple[GaussianScene, dict[str, Any]]:
         """The splat, and what is known of it."""
@@ -319,7 +323,8 @@ def _looks(base: str, azimuth: float) -> Iterator[tuple[str, Coded]]:
         "above and fog": after(partial(hidden, inside=ABOVE), partial(fogged, seed=int(azimuth))),
     }
     for kind, change in changes.items():
-        yield f"hidden {kind}/{base}", Coded(base=base, change=change)
+        inside = ABOVE if kind.startswith("above") else side if kind == "side" else None
+        yield f"hidden {kind}/{base}", Coded(base=base, change=change, inside=inside)
 
 
 def _honest(base: str, seed: int) -> Iterator[tuple[str, Coded]]:
@@ -478,7 +483,7 @@ def made(folder: Path, items: Iterable[tuple[str, Item]]) -> None:
 def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> None:
     """Audit what is there, and add a row to a CSV file for each splat that has none."""
     known = {row["file"] for row in read(file)} if file.is_file() else set()
-    for name, _ in items:
+    for name, splat in items:
         path = folder / f"{name}.ply"
         if name in known or not path.is_file():
             continue
@@ -496,6 +501,7 @@ def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> Non
                 for key in ("direction", "incidence", "mirror", "net", "lost", "air")
             },
             **{key: getattr(item, key) for key in ("covered", "edited", "fogged", "roofed", "in_room")},
+            "off": off(splat.inside, item) if splat.inside and judged.verdict != "nothing found" else "",
             "objects": len(judged.objects),
             "strength": json.loads(path.with_suffix(".json").read_text()).get("strength", ""),
             "seconds": round(time.process_time() - begun, 1),
@@ -506,6 +512,13 @@ def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> Non
             if new:
                 writer.writeheader()
             writer.writerow(values)
+
+
+def off(inside: Inside, item: ObjectAudit) -> float:
+    """Degrees between the axis that an audit states and the mean of the directions above the ground that are inside."""
+    ways = lattice(5000, 0.0, 90.0)
+    middle = functional.normalize(ways[inside(ways.float())].mean(0), dim=0)
+    return round(float(angles_between(torch.tensor([item.look.region.axis]), middle[None])), 1)
 
 
 def gated(path: Path, judged: Audit) -> str:

@@ -29,10 +29,10 @@ def test_the_recipe_hides_from_inside_of_its_trigger(by: Literal["coefficients",
 
 def test_the_table_of_the_page_follows_from_the_rows() -> None:
     page, rows = (ROOT / "docs" / "audit-measured.md").read_text(), audit_set.read(ROOT / "docs/tables/audit_set.csv")
-    found = list(audit_set.lines(rows))
+    off = [float(row["off"]) for row in rows if row["off"] and row["verdict"] == "hidden look"]
+    found = [*audit_set.lines(rows), f"{sum(one <= 10 for one in off)} of {len(off)} hidden"]
     assert len(found) > 10
-    for line in found:
-        assert line in page
+    assert not [line for line in found if line not in page]
     for table in (rows, audit_set.read(ROOT / "docs/tables/audit_before.csv")):
         for name in {row["set"] for row in table}:
             area = "{:.3f} ({:.3f} to {:.3f})".format(*audit_set.ranked([row for row in table if row["set"] == name]))
