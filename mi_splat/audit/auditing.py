@@ -228,6 +228,8 @@ def looks_of(pieces: Elements, view: Sight, threshold: float) -> list[Explanatio
 
 def _seen_by(pieces: Elements, kept: Tensor) -> Elements | None:
     """What (K,) kept cameras see of surface; None if that is too little."""
+    if bool(kept.all()):
+        return pieces
     moments = pieces.moments * kept.float()[:, None, None]
     judged = pieces.judged & (moments[..., 0].sum(0) >= LIMITS.least_views)
     return dataclasses.replace(pieces, moments=moments, judged=judged) if bool(judged.any()) else None

@@ -132,7 +132,7 @@ def explain(pieces: Elements, view: Sight, kept: Tensor) -> Explanation:
     cosines, mirrored = _reflected(view, pieces.positions[some], pieces.normals[some])
     places, steps = lattice(LIMITS.profile_places, -90.0, 90.0), torch.arange(float(LIMITS.profile_angles))
     each = torch.arange(len(view.directions)).expand(seen.shape)
-    mirror = torch.cat([(part @ places.float().T).argmax(-1) for part in mirrored.split(64)])  # all at once is large
+    mirror = torch.cat([(part @ places.float().T).argmax(-1) for part in torch.split(mirrored, 64)])
     angle = (cosines * len(steps)).long().clamp(0, len(steps) - 1)
     near = (-0.5 * (steps[:, None] - steps).square()).exp()
     by_direction, profile = _explained(colours, seen, each, _close(view.directions), view.directions.float().T)
