@@ -86,10 +86,7 @@ def _ball(points: Tensor) -> tuple[list[float], float]:
 
 
 def _cameras(scene: GaussianScene) -> Iterator[Camera]:
-    """Along the main axes and some others, each as near as shows the middle 98 % of the means along each axis.
-
-    As many are around the half of the means nearest to their median, too, if that is small.
-    """
+    """From all around the middle 98 % of the means along each axis, and around their half near the median if small."""
     means = scene.means[:: max(1, len(scene) // _POINTS)].double()
     size = float(scene.scales.amax(1).median())
     low, high = (means.kthvalue(1 + round(share * (len(means) - 1)), dim=0).values for share in (0.01, 0.99))

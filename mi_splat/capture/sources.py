@@ -133,17 +133,9 @@ def _mesh(target: Asset, name: str, surroundings: SurroundingsSettings) -> Captu
     if not SMALLEST <= radius <= LARGEST:
         expected = f"a radius of {SMALLEST:g} to {LARGEST:g} metres"
         raise InvalidValueError.of(name, expected, f"{radius:.4g}", "pass another scale").hinted("--scale")
-    ground = None if surroundings.ground == "none" else _ground(target, surroundings.ground)
-    assets = (target,) if ground is None else (target, ground)
+    ground = Asset("none", ()) if surroundings.ground == "none" else _ground(target, surroundings.ground)
     azimuth, elevation = surroundings.sun_angles or (Light().sun_azimuth, Light().sun_elevation)
-    light = Light(sun_azimuth=azimuth, sun_elevation=elevation)
-    return CaptureSource(
-        scene=scene_dict([target], light=light, backdrop=ground),
-        centre=centre,
-        radius=radius,
-        assets=assets,
-        digest=digest_of(assets, light),
-    )
+    return source_of(target, ground, Light(sun_azimuth=azimuth, sun_elevation=elevation), centre=centre)
 
 
 def _ground(target: Asset, kind: Kind) -> Asset:

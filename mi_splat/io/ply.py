@@ -159,10 +159,7 @@ def _mismatch(header: Header, expected: str, got: str, path: str) -> SplatFileEr
 
 
 def _read_with_plyfile(file: io.FileIO, header: Header, name: str, size: int, path: str) -> Rows:
-    """The rows of an element where it, or one before it, is text or has lists.
-
-    plyfile believes a header, so it gets one of our own, after the sizes were held against the bytes that are there.
-    """
+    """The rows of an element where it, or one before it, is text or has lists; plyfile gets a checked header."""
     is_text, what = not header.order, "rows with lists" if header.order else "text"
     needed = dict(list(header.elements.items())[: list(header.elements).index(name) + 1])
     least = sum(2 * e.count * len(e.columns) if is_text else e.least_bytes for e in needed.values()) - is_text

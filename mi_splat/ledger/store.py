@@ -79,8 +79,9 @@ class Store:
     def done(self, key: str) -> Done | None:
         """A finished job, whose files are what it wrote; None if there is none."""
         done = self.recorded(key)
-        if done is not None and (present := hashes(done.folder)) != done.record["files"]:
-            got = f"another {', '.join(_different(present, done.record['files'])[:3])}"
+        if done is not None and (present := hashes(done.folder)) != (written := done.record["files"]):
+            changed = sorted(name for name in {**present, **written} if present.get(name) != written.get(name))
+            got = f"another {', '.join(changed[:3])}"
             raise InvalidValueError.of(f"job {self.folder_of(key)}", "the files that it wrote", got, AGAIN)
         return done
 
@@ -238,7 +239,3 @@ def _files(folder: Path) -> dict[str, Path]:
     """Every file below a folder by its name there; none if the folder is not there."""
     paths = (Path(base, name) for base, _, names in os.walk(folder) for name in names)
     return dict(sorted((path.relative_to(folder).as_posix(), path) for path in paths))
-
-
-def _different(first: Mapping[str, str], second: Mapping[str, str]) -> list[str]:
-    return sorted(name for name in {**first, **second} if first.get(name) != second.get(name))

@@ -71,17 +71,11 @@ def identity(sensor: Any) -> tuple[tuple[Any, ...], list[Any]]:
     Reading a sensor's arrays waits for every kernel in flight. Dr.Jit's arrays never change under a given index while
     someone holds them, so indices tell as well whether anything has changed.
     """
-    values = own_values(sensor)
-    held = [sensor.world_transform().matrix, *(values[name] for name in _LENS if name in values)]
-    film = sensor.film()
+    values, matrix, film = own_values(sensor), sensor.world_transform().matrix, sensor.film()
+    lens = [values[name] for name in _LENS if name in values]
+    entries = [matrix[i, j] for i in range(4) for j in range(4)]
     sizes = (tuple(film.size()), tuple(film.crop_offset()), tuple(film.crop_size()))
-    return (*(dr.detach(array).index for array in _flat(held)), *sizes), held
-
-
-def _flat(arrays: list[Any]) -> list[Any]:
-    """The entries of the matrix that comes first, then the other arrays."""
-    matrix, *others = arrays
-    return [*(matrix[i, j] for i in range(4) for j in range(4)), *others]
+    return (*(dr.detach(array).index for array in (*entries, *lens)), *sizes), [matrix, *lens]
 
 
 def pinhole(sensor: Any, *, near: float, antialiased: bool = False) -> Pinhole:

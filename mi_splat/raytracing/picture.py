@@ -35,10 +35,7 @@ class RayPicture:
 
 
 def _rays(camera: Pinhole) -> tuple[Stretch, Any, Any]:
-    """A ray a lane, tile after tile, so that the lanes of a packet take the same way; its pixel, and whether it is one.
-
-    Peaks whose camera-space depth is below the camera's near plane do not count.
-    """
+    """A ray a lane from the near plane on, tile after tile, as packets like it; its pixel, and whether it is one."""
     width, height = (dr.opaque(mi.Int32, side) for side in camera.size)
     columns = tile_columns(width)
     tiles = -(-camera.size[0] // TILE) * -(-camera.size[1] // TILE)

@@ -69,7 +69,8 @@ def clusters(
     if link_colour is not None:
         colours = dc_to_colour(scene.sh[:, 0].detach().cpu())
         linked &= (colours[ours] - colours[rows]).abs().amax(-1) <= link_colour
-    return _by_size(components(len(scene), ours[linked], rows[linked]))
+    label = components(len(scene), ours[linked], rows[linked])
+    return label.bincount().argsort(descending=True, stable=True).argsort()[label]
 
 
 def _planes(points: Tensor, spacing: Tensor, count: int) -> Tensor:
@@ -92,11 +93,6 @@ def components(count: int, first: Tensor, second: Tensor) -> Tensor:
 
     _, labels = connected_components(coo_array(edges, shape=(count, count)), directed=False)
     return torch.from_numpy(labels.astype(np.int64))
-
-
-def _by_size(label: Tensor) -> Tensor:
-    order = label.bincount().argsort(descending=True, stable=True)
-    return order.argsort()[label]
 
 
 def find_plane(points: Tensor, spacing: Tensor, *, least: int) -> Tensor | None:

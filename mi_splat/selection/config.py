@@ -65,9 +65,7 @@ class Selection:
     @property
     def is_empty(self) -> bool:
         """Whether nothing is selected."""
-        return not any(
-            (self.object is not None, self.box is not None, self.mask is not None, self.click, self.cluster is not None)
-        )
+        return not self.as_dict()
 
     def as_dict(self) -> dict[str, Any]:
         """What was selected by, as JSON can hold it; selectors that were not used are left out.
@@ -75,15 +73,14 @@ class Selection:
         Returns:
             The selectors by name.
         """
-        values: dict[str, Any] = {}
-        if self.object is not None:
-            values["object"] = self.object
-        if self.box is not None:
-            values["box"] = list(self.box)
-        if self.mask is not None:
-            values["mask"] = str(self.mask)
-        if self.click or self.cluster is not None:
-            values |= {"click": list(self.click)} if self.click else {}
-            values |= {"cluster": self.cluster} if self.cluster is not None else {}
-            values |= {"link_distance": self.link_distance, "link_colour": self.link_colour, "planes": self.planes}
-        return values
+        selectors = {
+            "object": self.object,
+            "box": None if self.box is None else list(self.box),
+            "mask": None if self.mask is None else str(self.mask),
+            "click": list(self.click) or None,
+            "cluster": self.cluster,
+        }
+        used: dict[str, Any] = {name: value for name, value in selectors.items() if value is not None}
+        if used.keys() & {"click", "cluster"}:
+            used |= {"link_distance": self.link_distance, "link_colour": self.link_colour, "planes": self.planes}
+        return used

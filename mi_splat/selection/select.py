@@ -226,11 +226,7 @@ def _clusters(scene: GaussianScene, selection: Selection) -> Tensor:
 
 
 def _clicked(scene: GaussianScene, selection: Selection, camera: Camera | None, render: RenderFn | None) -> Tensor:
-    """The components that make up most of the pixels that were clicked on.
-
-    Only what is near the clicked point is looked at, by the measure of the picture: so the largest plane is the one
-    that the object stands on, and not a floor or a wall far away.
-    """
+    """The components that make up most of the pixels that were clicked on."""
     if camera is None or render is None:
         raise InvalidValueError.of("click", "a camera and a renderer", "none", "say in whose picture")
     mask = torch.zeros(len(scene), dtype=torch.bool)
@@ -240,6 +236,7 @@ def _clicked(scene: GaussianScene, selection: Selection, camera: Camera | None, 
         point = means[int(weights.argmax())]
         shown = math.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2  # half a diagonal at depth 1
         depth = float((point - camera.position).norm())
+        # So the largest plane is the one that the object stands on, and not a floor or a wall far away.
         near = ((means - point).norm(dim=1) <= _AROUND * shown * depth).nonzero()[:, 0]
         labels = _clusters(scene.select(near), selection)
         label = int(torch.bincount(labels, weights[near]).argmax())

@@ -8,7 +8,6 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -42,13 +41,6 @@ __all__ = ["Fit", "FitConfig", "Progress", "TrainState", "TrainingError", "advan
 
 OnStep = Callable[[Progress], None]
 Target = tuple[Camera, Tensor]
-
-
-@runtime_checkable
-class _KeepsScreenGradients(Protocol):
-    """A renderer that may keep the statistics that some strategies need, as `mi_splat.rendering.Renderer` does."""
-
-    screen_gradients: ScreenGradients | None
 
 
 def scene_extent(views: Sequence[View]) -> float:
@@ -104,9 +96,10 @@ def advance(
     on_step: OnStep | None = None,
 ) -> Fit:
     """Take a run to its end; `on_step` may stop it between two steps by raising."""
-    _keep_freed_memory()
+    # glibc keeps 64 MiB of what is freed, twice the largest freed block; page faults cost as much as the loss.
+    torch.empty(31 << 20, dtype=torch.uint8)
     config = state.config
-    screen_gradients = render.screen_gradients if isinstance(render, _KeepsScreenGradients) else None
+    screen_gradients: ScreenGradients | None = getattr(render, "screen_gradients", None)
     if config.strategy.needs_screen_gradients and screen_gradients is None:
         do = "use Renderer(screen_gradients=ScreenGradients())"
         expected = f"a renderer that keeps screen gradients, for {type(config.strategy).__name__}"
@@ -126,11 +119,6 @@ def advance(
         if on_step is not None:
             on_step(line)
     return Fit(scene=state.result(), history=tuple(state.history), config=config, seed=state.seed)
-
-
-def _keep_freed_memory() -> None:
-    """Make glibc keep 64 MiB of what is freed, twice the largest freed block; page faults cost as much as the loss."""
-    torch.empty(31 << 20, dtype=torch.uint8)
 
 
 def targets_of(views: Sequence[View], device: torch.device) -> Callable[[int], Target]:

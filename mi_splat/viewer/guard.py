@@ -58,7 +58,9 @@ class Guard:
             tokens = parse_qs(urlsplit(path).query).get("token", ())
         except ValueError:
             return "this is no address"
-        cookies = _cookies(headers.get("Cookie", ""), f"{COOKIE}-{port}")
+        # A server on another port may have added a cookie of this name, so all of them count.
+        pairs = (pair.strip().partition("=") for pair in headers.get("Cookie", "").split(";"))
+        cookies = [value for key, _, value in pairs if key == f"{COOKIE}-{port}"]
         if not (_any_is(tokens, self.token) or _any_is(cookies, self.cookie)):
             return "open the address that mi-splat has printed, with its token"
         return None
@@ -119,12 +121,6 @@ def _name_and_port(host: str) -> tuple[str | None, int]:
         return parts.hostname, parts.port or 80
     except ValueError:
         return None, 0
-
-
-def _cookies(header: str, name: str) -> list[str]:
-    """Every value that a Cookie header has for a name: a server on another port may have added one."""
-    pairs = (pair.strip().partition("=") for pair in header.split(";"))
-    return [value for key, _, value in pairs if key == name]
 
 
 def _any_is(given: Iterable[str], secret: str) -> bool:

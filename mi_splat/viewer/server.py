@@ -12,6 +12,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from mi_splat.cameras import angle_of
@@ -48,8 +49,9 @@ class Client:
         with tabs.add_tab("View"):
             self._panel = ViewPanel(handle.gui, content, first, inspector=inspector, change=self._change)
         with tabs.add_tab("Tools"):
+            download = partial(handle.send_file_download, save_immediately=True)
             self._selection_panel = SelectionPanel(
-                handle.gui, shared, orbit=lambda: self._session.state.orbit, download=self._download, wake=wake
+                handle.gui, shared, orbit=lambda: self._session.state.orbit, download=download, wake=wake
             )
         # The pose before the browser has read where to begin is not a move of its user.
         self._sent.append(first.orbit.moved(handle.camera.position, handle.camera.look_at))
@@ -62,10 +64,6 @@ class Client:
         """Show what the windows share as it is now."""
         self._change(lambda state: replace(state, revision=self._shared.revision))
         self._selection_panel.follow()
-
-    def _download(self, name: str, content: bytes) -> None:
-        """Send a file to the user."""
-        self._handle.send_file_download(name, content, save_immediately=True)
 
     def due(self) -> Step | None:
         """The picture to make now."""
@@ -262,10 +260,7 @@ def _serve(guard: Guard, port: int) -> Any:
 
 
 def _accept_values_only(handle: Any) -> None:
-    """Let a browser set the values of controls, and nothing else.
-
-    viser would let it change every property of a control, or remove it, and upload files of any size.
-    """
+    """Let a browser set the values of controls; viser lets it change or remove all of them, and upload any file."""
     from viser import _messages
 
     gui, messages = handle.gui, handle.gui._websock_interface

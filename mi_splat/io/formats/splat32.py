@@ -65,13 +65,9 @@ def write_splat(arrays: Arrays) -> Encoded:
 
 
 def _pack_rotations(rotations: Array) -> NDArray[np.uint8]:
-    """(N, 4) bytes 128 q + 128 that point most nearly into the direction of q.
-
-    Readers normalise, so lengths near one are tried and the best is kept: what was read is written as the same bytes.
-    -1 fits into a byte and +1 does not; the largest component is made negative.
-    """
+    """(N, 4) bytes 128 q + 128, of the length near one that best keeps the direction, so that bytes read come back."""
     largest = np.take_along_axis(rotations, np.abs(rotations).argmax(axis=1)[:, None], 1)
-    turned = rotations * np.where(largest > 0, -1.0, 1.0)
+    turned = rotations * np.where(largest > 0, -1.0, 1.0)  # -1 fits into a byte and +1 does not
     best, packed = np.full(len(rotations), -np.inf), np.zeros((len(rotations), 4), np.uint8)
     for length in _LENGTHS:
         tried = bytes_of(128 * length * turned + 128)

@@ -75,13 +75,10 @@ def read_spz(file: io.FileIO, path: str) -> Loaded:
 
 
 def _in_ply_axes(loaded: Loaded, number: int, path: str) -> Loaded:
-    """Turn from one of the 16 axes that the format can name to those of the PLY.
-
-    The bits of the number less one say right or left, up or down, front or back; from 9 on y and z are exchanged.
-    """
-    if number > 8:
+    """Turn from one of the 16 axes that the format can name to those of the PLY."""
+    if number > 8:  # y and z are exchanged
         loaded = axes.transformed(loaded, _UPRIGHT, path)
-    bits = ((number - 1) ^ (_RDF - 1)) & 7
+    bits = ((number - 1) ^ (_RDF - 1)) & 7  # right or left, up or down, front or back
     x, y, z = (-1.0 if bits >> axis & 1 else 1.0 for axis in range(3))
     return dataclasses.replace(loaded, arrays=axes.flipped(loaded.arrays, (x, y, z)))
 

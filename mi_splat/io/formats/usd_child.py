@@ -80,10 +80,7 @@ def read(path: str, out: BinaryIO, most: int) -> dict[str, Any]:
 
 
 def _check_alone(layer: Any, sdf: Any) -> None:
-    """Raise unless everything that a layer says stands in it, once: other files are never opened.
-
-    References inside of the file are refused too, since few of them can ask for any number of prims.
-    """
+    """Refuse references: other files are never opened, and a few inside of the file ask for any number of prims."""
     references = [f"sublayer {name}" for name in layer.subLayerPaths[:1]]
 
     def look(path: Any) -> None:
