@@ -1,6 +1,5 @@
 """Sets the Mitsuba variant, with this project's plugins registered in it."""
 
-from mi_splat import plugins
 from mi_splat.errors import MiSplatError
 from mi_splat.mitsuba_setup import prepare_llvm, set_up_mitsuba
 from mi_splat.plugins import SUPPORTED_VARIANTS
@@ -29,7 +28,6 @@ def use(variant: str = "") -> str:
     set_up_mitsuba()
     if mi.variant() != variant:
         mi.set_variant(variant)
-    plugins.register()
     return variant
 
 

@@ -28,7 +28,7 @@ from torch import Tensor
 
 from attacks.transformations.draws import PictureChange, change_picture
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.comparison.methods import RENDERERS, load_method, method_names
+from mi_splat.comparison.methods import RENDERERS, load_method
 from mi_splat.directions import Point, sun_direction
 from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.fields import Checked, at_least, between
@@ -136,7 +136,7 @@ def package_of(name: str) -> str:
 
 def check_condition(name: str, sun: SunTable | None) -> None:
     """Raise unless there is a condition of this name, of which hours need the street; nothing is loaded."""
-    known = (*method_names(), *FORMS, *CONDITIONS)
+    known = (*RENDERERS, *FORMS, *CONDITIONS)
     is_known = name in ("", *known) or _DISTANCE.fullmatch(name) or picture_change(name) is not None
     if sun is not None and _HOUR.fullmatch(name):
         _sun_at(name, sun)

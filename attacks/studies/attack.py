@@ -30,7 +30,7 @@ from attacks.observe.conditions import SunTable, check_condition, renderer_of
 from attacks.search import Step
 from attacks.transformations.config import Transformations
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.comparison.methods import method_names
+from mi_splat.comparison.methods import RENDERERS
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import check_choice
@@ -139,7 +139,7 @@ def check_scene(
     if camera >= count:
         raise InvalidValueError.of(f"camera of {cameras or path}", f"0 to {count - 1}", camera, "choose another")
     for renderer in filter(None, renderers):
-        check_choice("renderer", renderer, method_names())
+        check_choice("renderer", renderer, RENDERERS)
 
 
 def jittered(camera: Camera, centre: torch.Tensor, *, seed: int) -> Camera:

@@ -256,10 +256,6 @@ def _picture(name: str, method: Method, scene: GaussianScene, camera: Camera) ->
     return picture
 
 
-def _differentiable(methods: Mapping[str, Method]) -> list[str]:
-    return [name for name, method in methods.items() if method.differentiable]
-
-
 def _agreement(
     scene: GaussianScene,
     cameras: Mapping[str, Camera],
@@ -267,14 +263,14 @@ def _agreement(
     config: CompareConfig,
     on_step: Callable[[str], None],
 ) -> dict[tuple[str, str], Agreement]:
+    differentiable = [name for name, method in methods.items() if method.differentiable]
     agreements: dict[tuple[str, str], Agreement] = {
-        names: {attribute: GradientAgreement() for attribute in ATTRIBUTES}
-        for names in combinations(_differentiable(methods), 2)
+        names: {attribute: GradientAgreement() for attribute in ATTRIBUTES} for names in combinations(differentiable, 2)
     }
     for number, (view, camera) in enumerate(cameras.items() if agreements else ()):
         weights = weighting(camera, config.seed + number)
         each = {}
-        for name in _differentiable(methods):
+        for name in differentiable:
             on_step(f"{name} from {view}: gradient")
             each[name] = gradients(methods[name].render, scene, camera, weights)
         for (first, second), by_attribute in agreements.items():

@@ -75,11 +75,6 @@ def register_method(name: str, make: MakeRender, *, differentiable: bool = True)
     RENDERERS.add(name, RendererSpec(make=make, differentiable=differentiable))
 
 
-def method_names() -> tuple[str, ...]:
-    """The renderers that are known by name."""
-    return tuple(RENDERERS)
-
-
 def load_methods(
     arguments: Sequence[str],
     settings: RenderSettings,

@@ -218,7 +218,8 @@ class Done:
     def content_of(self, pattern: str) -> str:
         """What stands for the files that fit a pattern, see `Job.part`; with the rows if it is `*`."""
         varies = self.record["varies"]
-        files = {n: s for n, s in self.record["files"].items() if fits(n, pattern) and not fits_any(n, varies)}
+        names = [n for n in self.record["files"] if fits(n, pattern) and not any(fits(n, other) for other in varies)]
+        files = {name: self.record["files"][name] for name in names}
         if pattern == ALL:
             return digest({"files": files, "rows": self.record["rows"]})
         if not files:
@@ -234,11 +235,6 @@ class Done:
 def fits(name: str, pattern: str) -> bool:
     """Whether the name of a file fits a pattern, whose `*` is of any depth."""
     return pattern in (ALL, name) or fnmatch.fnmatchcase(name, pattern)
-
-
-def fits_any(name: str, patterns: Sequence[str]) -> bool:
-    """Whether the name of a file fits one of some patterns."""
-    return any(fits(name, pattern) for pattern in patterns)
 
 
 class DiskFullError(MiSplatError):

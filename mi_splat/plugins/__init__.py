@@ -12,6 +12,8 @@ import importlib
 import os
 from typing import Any
 
+import mitsuba as mi
+
 from mi_splat.errors import InvalidValueError
 from mi_splat.mitsuba_setup import prepare_llvm
 
@@ -21,8 +23,6 @@ SUPPORTED_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 
 @functools.cache
 def _register_in(variant: str) -> None:
-    import mitsuba as mi
-
     from mi_splat.plugins import shape, tile
 
     @functools.cache
@@ -39,7 +39,6 @@ def _register_in(variant: str) -> None:
 @functools.cache
 def _refuse_in(variant: str) -> None:
     """Let the plugins say, in a variant without colours in RGB or without derivatives, which ones they need."""
-    import mitsuba as mi
 
     def refuse(props: Any) -> Any:
         expected, do = " or ".join(SUPPORTED_VARIANTS), f'call mi.set_variant("{SUPPORTED_VARIANTS[0]}") first'
@@ -60,13 +59,5 @@ def _on_variant(old: str | None, new: str | None) -> None:
         _refuse_in(new)
 
 
-@functools.cache
-def register() -> None:
-    """Register the plugins now and on every later change of variant; calls after the first do nothing."""
-    import mitsuba as mi
-
-    mi.detail.add_variant_callback(_on_variant)
-    _on_variant(None, mi.variant())
-
-
-register()
+mi.detail.add_variant_callback(_on_variant)
+_on_variant(None, mi.variant())

@@ -67,10 +67,6 @@ class MixedCache:
             self._surfaces = key, (arrays, shapes.others), _scene_of(shapes.others)
         return self._surfaces[2]
 
-    def clear(self) -> None:
-        """Drop what was prepared."""
-        self._splats = self._surfaces = None
-
 
 def _scene_of(shapes: list[Any]) -> Any:
     """A Mitsuba scene of shapes that belong to another one, which keep their names there."""

@@ -71,10 +71,6 @@ def integrator_class(variant: str) -> Any:
         def aov_names(self) -> list[str]:
             return ["alpha"] if self.alpha else []
 
-        def clear_cache(self) -> None:
-            """Drop what was prepared of the last scene."""
-            self._cache.clear()
-
         def _mixed(self, scene: Any) -> Mixed:
             shapes = GaussianShapes(scene, among="surfaces")
             if not self.linear and shapes.others:

@@ -58,11 +58,7 @@ _MITSUBA_TO_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 def is_pinhole(sensor: Any) -> bool:
     """Whether a sensor is a perspective one, of which `camera` can be had."""
-    return _has_lens(own_values(sensor))
-
-
-def _has_lens(values: dict[str, Any]) -> bool:
-    return all(name in values for name in _LENS)
+    return own_values(sensor).keys() >= {*_LENS}
 
 
 def identity(sensor: Any) -> tuple[tuple[Any, ...], list[Any]]:
@@ -88,7 +84,7 @@ def pinhole(sensor: Any, *, near: float, antialiased: bool = False) -> Pinhole:
 def camera(sensor: Any) -> Camera:
     """Our camera for a perspective sensor (of its crop window, if it has one)."""
     values = own_values(sensor)
-    if not _has_lens(values):
+    if not values.keys() >= {*_LENS}:
         what, do = f'sensor "{sensor.id()}"', "change its type to perspective"
         raise InvalidValueError.of(what, "a perspective sensor", sensor.class_name(), do)
     pose = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4) @ _MITSUBA_TO_OPENCV

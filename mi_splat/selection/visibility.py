@@ -63,11 +63,6 @@ def _checked(box: Box, camera: Camera) -> Box:
     return box
 
 
-def _painted(scene: GaussianScene, colours: Tensor, camera: Camera, render: RenderFn) -> Tensor:
-    """(H, W, 3) picture of a scene whose Gaussians have other colours, (N, 3), the same from everywhere."""
-    return render(GaussianScene.unchecked(*scene.tensors()[:4], colour_to_dc(colours)[:, None]), camera)[..., :3]
-
-
 def object_weight(scene: GaussianScene, rows: Tensor | slice, camera: Camera, render: RenderFn) -> Tensor:
     """How much of each pixel an object makes up: (H, W) in [0, 1], occlusion by the rest of the scene included.
 
@@ -77,8 +72,10 @@ def object_weight(scene: GaussianScene, rows: Tensor | slice, camera: Camera, re
     white = torch.zeros_like(scene.means)
     white[rows] = 1
     with torch.no_grad():
-        pictures = [_painted(scene, colours, camera, render) for colours in (white, torch.zeros_like(white))]
-    return (pictures[0] - pictures[1]).mean(-1).clamp(0, 1)
+        both = [colour_to_dc(colours)[:, None] for colours in (white, torch.zeros_like(white))]
+        scenes = [GaussianScene.unchecked(*scene.tensors()[:4], sh) for sh in both]
+        shown, hidden = (render(painted, camera)[..., :3] for painted in scenes)
+    return (shown - hidden).mean(-1).clamp(0, 1)
 
 
 def pixel_weights(scene: GaussianScene, camera: Camera, pixel: tuple[int, int], render: RenderFn) -> Tensor:

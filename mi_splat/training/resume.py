@@ -235,7 +235,15 @@ def train(
 def _resumed(folder: Path, config: FitConfig, *, seed: int, digest: str, settings: Mapping[str, object]) -> TrainState:
     """The run that was stopped in a folder; it may go on to more iterations than it began with."""
     state, threads = load_state(folder / CHECKPOINT)
-    _check_same(state, config, seed, digest, settings, folder)
+    if state.data_digest != digest:
+        do = "pass those that it began with, held-out ones included, or train in another folder"
+        raise CheckpointError.of(str(folder), "a run on the same pictures and start", "one on others", do)
+    shorter = dataclasses.replace(config, iterations=min(config.iterations, state.config.iterations))
+    old = {**to_json(state.config), "seed": state.seed, **state.settings}
+    new = {**to_json(shorter), "seed": seed, **{key: settings.get(key) for key in state.settings}}
+    if differs := ", ".join(f"{key} {old[key]} and not {new[key]}" for key in old if old[key] != new[key]):
+        do = "use those, or train in another folder"
+        raise CheckpointError.of(str(folder), f"a run with {differs}", "another", do)
     state.config = config
     if threads != torch.get_num_threads():
         now = torch.get_num_threads()
@@ -262,21 +270,6 @@ def _digest(start: GaussianScene, *sets: Sequence[View]) -> str:
             for view in views:
                 total.update(view.image.detach().to("cpu", torch.float32).contiguous().numpy().tobytes())
     return total.hexdigest()
-
-
-def _check_same(
-    state: TrainState, config: FitConfig, seed: int, data: str, settings: Mapping[str, object], folder: Path
-) -> None:
-    """Raise unless a run may go on with these; it may do so with more iterations than it began with."""
-    if state.data_digest != data:
-        do = "pass those that it began with, held-out ones included, or train in another folder"
-        raise CheckpointError.of(str(folder), "a run on the same pictures and start", "one on others", do)
-    config = dataclasses.replace(config, iterations=min(config.iterations, state.config.iterations))
-    old = {**to_json(state.config), "seed": state.seed, **state.settings}
-    new = {**to_json(config), "seed": seed, **{key: settings.get(key) for key in state.settings}}
-    if differs := ", ".join(f"{key} {old[key]} and not {new[key]}" for key in old if old[key] != new[key]):
-        do = "use those, or train in another folder"
-        raise CheckpointError.of(str(folder), f"a run with {differs}", "another", do)
 
 
 def _figures(fit: Fit, held_out: int) -> dict[str, object]:

@@ -145,10 +145,8 @@ def _values(prim: Any, name: str, moment: Any, kind: str, width: int) -> NDArray
         attribute = prim.GetAttribute(full)
         if not attribute or not attribute.HasAuthoredValue():
             continue
-        value, wanted = (
-            attribute.Get(moment),
-            f"{kind}{ending}Array" if kind else {"f": "FloatArray", "h": "HalfArray"}[ending],
-        )
+        value = attribute.Get(moment)
+        wanted = f"{kind}{ending}Array" if kind else {"f": "FloatArray", "h": "HalfArray"}[ending]
         if type(value).__name__ != wanted:
             got = f"{type(value).__name__} in {prim.GetPath()}"
             raise RefusedError(f"{full} as {wanted}", got, "export it again")
