@@ -7,7 +7,7 @@ seams and no stretched texels.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -299,6 +299,4 @@ def grounded(meshes: Sequence[Mesh]) -> tuple[Mesh, ...]:
     points = np.concatenate([mesh.vertices for mesh in meshes])
     low, high = points.min(0), points.max(0)
     shift = np.array([-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]], np.float32)
-    return tuple(
-        Mesh(mesh.vertices + shift, mesh.faces, mesh.uvs, mesh.texture, mesh.roughness, mesh.smooth) for mesh in meshes
-    )
+    return tuple(replace(mesh, vertices=mesh.vertices + shift) for mesh in meshes)

@@ -98,20 +98,13 @@ def loft(
     return join(*parts)
 
 
-def lathe(
-    profile: ArrayLike,
-    colour: ArrayLike,
-    *,
-    segments: int = 24,
-    roughness: float | None = None,
-    smooth: bool = True,
-) -> Mesh:
+def lathe(profile: ArrayLike, colour: ArrayLike, *, segments: int = 24, roughness: float | None = None) -> Mesh:
     """A body of revolution about z from a (P, 2) profile of (radius, z), from the bottom up along the outside."""
     radius, z = np.asarray(profile, np.float64).T
     angle = 2 * np.pi * np.arange(segments) / segments
     ring = np.stack([np.cos(angle), np.sin(angle)], -1)
     rings = [at_height(r * ring, height) for r, height in zip(radius, z, strict=True)]
-    return loft(rings, colour, roughness=roughness, smooth=smooth)
+    return loft(rings, colour, roughness=roughness)
 
 
 def sweep(
@@ -122,7 +115,6 @@ def sweep(
     segments: int = 12,
     up: Sequence[float] = (0.0, 0.0, 1.0),
     roughness: float | None = None,
-    smooth: bool = True,
 ) -> Mesh:
     """A tube along an (n, 3) polyline with closed ends."""
     points = np.asarray(path, np.float64)
@@ -141,7 +133,7 @@ def sweep(
         + (size[:, 0, None] * np.cos(angle))[..., None] * first[:, None]
         + (size[:, 1, None] * np.sin(angle))[..., None] * second[:, None]
     )
-    return loft(rings, colour, roughness=roughness, smooth=smooth)
+    return loft(rings, colour, roughness=roughness)
 
 
 def ellipsoid(
@@ -160,14 +152,7 @@ def ellipsoid(
     return transform(ball, translation(*centre) @ scaling(*size))
 
 
-def extrude(
-    polygon: ArrayLike,
-    depth: float,
-    colour: ArrayLike,
-    *,
-    roughness: float | None = None,
-    smooth: bool = False,
-) -> Mesh:
+def extrude(polygon: ArrayLike, depth: float, colour: ArrayLike, *, roughness: float | None = None) -> Mesh:
     """A prism over a simple (P, 2) polygon (concave allowed) in the x-y plane, from z = 0 to `depth`."""
     outline = np.asarray(polygon, np.float64)
     x, y = outline.T
@@ -181,7 +166,7 @@ def extrude(
     sides = np.concatenate([np.stack([i, j, j + count], 1), np.stack([i, j + count, i + count], 1)])
     ends = triangulate(outline)
     faces = np.concatenate([sides, ends[:, ::-1] + 2 * count, ends + 3 * count])
-    return _mesh(np.concatenate(levels * 2), faces, np.tile(uvs, (4, 1)), colour, roughness, smooth)
+    return _mesh(np.concatenate(levels * 2), faces, np.tile(uvs, (4, 1)), colour, roughness, False)
 
 
 Points = NDArray[np.float64]

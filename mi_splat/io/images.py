@@ -64,22 +64,14 @@ def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: floa
     if not is_animation(path):
         do = "end it in .gif or .webp"
         raise InvalidValueError.of(str(path), "the name of an animation", path.suffix or "no ending", do)
-    write = _gif if path.suffix.lower() == ".gif" else _webp
-    save_bytes(write(frames, fps), path)
-
-
-def _gif(frames: Sequence[NDArray[np.uint8]], fps: float) -> bytes:
-    first, *rest = (Image.fromarray(frame).quantize(256, dither=Image.Dither.FLOYDSTEINBERG) for frame in frames)
-    buffer = io.BytesIO()
-    first.save(buffer, format="GIF", save_all=True, append_images=rest, duration=1000 / fps, loop=0)
-    return buffer.getvalue()
-
-
-def _webp(frames: Sequence[NDArray[np.uint8]], fps: float) -> bytes:
     first, *rest = map(Image.fromarray, frames)
-    buffer, duration = io.BytesIO(), round(1000 / fps)
-    first.save(buffer, "WEBP", save_all=True, append_images=rest, duration=duration, loop=0, quality=_WEBP_QUALITY)
-    return buffer.getvalue()
+    options: dict[str, float] = {"duration": round(1000 / fps), "quality": _WEBP_QUALITY}
+    if path.suffix.lower() == ".gif":
+        first, *rest = (image.quantize(256, dither=Image.Dither.FLOYDSTEINBERG) for image in (first, *rest))
+        options = {"duration": 1000 / fps}
+    buffer = io.BytesIO()
+    first.save(buffer, path.suffix[1:], save_all=True, append_images=rest, loop=0, **options)
+    save_bytes(buffer.getvalue(), path)
 
 
 def quantise(image: Tensor) -> Tensor:

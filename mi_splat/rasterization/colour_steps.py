@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mi_splat.rasterization.frozen import aligned, buffer, run
+from mi_splat.rasterization.layouts import rows_of
 from mi_splat.rasterization.weights import GROUP, PIXELS, FrozenPairs
 
 
@@ -29,7 +30,7 @@ def gradient_of(frozen: FrozenPairs, terms: int, colours: Any, grad_picture: Any
 def colour_forward(terms: int, sh: Any, frozen: FrozenPairs, colours: Any) -> Any:
     """Blend the free Gaussians' colours over the constant part of the picture."""
     column = frozen.columns
-    row, basis = _rows(sh, column, 3 * terms), _basis(frozen, terms)
+    row, basis = rows_of(sh, column, 3 * terms), _basis(frozen, terms)
     values = []
     for c in range(3):
         total = mi.Float(0.5)
@@ -40,8 +41,8 @@ def colour_forward(terms: int, sh: Any, frozen: FrozenPairs, colours: Any) -> An
     dr.eval(colours)
 
     def body(pair: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
-        colour = _rows(colours, dr.gather(mi.UInt32, frozen.pairs[0], pair), 4)
-        weights = _rows(frozen.weights, pair, PIXELS)
+        colour = rows_of(colours, dr.gather(mi.UInt32, frozen.pairs[0], pair), 4)
+        weights = rows_of(frozen.weights, pair, PIXELS)
         return pair + GROUP, [dr.fma(weights[k // 3], colour[k % 3], total) for k, total in enumerate(sums)]
 
     start, stop = frozen.ranges
@@ -61,10 +62,10 @@ def colour_backward(terms: int, grad_picture: Any, frozen: FrozenPairs, colours:
     """Gradient of SH from that of the picture. Each pair sums into its own row: no atomics, one order."""
     dr.scatter(frozen.gradients, grad_picture, frozen.where)
     dr.eval(frozen.gradients)
-    gradient = _rows(frozen.gradients, frozen.slots, 4 * PIXELS)
+    gradient = rows_of(frozen.gradients, frozen.slots, 4 * PIXELS)
 
     def body(pair: Any) -> tuple[Any]:
-        weights = _rows(frozen.weights, pair, PIXELS)
+        weights = rows_of(frozen.weights, pair, PIXELS)
         totals = [weights[0] * gradient[c] for c in range(3)]
         for p in range(1, PIXELS):
             totals = [dr.fma(weights[p], gradient[4 * p + c], totals[c]) for c in range(3)]
@@ -77,23 +78,19 @@ def colour_backward(terms: int, grad_picture: Any, frozen: FrozenPairs, colours:
     dr.eval(frozen.sums)
 
     def add(row: Any, totals: list[Any]) -> tuple[Any, list[Any]]:
-        values = _rows(frozen.sums, row, 4)
+        values = rows_of(frozen.sums, row, 4)
         return row + 1, [totals[c] + values[c] for c in range(3)]
 
     first, last = frozen.rows
     zeros = [mi.Float(0) for _ in range(3)]
     _, totals = dr.while_loop((mi.UInt32(first), zeros), lambda row, _: row < last, add, label="sum of colours")
-    colour, basis = _rows(colours, frozen.columns, 4), _basis(frozen, terms)
+    colour, basis = rows_of(colours, frozen.columns, 4), _basis(frozen, terms)
     totals = [dr.select(colour[c] > 0.0, totals[c], 0.0) for c in range(3)]
     dr.scatter(grad_sh, mi.ArrayXf([basis[k] * totals[c] for k in range(terms) for c in range(3)]), frozen.columns)
     dr.eval(grad_sh)
 
 
-def _rows(array: Any, index: Any, width: int) -> Any:
-    return dr.gather(mi.ArrayXf, array, index, shape=(width, dr.width(index)))
-
-
 def _basis(frozen: FrozenPairs, terms: int) -> Any:
     """The SH basis functions of each free Gaussian."""
-    x, y, z, _ = _rows(frozen.directions, frozen.columns, 4)
+    x, y, z, _ = rows_of(frozen.directions, frozen.columns, 4)
     return dr.sh_eval(mi.Vector3f(x, y, z), math.isqrt(terms) - 1)

@@ -21,11 +21,11 @@ class Layout:
         """From arrays, UInt32 rows, number of SH terms."""
         *geometry, opacities, sh = arrays
         if len(geometry) == 1:
-            row = _rows(geometry[0], index, 10)
+            row = rows_of(geometry[0], index, 10)
             mean, scale, rotation = row[0:3], row[3:6], [row[9], *row[6:9]]
         else:
-            mean, scale, rotation = (_rows(array, index, k) for array, k in zip(geometry, (3, 3, 4), strict=True))
-        coefficients = _rows(sh, index, 3 * terms)
+            mean, scale, rotation = (rows_of(array, index, k) for array, k in zip(geometry, (3, 3, 4), strict=True))
+        coefficients = rows_of(sh, index, 3 * terms)
         return Gaussians(
             mean=mi.Point3f(*mean),
             scale=mi.Vector3f(*scale),
@@ -46,7 +46,8 @@ class Layout:
             dr.scatter(array, mi.ArrayXf(row), index)
 
 
-def _rows(array: Any, index: Any, width: int) -> Any:
+def rows_of(array: Any, index: Any, width: int) -> Any:
+    """ArrayXf, rows of so many numbers each of a flat array."""
     return dr.gather(mi.ArrayXf, array, index, shape=(width, dr.width(index)))
 
 
