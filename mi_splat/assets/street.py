@@ -107,7 +107,7 @@ def _row(rng: np.random.Generator, out: float, front: float, verge: float) -> li
     return parts
 
 
-def build(seed: int = 0, *, clearance: float = 6.0) -> Asset:
+def build(seed: int = 0, *, clearance: float = 6.0, centre: float = 0.0) -> Asset:
     """A street along x; the origin is the middle of its right-hand lane, houses stand on both sides."""
     rng = np.random.default_rng([seed, 0x57])
     lane = rng.uniform(3.2, 3.8)
@@ -125,7 +125,7 @@ def build(seed: int = 0, *, clearance: float = 6.0) -> Asset:
         parts += _row(rng, out, edge + out * (walk + verge + 2.5), edge + out * (walk + verge * 0.6))
         for x in np.arange(-REACH * 0.8, REACH * 0.8, 17.0):
             foot = (x + rng.uniform(3, 8), edge + out * 0.5)
-            if np.hypot(*foot) > clearance + 1.5:
+            if np.hypot(foot[0] - centre, foot[1]) > clearance + 1.5:
                 parts += stood(lamp(rng), *foot, 180.0 if out > 0 else 0.0)
     return Asset("street", tuple(parts))
 

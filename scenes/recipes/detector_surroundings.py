@@ -117,7 +117,7 @@ def clutter(rng: Generator, size: float) -> Mesh:
     else:
         top = width / 2 if kind == 2 else width * rng.uniform(0, 0.3)
         profile = [(0, 0), (width / 2, 0), (top, height), (0, height)]
-        mesh = lathe(profile, pattern(rng), segments=16, roughness=roughness, smooth=True)
+        mesh = lathe(profile, pattern(rng), segments=16, roughness=roughness)
     return transform(mesh, rotation("z", float(rng.uniform(0, 360))))
 
 
