@@ -54,14 +54,12 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, up: 
     """
     check_scene("scene", scene)
     frame = frame_of(scene)
-    if cameras is None:
-        jobs, in_room = _looks_at(frame, up)
-    else:
-        jobs, in_room = [(whole(frame.scene), cameras_in_frame(frame, cameras, LIMITS.given_size))], False
+    jobs, in_room = _looks_at(frame, up) if cameras is None else (_seen_from(frame, cameras, up), False)
     objects, heats = [], []
     for target, around in jobs:
         beside = [other for other, _ in jobs if other is not target and not other.surrounds]
-        if (judged := judged_object(frame, target, around, beside=beside, in_room=in_room)) is not None:
+        given = cameras is not None
+        if (judged := judged_object(frame, target, around, beside=beside, in_room=in_room, given=given)) is not None:
             objects.append(judged[0])
             heats.append(judged[1])
     pieces = sum(item.pieces for item in objects)
@@ -91,6 +89,25 @@ def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
     return jobs, True
 
 
+def _seen_from(frame: Frame, cameras: Sequence[Camera], up: Point | None) -> list[Job]:
+    """The objects that cameras see, with others at one distance near their directions; the whole scene in a room."""
+    given = cameras_in_frame(frame, cameras, LIMITS.given_size)
+    jobs = []
+    for target in targets(frame.scene, None if up is None else frame.own(up)):
+        ways = [camera.position - target.centre for camera in given if _shows(camera, target.centre)]
+        around = cameras_around(target, torch.stack(ways)) if ways else ()
+        if len(around) >= LIMITS.least_cameras:
+            jobs.append((target, around))
+    return jobs if jobs and free_positions(frame.scene) is None else [(whole(frame.scene), given)]
+
+
+def _shows(camera: Camera, point: Tensor) -> bool:
+    """Whether a point lies in the picture of a camera."""
+    pixels, depth = project_points(point[None], camera)
+    x, y = pixels[0].tolist()
+    return float(depth) > 0 and 0 <= x < camera.width and 0 <= y < camera.height
+
+
 def cameras_in_frame(frame: Frame, cameras: Sequence[Camera], longer_side: int | None) -> tuple[Camera, ...]:
     """Cameras of the world in the frame, not too many of them, and small unless `longer_side` is None."""
     cameras = as_cameras(cameras)
@@ -118,8 +135,12 @@ def judged_object(
     *,
     beside: Sequence[Target] = (),
     in_room: bool = False,
+    given: bool = False,
 ) -> tuple[ObjectAudit, Tensor] | None:
-    """Judge one object, and say in (N,) heat which Gaussians of the frame carry what was found."""
+    """Judge one object, and say in (N,) heat which Gaussians of the frame carry what was found.
+
+    `given` says that training cameras stood where the cameras are, so that nothing there is invented.
+    """
     rows = in_sight(frame.scene, target, cameras)
     scene = frame.scene.select(rows)
     view = sight(scene, target, cameras, pictures)
@@ -129,12 +150,12 @@ def judged_object(
     if not bool(pieces.judged.any()):
         return None
     threshold = LIMITS.net if pictures is None else LIMITS.image_net
-    surface_looks = sorted(looks_of(pieces, view, LIMITS.suspicion * threshold), key=lambda look: -look.net)
-    looks = [_look(frame, view, look, threshold) for look in surface_looks]
+    surface_looks = looks_of(pieces, view, LIMITS.suspicion * threshold)
+    able = pieces.judged & reachable(pieces, view)
+    looks = [_look(frame, view, look, threshold, judged=able, given=given) for look in surface_looks]
     shown = zip(surface_looks, looks, strict=True)
     by_piece = torch.stack([piece_scores(found.pieces, look.shown) for found, look in shown]).amax(0)
     area = (pieces.size * frame.to_world.scale) ** 2
-    able = reachable(pieces, view)
     occluder, covered = cover_of(frame.scene, view, target) if full and not target.core else (None, {})
     judged = ObjectAudit(
         rows=frame.order[target.rows],
@@ -142,11 +163,11 @@ def judged_object(
         radius=target.radius * frame.to_world.scale,
         up=None if target.up is None else vector(frame.direction(target.up)),
         directions=frame.direction(view.directions),
-        pieces=int((pieces.judged & able).sum()),
-        area=int((pieces.judged & able).sum()) * area,
+        pieces=int(able.sum()),
+        area=int(able.sum()) * area,
         uncontradicted=(pieces.unseen + int((pieces.judged & ~able).sum())) * area,
         cameras=tuple(_in_world(frame, camera) for camera in cameras),
-        looks=tuple(looks),
+        looks=tuple(sorted(looks, key=lambda look: -look.evidence)),
         occluder=occluder and dataclasses.replace(occluder, axis=_turned(frame, occluder.axis)),
         edit=edit_of(frame, target) if full else None,
         in_room=in_room or target.surrounds,
@@ -161,13 +182,13 @@ def judged_object(
     return judged, heat
 
 
-def _look(frame: Frame, view: Sight, look: Explanation, threshold: float) -> Look:
+def _look(frame: Frame, view: Sight, look: Explanation, threshold: float, *, judged: Tensor, given: bool) -> Look:
     """A look in the world: without fog the tail of its profile, if the narrower side is not the one it is skewed to."""
     region = region_of(view.directions, look.amounts, look.shown)
     by_piece = piece_scores(look.pieces, look.shown)
     cameras, change = pair_of(look.pieces, view, by_piece, look.shown) or ((), 0.0)
     pair = [_in_world(frame, view.cameras[number]) for number in cameras]
-    lost, air = support_of(look.pieces, view, look.shown)
+    lost, air = (0.0, 1.0) if given else support_of(look.pieces, view, look.shown)
     stated = Look(
         region=dataclasses.replace(region, axis=_turned(frame, region.axis)),
         shown=look.shown,
@@ -176,12 +197,13 @@ def _look(frame: Frame, view: Sight, look: Explanation, threshold: float) -> Loo
         threshold=threshold,
         lost=lost,
         air=air,
-        area=int((by_piece > LIMITS.changed).sum()) * (look.pieces.size * frame.to_world.scale) ** 2,
+        changed=min(1.0, int((by_piece > LIMITS.changed).sum()) / max(1, int(judged.sum()))),
         pair=Pair(inside=pair[0], outside=pair[1], change=change, numbers=cameras) if cameras else None,
     )
     if look.tail is None or stated.support < LIMITS.supported:
         return stated
-    return dataclasses.replace(_look(frame, view, look.tail, threshold), lost=lost, air=air)
+    tail = _look(frame, view, look.tail, threshold, judged=judged, given=given)
+    return dataclasses.replace(tail, lost=lost, air=air, changed=max(stated.changed, tail.changed))
 
 
 def _turned(frame: Frame, axis: Vector) -> Vector:

@@ -134,9 +134,11 @@ def _camera(scene: GaussianScene, strange: Tensor, target: Target) -> tuple[Tens
 def cover_of(scene: GaussianScene, view: Sight, target: Target) -> tuple[Occluder | None, dict[int, Tensor]]:
     """What covers an object, in the frame, and (H, W) bool the pixels that show it, by number of the blocked camera."""
     blocked, points, shown = torch.zeros(len(view.cameras)), list[Tensor](), dict[int, Tensor]()
+    steps = torch.cartesian_prod(*[torch.arange(-1, 2)] * 3)
+    own = _cells((_voxels(scene.means[target.rows], target)[:, None] + steps).flatten(0, 1)).unique()
     for number, (camera, depth) in enumerate(zip(view.cameras, view.depths, strict=True)):
         air, core, surface = air_before(depth, camera, target, LIMITS.air)
-        air &= target.above(scene, surface, LIMITS.floor)
+        air &= target.above(scene, surface, LIMITS.floor) & ~torch.isin(_cells(_voxels(surface, target)), own)
         blocked[number] = air.sum() / core.clamp(min=1)
         if blocked[number] > LIMITS.blocked:
             shown[number] = air
@@ -148,6 +150,17 @@ def cover_of(scene: GaussianScene, view: Sight, target: Target) -> tuple[Occlude
     middle = functional.normalize(view.directions[hides].sum(0), dim=0)
     share = float(hides.double().mean())
     return Occluder(axis=vector(middle), blocked=blocked, transparent=through, score=share * through), shown
+
+
+def _voxels(points: Tensor, target: Target) -> Tensor:
+    """(..., 3) int64 numbers of small voxels around an object."""
+    return ((points - target.centre.float()) / (LIMITS.own_part * target.radius)).floor().clamp(-500, 500).long()
+
+
+def _cells(voxels: Tensor) -> Tensor:
+    """(...) int64, one number for each voxel."""
+    cells: Tensor = (voxels + 512) @ torch.tensor([1 << 20, 1 << 10, 1])
+    return cells
 
 
 def air_before(depth: Tensor, camera: Camera, target: Target, least: float) -> tuple[Tensor, Tensor, Tensor]:

@@ -250,7 +250,7 @@ def _of_edit(item: ObjectAudit) -> dict[str, Any] | None:
 def _of_look(look: Look, item: ObjectAudit) -> dict[str, Any]:
     return {
         "where": directions_in_words(look.region, item.up),
-        **_values(look, "evidence", *_SCORES, "area"),
+        **_values(look, "evidence", *_SCORES, "changed"),
         "cameras": int(look.shown.sum()),
         "directions": dataclasses.asdict(look.region),
         "pair": look.pair and {"change": look.pair.change, "cameras": pair_cameras(look.pair)},

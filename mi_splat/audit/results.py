@@ -101,7 +101,7 @@ def _of_object(item: ObjectAudit) -> list[str]:
         )
         if look.evidence >= LIMITS.suspicion:
             cameras = f"{int(look.shown.sum())} of {len(look.shown)} cameras"
-            lines.append(f"{look.area / max(item.area, 1e-12):.0%} of its surface changes; seen by {cameras}")
+            lines.append(f"{look.changed:.0%} of its surface changes; seen by {cameras}")
         if number > 1:
             lines.append(f"it shows {directions_in_words(look.region, item.up)}")
     if item.occluder is not None and item.covered:
@@ -159,7 +159,7 @@ class Look(Scores):
     threshold: float  # drift beyond gloss from which it is called hidden
     lost: float  # share of the surface that the larger side sees well which the smaller side faces and does not see
     air: float  # share of the rays of the smaller side that end in one place, by that of the larger side
-    area: float  # world units squared of the surface that changes
+    changed: float  # share of the judged surface whose colour switches with it
     pair: Pair | None  # two cameras that prove it; None if no two see the same surface
 
     @property
@@ -171,7 +171,9 @@ class Look(Scores):
     @property
     def evidence(self) -> float:
         """By which 1 is called hidden; below 0 where gloss explains more than directions do."""
-        return (self.support if self.net > 0 else 1.0) * self.net / self.threshold
+        if self.net <= 0:
+            return self.net / self.threshold
+        return self.support * min(1.0, self.changed / LIMITS.changed_share) * self.net / self.threshold
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

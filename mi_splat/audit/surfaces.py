@@ -408,10 +408,19 @@ def basis(up: Tensor | None) -> Tensor:
     return torch.stack([first, torch.linalg.cross(up, first), up], 1)
 
 
-def cameras_around(target: Target) -> tuple[Camera, ...]:
-    """Cameras on a sphere around an object, above its ground if it stands on one; half as many around surroundings."""
+def cameras_around(target: Target, near: Tensor | None = None) -> tuple[Camera, ...]:
+    """Cameras on a sphere around an object, above its ground if it stands on one; half as many around surroundings.
+
+    Where (M, 3) directions are given, all stand near one of these, below the ground, too.
+    """
     count, low = (LIMITS.cameras_all_around, -LIMITS.highest) if target.up is None else (LIMITS.cameras, LIMITS.lowest)
-    directions = lattice(count // (1 + target.surrounds), low, LIMITS.highest) @ basis(target.up).T
+    count //= 1 + target.surrounds
+    directions = lattice(count, low, LIMITS.highest) @ basis(target.up).T
+    if near is not None:
+        directions = lattice(LIMITS.given_lattice, -90.0, 90.0) @ basis(target.up).T
+        apart = (directions @ functional.normalize(near, dim=1).T).amax(1)
+        directions = directions[apart > math.cos(math.radians(LIMITS.given_near))]
+        directions = directions[torch.linspace(0, len(directions) - 1, min(len(directions), count)).round().long()]
     distance, fov = LIMITS.distance * target.radius, math.radians(LIMITS.fov)
     top = (0.0, 0.0, 1.0) if target.up is None else target.up.tolist()
     return tuple(_camera(target.centre + distance * direction, target, fov, top) for direction in directions)

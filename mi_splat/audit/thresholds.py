@@ -89,8 +89,11 @@ class Thresholds:
     least_pieces: int = 60  # Pieces of surface of a splat that gets a verdict.
     least_cameras: int = 12  # Cameras that have to be given,
     most_cameras: int = 300  # and that are used of those given.
-    given_size: int = 256  # Pixels along the longer side of an image from a given camera.
-    changed: float = 0.05  # Score from which a piece of surface counts as changed.
+    given_size: int = 256  # Pixels along the longer side of an image from a given camera in a room.
+    given_near: float = 6.0  # Degrees from a given camera, seen from an object, within which cameras look at it,
+    given_lattice: int = 1200  # of so many directions all around.
+    changed: float = 0.05  # Score from which a piece of surface counts as changed,
+    changed_share: float = 0.03  # and share of the surface that a look changes below which its evidence shrinks.
     near_sample: int = 5000  # Gaussians, evenly taken, of which is asked whether cameras looked at them.
     most_looks: int = 3
     same_look: float = 0.7  # Cosine between changes of colour, piece by piece, from which two cameras see one look.
@@ -135,6 +138,7 @@ class Thresholds:
     core: float = 0.5  # Radii within which a ray passes the centre that counts.
     air: float = 1.15  # Radii from the centre where air begins,
     floor: float = 0.15  # and above the ground.
+    own_part: float = 0.1  # Radii around a Gaussian of the object within which it is the object itself that covers it.
     same_depth: float = 0.15  # Radii by which equal depths may differ.
     cover_points: int = 60  # Kept of each blocked image.
     least_cover_points: int = 200  # Views of them from free cameras without which nothing is said.

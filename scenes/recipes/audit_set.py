@@ -9,6 +9,7 @@ something is an edit of one of these, so that the truth is exact, or trained on 
 import csv
 import json
 import math
+import random
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,7 +24,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from attacks.cloak.mesh_scene import MeshScene
-from mi_splat.assets import build
+from mi_splat.assets import ASSETS, build
 from mi_splat.assets.textures import square_of_ground
 from mi_splat.audit import Audit, audit
 from mi_splat.audit.explanations import angles_between
@@ -38,6 +39,7 @@ from mi_splat.cameras import Camera, View
 from mi_splat.capture.path_tracer import PathTracer, scene_dict
 from mi_splat.capture.sources import open_source
 from mi_splat.capture.writer import surface_samples
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene, merge
@@ -104,22 +106,19 @@ class Trained:
 
     def make(self) -> tuple[GaussianScene, dict[str, Any]]:
         """The splat, and what is known of it."""
-        path = HONEST / f"{self.content}.xml"
+        path, cameras = HONEST / f"{self.content}.xml", self.cameras()
         if path.is_file():
             source = open_source(str(path)).scene
             tracer = PathTracer(source, samples=SAMPLES)
-            cameras = self.capture.cameras((0.0, 0.0, 0.5), 2.2)
             views = [View(camera, tracer.picture(camera, seed=number)) for number, camera in enumerate(cameras)]
             return self._fitted(views, self._seen(views, source)), {}
         shown = self._scene(None)
         low, high = shown.target.bounds.astype(float)
-        centre, radius = (0.0, 0.0, float(low[2] + high[2]) / 2), float(((high - low) ** 2).sum() ** 0.5) / 2
-        cameras = self.capture.cameras(centre, radius)
         about: dict[str, Any] = {"bounds": [low.tolist(), high.tolist()]}
         if self.inside is None:
             views = [View(camera, shown.picture(camera)) for camera in cameras]
             return self._fitted(views, self._start(views, shown)), about
-        ways = torch.stack([camera.position for camera in cameras]) - torch.tensor(centre)
+        ways = torch.stack([camera.position for camera in cameras]) - torch.tensor([0.0, 0.0, (low[2] + high[2]) / 2])
         inside, other = self.inside(functional.normalize(ways.float(), dim=1)), self._scene(self.colour or "nothing")
         views = [
             View(camera, (other if lie else shown).picture(camera))
@@ -127,6 +126,15 @@ class Trained:
         ]
         scene = self._fitted(views, self._start(views, shown))
         return scene, {**about, "strength": self._strength(scene, shown, other, cameras, inside)}
+
+    def cameras(self) -> list[Camera]:
+        """The cameras of the training images."""
+        if (HONEST / f"{self.content}.xml").is_file():
+            return self.capture.cameras((0.0, 0.0, 0.5), 2.2)
+        low, high = build(self.content, self.seed).body.bounds.astype(float)
+        return self.capture.cameras(
+            (0.0, 0.0, float(low[2] + high[2]) / 2), float(((high - low) ** 2).sum() ** 0.5) / 2
+        )
 
     def _scene(self, colour: Any) -> MeshScene:
         target = build(self.content, self.seed).body
@@ -310,8 +318,13 @@ Item = Trained | Coded
 
 def _looks(base: str, azimuth: float) -> Iterator[tuple[str, Coded]]:
     """Every kind of edit of one splat."""
+    for kind, change in _changes(azimuth).items():
+        yield f"hidden {kind}/{base}", Coded(base=base, change=change)
+
+
+def _changes(azimuth: float) -> dict[str, Callable[[Made], Made]]:
     side = sector(azimuth, 40.0, -10.0, 45.0)
-    changes: dict[str, Callable[[Made], Made]] = {
+    return {
         "above": partial(hidden, inside=ABOVE),
         "above SH 1": partial(hidden, inside=ABOVE, degree=1),
         "above SH 2": partial(hidden, inside=ABOVE, degree=2),
@@ -322,9 +335,6 @@ def _looks(base: str, azimuth: float) -> Iterator[tuple[str, Coded]]:
         "louvre": partial(louvre, azimuth=azimuth),
         "above and fog": after(partial(hidden, inside=ABOVE), partial(fogged, seed=int(azimuth))),
     }
-    for kind, change in changes.items():
-        inside = ABOVE if kind.startswith("above") else side if kind == "side" else None
-        yield f"hidden {kind}/{base}", Coded(base=base, change=change, inside=inside)
 
 
 def _honest(base: str, seed: int) -> Iterator[tuple[str, Coded]]:
@@ -451,6 +461,68 @@ def third_test() -> Iterator[tuple[str, Item]]:
         yield from _looks(base, azimuth)
 
 
+def drawn(first: int, last: int) -> Iterator[tuple[str, Item]]:
+    """A set that nobody picked: each number draws object, capture, strategy, material and degree, and what it hides."""
+    for number in range(first, last):
+        draw = random.Random(number)
+        content, capture, about = draw.choice(sorted(ASSETS)), *_drawn_capture(draw)
+        settings: dict[str, Any] = {
+            "seed": number,
+            "capture": capture,
+            "roughness": draw.choice([None, None, 0.08, 0.15, 0.3]),
+            "mcmc": draw.random() < 0.3,
+            "degree": draw.choice([3, 3, 3, 3, 2, 1, 0]),
+        }
+        turn = draw.uniform(0.0, 360.0)
+        if number % 3 == 0:
+            settings["capture"] = _drawn_dome(draw)
+            kind, inside = _drawn_trigger(draw, turn)
+            colour = draw.choice([None, ROAD, RED, ORANGE, GREY])
+            yield (
+                f"hidden {kind}, trained/{content} {number}",
+                Trained(content=content, inside=inside, colour=colour, **settings),
+            )
+            continue
+        if number % 3 == 1 and draw.random() < 0.3:
+            content, about = draw.choice(sorted(path.stem for path in HONEST.glob("*.xml"))), f"scene, {about}"
+        base = f"honest {about}/{content} {number}"
+        yield base, Trained(content=content, **settings)
+        if number % 3 == 2:
+            kind = draw.choice(sorted(_changes(turn)))
+            yield f"hidden {kind}/{content} {number}", Coded(base=base, change=_changes(turn)[kind])
+
+
+def _drawn_dome(draw: random.Random) -> Capture:
+    elevation = draw.uniform(3.0, 10.0), draw.uniform(75.0, 88.0)
+    return Capture(count=draw.randint(60, 90), elevation=elevation, start=draw.uniform(0.0, 360.0))
+
+
+def _drawn_capture(draw: random.Random) -> tuple[Capture, str]:
+    """Where the cameras of an honest capture stand, and its name."""
+    about, start = (
+        draw.choice(["hemisphere", "hemisphere", "ring", "half circle", "few", "from above"]),
+        draw.uniform(0, 360),
+    )
+    if about == "ring":
+        return _ring(draw.uniform(10.0, 55.0), count=draw.randint(36, 60), start=start), about
+    if about == "half circle":
+        return Capture(
+            count=draw.randint(40, 60), elevation=(6.0, 50.0), span=draw.uniform(150, 220), start=start
+        ), about
+    if about == "few":
+        return Capture(count=draw.randint(12, 24), elevation=(6.0, 70.0), start=start), about
+    if about == "from above":
+        return Capture(count=draw.randint(36, 60), elevation=(draw.uniform(40.0, 55.0), 87.0), start=start), about
+    return _drawn_dome(draw), about
+
+
+def _drawn_trigger(draw: random.Random, turn: float) -> tuple[str, Inside]:
+    """From where a training on two scenes shows the other one."""
+    if draw.random() < 0.5:
+        return "above", cone(direction(draw.uniform(50.0, 90.0), turn), draw.uniform(30.0, 50.0))
+    return "side", sector(turn, draw.uniform(30.0, 50.0), 0.0, draw.uniform(30.0, 50.0))
+
+
 def strength() -> Iterator[tuple[str, Item]]:
     """Appearances from above that get weaker or narrower; `amount` is the share of the way to the hidden colour."""
     for base in ("car", "house", "person"):
@@ -483,7 +555,8 @@ def made(folder: Path, items: Iterable[tuple[str, Item]]) -> None:
 def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> None:
     """Audit what is there, and add a row to a CSV file for each splat that has none."""
     known = {row["file"] for row in read(file)} if file.is_file() else set()
-    for name, splat in items:
+    items = dict(items)
+    for name, splat in items.items():
         path = folder / f"{name}.ply"
         if name in known or not path.is_file():
             continue
@@ -498,13 +571,14 @@ def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> Non
             "evidence": round(item.evidence, 4),
             **{
                 key: round(getattr(item.look, key), 5)
-                for key in ("direction", "incidence", "mirror", "net", "lost", "air")
+                for key in ("direction", "incidence", "mirror", "net", "lost", "air", "changed")
             },
             **{key: getattr(item, key) for key in ("covered", "edited", "fogged", "roofed", "in_room")},
             "off": off(splat.inside, item) if splat.inside and judged.verdict != "nothing found" else "",
             "objects": len(judged.objects),
             "strength": json.loads(path.with_suffix(".json").read_text()).get("strength", ""),
             "seconds": round(time.process_time() - begun, 1),
+            **dict(zip(("with_cameras", "evidence_with_cameras"), _with_cameras(path, name, items), strict=True)),
         }
         new = not file.is_file()
         with file.open("a", newline="") as stream:
@@ -519,6 +593,20 @@ def off(inside: Inside, item: ObjectAudit) -> float:
     ways = lattice(5000, 0.0, 90.0)
     middle = functional.normalize(ways[inside(ways.float())].mean(0), dim=0)
     return round(float(angles_between(torch.tensor([item.look.region.axis]), middle[None])), 1)
+
+
+def _with_cameras(path: Path, name: str, items: dict[str, Item]) -> tuple[str, float | str]:
+    """Verdict and evidence from where the training cameras stood; nothing where there were none."""
+    item: Item | None = items[name]
+    while isinstance(item, Coded):
+        item = items.get(item.base)
+    if item is None:
+        return "", ""
+    try:
+        judged = audit(load_splat(path), cameras=item.cameras())
+    except InvalidValueError:
+        return "not judged", ""
+    return judged.verdict, round(judged.strongest.evidence, 4)
 
 
 def gated(path: Path, judged: Audit) -> str:
