@@ -203,7 +203,7 @@ def _look(frame: Frame, view: Sight, look: Explanation, threshold: float, *, jud
     if look.tail is None or stated.support < LIMITS.supported:
         return stated
     tail = _look(frame, view, look.tail, threshold, judged=judged, given=given)
-    return dataclasses.replace(tail, lost=lost, air=air, changed=max(stated.changed, tail.changed))
+    return dataclasses.replace(tail, lost=lost, air=air, changed=stated.changed)
 
 
 def _turned(frame: Frame, axis: Vector) -> Vector:

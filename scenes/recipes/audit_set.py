@@ -319,16 +319,20 @@ Item = Trained | Coded
 def _looks(base: str, azimuth: float) -> Iterator[tuple[str, Coded]]:
     """Every kind of edit of one splat."""
     for kind, change in _changes(azimuth).items():
-        yield f"hidden {kind}/{base}", Coded(base=base, change=change)
+        yield f"hidden {kind}/{base}", Coded(base=base, change=change, inside=_trigger(kind, azimuth))
+
+
+def _trigger(kind: str, azimuth: float) -> Inside | None:
+    """From where an edit shows, where that is a cone or a sector."""
+    return ABOVE if kind.startswith("above") else sector(azimuth, 40.0, -10.0, 45.0) if kind == "side" else None
 
 
 def _changes(azimuth: float) -> dict[str, Callable[[Made], Made]]:
-    side = sector(azimuth, 40.0, -10.0, 45.0)
     return {
         "above": partial(hidden, inside=ABOVE),
         "above SH 1": partial(hidden, inside=ABOVE, degree=1),
         "above SH 2": partial(hidden, inside=ABOVE, degree=2),
-        "side": partial(hidden, inside=side, colour=RED),
+        "side": partial(hidden, inside=sector(azimuth, 40.0, -10.0, 45.0), colour=RED),
         "smooth": partial(smooth, azimuth=azimuth),
         "layers": scenes.layered,
         "far roof": far_roof,
@@ -489,7 +493,10 @@ def drawn(first: int, last: int) -> Iterator[tuple[str, Item]]:
         yield base, Trained(content=content, **settings)
         if number % 3 == 2:
             kind = draw.choice(sorted(_changes(turn)))
-            yield f"hidden {kind}/{content} {number}", Coded(base=base, change=_changes(turn)[kind])
+            yield (
+                f"hidden {kind}/{content} {number}",
+                Coded(base=base, change=_changes(turn)[kind], inside=_trigger(kind, turn)),
+            )
 
 
 def _drawn_dome(draw: random.Random) -> Capture:
