@@ -135,7 +135,7 @@ def cover_of(scene: GaussianScene, view: Sight, target: Target) -> tuple[Occlude
     """What covers an object, in the frame, and (H, W) bool the pixels that show it, by number of the blocked camera."""
     blocked, points, shown = torch.zeros(len(view.cameras)), list[Tensor](), dict[int, Tensor]()
     steps = torch.cartesian_prod(*[torch.arange(-1, 2)] * 3)
-    own = _cells((_voxels(scene.means[target.rows], target)[:, None] + steps).flatten(0, 1)).unique()
+    own = torch.unique(_cells(_voxels(scene.means[target.rows], target)[:, None] + steps))
     for number, (camera, depth) in enumerate(zip(view.cameras, view.depths, strict=True)):
         air, core, surface = air_before(depth, camera, target, LIMITS.air)
         air &= target.above(scene, surface, LIMITS.floor) & ~torch.isin(_cells(_voxels(surface, target)), own)

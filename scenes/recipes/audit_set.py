@@ -545,7 +545,7 @@ def strength() -> Iterator[tuple[str, Item]]:
 
 HELD = "fourth test"
 """The set on which nothing was chosen; the others had been looked at."""
-SETS = {
+SETS: dict[str, Callable[[], Iterator[tuple[str, Item]]]] = {
     "development": development,
     "test": test,
     "second test": second_test,
@@ -569,8 +569,8 @@ def made(folder: Path, items: Iterable[tuple[str, Item]]) -> None:
 def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> None:
     """Audit what is there, and add a row to a CSV file for each splat that has none."""
     known = {row["file"] for row in read(file)} if file.is_file() else set()
-    items = dict(items)
-    for name, splat in items.items():
+    splats = dict(items)
+    for name, splat in splats.items():
         path = folder / f"{name}.ply"
         if name in known or not path.is_file():
             continue
@@ -592,7 +592,7 @@ def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> Non
             "objects": len(judged.objects),
             "strength": json.loads(path.with_suffix(".json").read_text()).get("strength", ""),
             "seconds": round(time.process_time() - begun, 1),
-            **dict(zip(("with_cameras", "evidence_with_cameras"), _with_cameras(path, name, items), strict=True)),
+            **dict(zip(("with_cameras", "evidence_with_cameras"), _with_cameras(path, name, splats), strict=True)),
         }
         new = not file.is_file()
         with file.open("a", newline="") as stream:
