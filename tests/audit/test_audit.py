@@ -24,7 +24,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene, Similarity, merge
-from scenes.recipes.audit_set import far_roof, smooth
+from scenes.recipes.audit_set import far_roof, fogged, smooth
 from tests.audit import scenes
 from tests.audit.scenes import ROAD, Made, cone, direction, hidden, sector, standing
 
@@ -140,6 +140,14 @@ def test_an_honest_neighbour_of_what_hides_something_is_not_called_so(suitcase: 
     assert headline(judged).startswith(f"hidden look: object {1 + judged.objects.index(judged.strongest)}, ")
 
 
+def test_what_changes_hardly_any_surface_is_no_evidence(judged: Audit) -> None:
+    item = judged.strongest
+    assert item.look.changed > 0.1
+    for share, verdict in ((0.0, "nothing found"), (1.0, "hidden look")):
+        look = dataclasses.replace(item.look, changed=share)
+        assert dataclasses.replace(item, looks=(look,)).verdict == verdict
+
+
 def test_where_one_side_sees_fog_a_splat_is_never_called_hidden_nor_cleared(judged: Audit) -> None:
     item = judged.strongest
     for lost, air, net in ((0.6, 1.0, 1.0), (0.0, 0.3, 0.0), (0.0, 0.3, 1.0), (0.0, 6.0, 1.0)):
@@ -205,6 +213,10 @@ def test_given_cameras_look_at_all_that_they_see(from_above: Made) -> None:
     judged = audit(from_above.scene, cameras=cameras)
     assert judged.verdict == "hidden look"
     assert len(judged.objects) == 1
+    assert audit(from_above.scene, cameras=cameras[:15]).verdict == "nothing found"  # none from above
+    foggy = fogged(from_above, seed=0).scene
+    assert audit(foggy).strongest.fogged
+    assert not audit(foggy, cameras=cameras).strongest.fogged
     with pytest.raises(InvalidValueError, match="cameras: expected at least 12, got 3"):
         audit(from_above.scene, cameras=cameras[:3])
     away = [
@@ -262,6 +274,11 @@ def test_what_covers_an_object_from_above_and_lets_others_through() -> None:
     assert torch.equal(cover.blocked > 0.3, directions[:, 2] > 0.7)
     assert cover.transparent > 0.9
     assert cover.score == pytest.approx(float((directions[:, 2] > 0.7).double().mean()), rel=0.1)
+    by_itself, _ = cover_of(scene, view, dataclasses.replace(target, rows=torch.arange(3)))
+    assert by_itself is not None
+    assert float(by_itself.blocked.max()) < 0.9 * float(
+        cover.blocked.max()
+    )  # around its own Gaussian, nothing covers it
     heat = cover_heat(scene, view, covered, target)
     assert float(heat[2]) > 0.1
     assert not heat[:2].any()
