@@ -276,9 +276,7 @@ def test_what_covers_an_object_from_above_and_lets_others_through() -> None:
     assert cover.score == pytest.approx(float((directions[:, 2] > 0.7).double().mean()), rel=0.1)
     by_itself, _ = cover_of(scene, view, dataclasses.replace(target, rows=torch.arange(3)))
     assert by_itself is not None
-    assert float(by_itself.blocked.max()) < 0.9 * float(
-        cover.blocked.max()
-    )  # around its own Gaussian, nothing covers it
+    assert float((cover.blocked - by_itself.blocked).max()) > 0.3  # right above, where its own Gaussian is
     heat = cover_heat(scene, view, covered, target)
     assert float(heat[2]) > 0.1
     assert not heat[:2].any()
