@@ -50,15 +50,15 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, up: 
     """Say whether a splat shows something from some directions only, from where, and which Gaussians carry it.
 
     Nothing but the splat is used. The verdict is the same when the splat is turned, moved, resized or shuffled, but for
-    rounding.
+    rounding. With the `cameras` of the training images, in the world, only what shows near these counts, and fog, which
+    no training left there, does not.
     """
     check_scene("scene", scene)
     frame = frame_of(scene)
+    given, objects, heats = cameras is not None, [], []
     jobs, in_room = _looks_at(frame, up) if cameras is None else (_seen_from(frame, cameras, up), False)
-    objects, heats = [], []
     for target, around in jobs:
         beside = [other for other, _ in jobs if other is not target and not other.surrounds]
-        given = cameras is not None
         if (judged := judged_object(frame, target, around, beside=beside, in_room=in_room, given=given)) is not None:
             objects.append(judged[0])
             heats.append(judged[1])
@@ -91,14 +91,15 @@ def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
 
 def _seen_from(frame: Frame, cameras: Sequence[Camera], up: Point | None) -> list[Job]:
     """The objects that cameras see, with others at one distance near their directions; the whole scene in a room."""
-    given = cameras_in_frame(frame, cameras, LIMITS.given_size)
-    jobs = []
+    given, jobs = cameras_in_frame(frame, cameras, LIMITS.given_size), []
+    if free_positions(frame.scene) is not None:
+        return [(whole(frame.scene), given)]
     for target in targets(frame.scene, None if up is None else frame.own(up)):
         ways = [camera.position - target.centre for camera in given if _shows(camera, target.centre)]
         around = cameras_around(target, torch.stack(ways)) if ways else ()
         if len(around) >= LIMITS.least_cameras:
             jobs.append((target, around))
-    return jobs if jobs and free_positions(frame.scene) is None else [(whole(frame.scene), given)]
+    return jobs or [(whole(frame.scene), given)]
 
 
 def _shows(camera: Camera, point: Tensor) -> bool:

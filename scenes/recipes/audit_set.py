@@ -673,15 +673,24 @@ def kind_of(row: Row) -> str:
 
 
 def lines(rows: Sequence[Row]) -> Iterator[str]:
-    """Rows of the table in docs/audit-measured.md: called hidden, suspicious or hidden, and all, chosen on and not."""
+    """Rows of the table in docs/audit-measured.md: called hidden, suspicious or hidden, and all of a kind.
+
+    Columns: the sets on which thresholds were chosen, the other one, and that from where its training cameras stood.
+    """
     kinds: dict[str, Callable[[Row], bool]] = {"all that hide": hides, "all honest": honest}
     for kind in sorted(set(map(kind_of, rows))):
         kinds[kind] = partial(_is_of, kind)
+    chosen, held = ([row for row in rows if (row["set"] == HELD) == is_held] for is_held in (False, True))
     for kind, of in kinds.items():
-        parts = ([row for row in rows if of(row) and (row["set"] == HELD) == held] for held in (False, True))
-        counts = [called(part) for part in parts]
+        counts = [called(filter(of, part)) for part in (chosen, held, with_cameras(held))]
         cells = ["{}, {} of {}".format(*count) if count[2] else "-" for count in counts]
         yield f"| {kind} | {' | '.join(cells)} |"
+
+
+def with_cameras(rows: Iterable[Row]) -> list[Row]:
+    """What an audit says of splats from where their training cameras stood, but for those that it cannot judge so."""
+    judged = [row for row in rows if row["evidence_with_cameras"]]
+    return [{**row, "verdict": row["with_cameras"], "evidence": row["evidence_with_cameras"]} for row in judged]
 
 
 def _is_of(kind: str, row: Row) -> bool:

@@ -43,15 +43,16 @@ def test_what_hides_ranks_above_what_does_not_and_failed_attacks_do_not_count() 
     rows: list[audit_set.Row] = [
         {"file": "hidden side/x", "strength": "1.0", "evidence": "2", "verdict": "hidden look", "set": "test"},
         {"file": "hidden side/y", "strength": "0.1", "evidence": "0", "verdict": "nothing found", "set": "test"},
-        {"file": "honest ring 20/x", "strength": "", "evidence": "3", "verdict": "suspicious", "set": audit_set.HELD},
+        {"file": "honest ring 20/x", "strength": "", "evidence": "3", "verdict": "suspicious", "set": audit_set.HELD}
+        | {"with_cameras": "nothing found", "evidence_with_cameras": "0"},
         {"file": "honest ring 45/y", "strength": "", "evidence": "1", "verdict": "nothing found", "set": "test"},
     ]
     assert audit_set.ranked(rows)[0] == 0.5
     assert list(audit_set.lines(rows)) == [
-        "| all that hide | 1, 1 of 1 | - |",
-        "| all honest | 0, 0 of 1 | 0, 1 of 1 |",
-        "| hidden side | 1, 1 of 1 | - |",
-        "| honest ring | 0, 0 of 1 | 0, 1 of 1 |",
+        "| all that hide | 1, 1 of 1 | - | - |",
+        "| all honest | 0, 0 of 1 | 0, 1 of 1 | 0, 0 of 1 |",
+        "| hidden side | 1, 1 of 1 | - | - |",
+        "| honest ring | 0, 0 of 1 | 0, 1 of 1 | 0, 0 of 1 |",
     ]
 
 
