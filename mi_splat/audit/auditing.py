@@ -168,7 +168,7 @@ def judged_object(
         area=int(able.sum()) * area,
         uncontradicted=(pieces.unseen + int((pieces.judged & ~able).sum())) * area,
         cameras=tuple(_in_world(frame, camera) for camera in cameras),
-        looks=tuple(sorted(looks, key=lambda look: -look.evidence)),
+        looks=tuple(sorted(looks, key=lambda look: -(look.evidence if given else look.net))),
         occluder=occluder and dataclasses.replace(occluder, axis=_turned(frame, occluder.axis)),
         edit=edit_of(frame, target) if full else None,
         in_room=in_room or target.surrounds,
@@ -199,6 +199,7 @@ def _look(frame: Frame, view: Sight, look: Explanation, threshold: float, *, jud
         lost=lost,
         air=air,
         changed=min(1.0, int((by_piece > LIMITS.changed).sum()) / max(1, int(judged.sum()))),
+        given=given,
         pair=Pair(inside=pair[0], outside=pair[1], change=change, numbers=cameras) if cameras else None,
     )
     if look.tail is None or stated.support < LIMITS.supported:

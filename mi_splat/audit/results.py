@@ -160,6 +160,7 @@ class Look(Scores):
     lost: float  # share of the surface that the larger side sees well which the smaller side faces and does not see
     air: float  # share of the rays of the smaller side that end in one place, by that of the larger side
     changed: float  # share of the judged surface whose colour switches with it
+    given: bool  # whether training cameras stood where it was seen from, so that some surface has to change
     pair: Pair | None  # two cameras that prove it; None if no two see the same surface
 
     @property
@@ -171,9 +172,8 @@ class Look(Scores):
     @property
     def evidence(self) -> float:
         """By which 1 is called hidden; below 0 where gloss explains more than directions do."""
-        if self.net <= 0:
-            return self.net / self.threshold
-        return self.support * min(1.0, self.changed / LIMITS.changed_share) * self.net / self.threshold
+        share = min(1.0, self.changed / LIMITS.changed_share) if self.given else 1.0
+        return (self.support * share if self.net > 0 else 1.0) * self.net / self.threshold
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -28,6 +28,7 @@ def look(score: float = 0.05, *, above: float = 0.7) -> Look:
         lost=0.0,
         air=1.0,
         changed=0.5,
+        given=False,
         pair=Pair(inside=camera(0.5, 0.0, 3.0), outside=camera(3.0, 0.0, 0.5), change=0.2, numbers=(39, 0)),
     )
 

@@ -140,11 +140,11 @@ def test_an_honest_neighbour_of_what_hides_something_is_not_called_so(suitcase: 
     assert headline(judged).startswith(f"hidden look: object {1 + judged.objects.index(judged.strongest)}, ")
 
 
-def test_what_changes_hardly_any_surface_is_no_evidence(judged: Audit) -> None:
+def test_what_changes_hardly_any_surface_is_no_evidence_from_given_cameras(judged: Audit) -> None:
     item = judged.strongest
     assert item.look.changed > 0.1
     for share, verdict in ((0.0, "nothing found"), (1.0, "hidden look")):
-        look = dataclasses.replace(item.look, changed=share)
+        look = dataclasses.replace(item.look, changed=share, given=True)
         assert dataclasses.replace(item, looks=(look,)).verdict == verdict
 
 
