@@ -585,7 +585,7 @@ def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> Non
             "evidence": round(item.evidence, 4),
             **{
                 key: round(getattr(item.look, key), 5)
-                for key in ("direction", "incidence", "mirror", "net", "lost", "air", "changed")
+                for key in ("direction", "incidence", "mirror", "net", "lost", "air")
             },
             **{key: getattr(item, key) for key in ("covered", "edited", "fogged", "roofed", "in_room")},
             "off": off(splat.inside, item) if splat.inside and judged.verdict != "nothing found" else "",
