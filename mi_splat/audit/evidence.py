@@ -134,11 +134,11 @@ def _camera(scene: GaussianScene, strange: Tensor, target: Target) -> tuple[Tens
 def cover_of(scene: GaussianScene, view: Sight, target: Target) -> tuple[Occluder | None, dict[int, Tensor]]:
     """What covers an object, in the frame, and (H, W) bool the pixels that show it, by number of the blocked camera."""
     blocked, points, shown = torch.zeros(len(view.cameras)), list[Tensor](), dict[int, Tensor]()
-    steps = torch.cartesian_prod(*[torch.arange(-1, 2)] * 3)
-    own = torch.unique(_cells(_voxels(scene.means[target.rows], target)[:, None] + steps))
+    own = _own_cells(scene.means[target.rows], target)
     for number, (camera, depth) in enumerate(zip(view.cameras, view.depths, strict=True)):
         air, core, surface = air_before(depth, camera, target, LIMITS.air)
-        air &= target.above(scene, surface, LIMITS.floor) & ~torch.isin(_cells(_voxels(surface, target)), own)
+        air &= target.above(scene, surface, LIMITS.floor)
+        air[air.clone()] = ~torch.isin(_cells(_voxels(surface[air], target)), own)
         blocked[number] = air.sum() / core.clamp(min=1)
         if blocked[number] > LIMITS.blocked:
             shown[number] = air
@@ -150,6 +150,13 @@ def cover_of(scene: GaussianScene, view: Sight, target: Target) -> tuple[Occlude
     middle = functional.normalize(view.directions[hides].sum(0), dim=0)
     share = float(hides.double().mean())
     return Occluder(axis=vector(middle), blocked=blocked, transparent=through, score=share * through), shown
+
+
+def _own_cells(points: Tensor, target: Target) -> Tensor:
+    """Numbers of the voxels in the air that hold a point, or have one beside them."""
+    gaps = (points - target.centre.float()).norm(dim=1) / target.radius
+    voxels = torch.unique(_voxels(points[gaps > LIMITS.air - 4 * LIMITS.own_part], target), dim=0)
+    return _cells(voxels[:, None] + torch.cartesian_prod(*[torch.arange(-1, 2)] * 3)).flatten()
 
 
 def _voxels(points: Tensor, target: Target) -> Tensor:
