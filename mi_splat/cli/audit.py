@@ -47,8 +47,9 @@ class AuditOptions(JsonOptions):
     """Splat file of any format that is read, scene XML made of splats, or folder of pictures with cameras, of which is
     said which pictures contradict the others, before any training."""
     cameras: Annotated[tuple[str, ...], Metavar("CAMERAS")] = ()
-    """Look from these, in the forms that `mi-splat render` takes: the cameras.json beside a splat, for instance, or
-    of a room those that stand in it. Without, from a sphere around each object."""
+    """Those of the training pictures, in the forms that `mi-splat render` takes, the cameras.json beside a splat, for
+    instance: look at each object from near their directions alone, and from themselves in a room. Without, from a
+    sphere around each object."""
     up: Direction | None = None
     """Direction that is up for objects that stand on a ground, and for orbits of --cameras: an axis, or three numbers.
     Without, each object is looked at from above the ground that is found."""
