@@ -92,8 +92,8 @@ class Thresholds:
     given_size: int = 256  # Pixels along the longer side of an image from a given camera in a room.
     given_near: float = 6.0  # Degrees from a given camera, seen from an object, within which cameras look at it,
     given_lattice: int = 1200  # of so many directions all around.
-    changed: float = 0.05  # Score from which a piece of surface counts as changed,
-    changed_share: float = 0.015  # and share of the surface below which evidence shrinks that given cameras see.
+    changed: float = 0.05  # Score from which a piece of surface counts as changed.
+    changed_share: float = 0.015  # Share of the surface that a look from given cameras changes if it fully counts.
     near_sample: int = 5000  # Gaussians, evenly taken, of which is asked whether cameras looked at them.
     most_looks: int = 3
     same_look: float = 0.7  # Cosine between changes of colour, piece by piece, from which two cameras see one look.

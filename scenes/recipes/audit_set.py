@@ -430,7 +430,7 @@ def second_test() -> Iterator[tuple[str, Item]]:
 
 
 def third_test() -> Iterator[tuple[str, Item]]:
-    """A third set, which was looked at before the evidence asked for surface that changes."""
+    """A third set that was looked at once, and has been used for development since."""
     dome, ring = Capture(count=72, elevation=(4.0, 82.0), start=41.0), partial(_ring, count=42, start=53.0)
     half = Capture(count=50, elevation=(6.0, 48.0), span=175.0, start=200.0)
     above, few = Capture(count=40, elevation=(50.0, 86.0)), Capture(count=16, elevation=(8.0, 65.0))

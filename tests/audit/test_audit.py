@@ -205,7 +205,7 @@ def test_the_verdict_does_not_depend_on_axes_units_and_rows(judged: Audit, from_
     assert float(same) > 0.95
 
 
-def test_given_cameras_look_at_all_that_they_see(from_above: Made) -> None:
+def test_given_cameras_say_from_where_an_object_is_looked_at(from_above: Made) -> None:
     eyes = 7 * lattice(45, 5.0, 85.0) * float(from_above.scene.means[from_above.rows].norm(dim=1).max()) / 2
     cameras = [
         Camera(to_world=look_at(eye.tolist(), (0.0, 0.0, 0.1)), focal=200.0, width=160, height=120) for eye in eyes
