@@ -5,7 +5,7 @@ import functools
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,10 @@ from typing import Any
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import publish, save_json, sha256, sweep_temporary, temporary_folder
-from mi_splat.io.errors import from_os_error
+from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.folders import is_locked, locked_file
 from mi_splat.io.parsing import DocumentReader
-from mi_splat.ledger.job import Done, Task, canonical, digest
+from mi_splat.ledger.job import Done, Row, Task, canonical, digest
 
 RECORD, FILES = "job.json", "files"
 TRIES = 3  # how often a job may fail
@@ -128,6 +128,21 @@ class Store:
             raise from_os_error(str(target), "a folder that can be written", error) from error
         shutil.rmtree(self.path("partial", key), ignore_errors=True)
         self.forgive(key)
+
+    def keep(self, task: Task, rows: Sequence[Row], documents: Mapping[str, Any]) -> None:
+        """Put what another process has found into the store: rows, and JSON documents by their names."""
+        with temporary_folder(self.path("tmp")) as temporary:
+            files = temporary / FILES
+            files.mkdir()
+            for name, document in documents.items():
+                save_json(document, files / name)
+            task_part = {"kind": task.kind, "config": task.config, "inputs": task.inputs, "code": task.code}
+            record = {**task_part, **origin(), "varies": [], "rows": list(rows)}
+            try:
+                self.publish(temporary, record, task.key)
+            except SplatFileError:
+                if not self.has(task.key):  # else another process was first, with the same result
+                    raise
 
     def failures(self, key: str) -> list[dict[str, Any]]:
         """The tries of a job that failed: `error`, and what ran it."""
