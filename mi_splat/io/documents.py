@@ -110,8 +110,13 @@ def write_all(file: BinaryIO, data: memoryview) -> None:
 
 @contextlib.contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
-    """A new folder that is gone after the block, unless `publish` has given it a name."""
+    """A new folder that is gone after the block, unless `publish` has given it a name.
+
+    Where the block raises, the folders above it that had to be made are gone, too, if nothing
+    else is in them.
+    """
     folder = parent / _temporary_name()
+    missing = [above for above in (parent, *parent.parents) if not os.path.lexists(above)]
     try:
         folder.mkdir(parents=True)
         descriptor = os.open(folder, os.O_RDONLY)
@@ -120,6 +125,12 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
     try:
         try_lock(descriptor)
         yield folder
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        with contextlib.suppress(OSError):  # something else is in them
+            for above in missing:
+                above.rmdir()
+        raise
     finally:
         os.close(descriptor)
         shutil.rmtree(folder, ignore_errors=True)

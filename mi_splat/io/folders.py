@@ -258,18 +258,28 @@ def check_writable(out: str | os.PathLike[str]) -> None:
 
 
 def check_new_file(path: Path, endings: Sequence[str], *, force: bool | None = False) -> None:
-    """Raise, before any work is done, unless a file can be written at `path`."""
+    """Raise, before any work is done, unless a file can be written at `path`, in a folder that is there."""
     if path.suffix.lower() not in endings:
         expected, got = f"a name that ends in {' or '.join(endings)}", path.suffix or "no ending"
         raise InvalidValueError.of(str(path), expected, got, "change the ending")
-    if path.exists() and not (force and path.is_file()):
-        final = path.is_dir() or force is None
-        do = "choose another name" if final else "choose another name, or replace it with force"
-        error = InvalidValueError.of(str(path), "a free name", "something that is there", do)
-        raise error if final else error.hinted("--force")
+    check_free_file(path, force=force)
     if not path.absolute().parent.is_dir():
         raise InvalidValueError.of(str(path), "a folder to write into", "none", "make the folder first")
+
+
+def check_free_file(path: Path, *, force: bool | None = False) -> None:
+    """Raise, before any work is done, unless a file can be written at `path`, whose folder may have to be made.
+
+    A file that is there is replaced with `force`; nothing else is. Without a way to force it
+    (None), the message names none.
+    """
     check_writable(path.parent)
+    if not os.path.lexists(path) or (force and path.is_file()):
+        return
+    final = path.is_dir() or force is None
+    do = "choose another name" if final else "choose another name, or replace it with force"
+    error = InvalidValueError.of(str(path), "a free name", "something that is there", do)
+    raise error if final else error.hinted("--force")
 
 
 def check_not_input(out: str | os.PathLike[str], *inputs: str | os.PathLike[str] | None) -> None:

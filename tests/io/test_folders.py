@@ -54,6 +54,16 @@ def have(out: Path, *records: str) -> None:
         pass
 
 
+def test_what_fails_leaves_no_empty_folder(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError):
+        failing(tmp_path / "out" / "deeper" / "detect")
+    assert names(tmp_path) == []
+    (tmp_path / "out").mkdir()
+    with pytest.raises(ZeroDivisionError):
+        failing(tmp_path / "out" / "deeper" / "detect")
+    assert names(tmp_path) == ["out"], "what was there before stays"
+
+
 def test_an_older_result_is_refused_or_replaced_whole(tmp_path: Path) -> None:
     out = result_in(tmp_path / "out")
     with pytest.raises(
