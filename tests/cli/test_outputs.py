@@ -163,7 +163,7 @@ LINES = {
     "select a.ply --cluster 1 --size 16 --out mask.npy {}.npy": "a file",
     "convert a.ply {}.glb": "a file",
     "audit a.ply --only lint --out {}": "a result",
-    "audit a.ply --only lint --repair {}.ply": "a file",
+    "audit a.ply --repair {}.ply": "a file",
     "gate a.ply --only lint --store store --sarif {}.sarif": "a file",
     "report result --out {}.html": "a file",
     "conform result --out {}": "a result",
