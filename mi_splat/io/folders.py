@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.errors import InvalidValueError, MiSplatError, one_line
 from mi_splat.io.documents import (
     LOCK,
     is_temporary,
@@ -59,7 +59,7 @@ def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
         raise from_os_error(os.fspath(folder), "a folder that can be written", error) from error
     try:
         with locked_file(os.path.join(key, LOCK), os.fspath(folder)):
-            _check_links(key)
+            check_links(key)
             _HELD[key] = threading.get_ident()
             try:
                 yield
@@ -140,13 +140,19 @@ def _foreign(file: str, got: str) -> SplatFileError:
     return SplatFileError.of(file, "a lock of this program", got, "delete it, or pass another folder")
 
 
-def _check_links(folder: str) -> None:
-    """Raise if a link in a folder leads out of it: what is written below would be written there."""
-    for parent, folders, files in os.walk(folder):
+def check_links(folder: str | os.PathLike[str]) -> None:
+    """Raise if a link in a folder leads out of it: what is there would be read, or written, elsewhere."""
+    whole = os.path.realpath(folder)
+    for parent, folders, files in os.walk(whole):
         for path in (os.path.join(parent, name) for name in (*folders, *files)):
-            if os.path.islink(path) and not Path(os.path.realpath(path)).is_relative_to(folder):
-                do = "put what it leads to in its place, or pass another folder"
-                raise SplatFileError.of(path, "a file or a folder", "a link that leads out of the folder", do)
+            if os.path.islink(path):
+                _check_inside(whole, path)
+
+
+def _check_inside(folder: str, path: str) -> None:
+    if not Path(os.path.realpath(path)).is_relative_to(folder):
+        do = "put what it leads to in its place, or pass another folder"
+        raise SplatFileError.of(path, "a file or a folder", "a link that leads out of the folder", do)
 
 
 def _this_process() -> dict[str, object]:
@@ -229,6 +235,38 @@ def _entry(name: str, entry: Any, path: Path) -> tuple[str, int]:
     if not (isinstance(digest, str) and _SHA256.fullmatch(digest) and type(length) is int and length >= 0):
         raise InvalidValueError.of(str(path), f"sha256 and bytes of {name}", repr(entry)[:80], _DO)
     return digest, length
+
+
+def file_in(folder: Path, name: object) -> Path:
+    """The path of a file that a record of a folder names: below the folder, also where links lead.
+
+    Args:
+        folder: Folder of a result.
+        name: A name of a file, or those of folders and of a file with / between, as the record
+            has it; anything else that somebody may have written there is refused.
+
+    Returns:
+        The path; whether a file is there is not looked at.
+
+    Raises:
+        InvalidValueError: It is no such name.
+        SplatFileError: A link leads out of the folder.
+    """
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        expected = "names of files in its folder"
+        raise InvalidValueError.of(str(folder), expected, one_line(repr(name), 80), _DO)
+    path = folder / name
+    _check_inside(os.path.realpath(folder), str(path))
+    return path
+
+
+def is_own_file(folder: Path, name: str) -> bool:
+    """Whether a folder has a file of this name that is no link, and lies behind none that leads out of the folder."""
+    try:
+        path = file_in(folder, name)
+    except MiSplatError:
+        return False
+    return path.is_file() and not path.is_symlink()
 
 
 RECORD = "result.json"
