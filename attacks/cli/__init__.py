@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from mi_splat.cli.console import PROGRAM, UsageError, import_at_once, warn
-from mi_splat.errors import MiSplatError, message, nearest, one_line, printable
+from mi_splat.errors import MiSplatError, message, nearest, one_line, printable, shortened
 from mi_splat.processes import INTERRUPTED, TERMINATED, sigterm_as_interrupt
 
 if TYPE_CHECKING:
@@ -148,14 +148,30 @@ def _answered(arguments: Sequence[str] | None) -> int:
         warn(f"{f'{name}: ' if name else ''}{error} (see {PROGRAM} {f'{name} ' if name else ''}--help)")
         return MISUSED
     except (MiSplatError, OSError) as error:
-        hint = error.hint if isinstance(error, MiSplatError) else ""
-        warn(" ".join(f"{error} ({hint})".split() if hint else str(error).split()))
+        if isinstance(error, OSError):
+            error = _in_our_words(error)
+        hint = f" ({error.hint})" if error.hint else ""
+        warn(shortened(" ".join(f"{error}{hint}".split()), _LONGEST))
         return FAILED
     except (MemoryError, ImportError) as error:
         if not (text := _in_short_of_memory(error)):
             raise
         warn(text)
         return FAILED
+
+
+def _in_our_words(error: OSError) -> MiSplatError:
+    """An error of the system as one of ours, which says what to do."""
+    from mi_splat.io.errors import from_os_error
+
+    if isinstance(error, MiSplatError):
+        return error
+    where = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "files"
+    return from_os_error(where, "files that can be read and written", error)
+
+
+_LONGEST = 4000
+"""Signs of an error message; one that lists all names of a kind is long."""
 
 
 def _in_short_of_memory(error: MemoryError | ImportError) -> str:

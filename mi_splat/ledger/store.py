@@ -66,7 +66,8 @@ class Store:
         try:
             task = task_of(record)
             whole = task.key == key and record["content"] == digest([record["files"], record["rows"]])
-        except (KeyError, TypeError):
+            whole = whole and _is_well_formed(record)
+        except (KeyError, TypeError, AttributeError):
             whole = False
         if not whole:
             raise InvalidValueError.of(str(path), f"the record of job {key}", "another one", AGAIN)
@@ -192,6 +193,19 @@ class Store:
         for key in filter(_KEY.fullmatch, _names(self.path("partial"))):
             if self.has(key) and not self.is_held(key):
                 shutil.rmtree(self.path("partial", key), ignore_errors=True)
+
+
+def _is_well_formed(record: Mapping[str, Any]) -> bool:
+    """Whether what a record says of files and rows is of the kinds that whoever reads it counts on."""
+    files, rows, varies = record["files"], record["rows"], record["varies"]
+    return (
+        isinstance(files, dict)
+        and all(isinstance(content, str) for content in files.values())
+        and isinstance(rows, list)
+        and all(isinstance(row, dict) for row in rows)
+        and isinstance(varies, list)
+        and all(isinstance(name, str) for name in varies)
+    )
 
 
 def checked_key(key: str) -> str:

@@ -215,7 +215,7 @@ def slow_file(path: Path) -> Path:
 
 def readers_of(process: int) -> dict[int, Sequence[int]]:
     """Processes of each group of readers that a gate has started."""
-    found = {}
+    found: dict[int, Sequence[int]] = {}
     for path in Path("/proc").glob("[0-9]*"):
         try:
             text = (path / "stat").read_text()
