@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -322,3 +323,14 @@ def test_a_sarif_file_is_replaced_only_when_forced(tmp_path: Path) -> None:
     assert "something that is there" in done.stderr
     assert "--force" in done.stderr
     assert (tmp_path / "package.json").read_text() == "mine"
+
+
+def test_the_action_installs_its_own_revision() -> None:
+    """Its folder is three below the root of the revision that a workflow names; nothing comes from a registry."""
+    folder = ROOT / ".github" / "actions" / "audit-splats"
+    text = (folder / "action.yml").read_text()
+    (line,) = (line for line in text.splitlines() if "pip install" in line)
+    (path,) = re.findall(r'"\$\(realpath "\$ACTION/([./]+)"\)', line)
+    assert "ACTION: ${{ github.action_path }}" in text
+    assert (folder / path).resolve() == ROOT
+    assert (ROOT / "pyproject.toml").is_file()
