@@ -118,10 +118,12 @@ class ProcessGroup:
 
     def ended(self) -> GroupEndedError:
         """How a process that has closed its pipe ended, and what it said last."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(_LAST_BREATH)
+        self._wait()
         self.kill()
-        status = self._process.wait()
+        self._wait()
+        status = self._process.returncode
+        if status is None:
+            return GroupEndedError("does not end, not even by SIGKILL")
         how = f"ended with status {status}" if status >= 0 else f"ended by {signal.Signals(-status).name}"
         self._output.seek(max(0, self._output.seek(0, os.SEEK_END) - _SHOWN))
         said = self._output.read().decode("utf-8", "replace").strip()
@@ -138,11 +140,16 @@ class ProcessGroup:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
 
+    def _wait(self) -> None:
+        """Give the first process time to end: one that waits for a disk that hangs cannot be killed at once."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_LAST_BREATH)
+
     def close(self) -> None:
         """End the group, and remove what it leaves."""
         self.kill()
         self._is_closed = True
-        self._process.wait()
+        self._wait()
         self.pipe.close()
         self._output.close()
         shutil.rmtree(self.folder, ignore_errors=True)

@@ -58,10 +58,11 @@ def answer(request: Mapping[str, Any], say: Say, goes_on: Callable[[], bool]) ->
         goes_on: Receives whether the contents are to be judged.
     """
     config = decode(GateConfig, request["config"], "config")
+    hidden: list[str] = []
     with TemporaryDirectory() as folder:
-        links = {role: _link(Path(folder), role, name, config) for role, name in request["files"].items()}
-        hidden = [str(link) for link in links.values()] + [os.path.realpath(link) for link in links.values()]
         try:
+            links = {role: _link(Path(folder), role, name, config) for role, name in request["files"].items()}
+            hidden += [str(link) for link in links.values()] + [os.path.realpath(link) for link in links.values()]
             most = request["file_megabytes"] * 1e6
             read = {role: _read(link, most) for role, link in links.items()}
             say({"state": "read", "contents": {role: content for role, (content, _) in read.items()}})

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from mi_splat.audit.gate import CLAIMS, FILE, RESULT, GateConfig, Policy
-from mi_splat.errors import MiSplatError, one_line
+from mi_splat.errors import MiSplatError, one_line, shortened
 from mi_splat.import_closure import code_digest
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.job import Task, encoded
@@ -29,6 +29,7 @@ READER = "attacks.audits.gated"
 """The module that reads files, as a process."""
 _STARTING = Limits(seconds=120.0)  # what a process may take to import its packages
 _MESSAGES = DocumentReader(expected="a message of the process that reads", do="report this", most=1 << 26)
+_LONGEST = 600  # signs of why a file was not judged
 _ENDING = re.compile(r"\.[a-z0-9]{1,10}")
 
 Message = dict[str, Any]
@@ -170,10 +171,8 @@ class Judge:
         try:
             self._read(request, judged)
             is_whole = True
-        except GroupEndedError as error:
-            judged.error = str(error)
         except Exception as error:  # noqa: BLE001  # whatever it is, it concerns this file alone
-            judged.error = " ".join(f"{error}".split()) or type(error).__name__
+            judged.error = shortened(" ".join(str(error).split()), _LONGEST) or type(error).__name__
         self._reader.end(for_good=not is_whole)
         return judged
 

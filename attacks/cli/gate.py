@@ -18,15 +18,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from attacks.cli.options import chosen_workers
-from attacks.cli.study import JobOptions
 from mi_splat.audit.gate import ACTIONS, CLAIMS, VERDICTS, Policy
 from mi_splat.cli.console import UsageError, show, warn
 from mi_splat.cli.flags import Positional
+from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import MiSplatError, one_line
-from mi_splat.fields import OutFile, OutFolder, check_choice, decode
+from mi_splat.fields import OutFile, OutFolder, at_least, between, check_choice, decode
 from mi_splat.io.parsing import DocumentReader
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ REFUSED, UNJUDGED = 3, 1
 """Exit status with --strict where a file is refused, and where one is not judged."""
 ENDINGS = (".sarif", ".json")
 _WAITING = 4  # files for each process that wait for it
+_LONGEST_LINE = (1 << 16) + 2
 _LINES = DocumentReader(expected='a JSON text, or an object with "file"', do="write one path a line", most=1 << 16)
 
 Request = Mapping[str, str]
@@ -49,7 +50,7 @@ Line = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
-class GateOptions(JobOptions):
+class GateOptions(JsonOptions):
     """Give a verdict on each file, claim by claim: accept, quarantine, not judged or refuse.
 
     Without files, paths are read from standard input, one JSON text a line, or an object with "file" and, where an
@@ -71,6 +72,12 @@ class GateOptions(JobOptions):
     edits quarantined."""
     only: Literal["lint"] | None = None
     """Only check the numbers and what rendering them costs, which is much faster."""
+    workers: Annotated[int, between(1, 1024, "processes")] | None = None
+    """Processes that read files side by side; None is one for each core if memory allows."""
+    seconds: Annotated[float, at_least(1, "seconds")] | None = None
+    """Most seconds that a file may take, in place of those of the policy (120)."""
+    megabytes: Annotated[float, at_least(500, "MB")] | None = None
+    """Most memory that all processes that read a file may use together, in place of that of the policy (4000)."""
     store: OutFolder = Path("~/.cache/mi-splat")
     """Folder of verdicts, and of the records on which they rest."""
     sarif: OutFile | None = None
@@ -93,11 +100,7 @@ def run(options: GateOptions) -> int:
     store = Store(options.store.expanduser())
     store.sweep()
     verdicts = _Verdicts(options)
-    workers = chosen_workers(options.workers)
-    if workers < 1:
-        expected, do = "at least 1", "files of strangers are never read by this process"
-        raise UsageError.of("--workers", expected, workers, do)
-    with _readers(workers, policy, store) as readers:
+    with _readers(chosen_workers(options.workers), policy, store) as readers:
         _judge_all(requests, readers, policy, store, verdicts)
     return verdicts.end()
 
@@ -261,11 +264,12 @@ def _request(line: str) -> Request:
 
 
 def _input_lines() -> Iterator[str]:
-    """Lines of standard input; one that is no UTF-8 is a line, too."""
-    if isinstance(sys.stdin, io.TextIOWrapper):
-        yield from (line.decode("utf-8", "surrogateescape") for line in sys.stdin.buffer)
-    else:
-        yield from sys.stdin
+    """Lines of standard input, of long ones the beginning; one that is no UTF-8 is a line, too."""
+    stream: Any = sys.stdin.buffer if isinstance(sys.stdin, io.TextIOWrapper) else sys.stdin
+    while line := stream.readline(_LONGEST_LINE):
+        yield line if isinstance(line, str) else line.decode("utf-8", "surrogateescape")
+        while len(line) == _LONGEST_LINE and line[-1:] not in ("\n", b"\n"):
+            line = stream.readline(_LONGEST_LINE)
 
 
 def _line(file: str, judged: Judged, policy: Policy, seconds: float) -> Line:

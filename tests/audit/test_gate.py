@@ -218,6 +218,19 @@ def test_appearances_and_provenance_are_judged(
         assert told["hidden.ply"]["claims"]["provenance"]["verdict"] == "quarantine"
 
 
+def test_a_line_without_an_end_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_splat(cloud(), tmp_path / "fine.ply")
+    lines = ["x" * 1_000_000, json.dumps(str(tmp_path / "fine.ply"))]
+    status, told = run(capsys, monkeypatch, tmp_path, lines, "--only", "lint")
+    assert status == 1
+    assert told["fine.ply"]["verdict"] == "accept"
+    (long,) = (line for name, line in told.items() if name != "fine.ply")
+    assert long["verdict"] == "not judged"
+    assert len(json.dumps(long)) < 4000
+
+
 def test_a_policy_that_cannot_be_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for rule, says in (('giant = "reject"', "refuse, got reject"), ('giants = "refuse"', "got giants")):
         (tmp_path / "p.toml").write_text(f"[rules]\n{rule}\n")
