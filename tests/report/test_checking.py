@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from attacks import cli
+from attacks.rate import Rate
 from attacks.report.checking import Check, agree, check_files, check_result, flat, pack, read_result
 from attacks.report.results import kind_of
 from mi_splat.errors import InvalidValueError, MiSplatError
@@ -245,7 +246,7 @@ def test_an_interval_a_median_and_a_number_of_no_rows_are_seen(study: Path) -> N
     edit_record(study, change)
     found = red(study)
     lower_ends = [name for name in found if name.endswith("/interval/0")]
-    assert len(lower_ends) == sum(rate["interval"][0] < 0.98 for rate in rates_in(before))
+    assert len(lower_ends) == sum(Rate.of(rate).interval[0] < 0.98 for rate in rates_in(before))
     assert {"transition_degrees", "stealth/made_up"} <= set(found)
 
 
