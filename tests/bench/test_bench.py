@@ -23,7 +23,7 @@ from tests.project.layers import ROOT
 from tests.studies.toy import toys, write_toy
 
 __all__ = ["toys"]
-pytestmark = pytest.mark.usefixtures("toys")
+pytestmark = [pytest.mark.usefixtures("toys"), pytest.mark.shipped]
 FILES = {
     "suite": 'question = "Does it still see it?"\nsurrogates = ["fake_colour", "fake_coarse"]\n',
     "one_view": """

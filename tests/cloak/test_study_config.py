@@ -22,6 +22,8 @@ from mi_splat.errors import InvalidValueError
 from tests.cloak.tiny_study import STUDY, study_in
 from tests.project.layers import ROOT
 
+pytestmark = pytest.mark.shipped
+
 OVERHEAD = AttackConfig(name="overhead", elevation=(50, 90))
 WIDER = AttackConfig(name="more", elevation=(40, 90))
 GROUND = replace(OVERHEAD, appearance="ground")

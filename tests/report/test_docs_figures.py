@@ -18,6 +18,8 @@ from attacks.report.results import kind_of, read_section
 from scenes.recipes import audit_set
 from tests.project.documented_commands import ROOT
 
+pytestmark = pytest.mark.shipped
+
 ARTIFACTS = ROOT / "docs" / "artifacts"
 OUR = ("fasterrcnn_small", "yolov8n_small")
 PAGES: Mapping[str, Any] = runpy.run_path(str(ROOT / "docs" / "sphinx_extensions" / "result_tables.py"))["PAGES"]

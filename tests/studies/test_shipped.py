@@ -18,6 +18,8 @@ from tests.cloak.tiny_study import Redness
 from tests.project.layers import ROOT
 from tests.studies.toy import Toy
 
+pytestmark = pytest.mark.shipped
+
 STUDIES = ROOT / "scenes" / "studies"
 COUNTS = {
     "attack_zoo": (225, 0),
