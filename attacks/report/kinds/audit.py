@@ -16,20 +16,8 @@ from mi_splat.errors import counted
 
 Record = Mapping[str, Any]
 _ELSEWHERE = (
-    *(
-        "story",
-        "file",
-        "verdict",
-        "summary",
-        "objects",
-        "pictures",
-        "cameras",
-        "images_compared",
-        "lint",
-        "cost",
-        "against",
-    ),
-    *("images_in_set", "thresholds"),
+    *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "lint", "cost", "against"),
+    *("images_in_set", "images_compared", "thresholds"),
     *("command", "versions", "variant", "commit", "torch"),
 )
 _PLAIN = {
@@ -117,9 +105,10 @@ def _done(record: Record) -> str:
     objects = record["objects"]
     many = f"{counted(len(objects), 'object')} {'was' if len(objects) == 1 else 'were'}"
     if "images_in_set" in record:
+        images = counted(record["images_compared"], "image")
         return (
-            f"A small splat was trained on {counted(record['images_compared'], 'image')} of {record['file']} to know where "
-            f"the surface is, and {many} judged by the images only."
+            f"A small splat was trained on {images} of {record['file']} to know where the surface is, "
+            f"and {many} judged by the images only."
         )
     cameras = counted(sum(len(item["seen_from"]) for item in objects), "direction")
     return f"In {record['file']} ({record['gaussians']:,} Gaussians) {many} looked at from {cameras}."
