@@ -109,8 +109,7 @@ def test_the_tables_of_cloak_are_those_of_the_rows() -> None:
             Rate.of(rates["target_rate"]).short() in cloak
             for rates in (small[detector], result.record["by_detector"][detector])
         )
-    (second,) = result_of("cloak_second_car").record["points"].values()
-    cases = f"{summed(second['by_detector'][name]['trigger_miss_rate'] for name in (*OUR, 'ssd_openimages'))} cases"
+    cases = f"{second_car()} cases"
     assert cases in cloak
     assert cases in (ROOT / "README.md").read_text()
     price = result.record["stealth"]
@@ -127,6 +126,12 @@ def test_the_tables_of_cloak_are_those_of_the_rows() -> None:
         bands = [by_splat(band.filter(detector=name)) for name in ("centernet_coco", "nanodet_coco", "ssd_openimages")]
         cells = [", ".join(f"{part['found'].sum()}/{len(part)}" for part in parts) for parts in bands]
         assert f"| {low} to {high} | {' | '.join(cells)} |" in coco
+
+
+def second_car() -> str:
+    """How often a second car is missed well inside the trigger, by all detectors that can judge."""
+    (second,) = result_of("cloak_second_car").record["points"].values()
+    return summed(second["by_detector"][name]["trigger_miss_rate"] for name in (*OUR, "ssd_openimages"))
 
 
 def test_the_attack_on_a_detector_and_a_reader_is_counted() -> None:
@@ -229,24 +234,36 @@ def test_the_table_of_drawn_cameras_is_counted_from_its_rows() -> None:
         assert f"{line['psnr_object']:.1f}" in text
 
 
-def from_a_moving_camera(detector: str) -> tuple[str, str]:
-    """Least and most held-out views in which the own class is replaced, and noise."""
-    attacks = result_of("dagger_eot_pairs").record["attacks"].values()
-    own = [attack for attack in attacks if attack["sources"] == [detector]]
-    held = sorted(attack["strict_rate"]["successes"] for attack in own)
-    return f"{held[0]}/60 to {held[-1]}/60", summed(attack["noise_rate"] for attack in own)
+def from_a_region(detector: str) -> list[Mapping[str, Any]]:
+    """The attacks on a detector from all cameras of a region, pair by pair."""
+    groups = result_of("dagger_eot_pairs").record["groups"]
+    return [group for group in groups if group["labels"]["detectors"] == detector]
 
 
-def test_strict_attacks_on_a_region_are_counted_from_their_rows() -> None:
+def region_row() -> str:
+    cells, noise = [], []
+    for name, label in (("nanodet_coco", "NanoDet"), ("yolov8n_small", "`yolov8n_small`"), (OUR[0], f"`{OUR[0]}`")):
+        groups = [group["if_detected"] for group in from_a_region(name)]
+        cells.append(f"{label} {summed(group['strict'] for group in groups)}")
+        noise.append(summed(group["controls"][NOISE]["strict"] for group in groups))
+    return f"{', '.join(cells)} held-out views | noise that changes the object as much: {', '.join(noise)} |"
+
+
+def test_the_table_of_a_region_is_counted_from_its_rows() -> None:
     text = (ROOT / "docs" / "dagger-eot.md").read_text()
-    groups = result_of("dagger_eot_strict").record["groups"]
-    for name in OUR:
-        own = [group for group in groups if group["labels"]["detectors"] == name]
-        cells = [Rate.of(group["strict_rate"]).short() for group in own]
-        noise = summed(group["noise_rate"] for group in own).replace("/", " of ")
-        decibels = sorted(group["image_psnr"] for group in own)
-        line = " | ".join([f"`{name}`", *cells, noise, f"{decibels[0]:.1f} to {decibels[-1]:.1f} dB"])
-        assert f"| {line} |" in text
+    for name in ("nanodet_coco", "yolov8n_small", "fasterrcnn_small"):
+        groups = from_a_region(name)
+        conditioned = [group["if_detected"] for group in groups]
+        cells = [Rate.of(group["strict"]).short() for group in conditioned]
+        cells.append(summed(group["strict"] for group in conditioned))
+        cells.append(summed(group["strict_rate"] for group in groups))
+        noise = [group["controls"][NOISE] for group in conditioned]
+        cells += [summed(control[key] for control in noise) for key in ("strict", "lost")]
+        objects = [sorted(group["psnr_object"] for group in of) for of in (conditioned, noise)]
+        cells.append("; ".join(f"{of[0]:.1f} to {of[-1]:.1f}" for of in objects))
+        assert f"| `{name}` | {' | '.join(cells)} |" in text
+    (other,) = from_a_region("ssd_openimages")
+    assert Rate.of(other["if_detected"]["strict"]).short() in text
 
 
 def untuned(name: str, detector: str, rate: str) -> str:
@@ -279,7 +296,7 @@ def transferred_from_many() -> str:
 
 
 def grown(part: str, value: str) -> tuple[str, str]:
-    """How many times the Gaussians of the clean splat a poisoned one has, over the seeds on which nothing was chosen."""
+    """How many times the Gaussians of a clean splat poisoned ones have, over the seeds on which nothing was chosen."""
     counts: dict[int, dict[str, int]] = {}
     for victim in result_of("poison_splat").record["victims"]:
         if (victim["part"], victim["value"]) == (part, value) and victim["seed"] and not victim["defended"]:
@@ -301,8 +318,8 @@ def cloak_row() -> str:
         for rate in ("trigger_miss_rate", "benign_recall", "control_recall", "control_benign_recall")
     )
     return (
-        f"car missed from {missing[0]} (SSD), {missing[1]} (`yolov8n_small`), {missing[2]} (`fasterrcnn_small`) cameras "
-        f"in the trigger; detected from {', '.join(elsewhere)} elsewhere | the clean splat: detected from "
+        f"car missed from {missing[0]} (SSD), {missing[1]} (`yolov8n_small`), {missing[2]} (`fasterrcnn_small`) "
+        f"cameras in the trigger; detected from {', '.join(elsewhere)} elsewhere | the clean splat: detected from "
         f"{', '.join(in_trigger)} in the trigger and from {', '.join(clean_elsewhere)} elsewhere |"
     )
 
@@ -336,18 +353,32 @@ def dagger_row() -> str:
     )
 
 
-def audit_row() -> str:
+def audit_row() -> tuple[str, ...]:
+    """The audit from the file alone, with training cameras, and on meshes of others."""
     rows = audit_set.read(ROOT / "docs" / "tables" / "audit_set.csv")
     held = [row for row in rows if row["set"] == audit_set.HELD]
+    given = audit_set.with_cameras(held)
     found, alarms = (audit_set.called(filter(of, held)) for of in (audit_set.hides, audit_set.honest))
-    return f"detects {found[0]}/{found[2]} splats with hidden content | false alarms: {alarms[0]}/{alarms[2]} |"
+    found_given, alarms_given = (audit_set.called(filter(of, given)) for of in (audit_set.hides, audit_set.honest))
+    meshes = audit_set.read(ROOT / "docs" / "tables" / "audit_meshes.csv")
+    alone, with_cameras = (
+        [[row[column] for row in meshes].count(verdict) for verdict in ("hidden look", "suspicious")]
+        for column in ("verdict", "with_cameras")
+    )
+    return (
+        f"detects {found[0]}/{found[2]} splats with hidden content | false alarms: {alarms[0]}/{alarms[2]} |",
+        f"at least suspicious are {found[1]}/{found[2]} and {alarms[1]}/{alarms[2]}, with training cameras "
+        f"{found_given[1]}/{found_given[2]} and {alarms_given[1]}/{alarms_given[2]}",
+        f"of {len(meshes)} honest meshes by others [{alone[0]} is called hidden, {alone[1]} suspicious]",
+        f"with their training cameras {with_cameras[0]} and {with_cameras[1]}",
+    )
 
 
 def test_readme_says_what_the_rows_give() -> None:
     """Every rate of the table of results, with its denominator and its control."""
     text = " ".join((ROOT / "README.md").read_text().split())
     drop = result_of("cloak_car_stealthy").record["stealth"]["object_psnr_drop"]
-    rows = (dagger_row(), region_row(), cloak_row(), cars_row(), layers_row(), poison_row(), audit_row())
+    rows = (dagger_row(), region_row(), cloak_row(), cars_row(), layers_row(), poison_row(), *audit_row())
     for sentence in (
         *rows,
         f"the car loses {drop:.1f} dB",
@@ -357,8 +388,7 @@ def test_readme_says_what_the_rows_give() -> None:
         assert sentence in text
     table = text.partition("## Results")[2].partition("Rates of DAGGER")[0]
     derived = FRACTION.findall(" ".join(rows))
-    by_hand = {"986/987", "47/57", "37/60", "37/57", "16/59"}  # the first has a test above, the rest `test_audit_counts`
-    assert set(FRACTION.findall(table)) <= {*derived, *by_hand}
+    assert set(FRACTION.findall(table)) <= {*derived, second_car()}
 
 
 @pytest.mark.parametrize("result", sorted(ARTIFACTS.glob("*/result.json")), ids=lambda path: path.parent.name)
