@@ -12,6 +12,7 @@ import itertools
 import json
 import queue
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -98,7 +99,8 @@ def run(options: GateOptions) -> int:
         check_new_file(options.sarif, ENDINGS, force=options.force)
     requests = _requests(options.files)
     store = Store(options.store.expanduser())
-    store.sweep()
+    with contextlib.suppress(MiSplatError, OSError):  # verdicts can be given where none can be kept
+        store.sweep()
     verdicts = _Verdicts(options)
     with _readers(chosen_workers(options.workers), policy, store) as readers:
         _judge_all(requests, readers, policy, store, verdicts)
@@ -153,7 +155,11 @@ def _readers(workers: int, policy: Policy, store: Store) -> Iterator[list[Reader
     with contextlib.ExitStack() as caches:
         numbers = itertools.count()
         for worker in range(workers):
-            variables = environment(free_cache(store.folder, numbers, caches))
+            try:
+                kernels = free_cache(store.folder, numbers, caches)
+            except MiSplatError:  # verdicts can be given where none can be kept
+                kernels = Path(caches.enter_context(tempfile.TemporaryDirectory()))
+            variables = environment(kernels)
             cores = share_of_cores(worker, workers)
             readers.append(ReaderProcess(limits, environment=variables, cores=cores))
         try:

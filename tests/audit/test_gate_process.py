@@ -1,5 +1,6 @@
 """`mi-splat gate` as a service: the processes that read files share limits and end together, and no verdict is lost."""
 
+import contextlib
 import json
 import os
 import re
@@ -313,6 +314,35 @@ def test_a_store_on_a_full_disk_changes_no_verdict(
     judged = Judge(reader, LINT, Store(tmp_path / "store")).judge({"file": str(tmp_path / "junk.ply")})
     assert LINT.verdict(judged.rows)["verdict"] == "refuse"
     assert judged.record is None
+
+
+@pytest.fixture
+def full_disk(tmp_path: Path) -> Iterator[Path]:
+    """A small disk of its own, without a free byte; only root can have one."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=32k", "tmpfs", str(folder)]
+    if sys.platform != "linux" or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("no disk can be made")
+    try:
+        (folder / "store").mkdir()
+        with contextlib.suppress(OSError):
+            (folder / "fill").write_bytes(bytes(1 << 16))
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_disk_changes_no_exit_status(full_disk: Path, tmp_path: Path) -> None:
+    (tmp_path / "junk.ply").write_text("junk")
+    sarif = full_disk / "found.sarif"
+    words = command(full_disk / "store", "--sarif", str(sarif), "--workers", "1", str(tmp_path / "junk.ply"))
+    done = subprocess.run(words, env=environment(tmp_path), capture_output=True, text=True, timeout=60)
+    assert done.returncode == 3
+    assert "junk.ply: refuse" in done.stdout
+    assert "No space left on device" in done.stderr
+    assert not sarif.exists()
+    assert not [*full_disk.rglob("*.tmp")]
 
 
 def test_a_sarif_file_is_replaced_only_when_forced(tmp_path: Path) -> None:
