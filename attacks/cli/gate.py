@@ -119,12 +119,13 @@ def _judge_all(
     room = threading.Semaphore(_WAITING * len(readers))
 
     def judge(request: Request) -> None:
-        judge, begun = idle.get(), time.monotonic()
+        free = idle.get()
+        started = time.monotonic()
         try:
-            judged = judge.judge(request)
+            judged = free.judge(request)
         finally:
-            idle.put(judge)
-        verdicts.add(request["file"], judged, policy, time.monotonic() - begun)
+            idle.put(free)
+        verdicts.add(request["file"], judged, policy, time.monotonic() - started)
 
     def ended(future: Future[None]) -> None:
         room.release()
@@ -137,6 +138,7 @@ def _judge_all(
                 room.acquire()
                 pool.submit(judge, request).add_done_callback(ended)
         except BaseException:
+            verdicts.stop()
             pool.shutdown(wait=False, cancel_futures=True)
             for reader in readers:
                 reader.close()  # else the pool waits for what is being judged
@@ -179,11 +181,18 @@ class _Verdicts:
         self._found = set[str]()
         self._reports = list[Mapping[str, Any]]()
         self._fault: Exception | None = None
+        self._is_stopped = False
+
+    def stop(self) -> None:
+        """Take no more: what is ended now is ended because of us, and says nothing of a file."""
+        self._is_stopped = True
 
     def add(self, file: str, judged: Judged, policy: Policy, seconds: float) -> None:
         """A file is judged."""
         line = _line(file, judged, policy, seconds)
         with self._lock:
+            if self._is_stopped:
+                return
             self._found.add(line["verdict"])
             if self._options.sarif is not None:
                 self._reports.append(_report(line, judged))

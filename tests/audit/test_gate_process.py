@@ -235,7 +235,9 @@ def test_a_gate_that_is_ended_leaves_nothing(how: signal.Signals, tmp_path: Path
     if not Path("/proc/self/stat").exists():
         pytest.skip("no /proc")
     words = [str(slow_file(tmp_path / "many.usda")), "--workers", "1"]
-    gate = subprocess.Popen(command(tmp_path / "store", *words), env=environment(tmp_path))
+    gate = subprocess.Popen(
+        command(tmp_path / "store", *words), env=environment(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
     end = time.monotonic() + 90
     while not any(len(processes) > 1 for processes in readers_of(gate.pid).values()):
         assert time.monotonic() < end, "the process that reads OpenUSD was never started"
@@ -247,6 +249,9 @@ def test_a_gate_that_is_ended_leaves_nothing(how: signal.Signals, tmp_path: Path
     for group in groups:
         until_gone(group, 5.0)
     assert time.monotonic() - started < 3
+    said, errors = gate.communicate()
+    assert said == b""
+    assert errors == (b"mi-splat: terminated\n" if how == signal.SIGTERM else b"")
     assert not [*(tmp_path / "temporary").iterdir()]
     assert not [*(tmp_path / "store").rglob("*.tmp")]
 
