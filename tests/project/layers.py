@@ -72,6 +72,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "transformations": ("attacks.transformations",),
     "observation": ("attacks.observe",),
     "attacks": ("attacks.dagger", "attacks.cloak", "attacks.poisons", "attacks.audits"),
+    "test kit": ("attacks.testing",),
     "studies": ("attacks.studies",),
     "scoreboard": ("attacks.bench",),
     "reports": ("attacks.report",),
