@@ -312,6 +312,13 @@ def test_leftovers_of_a_killed_program_are_swept_and_those_of_a_running_one_are_
     assert sweep_temporary(tmp_path) == 0, "a new one may be a file that its maker has not come to lock"
     os.utime(left, (time.time() - 90,) * 2)
     assert sweep_temporary(tmp_path) == 1
+    target = tmp_path / "of_the_user"
+    target.write_text("kept")
+    link = tmp_path / left.name
+    link.symlink_to(target)
+    os.utime(link, (0, 0), follow_symlinks=False)
+    assert sweep_temporary(tmp_path) == 0, "this program makes no links"
+    assert link.is_symlink()
     assert names(tmp_path) == []
 
 
