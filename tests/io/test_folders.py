@@ -312,6 +312,7 @@ def test_leftovers_of_a_killed_program_are_swept_and_those_of_a_running_one_are_
     assert sweep_temporary(tmp_path) == 0, "a new one may be a file that its maker has not come to lock"
     os.utime(left, (time.time() - 90,) * 2)
     assert sweep_temporary(tmp_path) == 1
+    assert names(tmp_path) == []
     target = tmp_path / "of_the_user"
     target.write_text("kept")
     link = tmp_path / left.name
@@ -319,7 +320,6 @@ def test_leftovers_of_a_killed_program_are_swept_and_those_of_a_running_one_are_
     os.utime(link, (0, 0), follow_symlinks=False)
     assert sweep_temporary(tmp_path) == 0, "this program makes no links"
     assert link.is_symlink()
-    assert names(tmp_path) == []
 
 
 # Every file of a result is in its manifest, and a manifest of strangers leads nowhere else

@@ -144,7 +144,7 @@ def test_what_is_refused(name: str, tmp_path: Path) -> None:
 def test_the_process_that_reads_has_little_memory() -> None:
     program = (
         "from mi_splat.io.formats import usd_child\n"
-        "usd_child._limit(1000)\n"
+        "usd_child._limit(1000, 10)\n"
         "try:\n"
         "    bytearray(usd_child._MEMORY + 1000 * usd_child._MEMORY_A_BYTE)\n"
         "except MemoryError:\n"
