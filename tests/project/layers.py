@@ -36,6 +36,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "scene",
             "placement",
             "processes",
+            "neighbours",
         )
     ),
     "cameras": ("mi_splat.cameras", "mi_splat.directions", "mi_splat.bounds"),
