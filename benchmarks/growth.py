@@ -69,7 +69,7 @@ def cameras_around(scene: Any, count: int = 2) -> Any:
 
     centre, radius = bounds(scene)
     distance, focal = framing(radius, fov=45.0, size=(128, 128))
-    return orbit(centre, count=count, distance=distance, focal=focal, size=(128, 128))
+    return orbit(centre, count=count, elevation=20.0, distance=distance, focal=focal, size=(128, 128))
 
 
 # Operations: of a number of points, the function that is timed.

@@ -13,6 +13,7 @@ from mi_splat.cli.console import import_at_once, progress, show_json, show_table
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.io.errors import SplatFileWarning
+from mi_splat.io.folders import splat_in
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,10 +44,11 @@ def run(options: InfoOptions) -> None:
     with progress(f"reading {options.file}"):
         read = _scene_file_facts if options.file.suffix.lower() == ".xml" else _file_facts
         facts = read(options.file)
+    file = str(splat_in(options.file) or options.file)
     if options.json:
-        show_json({"file": str(options.file), **facts})
+        show_json({"file": file, **facts})
     else:
-        show_table([("file", str(options.file)), *((name, _text(value)) for name, value in facts.items())])
+        show_table([("file", file), *((name, _text(value)) for name, value in facts.items())])
 
 
 def _file_facts(path: Path) -> dict[str, object]:

@@ -52,6 +52,9 @@ def read_usd(file: io.FileIO, path: str) -> Loaded:
         values = np.fromfile(Path(folder, "values"), np.float32)
     parts, up, metres = answer.objects("parts"), answer.text("up"), answer.number("metres")
     others = answer.whole("others", 0, 1 << 31)
+    if not parts and answer.values.get("nurec"):
+        do = "export it as ParticleField3DGaussianSplat or PLY, with 3dgrut's exporter (3DGRUT, Isaac Sim 6.0 or newer)"
+        raise SplatFileError.of(path, f"a visible prim of type {usd_child.SPLAT}", "a NuRec volume", do)
     if not parts:
         got = f"none, but {others} other prims" if others else "none"
         raise SplatFileError.of(path, f"a visible prim of type {usd_child.SPLAT}", got, "export the splat again")
