@@ -177,10 +177,11 @@ def _audit(count: int) -> Callable[[], object]:
 
 
 def _up(count: int) -> Callable[[], object]:
-    from mi_splat.uprightness import ground_up
+    from mi_splat.io.up_axis import ground_up
 
     scene = scene_of(count)
-    return lambda: ground_up(scene)
+    means, opacities = scene.means.numpy(), scene.opacities.numpy()
+    return lambda: ground_up(means, opacities)
 
 
 def _file(count: int) -> Path:
@@ -199,7 +200,7 @@ OPERATIONS: dict[str, Callable[[int], Callable[[], object]]] = {
     "neighbours.nearest_neighbours": _neighbours,
     "neighbours.nearest_of": _nearest_of,
     "selection.clusters": _clusters,
-    "uprightness.ground_up": _up,
+    "io.up_axis.ground_up": _up,
     "training.from_points": _from_points,
     "training.relocate (mcmc)": _relocate,
     "scene.transform": _transform,

@@ -156,4 +156,4 @@ def _anonymous_file() -> Iterator[io.FileIO]:
             yield file
     else:
         with tempfile.TemporaryFile(buffering=0) as file:
-            yield file  # type: ignore[misc]
+            yield file

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from mi_splat.io.documents import save_bytes
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.loaded import HIGHER_BANDS, SHOWN, Loaded, Notice, arrays_of, as_scene, ranges, unit, validated
+from mi_splat.io.up_axis import commented_up
 from mi_splat.sh import colour_to_dc
 
 if TYPE_CHECKING:
@@ -263,7 +264,13 @@ def read_ply(file: io.FileIO, path: str) -> Loaded:
     unread = [name for name in vertex.columns if name not in read]
     unread += [f"element {name}" for name in header.elements if name != "vertex"]
     mode = _FILTER in kinds or header.is_antialiased
-    return dataclasses.replace(loaded, is_antialiased=mode, notices=tuple(notices), unread=tuple(unread))
+    return dataclasses.replace(
+        loaded,
+        is_antialiased=mode,
+        notices=tuple(notices),
+        unread=tuple(unread),
+        stated_up=commented_up(header.comments),
+    )
 
 
 def _usual_names(vertex: Element) -> Element:

@@ -25,6 +25,7 @@ from mi_splat.io.loaded import FREE_GAUSSIANS, HIGHER_BANDS, Array, Arrays, Enco
 from mi_splat.io.parsing import Fields, parse
 from mi_splat.sh import degree_of
 
+_WRITER = "mi-splat"
 _ANSWER_LIMIT = 1 << 22
 _Y_UP = {"Y": np.eye(4), "Z": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])}
 _THREADS = ("PXR_WORK_THREAD_LIMIT", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MALLOC_ARENA_MAX")
@@ -72,7 +73,10 @@ def read_usd(file: io.FileIO, path: str) -> Loaded:
         gaussians, values = _gaussians(part, values)
         loaded.append(axes.transformed(gaussians, frame @ matrix, path))
     whole = axes.concatenated(loaded)
-    return dataclasses.replace(whole, arrays=axes.flipped(whole.arrays, axes.Z), notices=tuple(notices))
+    arrays = axes.flipped(whole.arrays, axes.Z)
+    # What this program wrote has the axes of its own scenes.
+    up_axis = None if answer.values.get("comment") == _WRITER else axes.Y_UP
+    return dataclasses.replace(whole, arrays=arrays, notices=tuple(notices), format_up=up_axis)
 
 
 def _ask(path: str, link: Path, most: int) -> Fields:
@@ -109,6 +113,7 @@ def write_usd(arrays: Arrays, ending: str) -> Encoded:
     turned = axes.flipped(arrays, axes.Z)
     means, scales, rotations, opacities, sh = (np.ascontiguousarray(value) for value in turned.values())
     layer = Sdf.Layer.CreateAnonymous(".usdc" if ending == ".usdz" else ending)
+    layer.comment = _WRITER
     stage = Usd.Stage.Open(layer)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
