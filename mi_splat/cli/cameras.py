@@ -14,7 +14,7 @@ from mi_splat.bounds import bounds, culled_in_view, near_plane, nothing_in_view
 from mi_splat.camera_forms import FORMS
 from mi_splat.camera_sets import camera_set, framing, with_up
 from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.cli.console import warn
+from mi_splat.cli.console import note, warn
 from mi_splat.cli.options import CameraOptions, axis_name, up_line
 from mi_splat.datasets import load_dataset
 from mi_splat.datasets.colmap import find_model, read_model_cameras
@@ -85,7 +85,7 @@ def upright(loaded: SplatScene, options: CameraOptions, cameras: Iterable[Camera
         poses = [camera.to_world[:3, :3].double().cpu().numpy() for camera in cameras]
         stood = cameras_up(np.array(poses)) if len(poses) > 1 else None
         up = up if stood is None else UpAxis(stood, "as the cameras stand")
-    warn(up_line(up))
+    note(up_line(up))
     return dataclasses.replace(options, up=up.direction)
 
 

@@ -284,7 +284,7 @@ def _usual_names(vertex: Element) -> Element:
 def _moving(vertex: Element) -> list[Notice]:
     """A notice where the columns are those of a splat that moves."""
     times = [name for name in vertex.columns if _TIME.fullmatch(name)]
-    if not times:
+    if not times or times == ["t"]:  # which may be anything
         return []
     got = f"one that moves (4D: {', '.join(ranges(times))})"
     return [("a splat of one moment", got, "the Gaussians of all times are drawn at once")]
