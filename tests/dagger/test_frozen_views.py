@@ -17,7 +17,7 @@ from attacks.transformations.config import Transformations
 from mi_splat import rendering
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.rendering import Renderer
-from mi_splat.view_freezing import RecentViews, freeze_views
+from mi_splat.view_freezing import KEPT_BYTES, RecentViews, affordable_bytes, freeze_views
 from tests.dagger.toy import QUICK, REGION
 from tests.fakes import CoarseDetector, ColourDetector, camera, toy_scene
 
@@ -115,7 +115,7 @@ def test_a_view_that_was_given_up_for_others_has_the_same_bits_when_it_is_made_a
     scene, mask = toy_scene()
     usual = RecentViews(scene, render=Renderer(), rows=mask).get(CAMERAS[0])
     assert usual is not None
-    few = RecentViews(scene, render=Renderer(), rows=mask, max_bytes=usual.nbytes + 10_000)
+    few = RecentViews(scene, render=Renderer(), rows=mask, kept_bytes=usual.nbytes + 10_000)
     first, other, again = (few.get(camera) for camera in (*CAMERAS, CAMERAS[0]))
     assert first is not None
     assert again is not None
@@ -127,3 +127,18 @@ def test_a_view_that_was_given_up_for_others_has_the_same_bits_when_it_is_made_a
     assert torch.equal(usual(sh), again(sh))
     assert RecentViews(scene, render=Renderer(), rows=mask, max_bytes=0).get(CAMERAS[0]) is None
     assert RecentViews(scene, render=unknown(), rows=mask).get(CAMERAS[0]) is None
+
+
+def test_views_that_are_used_most_are_kept_within_the_memory() -> None:
+    scene, mask = toy_scene()
+    cameras = [camera(offset=0.1 * number) for number in range(8)]
+    often = cameras[:2]
+    made = RecentViews(scene, render=Renderer(), rows=mask)
+    sizes = [view.nbytes for view in map(made.get, cameras) if view is not None]
+    few = RecentViews(scene, render=Renderer(), rows=mask, kept_bytes=3 * max(sizes))
+    kept = [few.get(one) for _ in range(3) for one in often][-2:]
+    for one in cameras[2:]:
+        few.get(one)
+        assert few.nbytes <= 3 * max(sizes)
+    assert [few.get(one) for one in often] == kept
+    assert 0 < affordable_bytes() <= KEPT_BYTES
