@@ -184,16 +184,28 @@ class ImageChange:
 
 def image_change(before: Sequence[Tensor], after: Sequence[Tensor], weights: Sequence[Tensor]) -> ImageChange:
     """Compare (H, W, 3) pictures pairwise; `weights` are (H, W) as from `visible_weight`."""
-    gaps = [(b.detach() - a.detach()).double() for b, a in zip(before, after, strict=True)]
-    squares = [gap.square() for gap in gaps]
-    on_object = [square[weight >= 0.5] for square, weight in zip(squares, weights, strict=True)]
-    outside = [gap[weight < 1 / 255].abs() for gap, weight in zip(gaps, weights, strict=True)]
+    # Squares of all pixels at once, so that means are summed in one order; all else a picture at a time.
+    squares = torch.empty(sum(picture.numel() for picture in before), dtype=torch.float64)
+    on_object: list[Tensor] = []
+    total = largest = outside = 0.0
+    end = 0
+    for clean, changed, weight in zip(before, after, weights, strict=True):
+        gap = (clean.detach() - changed.detach()).double()
+        square = gap.square()
+        begin, end = end, end + gap.numel()
+        squares[begin:end] = square.flatten()
+        on_object.append(square[weight >= 0.5])
+        total += float(square.sum())
+        largest = max(largest, float(gap.abs().max()))
+        beside = gap[weight < 1 / 255]
+        if beside.numel():
+            outside = max(outside, float(beside.abs().max()))
     return ImageChange(
-        l2=math.sqrt(sum(float(square.sum()) for square in squares) / len(squares)),
-        linf=max(float(gap.abs().max()) for gap in gaps),
-        psnr=_psnr(torch.cat([square.flatten() for square in squares])),
-        psnr_object=_psnr(torch.cat([square.flatten() for square in on_object])),
-        outside=max((float(gap.max()) for gap in outside if gap.numel()), default=0.0),
+        l2=math.sqrt(total / len(before)),
+        linf=largest,
+        psnr=_psnr(squares),
+        psnr_object=_psnr(torch.cat(on_object)),
+        outside=outside,
     )
 
 
