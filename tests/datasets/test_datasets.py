@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mi_splat.cameras import Camera, View, look_at, project_points
-from mi_splat.datasets import DatasetWarning, load_dataset
-from mi_splat.datasets import dataset as dataset_module
+from mi_splat.datasets import Dataset, DatasetWarning, load_dataset
 from mi_splat.datasets.packed import Packed
 from mi_splat.errors import MiSplatError
 from mi_splat.rotation import normalise, to_matrix
@@ -235,14 +234,14 @@ def test_memory_is_bounded_and_counts_the_bytes_of_8_bit_images(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_transforms(tmp_path, VIEWS)
-    decoded: list[Path] = []
-    read = dataset_module.read_picture
+    decoded: list[int] = []
+    load = Dataset._load
 
-    def counted(path: Path, **how: Any) -> Any:
-        decoded.append(path)
-        return read(path, **how)
+    def counted(self: Dataset, index: int) -> Any:
+        decoded.append(index)
+        return load(self, index)
 
-    monkeypatch.setattr(dataset_module, "read_picture", counted)
+    monkeypatch.setattr(Dataset, "_load", counted)
     one = VIEWS[0].image.numel()  # bytes of an image, of which each value is a byte
     dataset = load_dataset(tmp_path, cache_bytes=2 * one)
     first = dataset[0].image
