@@ -85,6 +85,16 @@ class RecentViews:
         self._kept[camera] = view  # as the last one
         return view
 
+    def clear(self) -> None:
+        """Drop all views, and give their memory back; they are made again where they are asked for."""
+        if self._first is None:
+            return
+        import drjit as dr
+
+        self._first = None
+        self._kept.clear()
+        dr.flush_malloc_cache()
+
     def _make_room(self, wanted: int) -> None:
         """Drop views until there is room for another: of those used least, the one that was used longest ago."""
         while self._kept and self.nbytes + wanted > self._kept_bytes:

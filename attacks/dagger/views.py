@@ -188,6 +188,9 @@ class FixedViews:
             rows=self.subset.rows,
         )
 
+    def release(self) -> None:
+        """Give back memory that makes a search faster."""
+
     def clean_reports(self, detectors: Sequence[Detector], views: Sequence[View]) -> Reports:
         """What detectors report on the clean file in some views; kept, as several attacks may share them."""
         reports: Reports = {}
@@ -280,6 +283,10 @@ class DrawnViews(FixedViews):
     def frozen(self, config: DaggerConfig) -> RecentViews:
         """Images of a search in which only colours change."""
         return self._frozen
+
+    def release(self) -> None:
+        """Give back the memory of frozen views."""
+        self._frozen.clear()
 
     def originals(self, detectors: Sequence[Detector], config: DaggerConfig) -> Callable[[View, str], str | None]:
         """What a detector calls the clean object in most of the validation views."""

@@ -1,6 +1,9 @@
 """A search over SH takes its pictures from frozen views, and finds what it finds without them."""
 
 import functools
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -20,6 +23,7 @@ from mi_splat.rendering import Renderer
 from mi_splat.view_freezing import KEPT_BYTES, RecentViews, affordable_bytes, freeze_views
 from tests.dagger.toy import QUICK, REGION
 from tests.fakes import CoarseDetector, ColourDetector, camera, toy_scene
+from tests.project.layers import ROOT
 
 CAMERAS = [camera(), camera(offset=0.5)]
 STEPS = 4
@@ -142,3 +146,34 @@ def test_views_that_are_used_most_are_kept_within_the_memory() -> None:
         assert few.nbytes <= 3 * max(sizes)
     assert [few.get(one) for one in often] == kept
     assert 0 < affordable_bytes() <= KEPT_BYTES
+
+
+def test_views_that_were_released_are_made_again_with_the_same_bits() -> None:
+    scene, mask = toy_scene()
+    views = RecentViews(scene, render=Renderer(), rows=mask)
+    first = views.get(CAMERAS[0])
+    assert first is not None
+    image = first(scene.sh[mask])
+    views.clear()
+    views.clear()
+    assert views.nbytes == 0
+    again = views.get(CAMERAS[0])
+    assert again is not None
+    assert torch.equal(again(scene.sh[mask]), image)
+
+
+MEASURED = """
+import resource, sys
+from attacks.cli import main
+words = ["dagger", "--region", "scenes/car_street.xml", "--object", "car", "--target", "person", "--out", sys.argv[1]]
+assert main(words) == 0
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+@pytest.mark.nightly
+def test_the_command_of_the_page_takes_less_than_1_500_megabytes(tmp_path: Path) -> None:
+    words = [sys.executable, "-c", MEASURED, str(tmp_path / "out")]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
+    unit = 1 if sys.platform == "darwin" else 1024
+    assert int(done.stdout.splitlines()[-1]) * unit < 1_500_000_000
