@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,20 @@ import polars as pl
 
 from attacks.observe.observations import ON_OBJECT
 from attacks.observe.rows import DETECTIONS, ROWS, SUFFIX, TABLES, read_rows
+from attacks.rate import wilson
 from attacks.report.section import plain
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
-from mi_splat.io.folders import MANIFEST, RECORD, Manifest, files_in, new_folder, read_manifest
+from mi_splat.io.folders import (
+    MANIFEST,
+    RECORD,
+    Manifest,
+    file_in,
+    files_in,
+    is_own_file,
+    new_folder,
+    read_manifest,
+)
 from mi_splat.io.parsing import DocumentReader
 
 TOLERANCE = 1e-6
@@ -29,7 +40,7 @@ Tables = Mapping[str, pl.DataFrame]
 Figures = Callable[[Mapping[str, Any], Tables], Mapping[str, Any]]
 """From the settings in result.json and the rows to figures, which stand in result.json under the same keys."""
 Value = int | float | bool | str | tuple[int, int] | None
-"""A figure; a rate is its successes and its total."""
+"""A figure; of a rate, successes and total are one figure, its fraction and the ends of its interval three more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,19 +78,23 @@ class Result:
 
 def read_result(folder: Path) -> Result:
     """A result with its tables."""
-    record = DocumentReader(do="pass a folder of results").read_json(folder / RECORD)
+    record = DocumentReader(do="pass a folder of results").read_json(file_in(folder, RECORD))
     return Result(folder=folder, record=record, manifest=read_manifest(folder), tables=read_tables(folder))
 
 
 def read_tables(folder: Path, names: Sequence[str] = TABLES) -> Tables:
     """The tables that a result has, of those with these names."""
-    return {name: read_rows(path) for name in names if (path := folder / f"{name}{SUFFIX}").is_file()}
+    paths = {name: file_in(folder, f"{name}{SUFFIX}") for name in names}
+    return {name: read_rows(path) for name, path in paths.items() if path.is_file()}
 
 
-def check_result(result: Result, figures: Figures | None, *, manifest: str | None = None) -> list[Check]:
+def check_result(
+    result: Result, figures: Figures | None, given: Sequence[str] = (), *, manifest: str | None = None
+) -> list[Check]:
     """Every line of a result: of its files, of its figures, and of its single detections."""
-    lines = [*check_files(result.folder, manifest=manifest), *check_figures(result, figures)]
-    return [*lines, *check_detections(result)]
+    of_files = check_files(result.folder, manifest=manifest)
+    of_figures = check_figures(result, figures, given)
+    return [*of_files, *of_figures, *check_detections(result)]
 
 
 def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
@@ -89,7 +104,7 @@ def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
     lines = [Check(name=MANIFEST, words=f"sha256 {listed.sha256}{', another' if same is False else ''}", passed=same)]
     for name, (digest, length) in listed.files.items():
         path, kept = folder / name, name.endswith(KEPT)
-        if path.is_symlink() or not path.is_file():
+        if not is_own_file(folder, name):
             lines.append(Check(name=name, words="missing" if kept else "left out", passed=False if kept else None))
         elif path.stat().st_size != length or sha256(path) != digest:
             lines.append(Check(name=name, words=f"other bytes than {MANIFEST} lists", passed=False))
@@ -99,18 +114,37 @@ def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
     return [*lines, *(Check(name=name, words=f"not listed in {MANIFEST}", passed=False) for name in unlisted)]
 
 
-def check_figures(result: Result, figures: Figures | None) -> list[Check]:
-    """A line for each figure that follows from the rows, and for each rate in result.json that does not."""
-    derived = {} if figures is None else flat(_derived(result, figures))
+def check_figures(result: Result, figures: Figures | None, given: Sequence[str] = ()) -> list[Check]:
+    """A line for each figure that follows from the rows, and for each number in result.json that does not.
+
+    Args:
+        result: Result with its rows.
+        figures: Derives the figures; None for a kind without rows.
+        given: Patterns of the names of numbers that are settings, or were measured once and are in no rows.
+    """
     stated = flat(result.record)
+    if figures is None:
+        rates = [name for name, value in stated.items() if isinstance(value, tuple)]
+        return [Check(name=name, words=f"{in_words(stated[name])}, of no rows", passed=None) for name in rates]
+    derived = flat(_derived(result, figures))
     lines = []
     for name, value in derived.items():
         stated_value, same = in_words(stated.get(name)), name in stated and agree(stated[name], value)
         words = in_words(value) if same else f"result.json has {stated_value}, the rows give {in_words(value)}"
         lines.append(Check(name=name, words=words, passed=same))
-    rates = [name for name, value in stated.items() if isinstance(value, tuple) and name not in derived]
-    passed = None if figures is None else False
-    return lines + [Check(name=name, words=f"{in_words(stated[name])}, of no rows", passed=passed) for name in rates]
+    for name, value in stated.items():
+        if name not in derived and _is_unexplained(name, value, given):
+            words = f"{in_words(value)}, of no rows"
+            lines.append(Check(name=name, words=words, passed=False))
+    return lines
+
+
+def _is_unexplained(name: str, value: Value, given: Sequence[str]) -> bool:
+    """Whether a figure that the rows do not give should not stand in a result."""
+    if isinstance(value, tuple):
+        return True
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return is_number and not any(fnmatchcase(name, pattern) for pattern in given)
 
 
 def check_detections(result: Result) -> list[Check]:
@@ -149,7 +183,9 @@ def _derived(result: Result, figures: Figures) -> Mapping[str, Any]:
 
 
 def flat(values: Mapping[str, Any]) -> dict[str, Value]:
-    """Figures in nested objects and lists by their keys with / between; a rate, with its interval, is one figure.
+    """Figures in nested objects and lists by their keys with / between.
+
+    Successes and total of a rate are one figure under its name, its fraction and interval stand below that.
 
     An entry of a list is called by its number, or, if it is one of several parts of an interval, by the ends of that.
     """
@@ -161,6 +197,10 @@ def _flat(value: Any, name: str) -> Iterator[tuple[str, Value]]:
         if not (type(value["successes"]) is type(value["total"]) is int):
             raise InvalidValueError.of(name, "a rate of whole numbers", str(value)[:80], "get the result again")
         yield name, (value["successes"], value["total"])
+        further = {key: entry for key, entry in value.items() if key not in ("successes", "total")}
+        # A rate without an interval is shown with Wilson's.
+        interval = wilson(value["successes"] / (value["total"] or 1), value["total"])
+        yield from _flat({"interval": interval, **further}, name)
     elif isinstance(value, Mapping):
         for key, entry in value.items():
             yield from _flat(entry, f"{name}/{key}" if name else str(key))
@@ -193,20 +233,28 @@ def in_words(value: Value) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def pack(folder: Path, out: Path, figures: Figures | None, *, whole: bool = False, force: bool = False) -> Result:
+def pack(
+    folder: Path,
+    out: Path,
+    figures: Figures | None,
+    given: Sequence[str] = (),
+    *,
+    whole: bool = False,
+    force: bool = False,
+) -> Result:
     """Copy a finished result into a new folder, which appears whole or not at all.
 
     Its manifest stays what it is, so that the copy has the same name (the SHA-256 of its manifest) and says what was
     left out.
     """
     result = read_result(folder)
-    red = next((line for line in check_result(result, figures) if line.passed is False), None)
+    red = next((line for line in check_result(result, figures, given) if line.passed is False), None)
     if red is not None:
         do = "make the result again: it was changed, or it is not of these rows"
         raise InvalidValueError.of(str(folder), "a result as it was written", f"{red.name}: {red.words}", do)
     with new_folder(out, force=force, record=RECORD, manifest=False) as copy:
         for name in (MANIFEST, *result.manifest.files):
-            if (whole or name.endswith(KEPT)) and (folder / name).is_file():
+            if (whole or name.endswith(KEPT)) and is_own_file(folder, name):
                 (copy / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(folder / name, copy / name)
     return read_result(out)

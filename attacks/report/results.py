@@ -9,7 +9,7 @@ from typing import Any
 from attacks.report.checking import Figures, Result
 from attacks.report.section import Section, sentence, versions_of
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.io.folders import MANIFEST, RECORD, read_manifest
+from mi_splat.io.folders import MANIFEST, RECORD, check_links, file_in, read_manifest
 from mi_splat.io.parsing import read_json
 
 Record = Mapping[str, Any]
@@ -22,6 +22,7 @@ class ResultKind:
     name: str  # what writes it; also what its record says under `story`
     reader: str  # in attacks.report.kinds: makes the section of a folder and of what its record holds
     counter: str = ""  # derives its figures from its rows; empty for a kind without rows
+    given: tuple[str, ...] = ()  # patterns of numbers in its record that are settings, or measured and in no rows
 
     @property
     def read(self) -> Callable[[Path, Record], Section]:
@@ -35,16 +36,34 @@ class ResultKind:
         return resolve_name(f"attacks.{self.counter}") if self.counter else None
 
 
+_PROVENANCE = ("torch/*", "seconds", "cpu_seconds", "seeds/*", "versions/*")
+"""Numbers that every record may hold: how it was made, and how long that took."""
+_OF_DAGGER = (
+    *_PROVENANCE,
+    *("seed", "config/*", "eps", "radius/*", "used/*", "used_in_file/*"),
+    *("steps", "evaluations", "loss", "trace/*", "zero_gradient_fraction/*", "clamped_fraction"),
+    *("changed_gaussians", "object_gaussians", "*psnr*", "image/*", "views/*"),
+)
+_OF_ATTACKS = ("attacks/*", "of_all_attacks/*")
+_OF_BENCH = ("cpu_seconds/*", "detector/classes", "attacks/*/settings/*", "attacks/*/labels/*")
+_OF_VICTIMS = ("victims/*", "values/*/stopped")
+_OF_SPLATS = ("study/*", "splats/*/seed", "splats/*/gaussians")
+
 RESULT_KINDS = (
-    ResultKind("dagger", "dagger:read_attack", "dagger.result:figures"),
-    ResultKind("dagger-eot", "dagger:read_attack", "dagger.result:figures"),
-    ResultKind("study", "dagger:read_study", "studies.result:figures"),
-    ResultKind("cloak", "cloak:read_cloak", "report.kinds.cloak:cloak_figures"),
-    ResultKind("cloak-study", "cloak:read_study", "report.kinds.cloak:study_figures_of_points"),
-    ResultKind("poison-study", "poison:read_study", "studies.poison_figures:figures"),
+    ResultKind("dagger", "dagger:read_attack", "dagger.result:figures", _OF_DAGGER),
+    ResultKind("dagger-eot", "dagger:read_attack", "dagger.result:figures", _OF_DAGGER),
+    ResultKind("study", "dagger:read_study", "studies.result:figures", (*_PROVENANCE, *_OF_ATTACKS)),
+    ResultKind("cloak", "cloak:read_cloak", "report.kinds.cloak:cloak_figures", (*_PROVENANCE, *_OF_SPLATS)),
+    ResultKind(
+        "cloak-study",
+        "cloak:read_study",
+        "report.kinds.cloak:study_figures_of_points",
+        (*_PROVENANCE, *(f"points/*/{pattern}" for pattern in (*_OF_SPLATS, "seeds/*"))),
+    ),
+    ResultKind("poison-study", "poison:read_study", "studies.poison_figures:figures", (*_PROVENANCE, *_OF_VICTIMS)),
     ResultKind("audit", "audit:read_audit"),
-    ResultKind("evaluate", "detectors:read_evaluation", "report.kinds.detectors:evaluation_figures"),
-    ResultKind("bench", "detectors:read_bench", "bench.row:figures"),
+    ResultKind("evaluate", "detectors:read_evaluation", "report.kinds.detectors:evaluation_figures", _PROVENANCE),
+    ResultKind("bench", "detectors:read_bench", "bench.row:figures", (*_PROVENANCE, *_OF_BENCH)),
 )
 """Every kind of result that a page can show."""
 
@@ -57,6 +76,7 @@ def read_section(path: Path) -> Section:
         if path.is_file():
             got, do = "a file", f"pass {path.parent}"
         raise InvalidValueError.of(str(path), f"a folder that one of {commands} has written", got, do)
+    check_links(path)
     record = read_json(file)
     kind = _kind(record)
     if kind is None:
@@ -79,13 +99,18 @@ def _finished(section: Section, path: Path, record: Record) -> Section:
         folder=str(path),
         control=None if control is None or (control.rate is not None and not control.rate.total) else control,
         warnings=tuple(map(sentence, (*section.doubts(), *section.warnings))),
-        pictures=tuple(picture for picture in section.pictures if picture.path.is_file()),
+        pictures=tuple(picture for picture in section.pictures if _of_folder(path, picture.path).is_file()),
         charts=tuple(chart for chart in section.charts if chart.drawn),
         tables=tuple(table for table in section.tables if table.rows),
         command=str(record.get("command") or ""),
         versions=versions_of(record),
         manifest=read_manifest(path).sha256 if (path / MANIFEST).is_file() else "",
     )
+
+
+def _of_folder(folder: Path, path: Path) -> Path:
+    """The path of a file on a page, which is one of the result's own, whatever kind of result it is."""
+    return file_in(folder, path.relative_to(folder).as_posix())
 
 
 def kind_of(result: Result) -> ResultKind:

@@ -40,6 +40,9 @@ bits reach 39 to 50 dB."""
 _VERDICTS = "differs", "conforms"
 _GRADIENT = 1e-3
 """Largest error of a gradient as a part of its length."""
+_GRADIENT_FLOOR = 1e-3
+"""Least length that an error is divided by, as a part of the length of the scene's longest gradient: where the exact
+gradient is 0 (rotations of isotropic Gaussians), rounding alone is left."""
 _CHANGE = 2e-4
 """Largest change of a value in a converted file, besides three times that by which our writer of the format rounds."""
 _PATIENCE = 600.0
@@ -87,11 +90,14 @@ class ConformOptions(JsonOptions):
 def run(options: ConformOptions) -> int:
     """List, export or compare."""
     from mi_splat.conformance_scenes import conformance_scenes
+    from mi_splat.io.folders import check_new_folder
 
     given = options.images, options.export, options.read, options.gradients
     tasks = [options.list, *(path is not None for path in given)]
     if sum(tasks) != 1:
         raise UsageError("expected one of a folder of images, --list, --export, --read and --gradients; pass only one")
+    if options.out is not None:
+        check_new_folder(options.out, force=options.force)
     every = {scene.name: scene for scene in conformance_scenes(options.size)}
     if options.list:
         document = {"scenes": [{"name": name, "fact": scene.fact} for name, scene in every.items()]}
@@ -553,39 +559,26 @@ def _nearest(before: GaussianScene, after: GaussianScene) -> Any:
     return torch.from_numpy(linear_sum_assignment(torch.cdist(first, second).numpy())[1])
 
 
-def _read_gradients(path: Path, exact: Mapping[str, Array]) -> dict[str, Array]:
-    """The arrays of a file that are called as exact ones; none may be larger in the file than twice those."""
-    import zipfile
-    from tempfile import TemporaryDirectory
-
-    from mi_splat.io.errors import SplatFileError
-    from mi_splat.selection.select import load_array
-
-    found, most = dict[str, Any](), 1024 + 16 * max(values.size for values in exact.values())
-    try:
-        with zipfile.ZipFile(path) as archive, TemporaryDirectory() as folder:
-            for name in (f"{key}.npy" for key in exact if f"{key}.npy" in archive.namelist()):
-                if archive.getinfo(name).file_size > most:
-                    raise SplatFileError.of(name, "a gradient", f"more than {most:,} bytes", "shape it as exported")
-                found[name[:-4]] = load_array(Path(archive.extract(name, folder))).astype(float)
-    except (zipfile.BadZipFile, SplatFileError, ValueError, TypeError, EOFError) as error:
-        do = "save them with numpy.savez"
-        raise InvalidValueError.of(str(path), "arrays shaped as those exported", str(error), do) from error
-    return found
-
-
 def _compare_gradients(options: ConformOptions, folder: Path, every: Mapping[str, ConformanceScene]) -> int:
     """Compare gradients with exact ones, attribute by attribute: the length of the difference, as a part of theirs."""
     import numpy as np
+
+    from mi_splat.cli.conform_gradients import read_gradients
 
     rows = list[dict[str, Any]]()
     for name, scene in every.items():
         if not (path := folder / f"{name}.npz").is_file():
             continue
-        exact, off = _gradients(scene.setup), dict[str, float | None]()
-        for key, values in _read_gradients(path, exact).items():
-            length, same = np.linalg.norm(exact[key]) or 1.0, values.shape == exact[key].shape
-            off[key] = float(np.linalg.norm(values - exact[key]) / length) if same else None
+        exact = _gradients(scene.setup)
+        lengths = {key: float(np.linalg.norm(values)) for key, values in exact.items()}
+        floor = _GRADIENT_FLOOR * max(lengths.values())
+        off = dict[str, float | None]()
+        for key, values in read_gradients(path, exact).items():
+            if values.shape != exact[key].shape:
+                off[key] = None
+                continue
+            error = float(np.linalg.norm(values - exact[key]))
+            off[key] = error / (max(lengths[key], floor) or 1.0)
         good = bool(off) and all(value is not None and value <= _GRADIENT for value in off.values())
         text = ", ".join(f"{key} {'of another shape' if v is None else f'{v:.2g}'}" for key, v in off.items())
         rows.append({"name": name, "file": str(path), "conforms": good, "relative_errors": off, "text": text})
