@@ -15,6 +15,7 @@ from torch import Tensor
 from mi_splat.cameras import Camera, View, ViewSet
 from mi_splat.datasets.colmap import find_model, read_colmap
 from mi_splat.datasets.frames import HELD_OUT, DatasetError, Frame, Split, downscaled, read_picture
+from mi_splat.datasets.packed import Packed
 from mi_splat.datasets.transforms import PARTS, SINGLE, find_transforms, read_transforms
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
@@ -26,20 +27,20 @@ CACHE_BYTES = 256 << 20
 
 
 class _Entry(NamedTuple):
-    """One picture in memory: the view, and (H, W) alpha if it has it."""
+    """One picture in memory, and (H, W) alpha if it has it."""
 
-    view: View
-    alpha: Tensor | None
+    image: Packed
+    alpha: Packed | None
 
     @property
     def bytes(self) -> int:
         """Memory that it takes."""
-        return 4 * (self.view.image.numel() + (0 if self.alpha is None else self.alpha.numel()))
+        return self.image.bytes + (0 if self.alpha is None else self.alpha.bytes)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class Dataset(ViewSet):
-    """Views whose pictures are read when they are asked for; the last ones read are kept, so do not change them."""
+    """Views whose pictures are read when they are asked for; the last ones read are kept, those of 8 bits as bytes."""
 
     frames: tuple[Frame, ...]  # cameras with the files of their pictures
     points: PointCloud | None = None  # points from which a training may start; None if the set has none
@@ -82,30 +83,34 @@ class Dataset(ViewSet):
         """A view, or the set of some of them."""
         if isinstance(index, slice):
             return dataclasses.replace(self, frames=self.frames[index])
-        return self._read(index).view
+        return View(self.cameras[index], self._read(index).image.unpack())
 
     def alpha(self, index: int) -> Tensor | None:
         """(H, W) float32 in [0, 1], opacity of the picture; None if it has none."""
-        return self._read(index).alpha
+        alpha = self._read(index).alpha
+        return None if alpha is None else alpha.unpack()
 
     def _read(self, index: int) -> _Entry:
-        """A view with its alpha, from memory or from the disk."""
+        """A picture with its alpha, from memory or from the disk."""
         index = range(len(self.frames))[operator.index(index)]
-        entry = self._cache.pop(index, None) or self._load(index)
-        self._cache[index] = entry  # as the last one
-        kept = self.cache_bytes // max(entry.bytes, 1)
-        while len(self._cache) > max(kept, 1):
-            self._cache.popitem(last=False)
+        if index in self._cache:
+            self._cache.move_to_end(index)
+            return self._cache[index]
+        entry = self._cache[index] = self._load(index)
+        held = sum(other.bytes for other in self._cache.values())
+        while held > self.cache_bytes and len(self._cache) > 1:
+            _, oldest = self._cache.popitem(last=False)
+            held -= oldest.bytes
         return entry
 
     def _load(self, index: int) -> _Entry:
-        """A view with its alpha from the disk."""
+        """A picture with its alpha from the disk."""
         path, camera = self.frames[index].path, self.cameras[index]
         image, alpha = read_picture(path, downscale=self.downscale, background=self.background)
         if tuple(image.shape[:2]) != (camera.height, camera.width):
             got, do = tuple(image.shape[:2]), "it has changed: load the set again"
             raise DatasetError.of(str(path), f"{(camera.height, camera.width)} rows and columns", got, do)
-        return _Entry(View(camera, image), alpha)
+        return _Entry(Packed.of(image), None if alpha is None else Packed.of(alpha))
 
 
 def _digest(file: Path) -> str:

@@ -118,6 +118,7 @@ HOSTILE = {
         usda('def "A" (variantSets = "v") {\nvariantSet "v" = {\n"a" {\ndef "B" (payload = @x.usd@) {\n}\n}\n}\n}'),
         "variantSetNames of /A|payload of",
     ),
+    "payload alone": (usda(splat(), 'def "B" (payload = @x.usd@) {\n}'), "payload of /B"),
     "copies": (usda(splat(), 'def "B" (inherits = </Splat>) {\n}'), "inheritPaths of /B"),
     "clips": (usda('def "B" (clips = {dictionary a = {asset[] assetPaths = [@a.usd@]}}) {\n}'), "clips of /B"),
     "high_degree": (usda(splat(TWO.replace("Degree = 1", "Degree = 2000000000"))), "an SH degree of 0 to 4"),
@@ -141,6 +142,19 @@ def test_what_is_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(SplatFileError, match=words) as caught:
         loaded(tmp_path, text)
     assert len(str(caught.value)) < len(str(tmp_path)) + 500
+
+
+def test_the_process_that_reads_has_little_memory() -> None:
+    program = (
+        "from mi_splat.io.formats import usd_child\n"
+        "usd_child._limit(1000, 10)\n"
+        "try:\n"
+        "    bytearray(usd_child._MEMORY + 1000 * usd_child._MEMORY_A_BYTE)\n"
+        "except MemoryError:\n"
+        "    print('refused')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "refused\n"
 
 
 def test_claims_of_binary_files_do_not_fill_the_memory(tmp_path: Path) -> None:
