@@ -125,15 +125,16 @@ PLY = {
     "lists_in_text.ply": listed("ascii", ROWS[:5], LISTS[:5]),
 }
 _SPLAT_READERS = ("mi_splat.io.splat_files:load_splat", "mi_splat.io.splat_files:load_stored")
-_FORMAT_READERS = {
-    ".compressed.ply": "mi_splat.io.formats.compressed_ply:read_compressed_ply",
-    ".ply": "mi_splat.io.ply:read_ply",
-    ".glb": "mi_splat.io.formats.gltf:read_glb",
-    ".sog": "mi_splat.io.formats.sog:read_sog",
-    ".splat": "mi_splat.io.formats.splat32:read_splat",
-    ".spz": "mi_splat.io.formats.spz:read_spz",
-    **dict.fromkeys((".usdc", ".usda", ".usdz"), "mi_splat.io.formats.usd:read_usd"),
+_FORMAT_READERS: dict[str, tuple[str, ...]] = {
+    ".compressed.ply": ("mi_splat.io.formats.compressed_ply:read_compressed_ply",),
+    ".ply": ("mi_splat.io.ply:read_ply", "mi_splat.io.ply:read_header"),
+    ".glb": ("mi_splat.io.formats.gltf:read_glb", "mi_splat.io.formats.gltf:open_glb", "mi_splat.io.parsing:parse"),
+    ".sog": ("mi_splat.io.formats.sog:read_sog", "mi_splat.io.formats.sog:read_picture"),
+    ".splat": ("mi_splat.io.formats.splat32:read_splat", "mi_splat.io.loaded:read_whole"),
+    ".spz": ("mi_splat.io.formats.spz:read_spz", "mi_splat.io.loaded:read_whole"),
+    **dict.fromkeys((".usdc", ".usda", ".usdz"), ("mi_splat.io.formats.usd:read_usd",)),
 }
+_LINT = ("mi_splat.audit.linting:lint_file",)
 _DOCUMENTS = {".glb": GLB, ".sog": member_json("meta.json")}
 _PACKED = {"v2.spz": GZIP, "v3.spz": GZIP}
 
@@ -175,8 +176,7 @@ def _splats() -> Iterator[Kind]:
             make=_written(name, partial(_splat_bytes, name)),
             # A process of its own reads OpenUSD, so that one reading is enough.
             read=load_splat if is_usd else _read_splat,
-            readers=(*_SPLAT_READERS, _FORMAT_READERS[suffix])
-            + (() if is_usd else ("mi_splat.audit.linting:lint_file",)),
+            readers=(*_SPLAT_READERS, *_FORMAT_READERS[suffix], *(() if is_usd else _LINT)),
             document=_DOCUMENTS.get(suffix),
             packing=_PACKED.get(name),
             starts=is_usd,
@@ -338,14 +338,6 @@ def _transforms() -> dict[str, Any]:
     return {"camera_angle_x": 0.7, "w": 64, "h": 48, "applied_transform": _POSE[:3], "frames": frames}
 
 
-def _camera_path() -> dict[str, Any]:
-    flat = [value for row in _POSE for value in row]
-    keyframes = [{"matrix": flat, "fov": 50, "aspect": 1}]
-    steps = [{"camera_to_world": flat, "fov": 50, "aspect": 1}]
-    path = {"keyframes": keyframes, "camera_type": "perspective", "camera_path": steps}
-    return {**path, "render_height": 48, "render_width": 64, "fps": 24, "seconds": 1}
-
-
 def _cameras_of(text: str) -> object:
     """The cameras that `--cameras TEXT` means."""
     from mi_splat.scene_files import SplatScene
@@ -403,7 +395,6 @@ def _cameras() -> Iterator[Kind]:
         "recorded.json": lambda: [describe("left", camera()), describe("right", camera(offset=0.3))],
         "cameras.json": lambda: [_INRIA],
         "result.json": lambda: _RESULT_CAMERAS,
-        "camera_path.json": _camera_path,
     }
     readers: dict[str, tuple[str, ...]] = {
         "transforms.json": ("mi_splat.datasets.transforms:read_cameras",),
@@ -621,9 +612,12 @@ def _forget(path: Path) -> None:
         store.remove(key)
 
 
+_HOLDER = {"host": "elsewhere", "process": 7, "command": "mi-splat train", "since": "2026-01-01 00:00:00"}
+
+
 def _lock(folder: Path) -> Path:
     (folder / "out").mkdir()
-    save_json({"pid": 1, "host": "elsewhere"}, folder / "out" / ".mi-splat.lock")
+    save_json(_HOLDER, folder / "out" / ".mi-splat.lock")
     return folder / "out" / ".mi-splat.lock"
 
 
@@ -654,6 +648,7 @@ def _results() -> Iterator[Kind]:
                 f"attacks.report.kinds.{kind.reader}",
                 "attacks.report.results:read_section",
                 "attacks.report.viewer_content:recorded_up",
+                "mi_splat.io.parsing:read_json",
                 "attacks.report.viewer_content:open_content",
             ),
             document=PLAIN_JSON,
@@ -743,13 +738,18 @@ def _read_plan(path: Path) -> None:
         work_of(study_file.read_study(path))
 
 
+STUDIES = (
+    *("cloak_demo", "studies/cloak_elsewhere", "studies/attack_zoo", "studies/eot_smallest"),
+    *("studies/renderers_trained", "studies/m_ifgsm_demo", "studies/poison_demo"),
+)
+"""Of every kind of study one that needs no detector of others."""
+
+
 def _documents() -> Iterator[Kind]:
     study = ("attacks.studies.study_file:read_study",)
-    files = sorted((ROOT / "scenes/studies").glob("*.toml"))
-    yield Kind(name="study cloak_demo.toml", make=_copied("scenes/cloak_demo.toml"), read=_read_plan, readers=study)
-    for file in files[:: max(1, len(files) // 4)]:
-        name = file.relative_to(ROOT).as_posix()
-        yield Kind(name=f"study {file.name}", make=_copied(name), read=_read_plan, readers=study)
+    for name in STUDIES:
+        make = _copied(f"scenes/{name}.toml")
+        yield Kind(name=f"study {Path(name).name}.toml", make=make, read=_read_plan, readers=study)
     suite = ("attacks.bench.suite:read_suite",)
     yield Kind(name="suite", make=partial(_suite, "suite.toml"), read=_read_suite, readers=suite)
     policy = _written("policy.toml", lambda: _POLICY)
@@ -764,7 +764,7 @@ def _documents() -> Iterator[Kind]:
 def _exr(folder: Path) -> Path:
     values = np.linspace(0, 1, 12 * 9, dtype=np.float32).reshape(9, 12)
     path = folder / f"{next(iter(_conformance()))}.exr"
-    save_floats(path, {"R": values, "G": values, "B": values})
+    save_floats({"R": values, "G": values, "B": values}, path)
     return path
 
 

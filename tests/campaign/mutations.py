@@ -278,7 +278,7 @@ _CHANGES: tuple[Change, ...] = (
 
 
 _BOMB = b"\0" * 50_000_000
-_NAMES = ("../../x", "/tmp/x", "a/../../x", "", "x" * 5000, "\x1b[2J", "C:\\x", "folder/")
+_NAMES = ("../../x", "/tmp/x", "a/../../x", ".", "x" * 5000, "\x1b[2J", "C:\\x", "folder/")
 
 
 def _repacked(data: bytes, random: Random) -> bytes:
