@@ -740,7 +740,7 @@ def _read_plan(path: Path) -> None:
 
 STUDIES = (
     *("cloak_demo", "studies/cloak_elsewhere", "studies/attack_zoo", "studies/eot_smallest"),
-    *("studies/renderers_trained", "studies/m_ifgsm_demo", "studies/poison_demo"),
+    *("studies/renderers_trained", "studies/poison_demo"),
 )
 """Of every kind of study one that needs no detector of others."""
 

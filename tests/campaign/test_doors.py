@@ -24,7 +24,13 @@ MODULES_WITHOUT = {
         ("attacks.audits.gated", "attacks.audits.judging"), "messages between our own processes; tests/audit"
     ),
     **dict.fromkeys(
-        ("attacks.cli.bench", "attacks.cli.summary", "attacks.cli.doctor", "mi_splat.cli.train", "mi_splat.cli.capture"),
+        (
+            "attacks.cli.bench",
+            "attacks.cli.summary",
+            "attacks.cli.doctor",
+            "mi_splat.cli.train",
+            "mi_splat.cli.capture",
+        ),
         "what the same command has just written",
     ),
     **dict.fromkeys(
