@@ -85,8 +85,13 @@ def _ask(path: str, link: Path, most: int) -> Fields:
     command = [sys.executable, str(Path(usd_child.__file__).resolve()), str(link), str(link.parent), str(most)]
     said = Path(link.parent, "said")
     with said.open("wb") as output:  # and not a pipe: the limit of files holds for what it says, too
-        streams = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": output}
-        done = subprocess.run(command, **streams, env={**os.environ, **_ONE_THREAD})
+        done = subprocess.run(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            env={**os.environ, **_ONE_THREAD},
+        )
     try:
         with Path(link.parent, "answer.json").open("rb") as file:
             answer = file.read(_ANSWER_LIMIT + 1)
