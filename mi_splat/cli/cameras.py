@@ -12,10 +12,10 @@ from mi_splat.audit.surfaces import AROUND, place_inside
 from mi_splat.bounds import bounds, culled_in_view, near_plane, nothing_in_view
 from mi_splat.camera_forms import FORMS
 from mi_splat.camera_sets import camera_set, framing, with_up
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras import Camera, odd_fields_of_view, orbit_pose
 from mi_splat.cli.console import warn
 from mi_splat.cli.options import CameraOptions, axis_name
-from mi_splat.datasets import load_dataset
+from mi_splat.datasets import DatasetError, load_dataset
 from mi_splat.datasets.colmap import find_model, read_model_cameras
 from mi_splat.datasets.frames import Split
 from mi_splat.datasets.transforms import find_transforms
@@ -54,7 +54,20 @@ def find_cameras(
     shows: Shows | None = None,
     split: Split | None = None,
 ) -> dict[str, Camera]:
-    """The cameras by name, in the order in which they are asked for."""
+    """The cameras by name, in the order in which they are asked for; warns of odd fields of view."""
+    cameras = _found_cameras(loaded, options, focus, shows, split)
+    if (odd := odd_fields_of_view(list(cameras.values()))) is not None:
+        warn(odd)
+    return cameras
+
+
+def _found_cameras(
+    loaded: SplatScene,
+    options: CameraOptions,
+    focus: GaussianScene | None,
+    shows: Shows | None,
+    split: Split | None,
+) -> dict[str, Camera]:
     target = loaded.scene if focus is None else focus
     if options.up != UP:
         warn(f"up is {axis_name(options.up)}")
@@ -170,7 +183,7 @@ def _named(
     elif path.suffix.lower() == ".xml":
         named = list(open_scene(path).cameras.items())
     elif path.is_dir():
-        named = _beside_pictures(path, split)
+        named = _beside_pictures(path, options, split)
     elif _is_set(text, loaded):
         centre, distance, focal = _placement(target, options)
         cameras = camera_set(text, centre, distance=distance, focal=focal, size=options.size or SIZE)
@@ -189,12 +202,17 @@ def _listed(path: Path, options: CameraOptions) -> list[tuple[str, Camera]]:
     return _numbered(path.stem, camera_set(str(path), (0, 0, 0), distance=1, focal=1, size=options.size or SIZE))
 
 
-def _beside_pictures(folder: Path, split: Split | None) -> list[tuple[str, Camera]]:
-    """The cameras of a set of pictures by their names; those of a COLMAP model need no pictures."""
-    model = find_model(folder)
-    if model is not None and find_transforms(folder) is None:
+def _beside_pictures(folder: Path, options: CameraOptions, split: Split | None) -> list[tuple[str, Camera]]:
+    """The cameras of a set of images by their names; where images or lenses cannot be read, the poses alone."""
+    transforms, model = find_transforms(folder), find_model(folder)
+    if model is not None and transforms is None:
         return [(Path(name).stem, camera) for name, camera in read_model_cameras(model, split).items()]
-    pictures = load_dataset(folder, split=split)
+    try:
+        pictures = load_dataset(folder, split=split)
+    except DatasetError:
+        if transforms is None:
+            raise
+        return _listed(transforms, options)
     return [(file.stem, camera) for file, camera in zip(pictures.paths, pictures.cameras, strict=True)]
 
 
