@@ -21,6 +21,7 @@ from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.folders import SetFiles, image_folder, mask_folders
 from mi_splat.datasets.frames import (
     HELD_OUT,
+    Found,
     Frame,
     Split,
     camera_of,
@@ -262,9 +263,7 @@ def find_model(path: Path) -> Path | None:
     return next((candidate for candidate in candidates if candidate.is_file()), None)
 
 
-def read_colmap(
-    root: Path, cameras_file: Path, split: Split | None, every: int
-) -> tuple[list[Frame], PointCloud | None]:
+def read_colmap(root: Path, cameras_file: Path, split: Split | None, every: int) -> Found:
     """The frames of a split in the order of names, and the points."""
     folder = cameras_file.parent
     others = [other for other in sorted(folder.parent.glob("[0-9]*")) if other != folder and find_model(other)]
@@ -276,10 +275,11 @@ def read_colmap(
     lenses = {number: _lens(camera, number, cameras_file, images) for number, camera in cameras.items()}
     files, masks = SetFiles(images), mask_folders(images)
     found: dict[str, Frame] = {}
-    missing = []
+    listed, missing = set[Path](), []
     for pose in poses:
         where = f"{source}, {pose.name}"
         path = files.find(pose.name, str(source))
+        listed.add(path)
         if not path.is_file():
             missing.append(path)
             continue
@@ -289,7 +289,8 @@ def read_colmap(
     report_missing(missing, len(poses), source)
     report_frames(list(found.values()), source)
     read_poses = [pose for pose in poses if pose.name in found]
-    return [found[pose.name] for pose in _split(read_poses, folder / TEST_LIST, split, every)], points
+    frames = [found[pose.name] for pose in _split(read_poses, folder / TEST_LIST, split, every)]
+    return Found(frames, frozenset(listed), points)
 
 
 def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[str, Camera]:

@@ -34,7 +34,7 @@ from mi_splat.datasets.transforms import PARTS, SINGLE, find_transforms, read_tr
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
 from mi_splat.io.errors import folder_advice
-from mi_splat.io.points import PointCloud, load_points
+from mi_splat.io.points import PointCloud
 
 CACHE_BYTES = 256 << 20
 """How much of a set a `Dataset` keeps in memory unless told otherwise."""
@@ -60,6 +60,7 @@ class Dataset(ViewSet):
 
     frames: tuple[Frame, ...]  # cameras with the files of their pictures
     points: PointCloud | None = None  # points from which a training may start; None if the set has none
+    listed: frozenset[Path] = frozenset()  # every image that the set's files name, there or not
     downscale: int = 1  # integer factor by which pictures are made smaller
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)  # sRGB colour behind transparent pixels
     cache_bytes: int = CACHE_BYTES  # how much is kept in memory
@@ -236,21 +237,26 @@ def load_dataset(
     transforms = find_transforms(root)
     model = None if transforms else find_model(root)
     if transforms:
-        frames, file = read_transforms(transforms, split, test_every)
-        points = None if file is None else load_points(file)
+        found = read_transforms(transforms, split, test_every)
     elif model:
-        frames, points = read_colmap(root, model, split, test_every)
+        found = read_colmap(root, model, split, test_every)
     else:
         expected = "transforms.json, transforms_train.json or a COLMAP model in sparse/0"
         got = "none of these" if root.is_dir() else "no such folder"
         raise DatasetError.of(str(root), expected, got, folder_advice(root, "pass the folder of a data set"))
+    frames = tuple(found.frames)
     if not frames and split != "test":
         do = "choose another split or test_every"
         raise DatasetError.of(str(root), "at least one picture", f"none for split {split!r}", do)
     if (odd := odd_fields_of_view([frame.camera for frame in frames])) is not None:
         warnings.warn(f"{root}: {odd}", DatasetWarning, stacklevel=2)
     return Dataset(
-        frames=tuple(frames), points=points, downscale=downscale, background=background, cache_bytes=cache_bytes
+        frames=frames,
+        points=found.points,
+        listed=found.listed,
+        downscale=downscale,
+        background=background,
+        cache_bytes=cache_bytes,
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path, PurePosixPath
 
 from mi_splat.datasets.errors import DatasetError
@@ -165,3 +165,21 @@ def mask_folders(images: Path) -> list[Path]:
     """Where the masks of a folder of images may lie."""
     end = images.name[len(IMAGES) :] if images.name.startswith(IMAGES) else ""
     return [images.with_name(name) for name in dict.fromkeys((f"{MASKS}{end}", MASKS))]
+
+
+def unlisted_images(listed: Collection[Path]) -> int:
+    """How many images lie beside those of a set, in its folder of images, and are not in its lists.
+
+    Folders of other names, such as the train/ and test/ of Blender, hold depth and normals, too.
+    """
+    folders = {path.parent for path in listed}
+    if len(folders) != 1 or not next(iter(folders)).name.startswith(IMAGES):
+        return 0
+    names = {path.name for path in listed}
+    try:
+        with os.scandir(folders.pop()) as entries:
+            there = [entry.name for entry in entries if entry.is_file()]
+    except OSError:
+        return 0
+    images = [name for name in there if Path(name).suffix.lower() in SUFFIXES]
+    return sum(name not in names for name in images)

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from mi_splat.datasets.folders import is_smaller
 from mi_splat.datasets.lenses import Lens, pinhole
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.picture_files import load_picture, picture_header, picture_orientation
+from mi_splat.io.points import PointCloud
 
 _MODES = ("1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "HSV", "LAB")
 
@@ -55,6 +56,14 @@ class Frame:
     def is_stored(self) -> bool:
         """Whether the image is what its file holds, neither turned nor undistorted."""
         return self.lens is None and not self.turns_before and not self.turns_after
+
+
+class Found(NamedTuple):
+    """What a reader found in the files of a set."""
+
+    frames: list[Frame]  # of the split
+    listed: frozenset[Path]  # every image that the files list, there or not
+    points: PointCloud | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

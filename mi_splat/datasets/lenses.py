@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.attributes import LARGEST
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, MiSplatError
 
-# OpenCV is imported inside functions: most sets need none of it, and it takes 0.2 s.
 
 LONGEST_SIDE = 32_767
 """Pixels: the longest side of an image that OpenCV undistorts."""
@@ -36,6 +35,20 @@ _HALF = 0.5
 
 Values = NDArray[np.floating[Any]]
 Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
+
+
+def _opencv() -> Any:
+    """OpenCV, imported when a lens has distortion: most sets need none of it.
+
+    Several packages install it in one place, and those with windows need libraries of a desktop.
+    """
+    try:
+        import cv2
+    except (ImportError, OSError) as error:
+        do = "pip install --force-reinstall --no-deps opencv-python-headless"
+        got = " ".join(str(error).split())[:200]
+        raise MiSplatError.of("OpenCV", "a package that can be imported", got, do) from error
+    return cv2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,8 +109,7 @@ class Lens:
 
     def project(self, points: Values) -> Values:
         """(N, 2) pixels in which points (x, y, 1) of camera space appear; (N, 2) float64 in."""
-        import cv2
-
+        cv2 = _opencv()
         rays = np.ascontiguousarray(points, np.float64)[:, None]
         if self.fisheye:
             pixels = cv2.fisheye.distortPoints(rays, self._matrix, self._coefficients)
@@ -105,17 +117,16 @@ class Lens:
             rays = cv2.convertPointsToHomogeneous(rays)
             still = np.zeros(3)
             pixels, _ = cv2.projectPoints(rays, still, still, self._matrix, self._coefficients)
-        return np.asarray(pixels)[:, 0] + _HALF
+        return np.asarray(pixels, np.float64)[:, 0] + _HALF
 
     def rays(self, pixels: Values) -> Values:
         """(M, 2) points (x, y) at depth 1 that appear in (N, 2) pixels; unreachable ones are left out."""
-        import cv2
-
+        cv2 = _opencv()
         places = np.ascontiguousarray(pixels - _HALF)[:, None]
         criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-10)
         undo: Any = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
         found = undo(places, self._matrix, self._coefficients, criteria=criteria)
-        points = np.asarray(found)[:, 0]
+        points: Values = np.asarray(found, np.float64)[:, 0]
         within = np.isfinite(points).all(1) & (np.hypot(*points.T) <= self.widest)
         points, pixels = points[within], pixels[within]
         if not len(points):
@@ -202,8 +213,7 @@ def _scale(side: int, centre: float, low: float, high: float) -> float:
 @functools.lru_cache(maxsize=2)
 def _maps(lens: Lens, target: Lens) -> tuple[Maps, NDArray[np.bool_]]:
     """Where each pixel of the target lies in the image, with OpenCV's centres, and which of them do."""
-    import cv2
-
+    cv2 = _opencv()
     begin: Any = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
     coefficients, turn = lens._coefficients, np.eye(3)
     across, down = begin(lens._matrix, coefficients, turn, target._matrix, target.size, cv2.CV_32FC1)
@@ -227,8 +237,7 @@ def undistorted(pixels: NDArray[np.float32], lens: Lens, target: Lens) -> tuple[
     Returns:
         (H', W', C) image, 0 where nothing was seen; and (H', W') bool, where something was.
     """
-    import cv2
-
+    cv2 = _opencv()
     (across, down), shown = _maps(lens, target)
     image = cv2.remap(pixels, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     image = np.asarray(image, np.float32).reshape(*shown.shape, pixels.shape[2])

@@ -18,6 +18,7 @@ from mi_splat.datasets.colmap import CUT_PANORAMAS, PANORAMA, report_ignored_dis
 from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.folders import IMAGES, MASKS, SetFiles, mask_folders
 from mi_splat.datasets.frames import (
+    Found,
     Frame,
     Split,
     camera_of,
@@ -31,6 +32,7 @@ from mi_splat.datasets.frames import (
 from mi_splat.datasets.lenses import Lens
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.parsing import DocumentReader, Fields
+from mi_splat.io.points import PointCloud, load_points
 
 OPENGL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 """Camera space with OpenGL's axes to ours, and back."""
@@ -66,21 +68,29 @@ def find_transforms(path: Path) -> Path | None:
     return next((path / name for name in (PARTS["train"], SINGLE, PARTS["test"]) if (path / name).is_file()), None)
 
 
-def read_transforms(path: Path, split: Split | None, every: int) -> tuple[list[Frame], Path | None]:
-    """The frames of a split, and the file of the point cloud."""
-    its_part = next((part for part, name in PARTS.items() if name == path.name), None)
-    if its_part is None:
+def read_transforms(path: Path, split: Split | None, every: int) -> Found:
+    """The frames of a split, and the points."""
+    if path.name not in PARTS.values():
         document = _document(path)
-        entries = _split(document, _entries(document, path), split, every)
-        return [frame for _, frame in entries if frame], _points_file(document, path)
+        entries = _entries(document, path)
+        frames = [frame for _, frame in _split(document, entries, split, every) if frame]
+        return Found(frames, frozenset(picture for picture, _ in entries), _points({path: document}))
     files = {part: path.with_name(name) for part, name in PARTS.items()}
     wanted = files.values() if split is None else [files[split]]
     documents = {file: _document(file) for file in wanted if split == "train" or file.is_file()}
     entries = [entry for file, document in documents.items() for entry in _entries(document, file)]
     refuse_doubles((str(picture) for picture, _ in entries), path)
-    return [frame for _, frame in entries if frame], next(
-        (points for file, doc in documents.items() if (points := _points_file(doc, file))), None
-    )
+    frames = [frame for _, frame in entries if frame]
+    return Found(frames, frozenset(picture for picture, _ in entries), _points(documents))
+
+
+def _points(documents: Mapping[Path, Mapping[str, Any]]) -> PointCloud | None:
+    """The point cloud of the first file that has one."""
+    for path, document in documents.items():
+        file = _points_file(document, path)
+        if file is not None:
+            return load_points(file)
+    return None
 
 
 def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:

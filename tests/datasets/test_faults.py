@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from mi_splat.datasets import DatasetError, load_dataset
+from mi_splat.datasets.writing import make_folder
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import load_splat
 from tests.datasets.sets import CLOUD, VIEWS, colmap_binary, write_colmap, write_transforms
@@ -91,7 +92,7 @@ TRANSFORMS: dict[str, tuple[Harm, str]] = {
     "a lens of another program": (entry(camera_model="FOV"), "got FOV; find the cameras again.*mi-splat prepare"),
     "a mask from elsewhere": (edit(lambda d: d["frames"][0].update(mask_path="/etc/hosts")), "mask_path: .*in the set"),
     "a mask of another size": (
-        lambda f: [(f / "masks").mkdir(), Image.new("L", (9, 9)).save(f / "masks" / "train_00000.png")],
+        lambda f: Image.new("L", (9, 9)).save(make_folder(f / "masks") / "train_00000.png"),
         "a mask of 18 x 13 pixels, got 9 x 9",
     ),
     "a picture from elsewhere": (edit(lambda d: d["frames"][0].update(file_path="../../x")), "a file in the set"),
@@ -220,7 +221,9 @@ def test_folders_that_are_no_set(tmp_path: Path) -> None:
         load_dataset(tmp_path)
     Image.new("RGB", (5, 5)).save(tmp_path / "photo.JPG", "JPEG")
     for read in (load_dataset, load_splat):
-        with pytest.raises(MiSplatError, match="find the cameras of the photographs"):
+        with pytest.raises(
+            MiSplatError, match=r"find the cameras of the photographs first, with `mi-splat prepare .* --out SET`"
+        ):
             read(tmp_path)
     with pytest.raises(DatasetError, match="no such folder"):
         load_dataset(tmp_path / "nowhere")

@@ -215,7 +215,7 @@ def test_we_undistort_as_colmap_does(model: str, pycolmap: Any, tmp_path: Path) 
     np.testing.assert_allclose(lens.project(points), mapped, atol=1e-9)
     fx, fy, cx, cy = same.params
     pinhole = Lens(focal=(fx, fy), principal=(cx, cy), size=(160, 120))
-    ours, shown = undistorted(pixels.astype(np.float32) / 255, lens, pinhole)
+    ours, shown = undistorted((pixels / 255).astype(np.float32), lens, pinhole)
     values = theirs.to_array()
     both = shown & values.any(-1)  # COLMAP leaves half a pixel black at the photograph's border
     assert both.mean() > 0.9

@@ -42,7 +42,7 @@ def test_near_is_an_option_and_what_it_culls_is_said(tmp_path: Path, capsys: pyt
 def test_a_run_that_goes_on_says_so(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["train", str(dataset), "--out", str(tmp_path / "out"), "--sh-degree", "1"]
     assert cli.main([*words, "--iterations", "5"]) == 0
-    assert capsys.readouterr().err == ""
+    assert "going on" not in capsys.readouterr().err
     assert cli.main([*words, "--iterations", "5"]) == 0
     assert "the run has all its 5 steps" in capsys.readouterr().err
     assert cli.main([*words, "--iterations", "8"]) == 0
