@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError, MiSplatError
 
-
 LONGEST_SIDE = 32_767
 """Pixels: the longest side of an image that OpenCV undistorts."""
 LARGEST_COEFFICIENT = 1e6

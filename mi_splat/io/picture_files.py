@@ -111,6 +111,24 @@ def _orientation(picture: Image.Image) -> int:
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
+def made_upright(picture: Image.Image, orientation: int) -> Image.Image:
+    """A decoded picture, turned or mirrored as an EXIF orientation says."""
+    turn = _UPRIGHT.get(orientation)
+    return picture if turn is None else picture.transpose(turn)
+
+
+def focal_length_35mm(picture: Image.Image) -> float | None:
+    """The focal length that a camera has written into a picture, in millimetres for the diagonal of 35 mm film."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            written = picture.getexif().get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
+        length = float(written or 0)
+    except (*BROKEN, ArithmeticError):
+        return None
+    return length if 1 <= length <= 2000 else None
+
+
 def check_scans(picture: Image.Image, what: str) -> None:
     """Raise if a picture, opened and not yet decoded, is a JPEG of so many scans that decoding takes minutes."""
     if picture.format == "TIFF" and "jpeg" in str(picture.info.get("compression")):
@@ -151,8 +169,7 @@ def load_picture(
             raise PictureFileError.of(what or str(source), "one picture", "an animation", "save one picture of it")
         check_scans(picture, what or str(source))
         picture.load()
-        turn = _UPRIGHT.get(_orientation(picture)) if upright else None
-        return picture.copy() if turn is None else picture.transpose(turn)
+        return made_upright(picture, _orientation(picture) if upright else 1).copy()
 
 
 @contextmanager
