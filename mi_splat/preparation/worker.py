@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import shutil
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -130,7 +131,7 @@ def _extract(
             number = opened.write_camera(camera)
         reading = pycolmap.ImageReaderOptions(existing_camera_id=number)
         if masks is not None:
-            reading.mask_path = str(masks)
+            reading.mask_path = str(_whole_masks(masks, database.with_name("masks"), images))
         for start in range(0, len(names), _CHUNK):
             report("finding features", done, len(images))
             chunk = names[start : start + _CHUNK]
@@ -143,6 +144,20 @@ def _extract(
                 device=pycolmap.Device.cpu,
             )
             done += len(chunk)
+
+
+def _whole_masks(masks: Path, folder: Path, images: Sequence[Named]) -> Path:
+    """A folder with a mask for each image, as COLMAP finds no features in an image without one."""
+    if folder.is_dir():
+        return folder
+    folder.mkdir()
+    for image in images:
+        name = f"{image.name}.png"
+        if (masks / name).is_file():
+            shutil.copyfile(masks / name, folder / name)
+        else:
+            Image.new("L", image.size, 255).save(folder / name)
+    return folder
 
 
 def _match(database: Path, images: Sequence[Named], pairs: Sequence[tuple[int, int]], report: Report) -> None:
