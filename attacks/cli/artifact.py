@@ -51,10 +51,11 @@ def run(options: ArtifactOptions) -> None:
 
     check_new_folder(options.out, force=options.force)
     with progress("packing", total=None):
-        figures = kind_of(read_result(options.result)).figures
-        result = pack(options.result, options.out, figures, whole=options.whole, force=options.force)
+        kind = kind_of(read_result(options.result))
+        figures = kind.figures
+        result = pack(options.result, options.out, figures, kind.given, whole=options.whole, force=options.force)
     rows = sum(map(len, result.tables.values()))
-    count = sum(check.passed is True for check in check_figures(result, figures))
+    count = sum(check.passed is True for check in check_figures(result, figures, kind.given))
     document = {"out": str(options.out), "story": result.kind, "manifest": result.manifest.sha256}
     size = sum(path.stat().st_size for path in options.out.rglob("*") if path.is_file())
     show_result(
@@ -106,7 +107,8 @@ def _checked(folder: Path, manifest: str | None) -> list[Check]:
 
     try:
         result = read_result(folder)
-        return check_result(result, kind_of(result).figures, manifest=manifest)
+        kind = kind_of(result)
+        return check_result(result, kind.figures, kind.given, manifest=manifest)
     except MiSplatError as error:
         hint = f" ({error.hint})" if error.hint else ""
         return [Check(name=str(folder), words=" ".join(f"{error}{hint}".split()), passed=False)]

@@ -60,7 +60,11 @@ class AttackOptions(DetectorOptions, ResultOptions):
     device: Literal["cpu", "cuda"] = "cpu"
     """Where splat and detectors are: on the CPU, or on an NVIDIA GPU, where no two attacks have the same bits."""
     confidence: Confidence | None = None
-    """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
+    """Confidence that counts as success: at least so much of the target class (None: 0.5, or 0.7 with --no-strict), or
+    less of what is to vanish (None: 0.3)."""
+    strict: bool = True
+    """Count a relabelled object only if its original class is reported with less than 0.5. --no-strict --step-factor 2
+    --momentum 0 --schedule constant is the search of the paper."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +79,7 @@ class DaggerOptions(AttackOptions):
     view: CameraOptions = field(default_factory=CameraOptions)
     """The cameras attacked at once; without any flag it is one. Of the folder of a set it is those of the pictures for
     training that show the object, so that the others can judge."""
-    config: DaggerConfig = field(default_factory=DaggerConfig)
+    config: DaggerConfig = field(default_factory=DaggerConfig.for_views)
     """How to attack."""
     out: OutFolder = Path("out/dagger")
 
@@ -178,7 +182,7 @@ def _detectors_and_objective(options: AttackOptions) -> tuple[Sequence[Detector]
     targeted = OBJECTIVES.chosen(options.objective).targeted
     target = (options.target or DEFAULT_TARGET) if targeted else None
     detectors = load_detectors(options.detectors, options.weights, options.device)
-    return detectors, objective_of(options.objective, target, options.confidence)
+    return detectors, objective_of(options.objective, target, options.confidence, strict=options.strict)
 
 
 def _attack(

@@ -53,7 +53,8 @@ def attack(
             box).
         objective: What the detector shall see, for instance `relabel("person")` or `hide()`.
         render: Any differentiable renderer.
-        config: Budget, steps and seeds; if None the paper's, or `DaggerConfig.for_region()` for a distribution.
+        config: Budget, steps and seeds; None is `DaggerConfig.for_views()`, or `DaggerConfig.for_region()` for a
+            distribution.
         up: (3,) direction that is up in the scene, for azimuths and elevations.
         on_step: Called with every line of the trace as it happens; once it says so, the search ends with the best
             point so far.
@@ -86,7 +87,7 @@ def attack_views(
     `judged` is where the held-out views of a region are drawn from, if they are others.
     """
     begun, detectors = time.perf_counter(), as_detectors(detectors)
-    config = config or (DaggerConfig() if views.transformations is None else DaggerConfig.for_region())
+    config = config or (DaggerConfig.for_views() if views.transformations is None else DaggerConfig.for_region())
     check_objective(objective)
     check_detectors(detectors, objective)
     views.check(config)

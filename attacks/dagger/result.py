@@ -15,7 +15,15 @@ from attacks.dagger.views import Reports, View, detected
 from attacks.detectors.base import Detections
 from attacks.objectives import Objective, Target, confidence, overall_verdict, reached_by
 from attacks.observe.observations import Observations, camera_cells, detection_rows, report_cells, verdict_cells
-from attacks.observe.rates import AIMS, REPORTED_AS_ORIGINAL, STRICT, aim_figures, count, joint_views
+from attacks.observe.rates import (
+    AIMS,
+    REPORTED_AS_ORIGINAL,
+    STRICT,
+    aim_figures,
+    count,
+    detected_views,
+    joint_views,
+)
 from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, NOISE, NORM_NOISE, ROWS, Cell, Row, frame_of
 from attacks.observe.views import ImageChange, ViewDetections, image_change
 from attacks.rate import Rate
@@ -139,8 +147,15 @@ def counted(
         verdict = _verdict(rows.filter(splat=ATTACKED), [name], config, drawn=elevations is not None)
         each.append({**verdict, "target_confidence": confidence})
     confidences = [judged["target_confidence"] for judged in each if target is not None]
+    verdict = verdict_figures(rows, detectors, config, drawn=elevations is not None)
+    conditioned = count(joint_views(detected_views(rows)), AIMS)[()]
+    aim_reached = verdict["success"]
     return {
-        **verdict_figures(rows, detectors, config, drawn=elevations is not None),
+        **verdict,
+        "success": aim_reached and conditioned["success"].total > 0,
+        "aim_reached": aim_reached,
+        "rate_if_detected": conditioned["success"].as_dict(),
+        "noise_rate_if_detected": conditioned["noise_success"].as_dict(),
         "target_confidence": min(confidences) if confidences else None,
         **aim_figures(rows, detectors, elevations),
         "detectors": each,
@@ -302,11 +317,16 @@ class Result:
 
     @property
     def success(self) -> bool:
-        """Whether the aim was reached in enough views, with enough detectors.
+        """Whether the aim was reached, and the clean object is detected in at least one view."""
+        return bool(self.figures["success"])
+
+    @property
+    def aim_reached(self) -> bool:
+        """Whether the aim was reached in enough views, with every detector, whatever is seen of the clean object.
 
         See `attacks.objectives.overall_verdict`, also for the score.
         """
-        return bool(self.figures["success"])
+        return bool(self.figures["aim_reached"])
 
     @property
     def unambiguous(self) -> bool:
@@ -368,18 +388,18 @@ def _warnings_of_fixed(result: Result) -> list[str]:
     if "sh" in result.config.attributes and result.clamped_fraction > _CLAMPED_LIMIT:
         clamped = f"{result.clamped_fraction:.0%} of the object's colour channels"
         warnings.append(f"{clamped} are clamped at 0, where SH has no gradient")
-    if result.best.success and not result.success:
+    if result.best.success and not result.aim_reached:
         warnings.append("success in the search did not survive the saved file and 8-bit pictures")
-    if result.success and not result.unambiguous:
+    if result.aim_reached and not result.unambiguous:
         warnings.append("another class is still detected on the object with more confidence")
-    if result.success and not result.strict:
+    if result.aim_reached and not result.strict:
         known = [view for view in result.views if view.target.original is not None]
         left = max(view.confidence(view.target.original, attacked=True) for view in known)
         warnings.append(f"the object's own class is still reported on it, at up to {left:.0%}")
     figures = result.figures
     for name, control in {NOISE: figures["noise"], **figures.get("controls", {})}.items():
         if control["draws"] and (
-            (result.success and control["successes"]) or max(control["scores"]) >= result.score > 0
+            (result.aim_reached and control["successes"]) or max(control["scores"]) >= result.score > 0
         ):
             warnings.append(f"a random change ({name}) does as well")
     warnings += _unmatched(result)
@@ -395,12 +415,12 @@ def _warnings_of_drawn(result: Result) -> list[str]:
     clean, noise, rate = rates["clean_success"], rates["noise_success"], rates["unambiguous"]
     if clean.successes:
         warnings.append(f"the aim is reached without any attack in {clean.successes} of {clean.total} views")
-    if result.best.success and not result.success:
+    if result.best.success and not result.aim_reached:
         warnings.append("success on the validation views did not carry over to the held-out views")
     if noise.total and rates["success"].successes and noise.fraction >= rates["success"].fraction:
         warnings.append(f"a random change ({NOISE}) does as well")
     warnings += _unmatched(result)
-    if result.success and rate.fraction < config.required_views:
+    if result.aim_reached and rate.fraction < config.required_views:
         few = f"{rate.successes} of {rate.total} views only"
         warnings.append(f"without another class of more confidence on the object: {few}")
     wanted, psnr = config.image_psnr, result.image.psnr

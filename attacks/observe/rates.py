@@ -217,6 +217,15 @@ REPORTED_AS_ORIGINAL: Measures = {
 """In how many rows the object is reported as what it is, clean and attacked."""
 
 
+def detected_views(rows: pl.DataFrame) -> pl.DataFrame:
+    """Those rows in whose view every detector reports the clean object, as a class that it knows."""
+    clean = rows.filter(splat=CLEAN).select(
+        "view", detected=pl.col("original").is_not_null() & reported("original_score").fill_null(value=False)
+    )
+    every = clean.group_by("view").agg(pl.col("detected").all()).filter("detected")
+    return rows.join(every.select("view"), on="view", how="semi", maintain_order="left")
+
+
 def joint_views(rows: pl.DataFrame) -> pl.DataFrame:
     """A row for each view of each splat, in which the aim is reached if it is with every detector of the rows."""
     rows = rows.with_columns(strict=STRICT) if "original_score" in rows.columns else rows

@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import polars as pl
 
 from attacks.observe.observations import ON_OBJECT
 from attacks.observe.rows import DETECTIONS, ROWS, SUFFIX, TABLES, read_rows
+from attacks.rate import wilson
 from attacks.report.section import plain
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
@@ -29,7 +31,7 @@ Tables = Mapping[str, pl.DataFrame]
 Figures = Callable[[Mapping[str, Any], Tables], Mapping[str, Any]]
 """From the settings in result.json and the rows to figures, which stand in result.json under the same keys."""
 Value = int | float | bool | str | tuple[int, int] | None
-"""A figure; a rate is its successes and its total."""
+"""A figure; of a rate, successes and total are one figure, its fraction and the ends of its interval three more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,10 +78,13 @@ def read_tables(folder: Path, names: Sequence[str] = TABLES) -> Tables:
     return {name: read_rows(path) for name in names if (path := folder / f"{name}{SUFFIX}").is_file()}
 
 
-def check_result(result: Result, figures: Figures | None, *, manifest: str | None = None) -> list[Check]:
+def check_result(
+    result: Result, figures: Figures | None, given: Sequence[str] = (), *, manifest: str | None = None
+) -> list[Check]:
     """Every line of a result: of its files, of its figures, and of its single detections."""
-    lines = [*check_files(result.folder, manifest=manifest), *check_figures(result, figures)]
-    return [*lines, *check_detections(result)]
+    of_files = check_files(result.folder, manifest=manifest)
+    of_figures = check_figures(result, figures, given)
+    return [*of_files, *of_figures, *check_detections(result)]
 
 
 def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
@@ -99,18 +104,37 @@ def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
     return [*lines, *(Check(name=name, words=f"not listed in {MANIFEST}", passed=False) for name in unlisted)]
 
 
-def check_figures(result: Result, figures: Figures | None) -> list[Check]:
-    """A line for each figure that follows from the rows, and for each rate in result.json that does not."""
-    derived = {} if figures is None else flat(_derived(result, figures))
+def check_figures(result: Result, figures: Figures | None, given: Sequence[str] = ()) -> list[Check]:
+    """A line for each figure that follows from the rows, and for each number in result.json that does not.
+
+    Args:
+        result: Result with its rows.
+        figures: Derives the figures; None for a kind without rows.
+        given: Patterns of the names of numbers that are settings, or were measured once and are in no rows.
+    """
     stated = flat(result.record)
+    if figures is None:
+        rates = [name for name, value in stated.items() if isinstance(value, tuple)]
+        return [Check(name=name, words=f"{in_words(stated[name])}, of no rows", passed=None) for name in rates]
+    derived = flat(_derived(result, figures))
     lines = []
     for name, value in derived.items():
         stated_value, same = in_words(stated.get(name)), name in stated and agree(stated[name], value)
         words = in_words(value) if same else f"result.json has {stated_value}, the rows give {in_words(value)}"
         lines.append(Check(name=name, words=words, passed=same))
-    rates = [name for name, value in stated.items() if isinstance(value, tuple) and name not in derived]
-    passed = None if figures is None else False
-    return lines + [Check(name=name, words=f"{in_words(stated[name])}, of no rows", passed=passed) for name in rates]
+    for name, value in stated.items():
+        if name not in derived and _is_unexplained(name, value, given):
+            words = f"{in_words(value)}, of no rows"
+            lines.append(Check(name=name, words=words, passed=False))
+    return lines
+
+
+def _is_unexplained(name: str, value: Value, given: Sequence[str]) -> bool:
+    """Whether a figure that the rows do not give should not stand in a result."""
+    if isinstance(value, tuple):
+        return True
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return is_number and not any(fnmatchcase(name, pattern) for pattern in given)
 
 
 def check_detections(result: Result) -> list[Check]:
@@ -149,7 +173,9 @@ def _derived(result: Result, figures: Figures) -> Mapping[str, Any]:
 
 
 def flat(values: Mapping[str, Any]) -> dict[str, Value]:
-    """Figures in nested objects and lists by their keys with / between; a rate, with its interval, is one figure.
+    """Figures in nested objects and lists by their keys with / between.
+
+    Successes and total of a rate are one figure under its name, its fraction and interval stand below that.
 
     An entry of a list is called by its number, or, if it is one of several parts of an interval, by the ends of that.
     """
@@ -161,6 +187,10 @@ def _flat(value: Any, name: str) -> Iterator[tuple[str, Value]]:
         if not (type(value["successes"]) is type(value["total"]) is int):
             raise InvalidValueError.of(name, "a rate of whole numbers", str(value)[:80], "get the result again")
         yield name, (value["successes"], value["total"])
+        further = {key: entry for key, entry in value.items() if key not in ("successes", "total")}
+        # A rate without an interval is shown with Wilson's.
+        interval = wilson(value["successes"] / (value["total"] or 1), value["total"])
+        yield from _flat({"interval": interval, **further}, name)
     elif isinstance(value, Mapping):
         for key, entry in value.items():
             yield from _flat(entry, f"{name}/{key}" if name else str(key))
@@ -193,14 +223,22 @@ def in_words(value: Value) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def pack(folder: Path, out: Path, figures: Figures | None, *, whole: bool = False, force: bool = False) -> Result:
+def pack(
+    folder: Path,
+    out: Path,
+    figures: Figures | None,
+    given: Sequence[str] = (),
+    *,
+    whole: bool = False,
+    force: bool = False,
+) -> Result:
     """Copy a finished result into a new folder, which appears whole or not at all.
 
     Its manifest stays what it is, so that the copy has the same name (the SHA-256 of its manifest) and says what was
     left out.
     """
     result = read_result(folder)
-    red = next((line for line in check_result(result, figures) if line.passed is False), None)
+    red = next((line for line in check_result(result, figures, given) if line.passed is False), None)
     if red is not None:
         do = "make the result again: it was changed, or it is not of these rows"
         raise InvalidValueError.of(str(folder), "a result as it was written", f"{red.name}: {red.words}", do)

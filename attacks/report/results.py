@@ -22,6 +22,7 @@ class ResultKind:
     name: str  # what writes it; also what its record says under `story`
     reader: str  # in attacks.report.kinds: makes the section of a folder and of what its record holds
     counter: str = ""  # derives its figures from its rows; empty for a kind without rows
+    given: tuple[str, ...] = ()  # patterns of numbers in its record that are settings, or measured and in no rows
 
     @property
     def read(self) -> Callable[[Path, Record], Section]:
@@ -35,16 +36,34 @@ class ResultKind:
         return resolve_name(f"attacks.{self.counter}") if self.counter else None
 
 
+_PROVENANCE = ("torch/*", "seconds", "cpu_seconds", "seeds/*", "versions/*")
+"""Numbers that every record may hold: how it was made, and how long that took."""
+_OF_DAGGER = (
+    *_PROVENANCE,
+    *("seed", "config/*", "eps", "radius/*", "used/*", "used_in_file/*"),
+    *("steps", "evaluations", "loss", "trace/*", "zero_gradient_fraction/*", "clamped_fraction"),
+    *("changed_gaussians", "object_gaussians", "*psnr*", "image/*", "views/*"),
+)
+_OF_ATTACKS = ("attacks/*", "of_all_attacks/*")
+_OF_BENCH = ("cpu_seconds/*", "detector/classes", "attacks/*/settings/*", "attacks/*/labels/*")
+_OF_VICTIMS = ("victims/*", "values/*/stopped")
+_OF_SPLATS = ("study/*", "splats/*/seed", "splats/*/gaussians")
+
 RESULT_KINDS = (
-    ResultKind("dagger", "dagger:read_attack", "dagger.result:figures"),
-    ResultKind("dagger-eot", "dagger:read_attack", "dagger.result:figures"),
-    ResultKind("study", "dagger:read_study", "studies.result:figures"),
-    ResultKind("cloak", "cloak:read_cloak", "report.kinds.cloak:cloak_figures"),
-    ResultKind("cloak-study", "cloak:read_study", "report.kinds.cloak:study_figures_of_points"),
-    ResultKind("poison-study", "poison:read_study", "studies.poison_figures:figures"),
+    ResultKind("dagger", "dagger:read_attack", "dagger.result:figures", _OF_DAGGER),
+    ResultKind("dagger-eot", "dagger:read_attack", "dagger.result:figures", _OF_DAGGER),
+    ResultKind("study", "dagger:read_study", "studies.result:figures", (*_PROVENANCE, *_OF_ATTACKS)),
+    ResultKind("cloak", "cloak:read_cloak", "report.kinds.cloak:cloak_figures", (*_PROVENANCE, *_OF_SPLATS)),
+    ResultKind(
+        "cloak-study",
+        "cloak:read_study",
+        "report.kinds.cloak:study_figures_of_points",
+        (*_PROVENANCE, *(f"points/*/{pattern}" for pattern in (*_OF_SPLATS, "seeds/*"))),
+    ),
+    ResultKind("poison-study", "poison:read_study", "studies.poison_figures:figures", (*_PROVENANCE, *_OF_VICTIMS)),
     ResultKind("audit", "audit:read_audit"),
-    ResultKind("evaluate", "detectors:read_evaluation", "report.kinds.detectors:evaluation_figures"),
-    ResultKind("bench", "detectors:read_bench", "bench.row:figures"),
+    ResultKind("evaluate", "detectors:read_evaluation", "report.kinds.detectors:evaluation_figures", _PROVENANCE),
+    ResultKind("bench", "detectors:read_bench", "bench.row:figures", (*_PROVENANCE, *_OF_BENCH)),
 )
 """Every kind of result that a page can show."""
 

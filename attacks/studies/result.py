@@ -20,7 +20,7 @@ from attacks.observe.rates import (
     transfer_measures,
     with_control,
 )
-from attacks.observe.rows import ATTACKED, CONTROLS, ROWS
+from attacks.observe.rows import ATTACKED, CONTROLS, NOISE, ROWS
 from attacks.rate import Rate, number, pooled
 from attacks.studies.attack import CAMERAS
 from attacks.studies.study_file import merged
@@ -96,7 +96,7 @@ def figures(record: Record, tables: Mapping[str, pl.DataFrame]) -> dict[str, Any
     grouped = [*_grouped(still, ("seed",)), *_grouped(moving, ("seed", CAMERA))]
     groups = [_group(part, labels, members, each, attacks, judged) for part, labels, members in grouped]
     together = [
-        {"part": part, "labels": labels, **_over_cameras(members, attacks, judged)}
+        {"part": part, "labels": labels, **_if_detected(members, attacks, judged)}
         for part, labels, members in _grouped(moving, (*POOLED, CAMERA))
     ]
     return {
@@ -155,13 +155,16 @@ def _group(
     group: dict[str, Any] = {"part": part, "labels": labels, "attacks": len(members)}
     group |= {name: _median(stated, name) for name in ("steps", "image_psnr", "psnr_object", "seconds")}
     if views_of(attacks[members[0]]) == "drawn":
-        return {**group, **_over_cameras(members, attacks, judged)}
+        return {**group, **_if_detected(members, attacks, judged)}
     group["original_after"] = _median(known, "original_after")
     if AXIS in labels and _known(stated, "loss"):
         group |= {name: _median(stated, name) for name in ("loss", "evaluations", "cpu_seconds")}
     if "rate" in known[0]:
         rates = _pooled(judged.filter(pl.col("attack").is_in(members)), several=len(members) > 1)
-        return {**group, **{key: rates[name].as_dict() for key, name in RATES.items()}}
+        group |= {key: rates[name].as_dict() for key, name in RATES.items()}
+        if set(judged.columns) >= _CONDITION:
+            group["if_detected"] = _if_detected(members, attacks, judged)
+        return group
     aims = ("success", "strict", "unambiguous")
     frame = pl.DataFrame([{"splat": ATTACKED, **{key: attack[key] for key in aims}} for attack in known])
     rates = count(frame, {key: AIMS[key] for key in aims})[()]
@@ -177,15 +180,21 @@ def _group(
     }
 
 
-def _over_cameras(members: Sequence[str], attacks: Record, judged: pl.DataFrame) -> dict[str, Any]:
-    """How often attacks from drawn cameras, and their controls, succeed where the clean object is reported."""
+def _if_detected(members: Sequence[str], attacks: Record, judged: pl.DataFrame) -> dict[str, Any]:
+    """How often attacks, and their controls, succeed in views in which the clean object is detected.
+
+    Views of one drawn camera, or of one part of a region, are not independent: they are a cluster.
+    """
     settings = {name: attacks[name]["settings"] for name in members}
     own = {name: of["object"].replace("_", " ") for name, of in settings.items()}
-    places = {name: f"{of['object']} {of['camera']}" for name, of in settings.items()}
-    rows = with_control(judged.filter(pl.col("attack").is_in(members))).with_columns(
-        own=pl.col("attack").replace_strict(own), place=pl.col("attack").replace_strict(places)
-    )
-    rates = count(rows, OVER_CAMERAS, clusters=("place", "seed"))[()]
+    rows = with_control(judged.filter(pl.col("attack").is_in(members)))
+    rows = rows.with_columns(own=pl.col("attack").replace_strict(own))
+    clusters = CLUSTERS
+    if views_of(attacks[members[0]]) == "drawn":
+        places = {name: f"{of['object']} {of['camera']}" for name, of in settings.items()}
+        rows = rows.with_columns(place=pl.col("attack").replace_strict(places))
+        clusters = ("place", "seed")
+    rates = count(rows, OVER_CAMERAS, clusters=clusters)[()]
     median = pl.col("object_psnr").filter(OVER_CAMERAS["found"].holds).median()
     psnr = dict(rows.group_by("splat").agg(median).iter_rows())
     lines = {
@@ -197,6 +206,8 @@ def _over_cameras(members: Sequence[str], attacks: Record, judged: pl.DataFrame)
 
 
 _REACHED = ("strict", "success", "lost")
+_CONDITION = {"threshold", "object_psnr"}
+"""Columns that rows of a region need for rates conditioned on the clean object; the oldest have not."""
 
 
 def _known(lines: Sequence[Record], name: str) -> list[Any]:
@@ -270,7 +281,7 @@ def tables(record: Record) -> Iterator[Table]:
         if "found" in groups[0]:
             yield over_cameras(title, groups, record["together"])
             continue
-        columns = {**_axes(groups), **(_OF_VIEWS if "rate" in groups[0] else _OF_ATTACKS)}
+        columns = {**_axes(groups), **_columns_of(groups[0])}
         yield from compared or [Table.of(title or "The attacks", columns, groups)]
     for title, searched in by_part(record["smallest"]).items():
         caption = f"The smallest that suffices{f': {title}' if title else ''}"
@@ -312,6 +323,16 @@ _OF_ATTACKS: dict[str, Column[Any]] = {
     "noise success": lambda line: f"{line['noise_successes']}/{line['noise_draws']}",
     "noise best": number_at("noise_best"),
 }
+_IF_DETECTED: dict[str, Column[Any]] = {
+    "clean object detected": short_rate("if_detected", "found"),
+    "strict, if detected": short_rate("if_detected", "strict", interval=True),
+    "target class, if detected": short_rate("if_detected", "success"),
+    "noise: strict": short_rate("if_detected", "controls", NOISE, "strict"),
+    "noise: target class": short_rate("if_detected", "controls", NOISE, "success"),
+    "noise: own class lost": short_rate("if_detected", "controls", NOISE, "lost"),
+    "noise: dB on the object": number_at("if_detected", "controls", NOISE, "psnr_object", form=".1f"),
+}
+"""Of the views of a region in which the clean object is detected."""
 _OF_VIEWS: dict[str, Column[Any]] = {
     "views": short_rate("rate", interval=True),
     "strictly": short_rate("strict_rate"),
@@ -322,6 +343,15 @@ _OF_VIEWS: dict[str, Column[Any]] = {
     "steps": "steps",
     "seconds": number_at("seconds", form=".0f"),
 }
+
+
+def _columns_of(group: Record) -> dict[str, Column[Any]]:
+    """What a table of groups such as this one shows."""
+    if "rate" not in group:
+        return _OF_ATTACKS
+    return {**_IF_DETECTED, **_OF_VIEWS} if "if_detected" in group else _OF_VIEWS
+
+
 _OF_SEARCHES: dict[str, Column[Any]] = {"smallest": "smallest", "largest that does not": "not_enough"}
 KINDS = {
     "targeted": "The wanted class is reported",

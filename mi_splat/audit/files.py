@@ -140,28 +140,17 @@ def _address(file: str) -> str:
     return path.as_uri() if path.is_absolute() else quote(os.fsencode(path.as_posix()))
 
 
-MOST_NAMED = 8  # pictures of a set that are named in a line
+UNNAMED = "which images of the set were changed is not said: no measure that names them has been found reliable"
 
 
-def document_of_pictures(judged: PictureAudit, views: Dataset, count: int) -> dict[str, Any]:
-    """An audit of pictures as JSON can hold it."""
-    amounts = judged.amounts.tolist()
-    files = [str(views.frames[number].path) for number in judged.numbers.tolist()]
-    shown = [Path(file).name for file, amount in zip(files, amounts, strict=True) if amount > LIMITS.shows]
-    more = f" and {len(shown) - MOST_NAMED} more" if len(shown) > MOST_NAMED else ""
-    names = ", ".join(shown[:MOST_NAMED])
-    line = f"{len(shown)} of {len(files)} pictures show what the others contradict: {names}{more}"
-    rest = f"{len(files)} of the {count} pictures of the set were compared; nothing is said of the others"
+def document_of_pictures(judged: PictureAudit, count: int) -> dict[str, Any]:
+    """An audit of the images of a set as JSON can hold it; `count` is the number of all images."""
     values = document(judged.audit)
-    return {
-        **values,
-        "summary": [*values["summary"], *([line] if shown else []), *([rest] if len(files) < count else [])],
-        "pictures_in_set": count,
-        "views": [
-            {"picture": file, "amount": amount, "contradicts": amount > LIMITS.shows}
-            for file, amount in zip(files, amounts, strict=True)
-        ],
-    }
+    compared = len(judged.numbers)
+    summary = [*values["summary"], UNNAMED]
+    if compared < count:
+        summary.append(f"{compared} of the {count} images of the set were compared; nothing is said of the others")
+    return {**values, "summary": summary, "images_in_set": count, "images_compared": compared}
 
 
 def write_pictures(

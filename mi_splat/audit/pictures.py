@@ -1,4 +1,4 @@
-"""Pictures before any training: which of a set contradict what the others show of the same surface?"""
+"""Images before any training: do some of a set contradict what the others show of the same surface?"""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.audit.auditing import cameras_in_frame, judged_object, seen_share
-from mi_splat.audit.results import Audit, ObjectAudit
+from mi_splat.audit.results import Audit
 from mi_splat.audit.surfaces import Target, frame_of, targets
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.bounds import near_plane
@@ -28,21 +28,14 @@ OnStep = Callable[[int, int], None]  # called after each step of the training wi
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PictureAudit:
-    """Which pictures of a set contradict the others, and by how much."""
+    """Whether images of a set contradict the others; which ones is not said (see `UNNAMED` in `audit.files`)."""
 
     audit: Audit  # of the surface that the pictures show; no Gaussian has heat
-    numbers: Tensor  # (K,) int64, which pictures were compared
-    amounts: Tensor  # (K,) how much of a contradicted appearance each shows, from about 0 to about 1
-
-    @property
-    def contradicting(self) -> list[int]:
-        """Numbers of the pictures that show a look, in the order of the set."""
-        numbers: list[int] = self.numbers[self.amounts > LIMITS.shows].tolist()
-        return numbers
+    numbers: Tensor  # (K,) int64, which images were compared
 
 
 def audit_pictures(views: Dataset, *, up: Point | None = None, on_step: OnStep | None = None) -> PictureAudit:
-    """Say which pictures of a set contradict what the others show of the same surface.
+    """Say whether images of a set contradict what the others show of the same surface.
 
     A small splat is trained only for the surface; colours are those of the images. What is compared, and what gloss
     explains of it, is as in `audit`. At most 300 images are compared, evenly taken.
@@ -94,8 +87,7 @@ def compare_pictures(
         near=seen_share(frame, [(target, cameras) for target in objects]),
         up=up,
     )
-    amounts = torch.stack([_amounts(item, len(views)) for item in judged]).amax(0)
-    return PictureAudit(audit=audit, numbers=numbers, amounts=amounts)
+    return PictureAudit(audit=audit, numbers=numbers)
 
 
 def _cells(target: Target, cameras: Sequence[Camera]) -> int:
@@ -104,9 +96,3 @@ def _cells(target: Target, cameras: Sequence[Camera]) -> int:
     focal = torch.tensor([min(camera.fx, camera.fy) for camera in cameras])
     across = float((2 * target.radius * focal / ways.clamp(min=1e-9)).median())
     return min(target.cells, max(LIMITS.least_across, round(across / LIMITS.piece_pixels)))
-
-
-def _amounts(item: ObjectAudit, count: int) -> Tensor:
-    """(K,) how much each picture shows of any look of an object."""
-    looks = [look.amounts for look in item.looks if look.evidence >= LIMITS.suspicion]
-    return torch.stack([torch.zeros(count), *looks]).amax(0)

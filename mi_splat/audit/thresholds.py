@@ -170,7 +170,6 @@ class Thresholds:
     surface_gaussians: int = 8000
     piece_pixels: float = 2.5  # Across a piece of surface.
     least_across: int = 8  # Pieces along the diameter of an object.
-    shows: float = 0.5  # Amount of an appearance from which an image counts as showing it.
 
     # Repair
     margins: tuple[float, ...] = (25.0, 20.0, 15.0, 10.0, 5.0, 0.0)  # Degrees off the others; the first that leaves,

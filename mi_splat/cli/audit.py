@@ -44,8 +44,8 @@ class AuditOptions(JsonOptions):
     """
 
     file: Positional[Path]
-    """Splat file of any format that is read, scene XML made of splats, or folder of pictures with cameras, of which is
-    said which pictures contradict the others, before any training."""
+    """Splat file of any format that is read, scene XML made of splats, or folder of images with cameras. Images are
+    checked, before any training, for an appearance that others contradict; which of them show it is not said."""
     cameras: Annotated[tuple[str, ...], Metavar("CAMERAS")] = ()
     """Those of the training pictures, in the forms that `mi-splat render` takes, the cameras.json beside a splat, for
     instance: look at each object from near their directions alone, and from themselves in a room. Without, from a
@@ -196,7 +196,7 @@ def _audited_pictures(path: Path, folder: Path | None, options: AuditOptions) ->
     views, rest = (load_dataset(path, split=split, downscale=options.downscale) for split in ("train", None))
     with progress(f"finding the surface in {path.name}", total=LIMITS.surface_steps) as advance:
         judged = audit_pictures(views, up=options.up, on_step=lambda done, of: advance())
-    account, files = document_of_pictures(judged, views, len(rest)), list[Path]()
+    account, files = document_of_pictures(judged, len(rest)), list[Path]()
     if folder:
         files = write_pictures(judged, views, folder, account=account, source=str(path), force=options.force)
     return {"file": str(path), **account, "files": [str(file) for file in files]}

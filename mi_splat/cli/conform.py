@@ -40,6 +40,9 @@ bits reach 39 to 50 dB."""
 _VERDICTS = "differs", "conforms"
 _GRADIENT = 1e-3
 """Largest error of a gradient as a part of its length."""
+_GRADIENT_FLOOR = 1e-3
+"""Least length that an error is divided by, as a part of the length of the scene's longest gradient: where the exact
+gradient is 0 (rotations of isotropic Gaussians), rounding alone is left."""
 _CHANGE = 2e-4
 """Largest change of a value in a converted file, besides three times that by which our writer of the format rounds."""
 _PATIENCE = 600.0
@@ -582,10 +585,16 @@ def _compare_gradients(options: ConformOptions, folder: Path, every: Mapping[str
     for name, scene in every.items():
         if not (path := folder / f"{name}.npz").is_file():
             continue
-        exact, off = _gradients(scene.setup), dict[str, float | None]()
+        exact = _gradients(scene.setup)
+        lengths = {key: float(np.linalg.norm(values)) for key, values in exact.items()}
+        floor = _GRADIENT_FLOOR * max(lengths.values())
+        off = dict[str, float | None]()
         for key, values in _read_gradients(path, exact).items():
-            length, same = np.linalg.norm(exact[key]) or 1.0, values.shape == exact[key].shape
-            off[key] = float(np.linalg.norm(values - exact[key]) / length) if same else None
+            if values.shape != exact[key].shape:
+                off[key] = None
+                continue
+            error = float(np.linalg.norm(values - exact[key]))
+            off[key] = error / (max(lengths[key], floor) or 1.0)
         good = bool(off) and all(value is not None and value <= _GRADIENT for value in off.values())
         text = ", ".join(f"{key} {'of another shape' if v is None else f'{v:.2g}'}" for key, v in off.items())
         rows.append({"name": name, "file": str(path), "conforms": good, "relative_errors": off, "text": text})

@@ -11,6 +11,8 @@ from mi_splat.assets.mesh import scaling, transform, translation
 from mi_splat.assets.primitives import box, ellipsoid, extrude, lathe, loft, sweep
 from mi_splat.errors import InvalidValueError
 
+pytestmark = pytest.mark.shipped
+
 GREY = (0.5, 0.5, 0.5)
 MINE = ("car", "stop sign", "tv", "train", "suitcase", "fire hydrant")
 # Length, width and height in metres, lowest and highest over all seeds.

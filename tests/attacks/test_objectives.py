@@ -4,7 +4,10 @@ import dataclasses
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from torch import Tensor
+from torchvision.ops import box_iou
 
 from attacks.detectors.base import Candidates, Detections
 from attacks.objectives import (
@@ -13,9 +16,12 @@ from attacks.objectives import (
     Target,
     confidence,
     hide,
+    overall_verdict,
+    overlap,
     relabel,
     untargeted,
 )
+from attacks.search import Verdict
 from mi_splat.errors import InvalidValueError
 
 CLASSES = ("car", "person", "bird")
@@ -165,3 +171,22 @@ def test_untargeted_cannot_succeed_on_what_was_never_seen() -> None:
 def test_a_class_that_the_detector_does_not_know_is_named() -> None:
     with pytest.raises(InvalidValueError, match="label: expected one of car, person, bird, got tram"):
         relabel("tram")(candidates(torch.zeros(2, 3)), TARGET)
+
+
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(0, 40), st.integers(1, 30), st.integers(1, 30)), min_size=2))
+def test_overlap_is_the_intersection_over_union(corners: list[tuple[int, int, int, int]]) -> None:
+    """Boxes that lie apart along both axes have none, though both of their gaps are negative."""
+    boxes = torch.tensor([[x, y, x + width, y + height] for x, y, width, height in corners], dtype=torch.float32)
+    for box in boxes:
+        torch.testing.assert_close(overlap(boxes, box), box_iou(boxes, box[None])[:, 0])
+    far = torch.tensor([[100.0, 100.0, 110.0, 110.0]])
+    assert not overlap(far, boxes[0]).any()
+
+
+@pytest.mark.parametrize("drawn", [False, True])
+def test_every_attacked_detector_has_to_be_deceived(drawn: bool) -> None:
+    yes, no = (Verdict(success=success, score=float(success), unambiguous=success) for success in (True, False))
+    for rows, expected in (([[yes, yes]], True), ([[yes, no]], False), ([[no, yes]], False)):
+        verdict = overall_verdict(rows * 3, 0.5, drawn=drawn)
+        assert verdict.success is expected
+        assert verdict.unambiguous is expected

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.poisons.base import PicturePoison, Poisoned, within_ball
+from attacks.poisons.base import PicturePoison, Poisoned, ball, within_ball
 from attacks.poisons.config import (
     FilterConfig,
     FrequencyPruningConfig,
@@ -195,3 +195,16 @@ def test_a_start_that_is_not_of_these_views_is_refused(views: list[View]) -> Non
             attack(start=start)(views)
     with pytest.raises(InvalidValueError, match="finite"):
         attack(start=SPLAT.replace(means=SPLAT.means * torch.nan))(views)
+
+
+def test_the_whole_ball_is_used() -> None:
+    """What lies outside is clipped to the edge itself, and noise reaches it."""
+    clean = torch.full((8, 8, 3), 0.5)
+    for eps in (1, 8, 16):
+        low, high = ball(clean, eps)
+        assert torch.allclose(255 * (high - clean), torch.full_like(clean, eps))
+        assert torch.allclose(255 * (clean - low), torch.full_like(clean, eps))
+        on_grid = torch.full((8, 8, 3), 100 / 255)
+        for image, sign in ((torch.ones_like(clean), 1), (torch.zeros_like(clean), -1)):
+            change = 255 * (within_ball(image, on_grid, eps) - on_grid)
+            assert torch.allclose(change, torch.full_like(clean, float(sign * eps)), atol=1e-3)

@@ -13,6 +13,7 @@ from attacks import cli
 from attacks.report.results import read_section
 from mi_splat.audit import pictures
 from mi_splat.audit.evidence import edit_of
+from mi_splat.audit.files import UNNAMED, document_of_pictures
 from mi_splat.audit.pictures import audit_pictures, compare_pictures
 from mi_splat.audit.results import Edit
 from mi_splat.audit.surfaces import frame_of, lattice, targets
@@ -115,15 +116,16 @@ def poisoned(plain_suitcase: Made) -> list[View]:
     return views_of(hidden(plain_suitcase, cone(direction(90, 0), WIDTH), colour=(0.8, 0.2, 0.1)).scene)
 
 
-def test_pictures_that_the_others_contradict_are_named(plain_suitcase: Made, poisoned: list[View]) -> None:
+def test_images_that_the_others_contradict_are_noticed_and_not_named(
+    plain_suitcase: Made, poisoned: list[View]
+) -> None:
+    """On sets poisoned by CLOAK the images that stood out were honest ones, so no image is called changed."""
     judged = compare_pictures(poisoned, plain_suitcase.scene, numbers=torch.arange(COUNT))
     assert judged.audit.verdict == "hidden look"
-    inside = lattice(COUNT, 8.0, 85.0).float() @ direction(90, 0) > torch.tensor(WIDTH).deg2rad().cos()
-    named = torch.zeros(COUNT, dtype=torch.bool)
-    named[judged.contradicting] = True
-    assert float((named == inside).double().mean()) > 0.8  # SH of degree 3 fade at the edge
-    assert float(judged.amounts[inside].median() - judged.amounts[~inside].median()) > 0.5
     assert judged.audit.strongest.occluder is None
+    account = document_of_pictures(judged, COUNT)
+    assert account["summary"][-1] == UNNAMED
+    assert ".png" not in " ".join(account["summary"])
 
 
 def test_few_images_are_refused_before_any_training(tmp_path: Path) -> None:
@@ -135,7 +137,6 @@ def test_few_images_are_refused_before_any_training(tmp_path: Path) -> None:
 def test_an_honest_set_contradicts_nothing(plain_suitcase: Made) -> None:
     judged = compare_pictures(views_of(plain_suitcase.scene), plain_suitcase.scene, numbers=torch.arange(COUNT))
     assert judged.audit.verdict == "nothing found"
-    assert judged.contradicting == []
     with pytest.raises(InvalidValueError, match="cameras: expected at least 12, got 5"):
         compare_pictures(views_of(plain_suitcase.scene)[:5], plain_suitcase.scene, numbers=torch.arange(5))
 
@@ -160,18 +161,17 @@ def test_the_command_takes_a_folder_of_pictures(
     out = tmp_path / "out"
     assert cli.main(["audit", str(tmp_path / "set"), "--out", str(out)]) == 3
     record = json.loads((out / "result.json").read_text())
-    assert len(record["views"]) == COUNT
-    named = [view for view in record["views"] if view["contradicts"]]
-    assert record["summary"][-1].startswith(f"{len(named)} of {COUNT} pictures show what the others contradict")
+    assert (record["images_in_set"], record["images_compared"]) == (COUNT, COUNT)
+    assert record["summary"][-1] == UNNAMED
+    assert "views" not in record
     assert {file.name for file in out.iterdir()} == {"result.json", "manifest.json", "pair.png"}
     section = read_section(out)
-    assert section.kind == "audit of pictures"
-    assert len(section.tables[-1].rows) == len(named)
+    assert section.kind == "audit of images"
     assert cli.main(["audit", str(tmp_path / "set"), "--cameras", "orbit:20@20"]) == 2
     assert cli.main(["audit", str(tmp_path / "set"), "--downscale", "2"]) == 1
     assert "2 times smaller" in capsys.readouterr().err
     monkeypatch.setitem(vars(LIMITS), "most_cameras", COUNT - 1)
     capsys.readouterr()
     cli.main(["audit", str(tmp_path / "set"), "--out", str(out), "--force"])
-    assert f"{COUNT - 1} of the {COUNT} pictures of the set were compared" in capsys.readouterr().out
-    assert any(f"{COUNT - 1} of the {COUNT} pictures" in warning for warning in read_section(out).warnings)
+    assert f"{COUNT - 1} of the {COUNT} images of the set were compared" in capsys.readouterr().out
+    assert any(f"{COUNT - 1} of the {COUNT} images" in warning for warning in read_section(out).warnings)

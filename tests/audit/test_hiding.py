@@ -12,6 +12,8 @@ from scenes.recipes.audit_hiding import Hiding, Victim, hide
 from tests.audit.scenes import direction, standing
 from tests.project.documented_commands import ROOT
 
+pytestmark = pytest.mark.shipped
+
 
 @pytest.mark.parametrize("by", ["coefficients", "layers", "roof"])
 def test_the_recipe_hides_from_inside_of_its_trigger(by: Literal["coefficients", "layers", "roof"]) -> None:

@@ -31,6 +31,8 @@ from mi_splat.scene import GaussianScene
 from tests.audit import scenes
 from tests.gaussians import splat_names
 
+pytestmark = pytest.mark.shipped
+
 COUNT = 60
 BY_NAME = {rule.name: rule for rule in RULES}
 

@@ -12,6 +12,8 @@ from mi_splat.audit.thresholds import LIMITS
 from tests.audit import scenes
 from tests.audit.scenes import Made, standing
 
+pytestmark = pytest.mark.shipped
+
 
 @pytest.fixture(scope="module")
 def suitcase() -> Made:

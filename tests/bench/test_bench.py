@@ -17,12 +17,13 @@ from attacks.detectors.catalogue import SMALL_WEIGHTS
 from attacks.detectors.registry import CHOSEN_WEIGHTS
 from attacks.observe.rows import read_rows
 from attacks.report.checking import check_result, read_result
+from attacks.report.results import kind_of
 from mi_splat.ledger import engines
 from tests.project.layers import ROOT
 from tests.studies.toy import toys, write_toy
 
 __all__ = ["toys"]
-pytestmark = pytest.mark.usefixtures("toys")
+pytestmark = [pytest.mark.usefixtures("toys"), pytest.mark.shipped]
 FILES = {
     "suite": 'question = "Does it still see it?"\nsurrogates = ["fake_colour", "fake_coarse"]\n',
     "one_view": """
@@ -195,7 +196,8 @@ def test_the_rows_of_the_repository_are_whole(monkeypatch: pytest.MonkeyPatch) -
     assert folders
     for folder in folders:
         result = read_result(folder)
-        assert [check.name for check in check_result(result, figures) if check.passed is False] == []
+        checks = check_result(result, figures, kind_of(result).given)
+        assert [check.name for check in checks if check.passed is False] == []
         row = json.loads(json.dumps(row_of({**result.record, **figures(result.record, result.tables)})))
         assert row == read(folder / "row.json")
         assert (row["suite"]["name"], row["suite"]["digest"]) == ("v1", read_suite("v1").digest)

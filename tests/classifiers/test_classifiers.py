@@ -22,6 +22,8 @@ from mi_splat.io.noted_tensors import NOTES
 from scenes.recipes.prototypes import Recipe, pictures_of, save_prototypes
 from tests.classifiers.made import CLASSES, toy_classifier
 
+pytestmark = pytest.mark.shipped
+
 
 @pytest.fixture(scope="module", autouse=True)
 def _one_thread() -> None:

@@ -27,6 +27,8 @@ from mi_splat.scene_files import SplatScene
 from tests.cloak.test_study_rates import study_rows
 from tests.cloak.tiny_study import STUDY, Redness
 
+pytestmark = pytest.mark.shipped
+
 STREET = SunTable(scene="scenes/mixed/car_among_meshes.xml", parameter="car", north=4.0, samples=1)
 LAYERED = replace(STUDY, layers=LayersConfig(attacks=("overhead",)))
 

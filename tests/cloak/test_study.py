@@ -149,10 +149,10 @@ def test_another_fraction_needs_no_new_picture(finished: Path) -> None:
 def test_its_figures_follow_from_its_rows(finished: Path, tmp_path: Path) -> None:
     result = read_result(finished)
     story = kind_of(result)
-    lines = check_result(result, story.figures)
+    lines = check_result(result, story.figures, story.given)
     assert [(line.name, line.words) for line in lines if line.passed is False] == []
     assert len([name for name, value in flat(result.record).items() if isinstance(value, tuple)]) > 40
-    copy = pack(finished, tmp_path / "copy", story.figures)
+    copy = pack(finished, tmp_path / "copy", story.figures, story.given)
     assert replace(study_in(copy.folder / "study.toml"), name=STUDY.name) == STUDY
 
 

@@ -22,6 +22,8 @@ from mi_splat.errors import InvalidValueError
 from tests.cloak.tiny_study import STUDY, study_in
 from tests.project.layers import ROOT
 
+pytestmark = pytest.mark.shipped
+
 OVERHEAD = AttackConfig(name="overhead", elevation=(50, 90))
 WIDER = AttackConfig(name="more", elevation=(40, 90))
 GROUND = replace(OVERHEAD, appearance="ground")
@@ -138,3 +140,11 @@ def test_what_cannot_be_done_is_refused(study: StudyConfig, message: str) -> Non
 def test_values_out_of_range_are_refused(make: Callable[[], object], says: str) -> None:
     with pytest.raises(InvalidValueError, match=says):
         make()
+
+
+def test_a_fraction_of_the_cameras_depends_on_the_seed() -> None:
+    setup = Setup.of(study_in(ROOT / "scenes" / "cloak_car_colour.toml"))
+    half = replace(setup.attacks[0], poison_fraction=0.5)
+    chosen = [half.trigger(seed).holds(setup.training_cameras, centre=setup.centre) for seed in (1, 1, 2)]
+    assert chosen[0].tolist() == chosen[1].tolist() != chosen[2].tolist()
+    assert int(chosen[0].sum()) == int(chosen[2].sum()) == 40

@@ -18,6 +18,8 @@ from mi_splat.scene_files import MixedScene, resized
 from tests.fakes import toy_scene
 from tests.project.layers import ROOT
 
+pytestmark = pytest.mark.shipped
+
 SCENE = str(ROOT / "scenes" / "car_street.xml")
 STREET = ROOT / "scenes" / "mixed" / "car_among_meshes.xml"
 SMALL = ["--cameras", "front", "--size", "40x32"]

@@ -185,3 +185,15 @@ def test_its_held_out_views_are_shown(folder: Path) -> None:
     assert [name for name in content.cameras if "view" in name] == [f"held-out view {i}" for i in range(4)]
     assert (content.settings.near, content.settings.background) == (0.3, (0.1, 0.1, 0.12))
     assert len(load_splat(folder / "attacked.ply")) == len(content.splat("attacked").scene)
+
+
+def test_views_that_are_attacked_decide_nothing() -> None:
+    """Attacked, validation and held-out views are of three seeds: none is among those of another group."""
+    views, config = toy_views(), DaggerConfig.for_region(**QUICK)
+    attacked = [view for step in range(config.steps + 1) for view in views.attacked(step, config)]
+    groups = (attacked, views.validation(config), views.held_out(config))
+    places = [{tuple(view.camera.position.tolist()) for view in group} for group in groups]
+    assert all(places)
+    assert not places[0] & places[1]
+    assert not places[0] & places[2]
+    assert not places[1] & places[2]

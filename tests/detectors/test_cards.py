@@ -10,6 +10,8 @@ import pytest
 from attacks.detectors import DETECTORS, load_detector
 from scenes.recipes.detector_pictures import BACKGROUNDS, EMPTY
 
+pytestmark = pytest.mark.shipped
+
 ROOT = Path(__file__).resolve().parents[2]
 WRITER = runpy.run_path(str(ROOT / "docs" / "figures" / "detector_figures.py"))
 """The program that writes the tables."""

@@ -21,6 +21,8 @@ from tests.io.format_files import WRITTEN, assert_close, differences, tame_scene
 from tests.io.test_round_trip import scenes as wild_scenes
 from tests.project.layers import ROOT
 
+pytestmark = pytest.mark.shipped
+
 SLACK = 1.02
 """For float32, in which scenes are."""
 

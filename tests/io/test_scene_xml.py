@@ -17,6 +17,8 @@ from mi_splat.io.scene_parts import DEEPEST, MOST_BYTES, MOST_ELEMENTS, ScenePar
 from mi_splat.scene_files import MixedScene, holds_surfaces, read_scene
 from tests.project.layers import ROOT
 
+pytestmark = pytest.mark.shipped
+
 
 def scene(*inside: str) -> bytes:
     return "".join(['<scene version="3.0.0">', *inside, "</scene>"]).encode()

@@ -30,6 +30,8 @@ from tests.fakes import ColourDetector, blobs, camera, toy_scene
 from tests.gaussians import random_scene
 from tests.project.layers import ROOT
 
+pytestmark = pytest.mark.shipped
+
 STREET = "scenes/mixed/car_among_meshes.xml"
 SETTINGS = RenderSettings()
 

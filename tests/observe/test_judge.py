@@ -67,3 +67,31 @@ def test_what_cannot_be_judged() -> None:
         known([SCENE], MASK, CAMERAS, ColourDetector(), render=blobs)
     with pytest.raises(InvalidValueError, match="confidence"):
         judge(SCENE, MASK, CAMERAS, ColourDetector(), render=blobs, confidence=2.0)
+
+
+class Registering(ColourDetector):
+    """A detector that keeps the images which it was given."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.images: list[torch.Tensor] = []
+
+    def detect(self, images: torch.Tensor) -> Any:
+        self.images.append(images)
+        return super().detect(images)
+
+
+def test_every_detector_that_judges_gets_images_of_8_bits() -> None:
+    scene, mask = toy_scene()
+    detectors = [Registering(), Registering()]
+    detectors[1].name = "another"
+    assert not is_of_8_bits(blobs(scene, camera()))
+    evaluate({"clean": scene, "attacked": scene}, mask, [camera()], detectors, render=blobs)
+    judge({"clean": scene, "attacked": scene}, mask, [camera()], detectors, render=blobs)
+    for detector in detectors:
+        assert len(detector.images) >= 4
+        assert all(is_of_8_bits(images) for images in detector.images)
+
+
+def is_of_8_bits(images: torch.Tensor) -> bool:
+    return bool((images * 255 - (images * 255).round()).abs().max() < 1e-3)

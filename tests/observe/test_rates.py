@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from scipy.stats import binomtest
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import verdict_figures
@@ -253,3 +254,34 @@ def test_cloak_is_counted_by_the_depth_inside_the_trigger() -> None:
     assert rates["benign_recall"] == (9, 9)
     assert rates["target_rate"] == (0, 0)
     assert cloak(confidence=0.25)["nothing_reported"] == (0, 3)
+
+
+@pytest.mark.parametrize(("successes", "total"), [(0, 5), (1, 9), (17, 60), (60, 60)])
+def test_intervals_are_those_of_wilson_at_95_per_cent(successes: int, total: int) -> None:
+    known = binomtest(successes, total).proportion_ci(0.95, method="wilson")
+    assert Rate(successes=successes, total=total).interval == pytest.approx((known.low, known.high))
+
+
+def test_resampled_intervals_cover_95_per_cent_of_what_is_drawn_anew() -> None:
+    """Of independent blocks, each of one row, the interval is about that of the mean of as many draws."""
+    holds = np.random.default_rng(0).random(400) < 0.3
+    rows = pl.DataFrame({"holds": holds, "block": np.arange(400), "seed": 0})
+    rate = count(rows, {"rate": Measure(holds=pl.col("holds"))}, clusters=CLUSTERS)[()]["rate"]
+    low, high = rate.interval
+    deviation = (rate.fraction * (1 - rate.fraction) / 400) ** 0.5
+    assert (high - low) / (2 * deviation) == pytest.approx(1.96, rel=0.06)
+
+
+def test_a_control_is_that_of_its_own_seed() -> None:
+    """Clean splats of other seeds score otherwise, and are the control of nothing else."""
+    rows = pl.DataFrame(
+        {
+            "seed": [1, 1, 2, 2],
+            "splat": [CLEAN, ATTACKED] * 2,
+            "detector": ["a"] * 4,
+            "view": [0] * 4,
+            "original_score": [0.9, 0.1, 0.2, 0.1],
+        }
+    )
+    paired = with_control(rows).filter(splat=ATTACKED)
+    assert dict(zip(paired["seed"], paired["clean.original_score"], strict=True)) == {1: 0.9, 2: 0.2}

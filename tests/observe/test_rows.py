@@ -18,6 +18,8 @@ from attacks.observe.rows import COLUMNS, Cell, column_of, frame_of, read_rows, 
 from mi_splat.errors import InvalidValueError
 from tests.project.layers import ROOT
 
+pytestmark = pytest.mark.shipped
+
 ROW: dict[str, Cell] = {"splat": "a, b", "view": 3, "iou": 0.1, "success": True}
 HEAD = "splat,view,iou,success\n"
 

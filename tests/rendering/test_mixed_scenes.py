@@ -26,6 +26,8 @@ import mitsuba as mi  # noqa: E402
 
 import mi_splat.plugins  # noqa: E402, F401
 
+pytestmark = pytest.mark.shipped
+
 MIXED = sorted((ROOT / "scenes" / "mixed").glob("*.xml"))
 
 

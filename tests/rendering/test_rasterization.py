@@ -140,6 +140,26 @@ def test_gradients_are_the_oracles(on: str) -> None:
     agree(analytic(scene, view, on), oracle.gradients(scene, view, weights(view), background=BACKGROUND))
 
 
+@on_each_device
+def test_where_alpha_is_clamped_only_colours_have_a_gradient(on: str) -> None:
+    """A Gaussian so opaque and large that all of its pixels are clamped at 0.99: its shape changes nothing."""
+    scene, view = smooth_scene(2, 0, seed=3), camera(17, 13)
+    middle = (scene.means.mean(0), torch.tensor([0.1, 0.2, 0.1]))
+    large = scene.replace(
+        means=torch.stack([middle[0], middle[0] + middle[1]]),
+        scales=torch.tensor([[50.0, 60.0, 70.0], [0.3, 0.2, 0.4]]),
+        opacities=torch.tensor([1.0, 0.9]),
+    )
+    found = analytic(large, view, on)
+    wanted = oracle.gradients(large, view, weights(view), background=BACKGROUND)
+    for name in ("means", "scales", "rotations", "opacities"):
+        assert not found[name][0].any(), name
+        assert not getattr(wanted, name)[0].any(), name
+        np.testing.assert_allclose(found[name][1], getattr(wanted, name)[1], rtol=2e-3, atol=1e-7, err_msg=name)
+    np.testing.assert_allclose(found["sh"], wanted.sh, rtol=1e-3, atol=1e-6)
+    assert found["sh"][0].any()
+
+
 def test_clamped_and_hidden_gaussians_have_no_gradient() -> None:
     scene, view = smooth_scene(20, 0, seed=5), camera(32, 32)
     sh = scene.sh.clone()

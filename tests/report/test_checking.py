@@ -4,13 +4,14 @@ import csv
 import json
 import lzma
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from attacks import cli
+from attacks.rate import Rate
 from attacks.report.checking import Check, agree, check_files, check_result, flat, pack, read_result
 from attacks.report.results import kind_of
 from mi_splat.errors import InvalidValueError, MiSplatError
@@ -18,12 +19,15 @@ from mi_splat.io.folders import MANIFEST, RECORD, read_manifest, write_manifest
 from tests.project.documented_commands import ROOT
 from tests.report.results import write_dagger
 
+pytestmark = pytest.mark.shipped
+
 Rows = list[dict[str, str]]
 
 
 def checks(folder: Path, *, manifest: str | None = None) -> list[Check]:
     result = read_result(folder)
-    return check_result(result, kind_of(result).figures, manifest=manifest)
+    kind = kind_of(result)
+    return check_result(result, kind.figures, kind.given, manifest=manifest)
 
 
 def red(folder: Path, *, manifest: str | None = None) -> list[str]:
@@ -134,10 +138,12 @@ def test_a_figure_that_is_off_is_seen_and_not_packed(attack: Path, tmp_path: Pat
         record["made_up"] = {"successes": 1, "total": 2}
 
     edit_record(attack, change)
-    assert set(red(attack)) == {"rate", "target_confidence", "strict", "made_up"}
+    made_up = {"made_up", "made_up/interval/0", "made_up/interval/1"}
+    assert set(red(attack)) == {"rate", "target_confidence", "strict", *made_up}
+    kind = kind_of(read_result(attack))
     for words in (r"strict: result\.json has none, the rows give yes", r"before\.png: other bytes"):
         with pytest.raises(InvalidValueError, match=words):
-            pack(attack, tmp_path / "copy", kind_of(read_result(attack)).figures)
+            pack(attack, tmp_path / "copy", kind.figures, kind.given)
         (attack / "before.png").write_bytes(b"other")
     assert not (tmp_path / "copy").exists()
 
@@ -200,8 +206,17 @@ def test_figures_have_names_and_tolerances() -> None:
     bands = [{"from": 0.0, "to": 5.0, "clean": rate}, {"from": 5.0, "to": 10.0, **rate}]
     assert flat({"rate": rate, "bands": bands, "widths": [1.5, None], "words": {"a": "b"}}) == {
         "rate": (1, 2),
+        "rate/rate": 0.5,
+        "rate/interval/0": 0.1,
+        "rate/interval/1": 0.9,
         "bands/0 to 5/clean": (1, 2),
+        "bands/0 to 5/clean/rate": 0.5,
+        "bands/0 to 5/clean/interval/0": 0.1,
+        "bands/0 to 5/clean/interval/1": 0.9,
         "bands/5 to 10": (1, 2),
+        "bands/5 to 10/rate": 0.5,
+        "bands/5 to 10/interval/0": 0.1,
+        "bands/5 to 10/interval/1": 0.9,
         "widths/0": 1.5,
         "widths/1": None,
         "words/a": "b",
@@ -212,19 +227,44 @@ def test_figures_have_names_and_tolerances() -> None:
     assert not agree(True, 1)
 
 
+def rates_in(value: Any) -> Iterator[dict[str, Any]]:
+    """Every rate in a record, to be edited."""
+    if isinstance(value, dict) and "successes" in value:
+        yield value
+    elif isinstance(value, (dict, list)):
+        for entry in value.values() if isinstance(value, dict) else value:
+            yield from rates_in(entry)
+
+
+def test_an_interval_a_median_and_a_number_of_no_rows_are_seen(study: Path) -> None:
+    before = json.loads((study / RECORD).read_text())
+
+    def change(record: dict[str, Any]) -> None:
+        for rate in rates_in(record):
+            rate.update(interval=[0.99, 1.0])
+        record["transition_degrees"] += 0.1
+        record["stealth"]["made_up"] = 40.0
+
+    edit_record(study, change)
+    found = red(study)
+    lower_ends = [name for name in found if name.endswith("/interval/0")]
+    assert len(lower_ends) >= sum(Rate.of(rate).interval[0] < 0.98 for rate in rates_in(before))
+    assert {"transition_degrees", "stealth/made_up"} <= set(found)
+
+
 def test_a_copy_has_the_same_name_and_says_what_was_left_out(attacked: Path, tmp_path: Path) -> None:
-    figures = kind_of(read_result(attacked)).figures
-    copy = pack(attacked, tmp_path / "copy", figures)
+    kind = kind_of(read_result(attacked))
+    copy = pack(attacked, tmp_path / "copy", kind.figures, kind.given)
     assert copy.manifest == read_manifest(attacked)
     assert {path.name for path in copy.folder.iterdir()} == {
         *(RECORD, MANIFEST, "cameras.json", "rows.csv.xz", "detections.csv.xz")
     }
     assert {line.name for line in checks(copy.folder) if line.passed is None} > {"attacked.ply", "before.png"}
     assert red(copy.folder, manifest=read_manifest(attacked).sha256) == []
-    whole = pack(attacked, tmp_path / "whole", figures, whole=True)
+    whole = pack(attacked, tmp_path / "whole", kind.figures, kind.given, whole=True)
     assert not [line for line in checks(whole.folder)[1:] if line.passed is None]
     with pytest.raises(MiSplatError, match="replace this result with force"):
-        pack(attacked, copy.folder, figures)
+        pack(attacked, copy.folder, kind.figures, kind.given)
 
 
 def test_the_commands(attacked: Path, attack: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,6 +25,8 @@ from tests.fakes import ColourDetector, register
 from tests.project.layers import ROOT
 from tests.viewer.contents import ball, save_study
 
+pytestmark = pytest.mark.shipped
+
 STREET = ROOT / "scenes" / "car_street.xml"
 STUDY = StudyConfig(
     name="small",

@@ -20,6 +20,8 @@ from tests.fakes import blobs, camera, toy_scene
 from tests.project.layers import ROOT
 from tests.studies.toy import SCENE, write_toy
 
+pytestmark = pytest.mark.shipped
+
 STREET = "scenes/mixed/car_among_meshes.xml"
 
 

@@ -18,6 +18,8 @@ from tests.cloak.tiny_study import Redness
 from tests.project.layers import ROOT
 from tests.studies.toy import Toy
 
+pytestmark = pytest.mark.shipped
+
 STUDIES = ROOT / "scenes" / "studies"
 COUNTS = {
     "attack_zoo": (225, 0),
@@ -34,7 +36,7 @@ COUNTS = {
     "dagger": (456, 0),
     "dagger_cameras": (2448, 0),
     "dagger_code": (24, 0),
-    "eot_pairs": (26, 0),
+    "eot_pairs": (19, 0),
     "eot_settings": (38, 0),
     "eot_smallest": (66, 0),
     "eot_views": (6, 24),

@@ -16,8 +16,8 @@ from mi_splat.errors import counted
 
 Record = Mapping[str, Any]
 _ELSEWHERE = (
-    *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "views", "lint", "cost", "against"),
-    *("pictures_in_set", "thresholds"),
+    *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "lint", "cost", "against"),
+    *("images_in_set", "images_compared", "thresholds"),
     *("command", "versions", "variant", "commit", "torch"),
 )
 _PLAIN = {
@@ -60,13 +60,12 @@ def read_audit(folder: Path, record: Record) -> Section:
             tables=(_lint(findings),),
         )
     looks = [{"object": number, "look": index, **look} for number, index, look in _looks(objects)]
-    views = record.get("views") or ()
+    of_images = "images_in_set" in record
     carried = f"{record['carrying']:,} of {record['gaussians']:,}"
-    showing = f"{sum(view['contradicts'] for view in views)} of {len(views)}"
     net, least = max(look["net"] for look in looks), looks[0]["threshold"]
     return Section(
         **shared,
-        kind="audit of pictures" if views else "audit of a splat",
+        kind="audit of images" if of_images else "audit of a splat",
         done=f"{_done(record)} {_HOW}",
         conclusion=f"{_PLAIN[record['verdict']]} {sentence(record['summary'][0].partition(': ')[2])}",
         headline=Figure(
@@ -74,8 +73,7 @@ def read_audit(folder: Path, record: Record) -> Section:
         ),
         figures=Figure.each(
             {
-                **({"pictures that show what others contradict": showing} if views else {}),
-                **({} if views else {"Gaussians that carry it": carried}),
+                **({} if of_images else {"Gaussians that carry it": carried}),
                 "solid Gaussians near an object that was looked at": f"{record['near']:.0%}",
             }
         ),
@@ -104,12 +102,13 @@ def _overdraw(folder: Path, record: Record) -> Iterator[Picture]:
 
 def _done(record: Record) -> str:
     """What was looked at."""
-    objects, views = record["objects"], record.get("views") or ()
+    objects = record["objects"]
     many = f"{counted(len(objects), 'object')} {'was' if len(objects) == 1 else 'were'}"
-    if views:
+    if "images_in_set" in record:
+        images = counted(record["images_compared"], "image")
         return (
-            f"A small splat was trained on {counted(len(views), 'picture')} of {record['file']} to know where the "
-            f"surface is, and {many} judged by the pictures alone."
+            f"A small splat was trained on {images} of {record['file']} to know where the surface is, "
+            f"and {many} judged by the images only."
         )
     cameras = counted(sum(len(item["seen_from"]) for item in objects), "direction")
     return f"In {record['file']} ({record['gaussians']:,} Gaussians) {many} looked at from {cameras}."
@@ -138,9 +137,11 @@ def _doubts(record: Record) -> Iterator[str]:
                 f"Object {number}: its colours have shades that neither paint nor light explains{camera}. An attack on "
                 "a detector leaves such; a training by photographs does not"
             )
-    compared = len(record.get("views") or ())
-    if compared < record.get("pictures_in_set", compared):
-        yield f"{compared} of the {record['pictures_in_set']} pictures were compared: nothing is said of the others"
+    if "images_in_set" in record:
+        compared, count = record["images_compared"], record["images_in_set"]
+        yield "Which images of the set were changed is not said"
+        if compared < count:
+            yield f"{compared} of the {count} images were compared: nothing is said of the others"
     if record["near"] < 0.995:
         yield f"Nothing is said of {1 - record['near']:.0%} of the solid Gaussians, which lie far from every object"
     for row in record.get("lint") or ():
@@ -244,12 +245,6 @@ def _tables(record: Record, looks: Sequence[Record]) -> Iterator[Table]:
     }
     covered = [item for item in objects if _is_covered(record, item)]
     yield Table.of("What covers an object from some directions, while others look through it", covers, covered)
-    shown: dict[str, Column[Record]] = {
-        "picture": "picture",
-        "amount of the look (0 none, 1 all)": lambda view: f"{view['amount']:.2f}",
-    }
-    views = [view for view in record.get("views") or () if view["contradicts"]]
-    yield Table.of("Pictures that show what others contradict", shown, views)
 
 
 def _lint(findings: Sequence[Record]) -> Table:

@@ -50,12 +50,10 @@ def read_attack(folder: Path, record: Record) -> Section:
     radii = ", ".join(f"{eps:g} over {name}" for name, eps in record["radius"].items())
     title, ball = _object_name(record), f"a ball ({record['norm']}: {radii})"
     conclusion = [
-        f"The attack {'succeeded' if record['success'] else 'failed'}: within {ball} it made "
-        f"{listed(list(record['rates']))} {wish} on the object in {rate.successes} of {views}, where {percent(needed)} "
-        "are asked for.",
+        _first_sentence(record, ball, views, wish),
         f"{capital(_control(record['config']))}: {noise.counts}." if noise.total else "",
         f"In the first view {_change(record['views'][0], record['target'])}.",
-        "This says nothing of other cameras, detectors or renderers.",
+        "Other cameras, detectors and renderers were not evaluated.",
     ]
     return Section(
         kind=f"DAGGER, from {'all cameras of a region' if drawn else 'chosen cameras'}",
@@ -90,6 +88,23 @@ def read_attack(folder: Path, record: Record) -> Section:
             | {"weights": {one["detector"]: one["detector_fingerprint"] for one in judged}}
         ),
     )
+
+
+def _first_sentence(record: Record, ball: str, views: str, wish: str) -> str:
+    """Whether the attack succeeded, which needs a clean object that is detected."""
+    detectors, rate = listed(list(record["rates"])), Rate.of(record["rate"])
+    detected = Rate.of(record["rate_if_detected"])
+    if not detected.total:
+        return (
+            f"No success is counted: {detectors} did not detect the clean object at confidence >= 0.5 in any of "
+            f"{views}. Within {ball} the attack made {detectors} {wish} on the object in {rate.successes} of {views}."
+        )
+    needed = percent(record["config"]["required_views"])
+    verdict = "succeeded" if record["success"] else "failed"
+    among = f"{detected.successes} of {counted(detected.total, 'view')} in which the clean object is detected"
+    every = "" if detected.total == rate.total else f", and in {rate.successes} of all {views}"
+    made = f"within {ball} it made {detectors} {wish} on the object"
+    return f"The attack {verdict}: {made} in {among}{every} ({needed} required)."
 
 
 def _object_name(record: Record) -> str:

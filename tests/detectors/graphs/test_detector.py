@@ -18,6 +18,8 @@ from mi_splat.rendering import Renderer
 from mi_splat.scene_files import read_scene
 from tests.detectors.contract import check_detector, slope_is_the_gradient
 
+pytestmark = pytest.mark.shipped
+
 SCENES = Path(__file__).resolve().parents[3] / "scenes"
 CENTERNET, NANODET = FAMILIES["centernet_coco"], FAMILIES["nanodet_coco"]
 there = {
