@@ -20,7 +20,7 @@ from mi_splat.datasets.colmap import find_model, read_model_cameras
 from mi_splat.datasets.frames import Split
 from mi_splat.datasets.transforms import find_transforms
 from mi_splat.directions import UP
-from mi_splat.errors import InvalidValueError, nearest
+from mi_splat.errors import InvalidValueError, MiSplatError, nearest
 from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
@@ -42,6 +42,13 @@ _TRIED = ((30.0, 20.0), (120.0, 20.0), (210.0, 20.0), (300.0, 20.0), (30.0, 60.0
 _GOOD = 0.6
 """Share of the best one's part of the picture from which on a camera shows the object well."""
 
+_COMPARED, _FEWEST_COMPARED = 5, 3
+"""Images of a set that are compared with renderings."""
+_LONGEST_SIDE, _THUMBNAIL = 128, 16
+"""Pixels of these renderings, and of what is compared of them."""
+_ALIKE, _GAINED = 0.9, 0.25
+"""A correlation from which on an image is like its rendering; share of what lacks to 1 that else has to be gained."""
+
 Shows = Callable[[Camera], float]
 """How much of its picture an object makes up, seen from a camera."""
 
@@ -58,6 +65,10 @@ def find_cameras(
     cameras = _found_cameras(loaded, options, focus, shows, split)
     if (odd := odd_fields_of_view(list(cameras.values()))) is not None:
         warn(odd)
+    for text in options.cameras:
+        folder = Path(text)
+        if folder.is_dir() and (strange := another_world(loaded, options, folder)) is not None:
+            warn(strange)
     return cameras
 
 
@@ -192,6 +203,49 @@ def _named(
         names = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "no name, since the scene has no cameras"
         raise InvalidValueError.of("camera", f"{names}; or {FORMS}, or a folder", text, "name one that is there")
     return [(name, _sized(camera, options)) for name, camera in named]
+
+
+def another_world(loaded: SplatScene, options: CameraOptions, folder: Path) -> str | None:
+    """What to warn of where the images of a set do not look like renderings from their own cameras; else None.
+
+    A set of another scene, or one whose world was turned or scaled since, shows other things from its cameras. Each of
+    some images is compared with the renderings from all of their cameras: the own one has to be most alike.
+    """
+    try:
+        views = load_dataset(folder, split=None, background=options.background or loaded.settings.background)
+    except MiSplatError:  # poses alone
+        return None
+    count = min(len(views), _COMPARED)
+    if count < _FEWEST_COMPARED:
+        return None
+    chosen = [round(i * (len(views) - 1) / (count - 1)) for i in range(count)]
+    longest = max(max(camera.width, camera.height) for camera in views.cameras)
+    small = dataclasses.replace(views, downscale=max(1, longest // _LONGEST_SIDE))
+    cameras = {str(i): small.cameras[i] for i in chosen}
+    render = Renderer(render_settings(loaded, options, cameras))
+    with torch.no_grad():
+        drawn = torch.stack([_thumbnail(render(loaded.scene, camera)) for camera in cameras.values()])
+    taken = torch.stack([_thumbnail(small[i].image) for i in chosen])
+    alike = taken @ drawn.T  # correlations: images by rows, cameras by columns
+    own = float(alike.diagonal().mean())
+    others = (float(alike.sum()) - own * count) / (count * (count - 1))
+    # Of one object on a plain background all images are alike, so what counts is how much of the rest is gained.
+    gained = (own - others) / max(1 - others, 1e-6)
+    if own > _ALIKE or gained > _GAINED:
+        return None
+    return (
+        f"{folder}: its images do not look like the splat from their own cameras (correlation {own:.2f}, {others:.2f} "
+        "from each other's); do the cameras belong to another scene, or was the splat turned or scaled since?"
+    )
+
+
+def _thumbnail(image: Tensor) -> Tensor:
+    """A small grey image as a vector of mean 0 and length 1, or zeros where it has one colour."""
+    grey = image[..., :3].clamp(0, 1).mean(-1)[None, None]
+    values = torch.nn.functional.adaptive_avg_pool2d(grey, _THUMBNAIL).flatten()
+    values = values - values.mean()
+    length = float(values.norm())
+    return values / length if length > 1e-4 else torch.zeros_like(values)
 
 
 def _listed(path: Path, options: CameraOptions) -> list[tuple[str, Camera]]:

@@ -30,12 +30,11 @@ from mi_splat.datasets.frames import (
     report_missing,
 )
 from mi_splat.datasets.lenses import Lens
+from mi_splat.datasets.nerfstudio import OPENGL as OPENGL
+from mi_splat.datasets.nerfstudio import World, camera_path, is_camera_path, world_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.parsing import DocumentReader, Fields
 from mi_splat.io.points import PointCloud, load_points
-
-OPENGL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
-"""Camera space with OpenGL's axes to ours, and back."""
 
 SINGLE, PARTS = "transforms.json", {"train": "transforms_train.json", "test": "transforms_test.json"}
 POINTS = ("points3D.ply", "points3d.ply")
@@ -89,13 +88,21 @@ def _points(documents: Mapping[Path, Mapping[str, Any]]) -> PointCloud | None:
     for path, document in documents.items():
         file = _points_file(document, path)
         if file is not None:
-            return load_points(file)
+            points, world = load_points(file), world_of(path, document)
+            return points if world is None else world.points(points)
     return None
 
 
 def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:
-    """The cameras of a transforms file in its order, whose images need not be there; distortion is ignored."""
+    """The cameras of a transforms file in its order, whose images need not be there; distortion is ignored.
+
+    Camera paths of nerfstudio's viewer are read, too. `size` is that of images where the file says none.
+    """
+    values = _TRANSFORMS.read_json(path) if path.is_file() else {}
+    if is_camera_path(values):
+        return camera_path(values, path, size)
     document = _document(path)
+    world = world_of(path, document)
     cameras, bent = [], set[str]()
     for number, entry in enumerate(document["frames"]):
         where = f"{path}, frame {number}"
@@ -103,7 +110,7 @@ def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:
             raise DatasetError.of(where, "an object with a transform_matrix", "none", "repair it")
         values = {**document, **entry}
         own = _size(values, where) or size  # a frame's own values come before those of the file
-        pose = _pose(values.get("transform_matrix"), where)
+        pose = _pose(values.get("transform_matrix"), where, world)
         cameras.append(camera_of(pose, _pinhole_part(values, own, where), where))
         bent |= _bent(values, where)
     report_ignored_distortion(bent, path)
@@ -125,6 +132,7 @@ def _entries(document: Mapping[str, Any], path: Path) -> list[tuple[Path, Frame 
     """Every image that a file lists, and its frame if the image is there."""
     entries = []
     files = SetFiles(path.parent, above=_ABOVE)
+    world = world_of(path, document)
     masks_missing = []
     for number, entry in enumerate(document["frames"]):
         if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str) or not entry["file_path"]:
@@ -138,7 +146,7 @@ def _entries(document: Mapping[str, Any], path: Path) -> list[tuple[Path, Frame 
             mask, is_missing = _mask(entry, files, picture, where)
             masks_missing += [picture] if is_missing else []
             photo = photo_of(picture, _size(values, where))
-            pose = _pose(values.get("transform_matrix"), where)
+            pose = _pose(values.get("transform_matrix"), where, world)
             frame = frame_of(photo, mask, pose, _lens(values, photo.size, where), where)
         entries.append((picture, frame))
     refuse_doubles((str(picture) for picture, _ in entries), path)
@@ -227,8 +235,8 @@ def _pinhole_part(values: Mapping[str, Any], size: tuple[int, int], where: str) 
     return Lens(focal=(fx, fy), principal=principal, size=size)
 
 
-def _pose(matrix: object, where: str) -> Tensor:
-    """The camera-to-world matrix with our axes; its values are not checked."""
+def _pose(matrix: object, where: str, world: World | None) -> Tensor:
+    """The camera-to-world matrix with our axes, in another world if there is one; its values are not checked."""
     try:
         pose = torch.tensor(matrix, dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
@@ -236,7 +244,9 @@ def _pose(matrix: object, where: str) -> Tensor:
         raise DatasetError.of(where, "a matrix of numbers", "something else", do) from error
     if pose.shape == (3, 4):
         pose = torch.cat([pose, torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)])
-    return pose @ OPENGL if pose.shape == (4, 4) else pose
+    if pose.shape != (4, 4):
+        return pose
+    return pose @ OPENGL if world is None else world.pose(pose @ OPENGL)
 
 
 def _focal(values: Mapping[str, Any], axis: str, pixels: int, where: str) -> float | None:

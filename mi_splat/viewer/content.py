@@ -16,6 +16,7 @@ from mi_splat.bounds import bounds
 from mi_splat.camera_sets import framing
 from mi_splat.cameras import Camera, View
 from mi_splat.datasets import is_dataset, load_dataset
+from mi_splat.datasets.transforms import read_cameras
 from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
@@ -75,6 +76,9 @@ def with_cameras(content: Content, path: Path) -> Content:
         orbits = {name: orbit_of(camera, centre, source=f"{path}{OF}{name}") for name, camera in recorded.items()}
     elif is_dataset(path):
         orbits, photographs = photographs_of(path, background=content.settings.background, centre=centre)
+    elif path.suffix.lower() == ".json" and path.is_file():  # poses of a list, or a camera path of nerfstudio
+        listed = enumerate(read_cameras(path, content.size))
+        orbits = {f"{path.stem}-{i}": orbit_of(camera, centre, source=f"{path}{OF}{i}") for i, camera in listed}
     else:
         expected = "a data set (COLMAP or transforms), or a JSON file with cameras"
         got = "neither" if path.exists() else "nothing there"
