@@ -10,7 +10,7 @@ from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions, check_no_input_in
 from mi_splat.errors import listed
 from mi_splat.fields import OutFolder
-from mi_splat.preparation.config import PrepareConfig
+from mi_splat.preparation.config import PreparationError, PrepareConfig
 
 EXAMPLES = (
     "prepare YOUR_PHOTOS --out out/desk",
@@ -42,6 +42,13 @@ class PrepareOptions(JsonOptions):
     """Replace an older set in --out."""
     config: PrepareConfig = field(default_factory=PrepareConfig)
     """How large the images are, and how many."""
+
+
+def check_inputs(options: PrepareOptions) -> None:
+    """Raise unless the source exists."""
+    if not options.source.exists():
+        expected, do = "a folder of photographs, or a video", "check the path"
+        raise PreparationError.of(str(options.source), expected, "no such file", do)
 
 
 def run(options: PrepareOptions) -> None:

@@ -109,8 +109,6 @@ def _check_source(source: Path, config: PrepareConfig) -> None:
     """Raise, before any work is done, unless there are photographs or a video."""
     if source.is_dir():
         images_in(source, config.max_images)
-    elif not source.exists():
-        raise PreparationError.of(str(source), "a folder of photographs, or a video", "no such file", "check the path")
     elif source.suffix.lower() not in VIDEOS:
         expected = f"a folder of photographs, or a video ({', '.join(VIDEOS)})"
         got = source.suffix or "a file without an ending"

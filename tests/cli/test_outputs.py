@@ -25,6 +25,7 @@ from tests.training.sets import write_set
 
 COMMANDS = {
     "capture truck.glb --size 16": ("", "mi_splat.capture.writer.write_capture"),
+    "prepare set/images": ("", "mi_splat.preparation.prepare.take_photographs"),
     "train set": ("", "mi_splat.training.resume.train"),
     "render a.ply": ("a.png", "mi_splat.cli.cameras.renderer_of"),
     "render a.ply --cameras orbit:3@20": ("", "mi_splat.cli.cameras.renderer_of"),

@@ -1,6 +1,6 @@
 """Photographs as a phone takes them, made of renderings: a lens that bends, both orientations, a mask.
 
-`python -m tests.preparation.phone FOLDER` writes 36 of them.
+`python -m tests.preparation.phone FOLDER` writes 30 of them.
 """
 
 import sys
@@ -19,7 +19,7 @@ from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene_files import open_scene
 from tests.project.layers import ROOT
 
-COUNT, SIZE = 36, (960, 720)
+COUNT, SIZE = 30, (800, 600)
 SCENE = ROOT / "scenes" / "car_street.xml"
 DISTORTION = (-0.08,)
 FOCAL_35MM = 28
@@ -70,9 +70,9 @@ def write_photographs(folder: Path, *, count: int = COUNT) -> None:
         pose = turned_clockwise(camera, 3).to_world if is_upright else camera.to_world
         pixels = photograph(render, loaded.scene, pose)
         if number == MASKED:
-            pixels[100:600, 300:420] = (200, 40, 160)
+            pixels[80:500, 250:350] = (200, 40, 160)
             mask = np.full(pixels.shape[:2], 255, np.uint8)
-            mask[100:600, 300:420] = 0
+            mask[80:500, 250:350] = 0
             (folder / "masks").mkdir()
             Image.fromarray(mask).save(folder / "masks" / f"IMG_{number:04d}.JPG.png")
         exif = Image.Exif()
