@@ -34,7 +34,7 @@ class MiSplatError(Exception):
             The error, to be raised.
         """
         error = cls(message(what, expected, got, do))
-        error.what = what
+        error.what = shortened(what)
         return error
 
     def hinted(self: _Error, hint: str) -> _Error:
@@ -87,13 +87,29 @@ def counted(number: int, noun: str) -> str:
 
 
 def message(what: str, expected: object, got: object, do: str) -> str:
-    """The one form of an error message: what was looked at, what was expected, what came, what to do."""
-    return f"{what}: expected {expected}, got {got}; {do}"
+    """The one form of an error message: what was looked at, what was expected, what came, what to do.
+
+    What was looked at and what came may be of a file that somebody else has written: of
+    long ones the beginning and the end are shown.
+    """
+    return f"{shortened(what)}: expected {expected}, got {shortened(str(got), 240)}; {do}"
+
+
+def shortened(text: str, most: int = 400) -> str:
+    """A text of at most so many signs: of a longer one the beginning and the end."""
+    if len(text) <= most:
+        return text
+    end = most // 4
+    return f"{text[: most - end - 3]}...{text[-end:]}"
+
+
+_LONGEST_WORD = 200
+"""No longer one is a slip of the hand; comparing it with others takes long."""
 
 
 def nearest(word: str, known: Iterable[str], otherwise: str) -> str:
     """What to do about a word that is not known: "did you mean X?", for the one that is most like it."""
-    by_small = {name.lower(): name for name in known}
+    by_small = {name.lower(): name for name in known if len(word) <= _LONGEST_WORD}
     near = difflib.get_close_matches(word.lower(), by_small, n=1, cutoff=0.5)
     return f"did you mean {by_small[near[0]]}?" if near else otherwise
 

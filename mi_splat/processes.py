@@ -4,28 +4,79 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from types import FrameType
 
 INTERRUPTED, TERMINATED = 130, 143
 """Exit statuses of a process that Ctrl-C or SIGTERM has ended."""
+_IMPORTING = 0.02  # seconds between two looks at whether an import is over
 
 
 @contextmanager
-def sigterm_as_interrupt() -> Iterator[Callable[[], bool]]:
-    """SIGTERM inside the block does what Ctrl-C would do; gives what says whether it came."""
+def sigterm_as_interrupt() -> Iterator[Callable[[], int | None]]:
+    """SIGTERM inside the block does what Ctrl-C would do.
+
+    Neither of them breaks off the import of a module: half of a package cannot be imported
+    a second time, and Python only prints what is raised in its own import locks. What came
+    is raised when the import is over; a second signal before that ends the process.
+
+    Yields:
+        The exit status that the last signal asks for; None if none came.
+    """
     came: list[int] = []
 
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        came.append(number)
-        handler = signal.getsignal(signal.SIGINT)
-        if not callable(handler):  # Ctrl-C is ignored, as in a command that a script has put into the background
-            raise KeyboardInterrupt
-        handler(signal.SIGINT, frame)
+    def note_interrupt(number: int, frame: FrameType | None) -> None:
+        came.append(INTERRUPTED)
+        _interrupt(frame, came)
 
-    with _handling(signal.SIGTERM, interrupt):
-        yield lambda: bool(came)
+    def note_termination(number: int, frame: FrameType | None) -> None:
+        came.append(TERMINATED)
+        handler = signal.getsignal(signal.SIGINT)
+        # It is ignored in a command that a script has put into the background, and it is
+        # another one where a step is finished before the process ends.
+        if callable(handler) and handler is not note_interrupt:
+            handler(signal.SIGINT, frame)
+        else:
+            _interrupt(frame, came)
+
+    is_ignored = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    interrupts = nullcontext() if is_ignored else _handling(signal.SIGINT, note_interrupt)
+    with interrupts, _handling(signal.SIGTERM, note_termination):
+        yield lambda: came[-1] if came else None
+
+
+def _interrupt(frame: FrameType | None, came: Sequence[int]) -> None:
+    """Raise KeyboardInterrupt, or see to it that this is done once no module is being imported."""
+    if not _is_importing(frame):
+        raise KeyboardInterrupt
+    if len(came) > 1:
+        os._exit(came[-1])
+
+    def again(number: int, later: FrameType | None) -> None:
+        if _is_importing(later):
+            signal.setitimer(signal.ITIMER_REAL, _IMPORTING)
+        else:
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGALRM, again)
+    signal.setitimer(signal.ITIMER_REAL, _IMPORTING)
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def leave_on_signals() -> None:
+    """End this process at once by Ctrl-C or SIGTERM, with their exit statuses and without a word."""
+    statuses = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED}
+    for number in statuses:
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda number, frame: os._exit(statuses[signal.Signals(number)]))
 
 
 @contextmanager
@@ -34,9 +85,9 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     pressed: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
-        if pressed:
-            raise KeyboardInterrupt
-        pressed.append(number)
+        pressed.append(INTERRUPTED)
+        if len(pressed) > 1:
+            _interrupt(frame, pressed[1:])
 
     with _handling(signal.SIGINT, note):
         yield lambda: bool(pressed)

@@ -22,9 +22,9 @@ from torch import Tensor
 from mi_splat import variant
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, as_cameras
-from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.errors import InvalidValueError, MiSplatError, one_line
 from mi_splat.io.documents import save_bytes
-from mi_splat.io.picture_files import check_texture
+from mi_splat.io.picture_files import PictureFileError, check_texture
 from mi_splat.rasterization import layouts
 from mi_splat.rasterization.colour import develop, develop_backward
 from mi_splat.rasterization.frozen import aligned, buffer
@@ -63,8 +63,13 @@ def load_floats(path: Path) -> dict[str, NDArray[np.float32]]:
     """(H, W) channels of an OpenEXR file by their names."""
     check_texture(path)
     variant.use()
-    bitmap = mi.Bitmap(str(path))
-    planes = np.moveaxis(np.asarray(bitmap, dtype=np.float32), 2, 0)
+    try:
+        bitmap = mi.Bitmap(str(path))
+        pixels = np.asarray(bitmap, dtype=np.float32)
+    except (RuntimeError, ValueError, MemoryError) as error:
+        got = one_line(str(error).splitlines()[-1] if str(error) else type(error).__name__, 160)
+        raise PictureFileError.of(str(path), "an OpenEXR image", got, "write it again") from error
+    planes = np.moveaxis(pixels.reshape(*pixels.shape[:2], -1), 2, 0)
     return dict(zip((part.name for part in bitmap.struct_()), planes, strict=True))
 
 

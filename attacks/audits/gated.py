@@ -1,48 +1,148 @@
-"""What the gate finds in a splat file, claim by claim: the job of a process that may be killed for it.
+"""What the gate finds in a splat file, claim by claim: the process that reads the file.
 
-Rows are findings, so that another policy needs no second look; those of a killed job are in its partial folder.
+`python -m attacks.audits.gated DESCRIPTOR` answers requests that come through a pipe (see
+`attacks.audits.judging`), one JSON object each: first the SHA-256 of the files, then, if
+it is told to go on, findings as they are found. Nothing else reads what strangers send,
+and whatever reads it here shares the limits of this process. It writes into its
+temporary folder alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import contextlib
+import hashlib
+import json
+import os
+import stat
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from tempfile import TemporaryDirectory
+from typing import Any
 
 from mi_splat.audit.against import changes
 from mi_splat.audit.auditing import audit
 from mi_splat.audit.files import document, findings
-from mi_splat.audit.gate import RESULT, ROWS, Claim, GateConfig, Row, fingerprint, sampled
+from mi_splat.audit.gate import FILE, Claim, GateConfig, Row, fingerprint, sampled
 from mi_splat.audit.linting import Lint, lint_file
-from mi_splat.errors import MiSplatError
-from mi_splat.io.documents import save_json
-from mi_splat.io.errors import SplatFileError
+from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.fields import decode
+from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.splat_files import load_stored
+from mi_splat.ledger.engines import keep_to
+from mi_splat.process_group import connection, inbox, limit_file_size
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import open_scene
-
-if TYPE_CHECKING:
-    from mi_splat.ledger import Out
 
 _CLAIM_OF: Mapping[str, Claim] = {
     **dict.fromkeys(("hidden-look", "suspicious-look", "fog", "occluder"), "hidden appearance"),
     **{"edited": "edits", "overdraw": "cost"},
 }
 """The claim that a rule is about; rules of glTF are about what is readable, all others about the numbers."""
+_MADE_UP = ("/proc", "/sys")
+"""Folders whose files are no files of a disk: their sizes mean nothing, and reading them may never end."""
+_PART = 1 << 20
+
+Message = dict[str, Any]
+Say = Callable[[Message], None]
+_State = tuple[int, int, int, int, int]
 
 
-def run(config: GateConfig, inputs: Mapping[str, Path], out: Out) -> list[Row]:
-    """Judge the file of a job, and keep what is found as it is found."""
-    rows: list[Row] = []
-    for row in _rows(config, inputs, out):
-        rows.append({**{"claim": "", "rule": "", "severity": "", "reason": "", "judged": True}, **row})
-        if row["claim"] in ("cost", "edits") and not row.get("rule"):  # before what takes long
-            save_json({"rows": rows}, out.partial / ROWS)
-    return rows
+def answer(request: Mapping[str, Any], say: Say, goes_on: Callable[[], bool]) -> None:
+    """Answer one request: the contents of its files, then, if the judge has not seen them before, what is found.
+
+    Args:
+        request: `files` by their roles (`splat`, and `clean` where an older copy is known), `config`, and
+            `file_megabytes`.
+        say: Sends a message to the judge.
+        goes_on: Receives whether the contents are to be judged.
+    """
+    config = decode(GateConfig, request["config"], "config")
+    hidden: list[str] = []
+    with TemporaryDirectory() as folder:
+        try:
+            links = {role: _link(Path(folder), role, name, config) for role, name in request["files"].items()}
+            hidden += [str(link) for link in links.values()] + [os.path.realpath(link) for link in links.values()]
+            most = request["file_megabytes"] * 1e6
+            read = {role: _read(link, most) for role, link in links.items()}
+            say({"state": "read", "contents": {role: content for role, (content, _) in read.items()}})
+            if not goes_on():
+                return
+            for message in _found_in(config, links):
+                say(_without(hidden, message))
+            for role, link in links.items():
+                if _state(os.stat(link)) != read[role][1]:
+                    raise _changed(link)
+            end: Message = {"state": "done"}
+        except (MiSplatError, OSError, ValueError, MemoryError) as error:
+            end = {"state": "failed", "error": " ".join(str(error).split()) or type(error).__name__}
+        say(_without(hidden, end))
 
 
-def _rows(config: GateConfig, inputs: Mapping[str, Path], out: Out) -> Iterator[Row]:
-    """Findings of one claim after the other, each ended by a row without a rule."""
+def _link(folder: Path, role: str, name: str, config: GateConfig) -> Path:
+    """A name for a file that says nothing but its format; nothing lies beside it that it could refer to."""
+    link = folder / f"{role}{config.ending}"
+    link.symlink_to(os.path.abspath(name))
+    return link
+
+
+def _without(hidden: Iterable[str], value: Any) -> Any:
+    """A message without the names of the files that it is about."""
+    if isinstance(value, str):
+        for name in hidden:
+            value = value.replace(name, FILE)
+        return value
+    if isinstance(value, Mapping):
+        return {key: _without(hidden, item) for key, item in value.items()}
+    return [_without(hidden, item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def _read(path: Path, most: float) -> tuple[str, _State]:
+    """SHA-256 of a regular file of a disk, and the state in which it was read."""
+    try:
+        target = os.path.realpath(path, strict=True)
+        if not stat.S_ISREG(os.stat(target).st_mode) or target.startswith(tuple(f"{name}/" for name in _MADE_UP)):
+            expected, got = "a regular file on a disk", "a folder, a device, a pipe or a file of the system"
+            raise InvalidValueError.of(str(path), expected, got, "pass the path of a splat file")
+        # Without O_NONBLOCK, opening a pipe that was put there meanwhile would wait for ever.
+        descriptor = os.open(target, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise from_os_error(str(path), "a file that can be read", error) from error
+    with open(descriptor, "rb", buffering=0) as file:
+        status = os.fstat(descriptor)
+        if status.st_size > most:
+            expected, got = f"a file of at most {most / 1e6:,.0f} MB", f"{status.st_size / 1e6:,.0f} MB"
+            raise InvalidValueError.of(str(path), expected, got, "raise file_megabytes in --policy if you trust it")
+        total, size = hashlib.sha256(), 0
+        while size <= status.st_size and (part := file.read(_PART)):
+            total.update(part)
+            size += len(part)
+    if size != status.st_size:
+        raise _changed(path)
+    return total.hexdigest(), _state(status)
+
+
+def _state(status: os.stat_result) -> _State:
+    return (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+
+
+def _changed(path: Path) -> InvalidValueError:
+    do = "judge it again once it is written"
+    return InvalidValueError.of(str(path), "a file that stays the same", "one that changes while it is read", do)
+
+
+def _found_in(config: GateConfig, inputs: Mapping[str, Path]) -> Iterator[Message]:
+    """Findings in messages, and the account of the audit."""
+    for found in _rows(config, inputs):
+        if "claim" not in found:
+            yield {"state": "account", "account": found}
+            continue
+        row = {"claim": "", "rule": "", "severity": "", "reason": "", "judged": True, **found}
+        yield {"state": "row", "row": row}
+
+
+def _rows(config: GateConfig, inputs: Mapping[str, Path]) -> Iterator[Row]:
+    """Findings of one claim after the other, each ended by a row without a rule; and an account, without a claim."""
     path, stored, unread = inputs["splat"], None, ""
     try:
         stored = load_stored(path)
@@ -61,7 +161,7 @@ def _rows(config: GateConfig, inputs: Mapping[str, Path], out: Out) -> Iterator[
     if stored is None:
         return
     yield from ({"claim": claim} for claim in ("numbers", "cost"))
-    yield from _looks(config, stored.scene, lint, account, out)
+    yield from _appearances(config, stored.scene, lint, account)
     if "clean" in inputs:
         yield from _provenance(stored.scene, inputs["clean"])
 
@@ -75,7 +175,7 @@ def _found(document: Mapping[str, Any], known: Iterable[str]) -> Iterator[Row]:
             yield {"claim": claim, "rule": rule, "severity": severity, "reason": reason}
 
 
-def _looks(config: GateConfig, scene: GaussianScene, lint: Lint, account: dict[str, Any], out: Out) -> Iterator[Row]:
+def _appearances(config: GateConfig, scene: GaussianScene, lint: Lint, account: dict[str, Any]) -> Iterator[Row]:
     """What the audit finds in a splat that can be rendered."""
     unjudged, judged = "", None
     errors = [item.rule for item in lint.findings if item.severity == "error"]
@@ -88,7 +188,7 @@ def _looks(config: GateConfig, scene: GaussianScene, lint: Lint, account: dict[s
             unjudged = " ".join(str(error).split())
     if judged or unjudged:
         account = document(judged, lint, unjudged=unjudged)
-    save_json(account, out / RESULT)
+    yield account
     if judged is None:
         yield from ({"claim": claim, "judged": False, "reason": unjudged} for claim in ("hidden appearance", "edits"))
         return
@@ -109,3 +209,28 @@ def _provenance(scene: GaussianScene, clean: Path) -> Iterator[Row]:
         reason = "; ".join(changed.in_words())
         yield {"claim": "provenance", "rule": "changed", "severity": "warning", "reason": reason}
     yield {"claim": "provenance"}
+
+
+def main() -> int:
+    """Answer requests until nobody watches any more."""
+    cores, megabytes, descriptor = sys.argv[1:]
+    pipe = connection(descriptor)
+    messages = inbox(pipe.recv_bytes)
+    keep_to([int(core) for core in cores.split(",") if core])
+    limit_file_size(float(megabytes))
+    with contextlib.suppress(OSError):  # where memory runs out, the system ends this process first
+        Path("/proc/self/oom_score_adj").write_text("1000")
+
+    def say(message: Message) -> None:
+        pipe.send_bytes(json.dumps(message).encode())
+
+    def hear() -> Any:
+        return json.loads(messages.get())
+
+    say({"state": "ready"})
+    while True:
+        answer(hear(), say, hear)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from mi_splat.cli.console import PROGRAM, UsageError, import_at_once, warn
-from mi_splat.errors import MiSplatError, message, nearest, printable
+from mi_splat.errors import MiSplatError, message, nearest, one_line, printable, shortened
 from mi_splat.processes import INTERRUPTED, TERMINATED, sigterm_as_interrupt
 
 if TYPE_CHECKING:
@@ -96,12 +96,42 @@ def examples_of(name: str) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return the process's exit status."""
-    with sigterm_as_interrupt() as terminated:
+    with sigterm_as_interrupt() as signal_status:
         try:
-            return _answered(arguments)
+            status = _written(_answered(arguments))
         except KeyboardInterrupt:
-            warn("terminated" if terminated() else "interrupted")
-            return TERMINATED if terminated() else INTERRUPTED
+            status = signal_status() or INTERRUPTED
+        except Exception:
+            if signal_status() is None:
+                raise
+            status = FAILED
+    # What a signal breaks off may fail in other words: the signal is the reason.
+    if status == FAILED:
+        status = signal_status() or FAILED
+    if status in _ENDED:
+        warn(_ENDED[status])
+    return status
+
+
+_ENDED = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
+
+
+def _written(status: int) -> int:
+    """The exit status of a command whose output may not have reached what it was written to."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _discard_output()
+    except (OSError, ValueError) as error:
+        got = getattr(error, "strerror", None) or str(error)
+        expected, do = "a place that can be written", "free some space, or write to another place"
+        warn(message("standard output", expected, got, do))
+        return status or FAILED
+    return status
+
+
+def _discard_output() -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _answered(arguments: Sequence[str] | None) -> int:
@@ -112,16 +142,50 @@ def _answered(arguments: Sequence[str] | None) -> int:
     except SystemExit as stop:  # argparse ends --help this way
         return stop.code if isinstance(stop.code, int) else DONE if stop.code is None else FAILED
     except BrokenPipeError:  # the reader of our output, `head` for instance, has gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_output()
         return DONE
     except UsageError as error:
         name = command_of(words)[0] if words and words[0] in COMMANDS else ""
         warn(f"{f'{name}: ' if name else ''}{error} (see {PROGRAM} {f'{name} ' if name else ''}--help)")
         return MISUSED
     except (MiSplatError, OSError) as error:
-        hint = error.hint if isinstance(error, MiSplatError) else ""
-        warn(" ".join(f"{error} ({hint})".split() if hint else str(error).split()))
+        if isinstance(error, OSError):
+            error = _in_our_words(error)
+        hint = f" ({error.hint})" if error.hint else ""
+        warn(shortened(" ".join(f"{error}{hint}".split()), _LONGEST))
         return FAILED
+    except (MemoryError, ImportError) as error:
+        if not (text := _in_short_of_memory(error)):
+            raise
+        warn(text)
+        return FAILED
+
+
+def _in_our_words(error: OSError) -> MiSplatError:
+    """An error of the system as one of ours, which says what to do."""
+    from mi_splat.io.errors import from_os_error
+
+    if isinstance(error, MiSplatError):
+        return error
+    where = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else "files"
+    return from_os_error(where, "files that can be read and written", error)
+
+
+_LONGEST = 4000
+"""Signs of an error message; one that lists all names of a kind is long."""
+
+
+def _in_short_of_memory(error: MemoryError | ImportError) -> str:
+    """The message for an error that a lack of memory led to; empty for another one."""
+    words = one_line(str(error), 200)
+    if isinstance(error, ImportError) and not any(sign in words for sign in _NO_MEMORY):
+        return ""
+    do = "give it more (`ulimit -v`), or take a smaller input"
+    return message("memory", "enough for what was asked", words or "too little", do)
+
+
+_NO_MEMORY = ("failed to map segment", "annot allocate memory", "failed to allocate")
+"""What the loader of libraries says where there is too little memory for one."""
 
 
 @contextmanager

@@ -1,43 +1,48 @@
-"""`mi-splat gate`: verdicts on many splat files, each judged in a process that it cannot take others down with."""
+"""`mi-splat gate`: verdicts on many splat files, which are read by processes with limits.
+
+A verdict counts before it is shown: whether anybody can read it changes no exit status.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import io
+import itertools
 import json
-import shutil
+import queue
 import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from attacks.cli.study import JobOptions, engine_of
-from mi_splat.audit.gate import ACTIONS, CLAIMS, RESULT, ROWS, GateConfig, Policy
-from mi_splat.cli.console import show
+from attacks.cli.options import chosen_workers
+from mi_splat.audit.gate import ACTIONS, CLAIMS, VERDICTS, Policy
+from mi_splat.cli.console import UsageError, show, warn
 from mi_splat.cli.flags import Positional
-from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.fields import OutFile, OutFolder, check_choice, decode
+from mi_splat.cli.options import JsonOptions
+from mi_splat.errors import MiSplatError, one_line
+from mi_splat.fields import OutFile, OutFolder, at_least, between, check_choice, decode
 from mi_splat.io.parsing import DocumentReader
 
 if TYPE_CHECKING:
+    from attacks.audits.judging import Judge, Judged, Reader
     from mi_splat.ledger import Store
-    from mi_splat.ledger.engines import Engine
-    from mi_splat.ledger.job import Task
 
 EXAMPLES = (
     "gate YOUR_SCENE.ply OTHER.spz --strict",
     "gate --policy policy.toml --json",
     "gate YOUR_SCENE.ply --only lint --strict",
 )
-KIND = "attacks.audits.gated"
 REFUSED, UNJUDGED = 3, 1
 """Exit status with --strict where a file is refused, and where one is not judged."""
 ENDINGS = (".sarif", ".json")
-_POLL = 0.2  # seconds between two looks at a file that another process judges
+_WAITING = 4  # files for each process that wait for it
+_LONGEST_LINE = (1 << 16) + 2
 _LINES = DocumentReader(expected='a JSON text, or an object with "file"', do="write one path a line", most=1 << 16)
 
 Request = Mapping[str, str]
@@ -45,29 +50,40 @@ Line = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
-class GateOptions(JobOptions):
+class GateOptions(JsonOptions):
     """Give a verdict on each file, claim by claim: accept, quarantine, not judged or refuse.
 
     Without files, paths are read from standard input, one JSON text a line, or an object with "file" and, where an
     older copy is known to be clean, "against". A verdict is written as soon as its file ends; with --json it is one
-    JSON object in one line. A file that takes more time or memory than the policy allows, or that ends its process, is
-    not judged, and the others are. Verdicts are kept in --store, so that no file is judged twice.
+    JSON object in one line. A file that is larger, or takes more time or memory, than the policy allows, or that ends
+    the process that reads it, is not judged, and the others are. Verdicts are kept in --store by what a file holds,
+    so that no content is judged twice; its name is not kept.
 
-    Exit status with --strict: 3 a file is refused, 1 none is refused but one is not judged.
+    Exit status with --strict: 3 a file is refused, 1 none is refused but one is not judged, or a verdict could not be
+    written.
     """
 
     files: Positional[tuple[Path, ...]] = ()
     """Splat files of any format that is read."""
     policy: Path | None = None
-    """TOML file: `seconds` and `megabytes` for a file, `most_gaussians` that are looked at for appearances and edits,
-    the `claims` to judge, and under [rules] what follows from a rule or a severity: accept, quarantine or refuse.
-    Without, errors and hidden appearances are refused, suspicious ones and edits quarantined."""
+    """TOML file: `seconds` and `megabytes` of memory for a file, `file_megabytes` on the disk, `most_gaussians` that
+    are looked at for appearances and edits, the `claims` to judge, and under [rules] what follows from a rule or a
+    severity: accept, quarantine or refuse. Without, errors and hidden appearances are refused, suspicious ones and
+    edits quarantined."""
     only: Literal["lint"] | None = None
     """Only check the numbers and what rendering them costs, which is much faster."""
+    workers: Annotated[int, between(1, 1024, "processes")] | None = None
+    """Processes that read files side by side; None is one for each core if memory allows."""
+    seconds: Annotated[float, at_least(1, "seconds")] | None = None
+    """Most seconds that a file may take, in place of those of the policy (120)."""
+    megabytes: Annotated[float, at_least(500, "MB")] | None = None
+    """Most memory that all processes that read a file may use together, in place of that of the policy (4000)."""
     store: OutFolder = Path("~/.cache/mi-splat")
     """Folder of verdicts, and of the records on which they rest."""
     sarif: OutFile | None = None
     """Write what was found as SARIF 2.1.0, too, once all files are judged."""
+    force: bool = False
+    """Replace a SARIF file that is there."""
     strict: bool = False
     """Let the exit status say whether all files passed."""
 
@@ -75,37 +91,137 @@ class GateOptions(JobOptions):
 def run(options: GateOptions) -> int:
     """Judge every file; verdicts come in the order in which files end."""
     from mi_splat.io.folders import check_new_file
+    from mi_splat.ledger import Store
 
     policy = _policy(options)
-    seconds, megabytes = options.seconds or policy.seconds, options.megabytes or policy.megabytes
-    options = replace(options, store=options.store.expanduser(), seconds=seconds, megabytes=megabytes)
     if options.sarif is not None:
-        check_new_file(options.sarif, ENDINGS, force=True)
-    engine, printing, lines = engine_of(options, lambda event: None), threading.Lock(), list[Line]()
+        check_new_file(options.sarif, ENDINGS, force=options.force)
+    requests = _requests(options.files)
+    store = Store(options.store.expanduser())
+    store.sweep()
+    verdicts = _Verdicts(options)
+    with _readers(chosen_workers(options.workers), policy, store) as readers:
+        _judge_all(requests, readers, policy, store, verdicts)
+    return verdicts.end()
+
+
+def _judge_all(
+    requests: Iterator[Request], readers: Sequence[Reader], policy: Policy, store: Store, verdicts: _Verdicts
+) -> None:
+    """Judge files side by side, one for each reader."""
+    from attacks.audits.judging import Judge
+
+    idle: queue.SimpleQueue[Judge] = queue.SimpleQueue()
+    for reader in readers:
+        idle.put(Judge(reader, policy, store))
+    room = threading.Semaphore(_WAITING * len(readers))
 
     def judge(request: Request) -> None:
-        line = {"file": request["file"], **_judged(request, policy, engine, options.store)}
-        with printing:
-            show(json.dumps(line) if options.json else _in_words(line))
-            sys.stdout.flush()
-            lines.append(line)
+        judge, begun = idle.get(), time.monotonic()
+        try:
+            judged = judge.judge(request)
+        finally:
+            idle.put(judge)
+        verdicts.add(request["file"], judged, policy, time.monotonic() - begun)
 
-    try:
-        with ThreadPoolExecutor(engine.window) as pool:
-            try:
-                room = threading.Semaphore(4 * engine.window)
-                for request in _requests(options.files):
-                    room.acquire()
-                    pool.submit(judge, request).add_done_callback(lambda _: room.release())
-            except BaseException:
-                engine.close()  # else the pool waits for what is being judged
-                raise
-    finally:
-        engine.close()
-    if options.sarif is not None:
-        _save_sarif(lines, options.sarif)
-    found = {line["verdict"] for line in lines} if options.strict else set()
-    return REFUSED if "refuse" in found else UNJUDGED if "not judged" in found else 0
+    def ended(future: Future[None]) -> None:
+        room.release()
+        if not future.cancelled() and (error := future.exception()) is not None:
+            verdicts.lose(error)
+
+    with ThreadPoolExecutor(len(readers)) as pool:
+        try:
+            for request in requests:
+                room.acquire()
+                pool.submit(judge, request).add_done_callback(ended)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for reader in readers:
+                reader.close()  # else the pool waits for what is being judged
+            raise
+
+
+@contextlib.contextmanager
+def _readers(workers: int, policy: Policy, store: Store) -> Iterator[list[Reader]]:
+    """Processes that read, each with its share of the cores and its own folder of compiled kernels."""
+    from attacks.audits.judging import ReaderProcess
+    from mi_splat.ledger.engines import environment, free_cache, share_of_cores
+    from mi_splat.process_group import Limits
+
+    limits = Limits(seconds=policy.seconds, megabytes=policy.megabytes)
+    readers = list[ReaderProcess]()
+    with contextlib.ExitStack() as caches:
+        numbers = itertools.count()
+        for worker in range(workers):
+            variables = environment(free_cache(store.folder, numbers, caches))
+            cores = share_of_cores(worker, workers)
+            readers.append(ReaderProcess(limits, environment=variables, cores=cores))
+        try:
+            yield list(readers)
+        finally:
+            for reader in readers:
+                reader.close()
+                reader.end(for_good=True)
+
+
+class _Verdicts:
+    """The verdicts of a run: each counts first, and is then shown where that is possible."""
+
+    def __init__(self, options: GateOptions) -> None:
+        self._options = options
+        self._lock = threading.Lock()
+        self._found = set[str]()
+        self._reports = list[Mapping[str, Any]]()
+        self._fault: Exception | None = None
+
+    def add(self, file: str, judged: Judged, policy: Policy, seconds: float) -> None:
+        """A file is judged."""
+        line = _line(file, judged, policy, seconds)
+        with self._lock:
+            self._found.add(line["verdict"])
+            if self._options.sarif is not None:
+                self._reports.append(_report(line, judged))
+            self._show(json.dumps(line) if self._options.json else _in_words(line))
+
+    def lose(self, error: BaseException) -> None:
+        """A file has no verdict because of a fault of this program."""
+        with self._lock:
+            self._found.add("not judged")
+            warn(f"no verdict on a file: {one_line(str(error))}; report this")
+
+    def _show(self, text: str) -> None:
+        if self._fault is not None:
+            return
+        try:
+            show(text)
+            sys.stdout.flush()
+        except (OSError, ValueError) as error:  # also of a stdout that is closed
+            self._fault = error
+
+    def end(self) -> int:
+        """Write what is written at the end; the exit status."""
+        status = 0
+        if self._fault is not None and not isinstance(self._fault, BrokenPipeError):
+            warn(f"verdicts could not be written: {self._fault}; the files were judged all the same")
+            status = UNJUDGED
+        if self._options.sarif is not None:
+            status = max(status, self._save_sarif(self._options.sarif))
+        if not self._options.strict:
+            return status
+        if self._fault is not None or "not judged" in self._found:
+            status = UNJUDGED
+        return REFUSED if "refuse" in self._found else status
+
+    def _save_sarif(self, path: Path) -> int:
+        from mi_splat.audit.files import sarif
+        from mi_splat.io.documents import save_json
+
+        try:
+            save_json(sarif(self._reports), path)
+        except MiSplatError as error:
+            warn(str(error))
+            return UNJUDGED
+        return 0
 
 
 def _policy(options: GateOptions) -> Policy:
@@ -118,82 +234,70 @@ def _policy(options: GateOptions) -> Policy:
     for name in policy.rules:
         if not name.startswith("gltf-"):
             check_choice(f"rules in {options.policy}", name, known)
-    return replace(policy, claims=CLAIMS[:3]) if options.only else policy
+    return replace(
+        policy,
+        claims=CLAIMS[:3] if options.only else policy.claims,
+        seconds=options.seconds or policy.seconds,
+        megabytes=options.megabytes or policy.megabytes,
+    )
 
 
 def _requests(files: Sequence[Path]) -> Iterator[Request]:
     """What is to be judged: the files, or what standard input names; a line that names none has its reason."""
-    yield from ({"file": str(path)} for path in files)
-    for line in filter(str.strip, _input_lines()) if not files else ():
-        try:
-            value = _LINES.json_value(line.encode("utf-8", "surrogateescape"), "standard input")
-            request = {"file": value} if isinstance(value, str) else value
-            if not isinstance(request, dict) or "file" not in request or not request.keys() <= {"file", "against"}:
-                raise _LINES.broken("standard input", line.strip()[:80])
-            yield {key: str(text) for key, text in request.items()}
-        except MiSplatError as error:
-            yield {"file": line.strip()[:80], "error": str(error)}
+    if files:
+        return ({"file": str(path)} for path in files)
+    if sys.stdin is None:
+        raise UsageError.of("files", "paths, or a standard input that names them", "a closed one", "pass paths")
+    return map(_request, filter(str.strip, _input_lines()))
+
+
+def _request(line: str) -> Request:
+    """The request in a line of standard input."""
+    try:
+        value = _LINES.json_value(line.encode("utf-8", "surrogateescape"), "standard input")
+        request = {"file": value} if isinstance(value, str) else value
+        if not isinstance(request, dict) or "file" not in request or not request.keys() <= {"file", "against"}:
+            raise _LINES.broken("standard input", one_line(line, 80))
+        return {key: str(text) for key, text in request.items()}
+    except MiSplatError as error:
+        return {"file": line.strip()[:80], "error": str(error)}
 
 
 def _input_lines() -> Iterator[str]:
-    """Lines of standard input; one that is no UTF-8 is a line, too."""
-    if isinstance(sys.stdin, io.TextIOWrapper):
-        yield from (line.decode("utf-8", "surrogateescape") for line in sys.stdin.buffer)
-    else:
-        yield from sys.stdin
+    """Lines of standard input, of long ones the beginning; one that is no UTF-8 is a line, too."""
+    stream: Any = sys.stdin.buffer if isinstance(sys.stdin, io.TextIOWrapper) else sys.stdin
+    while line := stream.readline(_LONGEST_LINE):
+        yield line if isinstance(line, str) else line.decode("utf-8", "surrogateescape")
+        while len(line) == _LONGEST_LINE and line[-1:] not in ("\n", b"\n"):
+            line = stream.readline(_LONGEST_LINE)
 
 
-def _judged(request: Request, policy: Policy, engine: Engine, folder: Path) -> Line:
-    """The verdict on a file; nothing that a file does is raised."""
+def _line(file: str, judged: Judged, policy: Policy, seconds: float) -> Line:
+    """The verdict on a file, as it is shown."""
+    from attacks.audits.judging import READER, named
     from mi_splat.import_closure import code_digest
-    from mi_splat.ledger import Job, Store
-    from mi_splat.ledger.running import task_for
 
-    begun, store = time.monotonic(), Store(folder)
-    known: Line = dict.fromkeys(("fingerprint", "gaussians", "looked_at", "sha256", "record"))
-    rows: Sequence[Mapping[str, Any]] = ()
-    why = request.get("error", "")
-    try:
-        paths = {"splat": request["file"], "clean": request.get("against", request["file"])}
-        inputs = {name: _regular(path) for name, path in paths.items() if name == "splat" or "against" in request}
-        config = GateConfig(claims=policy.claims, most_gaussians=policy.most_gaussians, ending=inputs["splat"].suffix)
-        task = task_for(Job(kind=KIND, config=config, inputs=inputs), store, {})
-        known["sha256"] = task.inputs["splat"]["content"]
-        rows, why, known["record"] = _ended(task, engine, store)
-    except Exception as error:  # noqa: BLE001  # whatever it is, it concerns this file alone
-        why = why or " ".join(str(error).split())
-    known |= {key: row[key] for row in rows for key in ("fingerprint", "gaussians") if key in row}
-    known["looked_at"] = min(known["gaussians"] or 0, policy.most_gaussians)
-    tool = {"tool": f"mi-splat {importlib.metadata.version('mi-splat')}", "code": code_digest(KIND)}
+    line = policy.verdict(judged.rows)
+    if judged.error:  # also where every claim had been judged before: a file that ends its process passes nowhere
+        line["verdict"] = max(line["verdict"], "not judged", key=VERDICTS.index)
+    for values in line["claims"].values():
+        for reason in values["reasons"]:
+            reason["reason"] = named(reason["reason"], file)
+    known: Line = dict.fromkeys(("fingerprint", "gaussians"))
+    for row in judged.rows:
+        known |= {key: row[key] for key in known if key in row}
     return {
-        **policy.verdict(rows),
-        "error": why or None,
+        "file": file,
+        **line,
+        "error": named(judged.error, file) or None,
         **known,
-        **tool,
-        "seconds": round(time.monotonic() - begun, 3),
+        "looked_at": min(known["gaussians"] or 0, policy.most_gaussians),
+        "sha256": judged.contents.get("splat"),
+        "record": judged.record,
+        "tool": f"mi-splat {importlib.metadata.version('mi-splat')}",
+        "code": code_digest(READER),
+        "seconds": round(seconds, 3),
     }
-
-
-def _regular(name: str) -> Path:
-    """A path, unless reading it could wait for ever."""
-    path = Path(name)
-    if not path.is_file():
-        raise InvalidValueError.of(name, "a regular file", "none there", "pass the path of a splat file")
-    return path
-
-
-def _ended(task: Task, engine: Engine, store: Store) -> tuple[Sequence[Mapping[str, Any]], str, str | None]:
-    """What was found in a file, why the rest was not judged, and where the record is."""
-    while (outcome := engine.submit(task).result()).state == "held":
-        time.sleep(_POLL)
-    if (done := store.done(task.key)) is not None:
-        record = done.folder / RESULT
-        return done.rows, "", str(record) if record.is_file() else None
-    kept = store.path("partial", task.key)
-    rows = DocumentReader().read_json(kept / ROWS)["rows"] if (kept / ROWS).is_file() else []
-    shutil.rmtree(kept, ignore_errors=True)
-    store.forgive(task.key)
-    return rows, outcome.text.removeprefix("try 1: "), None
 
 
 def _in_words(line: Line) -> str:
@@ -203,14 +307,16 @@ def _in_words(line: Line) -> str:
     return "\n".join("\\n".join(part.splitlines()) for part in parts)  # a name must not make up lines of its own
 
 
-def _save_sarif(lines: Sequence[Line], path: Path) -> None:
-    from mi_splat.audit.files import sarif
-    from mi_splat.io.documents import save_json
-    from mi_splat.io.parsing import read_json
-
-    documents = []
-    for line in lines:
-        reasons = [item["reason"] for values in line["claims"].values() for item in values["reasons"]]
-        unread = {"verdict": None, "error": line["error"] or " ".join(reasons)}
-        documents.append({"file": line["file"], **(read_json(Path(line["record"])) if line["record"] else unread)})
-    save_json(sarif(documents), path)
+def _report(line: Line, judged: Judged) -> Mapping[str, Any]:
+    """What SARIF says of a file: what the audit found, and what of the verdict does not follow from that."""
+    told = ("unreadable", "changed", "") if judged.account else None
+    more = []
+    for claim, values in line["claims"].items():
+        for item in values["reasons"]:
+            if told is None or item["rule"] in told:
+                rule = item["rule"] or "not-judged"
+                more.append((rule, item["severity"] or "warning", f"{claim}: {item['reason']}"))
+    if line["error"] or not (more or judged.account):
+        more.append(("not-judged", "error", line["error"] or "nothing was found out about the file"))
+    account = judged.account or {"summary": []}
+    return {**account, "file": line["file"], "verdict": line["verdict"], "more": more}

@@ -55,6 +55,7 @@ class DetectorSpec:
         advice: What to do where that file is missing.
         requires: Packages, by the names they are imported by, that it needs besides those of mi-splat.
         install: What to do where one of these is missing.
+        differentiable: Whether candidates have a gradient in the image.
     """
 
     name: str
@@ -66,6 +67,7 @@ class DetectorSpec:
     advice: str = "see its documentation"
     requires: tuple[str, ...] = ()
     install: str = ""
+    differentiable: bool = True
 
     def missing(self) -> str:
         """What keeps it from being loaded now and what to do about it; empty if nothing does."""
@@ -227,6 +229,7 @@ def _of_this_project() -> Iterator[DetectorSpec]:
         origin="PP-OCRv4 in the package rapidocr-onnxruntime, which reads the word on a sign",
         licence="Apache-2.0",
         requires=("rapidocr_onnxruntime",),
+        differentiable=False,
         install=install("ocr"),
     )
 

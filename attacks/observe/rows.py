@@ -22,6 +22,7 @@ import polars as pl
 from attacks.observe import Control
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import atomic_write
+from mi_splat.io.folders import file_in
 
 Cell = str | int | float | bool | None
 Row = Mapping[str, Cell]
@@ -235,7 +236,7 @@ def rows(result: str | Path, table: str = ROWS) -> pl.DataFrame:
     Raises:
         InvalidValueError: The result does not have this table, or its file is none.
     """
-    path = Path(result) / f"{table}{SUFFIX}"
+    path = file_in(Path(result), f"{table}{SUFFIX}")
     if not path.is_file():
         do = "pass a folder that mi-splat dagger, evaluate, cloak or study has written"
         raise InvalidValueError.of(str(result), f"a result with {path.name}", "none", do)

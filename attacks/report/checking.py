@@ -15,7 +15,16 @@ from attacks.rate import wilson
 from attacks.report.section import plain
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
-from mi_splat.io.folders import MANIFEST, RECORD, Manifest, files_in, new_folder, read_manifest
+from mi_splat.io.folders import (
+    MANIFEST,
+    RECORD,
+    Manifest,
+    file_in,
+    files_in,
+    is_own_file,
+    new_folder,
+    read_manifest,
+)
 from mi_splat.io.parsing import DocumentReader
 
 TOLERANCE = 1e-6
@@ -69,13 +78,14 @@ class Result:
 
 def read_result(folder: Path) -> Result:
     """A result with its tables."""
-    record = DocumentReader(do="pass a folder of results").read_json(folder / RECORD)
+    record = DocumentReader(do="pass a folder of results").read_json(file_in(folder, RECORD))
     return Result(folder=folder, record=record, manifest=read_manifest(folder), tables=read_tables(folder))
 
 
 def read_tables(folder: Path, names: Sequence[str] = TABLES) -> Tables:
     """The tables that a result has, of those with these names."""
-    return {name: read_rows(path) for name in names if (path := folder / f"{name}{SUFFIX}").is_file()}
+    paths = {name: file_in(folder, f"{name}{SUFFIX}") for name in names}
+    return {name: read_rows(path) for name, path in paths.items() if path.is_file()}
 
 
 def check_result(
@@ -94,7 +104,7 @@ def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
     lines = [Check(name=MANIFEST, words=f"sha256 {listed.sha256}{', another' if same is False else ''}", passed=same)]
     for name, (digest, length) in listed.files.items():
         path, kept = folder / name, name.endswith(KEPT)
-        if path.is_symlink() or not path.is_file():
+        if not is_own_file(folder, name):
             lines.append(Check(name=name, words="missing" if kept else "left out", passed=False if kept else None))
         elif path.stat().st_size != length or sha256(path) != digest:
             lines.append(Check(name=name, words=f"other bytes than {MANIFEST} lists", passed=False))
@@ -244,7 +254,7 @@ def pack(
         raise InvalidValueError.of(str(folder), "a result as it was written", f"{red.name}: {red.words}", do)
     with new_folder(out, force=force, record=RECORD, manifest=False) as copy:
         for name in (MANIFEST, *result.manifest.files):
-            if (whole or name.endswith(KEPT)) and (folder / name).is_file():
+            if (whole or name.endswith(KEPT)) and is_own_file(folder, name):
                 (copy / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(folder / name, copy / name)
     return read_result(out)

@@ -9,7 +9,7 @@ from typing import Any
 from attacks.report.checking import Figures, Result
 from attacks.report.section import Section, sentence, versions_of
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.io.folders import MANIFEST, RECORD, read_manifest
+from mi_splat.io.folders import MANIFEST, RECORD, check_links, file_in, read_manifest
 from mi_splat.io.parsing import read_json
 
 Record = Mapping[str, Any]
@@ -76,6 +76,7 @@ def read_section(path: Path) -> Section:
         if path.is_file():
             got, do = "a file", f"pass {path.parent}"
         raise InvalidValueError.of(str(path), f"a folder that one of {commands} has written", got, do)
+    check_links(path)
     record = read_json(file)
     kind = _kind(record)
     if kind is None:
@@ -98,13 +99,18 @@ def _finished(section: Section, path: Path, record: Record) -> Section:
         folder=str(path),
         control=None if control is None or (control.rate is not None and not control.rate.total) else control,
         warnings=tuple(map(sentence, (*section.doubts(), *section.warnings))),
-        pictures=tuple(picture for picture in section.pictures if picture.path.is_file()),
+        pictures=tuple(picture for picture in section.pictures if _of_folder(path, picture.path).is_file()),
         charts=tuple(chart for chart in section.charts if chart.drawn),
         tables=tuple(table for table in section.tables if table.rows),
         command=str(record.get("command") or ""),
         versions=versions_of(record),
         manifest=read_manifest(path).sha256 if (path / MANIFEST).is_file() else "",
     )
+
+
+def _of_folder(folder: Path, path: Path) -> Path:
+    """The path of a file on a page, which is one of the result's own, whatever kind of result it is."""
+    return file_in(folder, path.relative_to(folder).as_posix())
 
 
 def kind_of(result: Result) -> ResultKind:

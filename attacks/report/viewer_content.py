@@ -22,9 +22,9 @@ from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera
 from mi_splat.datasets import is_dataset, load_dataset
 from mi_splat.directions import UP, Point
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError, message, one_line
 from mi_splat.io.camera_records import OF, camera_of
-from mi_splat.io.folders import RECORD, splat_in
+from mi_splat.io.folders import RECORD, check_links, splat_in
 from mi_splat.io.parsing import read_json
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, scene_hash
@@ -93,8 +93,8 @@ def _set_of_training(run: Mapping[str, Any]) -> Path | None:
     A folder of others may name any path of this machine or of the network. Nothing is said of what lies there, and
     nothing is shown of it, unless whoever made the folder knew its poses.
     """
-    recorded = run.get("dataset")
-    if not isinstance(recorded, str) or recorded.startswith(("//", "\\\\")):
+    recorded = _recorded_path(run.get("dataset"))
+    if recorded is None:
         return None
     try:
         with warnings.catch_warnings():
@@ -102,7 +102,15 @@ def _set_of_training(run: Mapping[str, Any]) -> Path | None:
             same = is_dataset(recorded) and poses_digest(load_dataset(recorded).cameras) == run.get("poses")
     except (MiSplatError, OSError):
         return None
-    return Path(recorded) if same else None
+    return recorded if same else None
+
+
+def _recorded_path(value: object) -> Path | None:
+    """A path that a record names, which others may have written; None for one of the network."""
+    return None if not isinstance(value, str) or value.startswith(_NETWORK) else Path(value)
+
+
+_NETWORK = ("//", "\\\\")
 
 
 def _opened(path: Path, clean: Path | None, background: tuple[float, float, float]) -> Content:
@@ -123,6 +131,7 @@ def _opened(path: Path, clean: Path | None, background: tuple[float, float, floa
     if not is_result:
         expected, do = f"{RECORD} of mi-splat dagger, evaluate, cloak or audit in it", "pass a finished result, a set"
         raise InvalidValueError.of(str(path), expected, "none", f"{do} of pictures, or a .ply or .xml file")
+    check_links(path)
     record = read_json(path / RECORD)
     reader = {"audit": _content_of_audit, "cloak": _content_of_study}.get(str(record.get("story")), _content_of_attack)
     try:
@@ -138,7 +147,7 @@ def _content_of_attack(folder: Path, record: Record, clean: Path | None) -> Cont
     """The clean and the attacked splat of a DAGGER result or of an evaluation, from the cameras that looked at both."""
     rendered, evaluated = dict[str, Any](), record.get("story") == "evaluate"
     if evaluated:
-        entries, kind, path = record["cameras"], "judging", Path(record["attacked"])
+        entries, kind, path = record["cameras"], "judging", _needed_path(record["attacked"], folder)
         names = labels = [str(entry["name"]) for entry in entries]
         expected, recorded = str(record["clean_hash"]), record["clean"]
     else:
@@ -172,6 +181,13 @@ def _content_of_attack(folder: Path, record: Record, clean: Path | None) -> Cont
     )
 
 
+def _needed_path(value: object, folder: Path) -> Path:
+    if (path := _recorded_path(value)) is None:
+        expected, do = "the path of a splat on this machine", "make the result again"
+        raise InvalidValueError.of(str(folder / RECORD), expected, one_line(repr(value), 80), do)
+    return path
+
+
 _PURPOSES = {"relabel": "to be taken for {}", "hide": "to be missed", "untargeted": "to be taken for something else"}
 
 
@@ -194,7 +210,8 @@ def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:
 
 def _clean_splat(folder: Path, expected: str, clean: Path | None, *, recorded: object) -> ShownSplat:
     """The scene with this hash: the one that is named, the one that the result names, or one of those near by."""
-    named = [Path(recorded)] if isinstance(recorded, str) and Path(recorded).is_file() else []
+    source = _recorded_path(recorded)
+    named = [source] if source is not None and source.is_file() else []
     near = (path for base in (folder, folder.parent, Path(), Path("scenes")) for path in sorted(base.glob("*.xml")))
     for path in [clean] if clean is not None else [*named, *near]:
         try:
@@ -214,7 +231,7 @@ def _clean_splat(folder: Path, expected: str, clean: Path | None, *, recorded: o
 
 def _content_of_audit(folder: Path, record: Record, audited: Path | None) -> Content:
     """The splat beside its heat, from the cameras that prove a look."""
-    path, count = audited or Path(record["file"]), int(record["gaussians"])
+    path, count = audited or _needed_path(record["file"], folder), int(record["gaussians"])
     x, y, z = map(float, max(record["objects"], key=lambda item: item["evidence"])["centre"])
     views = {str(values["name"]): camera_of(values) for values in record["cameras"]}
     if not path.exists():

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 PACKAGES = (
     *("mi_splat", "attacks"),
     *("mi_splat.io", "mi_splat.datasets", "mi_splat.training.strategies", "attacks.detectors"),
+    "attacks.testing",
 )
 """Packages with a page that export names of their modules, the outer ones first."""
 

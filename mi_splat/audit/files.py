@@ -62,9 +62,26 @@ _RULES: dict[str, tuple[Severity, str, str]] = {
         "Colours of an object have shades that neither paint nor light explains; an attack on a detector leaves them.",
         "Compare it with an older copy by `mi-splat audit --against`, or train it again.",
     ),
+    "unreadable": (
+        "error",
+        "The file is damaged, or of another kind than it says.",
+        "Export it again; do not use it as it is.",
+    ),
+    "changed": (
+        "warning",
+        "The file differs from an older copy that is known to be clean.",
+        "Look at what `mi-splat audit --against` shows of the difference.",
+    ),
+    "not-judged": (
+        "error",
+        "The file, or a claim about it, was not judged, so that nothing is known of it.",
+        "Do not use it until it is: `mi-splat gate` says why, and its policy says what a file may take.",
+    ),
 }
 """Level, what is wrong, and what to do, by the name of the rule. Rules of lint bring their own."""
 
+_NOTED = ("unreadable", "not-judged")
+"""Rules that say that the tool did not come to its end."""
 _Finding = tuple[str, Severity, str, dict[str, Any]]  # rule, level, what was found, and numbers of it
 
 
@@ -76,14 +93,19 @@ def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
         address = {"uri": _address(document["file"]), "index": index}
         location = {"physicalLocation": {"artifactLocation": address, "region": {"startLine": 1}}}
         artifacts.append({"location": {"uri": address["uri"]}, "properties": {"verdict": document["verdict"]}})
+        more: list[_Finding] = [(*reason, {}) for reason in document.get("more", ())]
         if "error" in document:
-            notes.append({"level": "error", "message": {"text": document["error"]}, "locations": [location]})
-            continue
-        artifacts[-1]["properties"]["summary"] = document["summary"]
+            more.append(("unreadable", "error", document["error"], {}))
+        if any(level == "error" and name in _NOTED for name, level, _, _ in more):
+            text = "; ".join(text for name, _, text, _ in more if name in _NOTED)
+            notes.append({"level": "error", "message": {"text": text}, "locations": [location]})
+        artifacts[-1]["properties"]["summary"] = document.get("summary", [])
         for finding in document.get("lint") or ():
             name = f"lint/{finding['rule']}"
             rules.setdefault(name, _rule(name, _level(finding["severity"]), finding["rule"], finding["reason"]))
-        for name, level, text, values in findings(document):
+        found = [*findings(document), *more] if "objects" in document else more
+        for name, level, text, values in found:
+            rules.setdefault(name, _rule(name, _level(level), name, text))
             result = {"ruleId": name, "ruleIndex": list(rules).index(name), "level": level, "message": {"text": text}}
             results.append({**result, "locations": [location], "properties": values})
     driver = {"name": "mi-splat audit", "version": importlib.metadata.version("mi-splat"), "rules": [*rules.values()]}

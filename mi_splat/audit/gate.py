@@ -30,9 +30,11 @@ ACTIONS: Mapping[str, Action] = {
     "fog": "accept",
 }
 """What follows from a finding, by its rule or else its severity, where the policy says nothing."""
-ROWS, RESULT = "rows.json", "result.json"
+RESULT = "result.json"
 STATED = ("net", "suspicion", "supported", "covered", "seen_through", "aimed", "grain")
 """The thresholds that a verdict line states; `result.json` in the store has all."""
+FILE = "{file}"
+"""What stands for the name of the judged file in rows and records: they belong to a content, which has many names."""
 Row = dict[str, Any]
 _CHUNK = 1 << 16
 
@@ -45,6 +47,7 @@ class Policy(Checked):
     claims: tuple[Claim, ...] = CLAIMS[:-1]  # that have to be judged; provenance is where a clean file is named
     seconds: Annotated[float, at_least(1, "seconds")] = 120.0  # for a file; what takes longer is not judged
     megabytes: Annotated[float, at_least(500, "MB")] = 4000.0  # of memory for a file, likewise
+    file_megabytes: Annotated[float, at_least(1, "MB")] = 2000.0  # of a file on the disk; a larger one is not read
     most_gaussians: Annotated[int, at_least(1000, "Gaussians")] = 2_000_000  # of more, so many are looked at
 
     def action(self, rule: str, severity: str) -> Action:

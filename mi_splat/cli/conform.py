@@ -90,11 +90,14 @@ class ConformOptions(JsonOptions):
 def run(options: ConformOptions) -> int:
     """List, export or compare."""
     from mi_splat.conformance_scenes import conformance_scenes
+    from mi_splat.io.folders import check_new_folder
 
     given = options.images, options.export, options.read, options.gradients
     tasks = [options.list, *(path is not None for path in given)]
     if sum(tasks) != 1:
         raise UsageError("expected one of a folder of images, --list, --export, --read and --gradients; pass only one")
+    if options.out is not None:
+        check_new_folder(options.out, force=options.force)
     every = {scene.name: scene for scene in conformance_scenes(options.size)}
     if options.list:
         document = {"scenes": [{"name": name, "fact": scene.fact} for name, scene in every.items()]}
@@ -556,30 +559,11 @@ def _nearest(before: GaussianScene, after: GaussianScene) -> Any:
     return torch.from_numpy(linear_sum_assignment(torch.cdist(first, second).numpy())[1])
 
 
-def _read_gradients(path: Path, exact: Mapping[str, Array]) -> dict[str, Array]:
-    """The arrays of a file that are called as exact ones; none may be larger in the file than twice those."""
-    import zipfile
-    from tempfile import TemporaryDirectory
-
-    from mi_splat.io.errors import SplatFileError
-    from mi_splat.selection.select import load_array
-
-    found, most = dict[str, Any](), 1024 + 16 * max(values.size for values in exact.values())
-    try:
-        with zipfile.ZipFile(path) as archive, TemporaryDirectory() as folder:
-            for name in (f"{key}.npy" for key in exact if f"{key}.npy" in archive.namelist()):
-                if archive.getinfo(name).file_size > most:
-                    raise SplatFileError.of(name, "a gradient", f"more than {most:,} bytes", "shape it as exported")
-                found[name[:-4]] = load_array(Path(archive.extract(name, folder))).astype(float)
-    except (zipfile.BadZipFile, SplatFileError, ValueError, TypeError, EOFError) as error:
-        do = "save them with numpy.savez"
-        raise InvalidValueError.of(str(path), "arrays shaped as those exported", str(error), do) from error
-    return found
-
-
 def _compare_gradients(options: ConformOptions, folder: Path, every: Mapping[str, ConformanceScene]) -> int:
     """Compare gradients with exact ones, attribute by attribute: the length of the difference, as a part of theirs."""
     import numpy as np
+
+    from mi_splat.cli.conform_gradients import read_gradients
 
     rows = list[dict[str, Any]]()
     for name, scene in every.items():
@@ -589,7 +573,7 @@ def _compare_gradients(options: ConformOptions, folder: Path, every: Mapping[str
         lengths = {key: float(np.linalg.norm(values)) for key, values in exact.items()}
         floor = _GRADIENT_FLOOR * max(lengths.values())
         off = dict[str, float | None]()
-        for key, values in _read_gradients(path, exact).items():
+        for key, values in read_gradients(path, exact).items():
             if values.shape != exact[key].shape:
                 off[key] = None
                 continue

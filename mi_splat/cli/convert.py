@@ -59,7 +59,7 @@ def run(options: ConvertOptions) -> None:
     """Convert, read the new file back, and say how it differs."""
     import torch
 
-    from mi_splat.io.folders import check_new_file, check_not_input, check_writable, splat_in
+    from mi_splat.io.folders import check_free_file, check_not_input, splat_in
     from mi_splat.io.loaded import dropped_bands, ranges
     from mi_splat.io.splat_files import TAGGED, format_to_write, load_stored, write_splat_file
     from mi_splat.scene import Similarity
@@ -68,9 +68,7 @@ def run(options: ConvertOptions) -> None:
     if options.spz_version is not None and suffix != ".spz":
         raise InvalidValueError.of("--spz-version", "a file to write that ends in .spz", suffix, "leave it out")
     check_not_input(options.out, options.source)
-    if os.path.lexists(options.out):
-        check_new_file(options.out, (options.out.suffix.lower(),), force=options.force)
-    check_writable(options.out.parent)
+    check_free_file(options.out, force=options.force)
     with progress(f"reading {options.source}"):
         invalid: Literal["drop", "raise"] = "drop" if options.drop_invalid else "raise"
         stored = load_stored(options.source).settle(str(options.source), invalid, stacklevel=1)

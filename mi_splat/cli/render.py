@@ -65,7 +65,7 @@ class RenderOptions(JsonOptions):
     samples: Samples = 64
     """Samples a pixel, for a scene with meshes; the other pictures need one."""
     force: bool = False
-    """Replace a folder of pictures that an earlier call has written."""
+    """Replace a file that is there, or a folder of pictures that an earlier call has written."""
 
 
 RECORD = "cameras.json"
@@ -176,11 +176,12 @@ def _pixels(render: RenderFn, scene: GaussianScene, camera: Camera, options: Ren
 
 
 def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
-    from mi_splat.io.folders import check_new_folder, check_writable
+    from mi_splat.io.folders import check_free_file, check_new_folder
     from mi_splat.io.images import is_animation, is_floats, is_picture
 
     out = options.out
-    check_writable(out.parent)
+    if is_animation(out) or is_picture(out) or is_floats(out):
+        check_free_file(out, force=options.force)
     if is_animation(out):
         if len(cameras) < 2:
             do = "pass for instance --cameras orbit:60@20, or end the name in .png"

@@ -46,6 +46,8 @@ class SelectOptions(JsonOptions):
     """Where it is looked at from; the first camera's picture is the one that is clicked on and written."""
     out: tuple[OutFile, ...] = ()
     """Any of: a .png or .jpg of the scene with the object tinted, the mask as .npy, the object's Gaussians as .ply."""
+    force: bool = False
+    """Replace files that are there."""
 
 
 LISTED = 6
@@ -57,7 +59,7 @@ TINT = (1.0, 0.0, 0.8)
 def run(options: SelectOptions) -> None:
     """Select, save, and say what was selected."""
     from mi_splat.cli.cameras import choose
-    from mi_splat.io.folders import check_not_input, check_writable
+    from mi_splat.io.folders import check_free_file, check_not_input
     from mi_splat.io.images import is_picture
     from mi_splat.scene_files import open_scene
     from mi_splat.selection.select import SEEN, doubts
@@ -66,7 +68,7 @@ def run(options: SelectOptions) -> None:
         if not (is_picture(path) or path.suffix.lower() in (".npy", ".ply")):
             raise InvalidValueError.of("--out", "names that end in .png, .jpg, .npy or .ply", path, "change the ending")
         check_not_input(path, options.scene, options.selection.mask)
-        check_writable(path.parent)
+        check_free_file(path, force=options.force)
     with progress("selecting"):
         loaded = open_scene(options.scene)
         chosen = choose(loaded, options.selection, options.view)

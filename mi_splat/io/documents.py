@@ -1,6 +1,7 @@
 """Bytes, text, JSON and PNG files that appear whole or not at all, and digests of files."""
 
 import contextlib
+import ctypes
 import errno
 import fcntl
 import hashlib
@@ -25,6 +26,9 @@ from mi_splat.io.errors import SplatFileError, from_os_error
 
 LOCK = ".mi-splat.lock"
 """Name of the file in a folder that a process has for itself; see `mi_splat.io.folders`."""
+ASIDE = ".mi-splat.aside"
+"""Name of the file in a folder that is being replaced; see `publish`."""
+_HERE, _LINUX_EXCHANGE, _MACOS_SWAP = -100, 2, 2  # AT_FDCWD, RENAME_EXCHANGE, RENAME_SWAP
 _TEMPORARY = re.compile(r"\.[0-9a-f]{16}\.tmp")
 _YOUNG = 60.0
 """Seconds in which a temporary file is left alone, since its maker may not have come to lock it."""
@@ -33,7 +37,7 @@ _SYNCED_AT_ONCE = 8
 
 def is_temporary(name: str) -> bool:
     """Whether a file name is that of a temporary file or of a lock: what only running programs need."""
-    return name == LOCK or _TEMPORARY.fullmatch(name) is not None
+    return name in (LOCK, ASIDE) or _TEMPORARY.fullmatch(name) is not None
 
 
 def try_lock(descriptor: int) -> bool | None:
@@ -106,8 +110,13 @@ def write_all(file: BinaryIO, data: memoryview) -> None:
 
 @contextlib.contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
-    """A new folder that is gone after the block, unless `publish` has given it a name."""
+    """A new folder that is gone after the block, unless `publish` has given it a name.
+
+    Where the block raises, the folders above it that had to be made are gone, too, if nothing
+    else is in them.
+    """
     folder = parent / _temporary_name()
+    missing = [above for above in (parent, *parent.parents) if not os.path.lexists(above)]
     try:
         folder.mkdir(parents=True)
         descriptor = os.open(folder, os.O_RDONLY)
@@ -116,6 +125,12 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
     try:
         try_lock(descriptor)
         yield folder
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        with contextlib.suppress(OSError):  # something else is in them
+            for above in missing:
+                above.rmdir()
+        raise
     finally:
         os.close(descriptor)
         shutil.rmtree(folder, ignore_errors=True)
@@ -124,37 +139,65 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
 def publish(folder: Path, target: Path, *, replace: bool = False) -> None:
     """Bring a folder to the disk and give it the name of another place beside it, in one step.
 
-    A folder that is replaced waits under the name `.NAME.old` until the new one has its name; after a kill at that
-    point `restore` gives it back.
+    A folder that is replaced exchanges its name with the new one, where the disk can do that
+    in one step. Elsewhere it waits under a name that nothing else has, with `ASIDE` in it,
+    until the new one has its name; after a kill at that point `restore` gives it back.
     """
     paths = [Path(parent, name) for parent, _, names in os.walk(folder) for name in (".", *names)]
     with ThreadPoolExecutor(_SYNCED_AT_ONCE) as pool:  # one after the other they take five times as long
         list(pool.map(_sync, paths))
-    if replace and target.exists():
-        aside = _aside(target)
-        os.rename(target, aside)
-        try:
-            os.rename(folder, target)
-        finally:
-            restore(target)
-    else:
+    if not (replace and target.exists()):
         os.rename(folder, target)
+    elif exchange(folder, target):
+        shutil.rmtree(folder, ignore_errors=True)
+    else:
+        _replace(folder, target)
     _sync_names(target.parent)
 
 
+def _replace(folder: Path, target: Path) -> None:
+    aside = target.with_name(f".{target.name}.{secrets.token_hex(8)}.old")
+    (target / ASIDE).touch()
+    try:
+        os.rename(target, aside)
+        os.rename(folder, target)
+    finally:
+        restore(target)
+
+
 def restore(target: Path) -> None:
-    """Give the folder that was to be replaced its name back if nothing has taken it, and else delete it."""
-    if os.path.lexists(aside := _aside(target)):
-        if os.path.lexists(target):
-            temporary = target.with_name(_temporary_name())  # under its own name it is whole or not there
-            os.rename(aside, temporary)
-            shutil.rmtree(temporary, ignore_errors=True)
-        else:
-            os.rename(aside, target)
+    """Give a folder that was to be replaced its name back if nothing has taken it, and else delete it.
+
+    Only a folder that `publish` has put aside is touched: it has a name of 16 random digits,
+    and holds `ASIDE`.
+    """
+    pattern = re.compile(rf"\.{re.escape(target.name)}\.[0-9a-f]{{16}}\.old")
+    with contextlib.suppress(FileNotFoundError):
+        names = [name for name in os.listdir(target.parent) if pattern.fullmatch(name)]
+        for aside in (target.with_name(name) for name in names):
+            if not (aside / ASIDE).is_file() or aside.is_symlink():
+                continue
+            if os.path.lexists(target):
+                temporary = target.with_name(_temporary_name())  # under its own name it is whole or not there
+                os.rename(aside, temporary)
+                shutil.rmtree(temporary, ignore_errors=True)
+            else:
+                os.rename(aside, target)
+    with contextlib.suppress(OSError):
+        (target / ASIDE).unlink()
 
 
-def _aside(target: Path) -> Path:
-    return target.with_name(f".{target.name}.old")
+def exchange(first: Path, second: Path) -> bool:
+    """Exchange the names of two folders in one step; False where the system or the disk cannot."""
+    names = (os.fsencode(first), os.fsencode(second))
+    library = ctypes.CDLL(None, use_errno=True)
+    if hasattr(library, "renameat2"):
+        status = library.renameat2(_HERE, names[0], _HERE, names[1], _LINUX_EXCHANGE)
+    elif hasattr(library, "renamex_np"):
+        status = library.renamex_np(*names, _MACOS_SWAP)
+    else:
+        return False
+    return bool(status == 0)
 
 
 def _temporary_name() -> str:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.errors import InvalidValueError, MiSplatError, one_line
 from mi_splat.io.documents import (
     LOCK,
     is_temporary,
@@ -59,7 +59,7 @@ def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
         raise from_os_error(os.fspath(folder), "a folder that can be written", error) from error
     try:
         with locked_file(os.path.join(key, LOCK), os.fspath(folder)):
-            _check_links(key)
+            check_links(key)
             _HELD[key] = threading.get_ident()
             try:
                 yield
@@ -140,13 +140,19 @@ def _foreign(file: str, got: str) -> SplatFileError:
     return SplatFileError.of(file, "a lock of this program", got, "delete it, or pass another folder")
 
 
-def _check_links(folder: str) -> None:
-    """Raise if a link in a folder leads out of it: what is written below would be written there."""
-    for parent, folders, files in os.walk(folder):
+def check_links(folder: str | os.PathLike[str]) -> None:
+    """Raise if a link in a folder leads out of it: what is there would be read, or written, elsewhere."""
+    whole = os.path.realpath(folder)
+    for parent, folders, files in os.walk(whole):
         for path in (os.path.join(parent, name) for name in (*folders, *files)):
-            if os.path.islink(path) and not Path(os.path.realpath(path)).is_relative_to(folder):
-                do = "put what it leads to in its place, or pass another folder"
-                raise SplatFileError.of(path, "a file or a folder", "a link that leads out of the folder", do)
+            if os.path.islink(path):
+                _check_inside(whole, path)
+
+
+def _check_inside(folder: str, path: str) -> None:
+    if not Path(os.path.realpath(path)).is_relative_to(folder):
+        do = "put what it leads to in its place, or pass another folder"
+        raise SplatFileError.of(path, "a file or a folder", "a link that leads out of the folder", do)
 
 
 def _this_process() -> dict[str, object]:
@@ -231,6 +237,38 @@ def _entry(name: str, entry: Any, path: Path) -> tuple[str, int]:
     return digest, length
 
 
+def file_in(folder: Path, name: object) -> Path:
+    """The path of a file that a record of a folder names: below the folder, also where links lead.
+
+    Args:
+        folder: Folder of a result.
+        name: A name of a file, or those of folders and of a file with / between, as the record
+            has it; anything else that somebody may have written there is refused.
+
+    Returns:
+        The path; whether a file is there is not looked at.
+
+    Raises:
+        InvalidValueError: It is no such name.
+        SplatFileError: A link leads out of the folder.
+    """
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        expected = "names of files in its folder"
+        raise InvalidValueError.of(str(folder), expected, one_line(repr(name), 80), _DO)
+    path = folder / name
+    _check_inside(os.path.realpath(folder), str(path))
+    return path
+
+
+def is_own_file(folder: Path, name: str) -> bool:
+    """Whether a folder has a file of this name that is no link, and lies behind none that leads out of the folder."""
+    try:
+        path = file_in(folder, name)
+    except MiSplatError:
+        return False
+    return path.is_file() and not path.is_symlink()
+
+
 RECORD = "result.json"
 """The file that every folder of results holds."""
 IN_FOLDERS = ("splat.ply", "attacked.ply")
@@ -258,18 +296,28 @@ def check_writable(out: str | os.PathLike[str]) -> None:
 
 
 def check_new_file(path: Path, endings: Sequence[str], *, force: bool | None = False) -> None:
-    """Raise, before any work is done, unless a file can be written at `path`."""
+    """Raise, before any work is done, unless a file can be written at `path`, in a folder that is there."""
     if path.suffix.lower() not in endings:
         expected, got = f"a name that ends in {' or '.join(endings)}", path.suffix or "no ending"
         raise InvalidValueError.of(str(path), expected, got, "change the ending")
-    if path.exists() and not (force and path.is_file()):
-        final = path.is_dir() or force is None
-        do = "choose another name" if final else "choose another name, or replace it with force"
-        error = InvalidValueError.of(str(path), "a free name", "something that is there", do)
-        raise error if final else error.hinted("--force")
+    check_free_file(path, force=force)
     if not path.absolute().parent.is_dir():
         raise InvalidValueError.of(str(path), "a folder to write into", "none", "make the folder first")
+
+
+def check_free_file(path: Path, *, force: bool | None = False) -> None:
+    """Raise, before any work is done, unless a file can be written at `path`, whose folder may have to be made.
+
+    A file that is there is replaced with `force`; nothing else is. Without a way to force it
+    (None), the message names none.
+    """
     check_writable(path.parent)
+    if not os.path.lexists(path) or (force and path.is_file()):
+        return
+    final = path.is_dir() or force is None
+    do = "choose another name" if final else "choose another name, or replace it with force"
+    error = InvalidValueError.of(str(path), "a free name", "something that is there", do)
+    raise error if final else error.hinted("--force")
 
 
 def check_not_input(out: str | os.PathLike[str], *inputs: str | os.PathLike[str] | None) -> None:

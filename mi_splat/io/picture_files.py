@@ -178,7 +178,7 @@ def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator
     file = io.BytesIO(source) if isinstance(source, bytes) else source
     try:
         with _pillow_limit(None), Image.open(file, formats=tuple(formats)) as opened:
-            check_pixels(what, *opened.size)
+            check_pixels(what, *opened.size, most=_most // _COPIES.get(opened.format or "", 1))
             yield opened
     except FileNotFoundError as error:
         do = "put the picture there or take it off the list"
@@ -192,6 +192,8 @@ def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator
         kinds = f"a picture that can be read ({', '.join(formats)})"
         raise PictureFileError.of(what, kinds, "something else", "save it as one of these") from error
     except BROKEN as error:
+        if isinstance(error, OSError) and error.errno is not None:  # of the system, and not of Pillow
+            raise PictureFileError(str(from_os_error(what, "a picture", error))) from error
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         do = "write or download it again"
         raise PictureFileError.of(what, "a picture that can be read", reason, do) from error
@@ -212,12 +214,17 @@ def _beginning(source: Path | bytes) -> bytes:
         return file.read(32)
 
 
-def check_pixels(what: str, width: int, height: int) -> None:
+_COPIES = {"WEBP": 2}
+"""How many times as much memory as for others Pillow takes for images of a kind: it decodes WebP as animations."""
+
+
+def check_pixels(what: str, width: int, height: int, *, most: int | None = None) -> None:
     """Raise if a picture that another library decodes has too many pixels, or none."""
+    most = _most if most is None else most
     if width < 1 or height < 1:
         raise PictureFileError.of(what, "a picture with pixels", f"{width} x {height}", "write it again")
-    if width * height > _most:
-        expected, got = f"at most {_most:,} pixels", f"{width * height:,}"
+    if width * height > most:
+        expected, got = f"at most {most:,} pixels", f"{width * height:,}"
         error = PictureFileError.of(what, expected, got, "make it smaller, or allow more")
         raise error.hinted("--max-pixels")
 

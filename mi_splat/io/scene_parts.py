@@ -9,12 +9,14 @@ import functools
 import importlib.util
 import os
 import re
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from mi_splat.errors import InvalidValueError, one_line
+from mi_splat.io.mesh_sizes import stated_bytes
 from mi_splat.io.picture_files import check_texture, is_texture
 
 MOST_BYTES, MOST_ELEMENTS, DEEPEST = 16 << 20, 100_000, 64
@@ -84,6 +86,8 @@ class _Bounded(ElementTree.TreeBuilder):
 
 MOST_INCLUSIONS, _MOST_FOLDERS = 1000, 64
 """How many files a scene may include, and in how many folders it may have them looked for."""
+MOST_NAMED_BYTES = 2_000_000_000
+"""What the meshes, images and splats that a scene names may hold, unpacked, a file that is named twice twice."""
 _LONGEST_CHAIN = 16
 """Files that include each other in a row; Mitsuba refuses more."""
 _NATIVE = (".dll", ".dylib", ".so")
@@ -109,14 +113,20 @@ class SceneParts:
         self._read(path, [path.resolve()])
 
     def check(self) -> None:
-        """Raise unless Mitsuba may read the pictures that it names, and loads no code from its folders."""
+        """Raise unless Mitsuba may read the images and meshes that it names, and loads no code from its folders."""
         for folder in self._folders[:-1]:  # without the working folder, where Mitsuba looks last
             for file in folder.glob("plugins/*"):
                 if file.stem in plugin_names() - set(OWN_PLUGINS) and file.suffix in _NATIVE:
                     raise self._refused("no native code beside it", f"{file}", "remove that file")
-        for file in dict.fromkeys(self.files):
+        total = 0
+        for file, times in Counter(self.files[1:]).items():
             if file.suffix.lower() in _PICTURES or is_texture(file):
                 check_texture(file)
+            # Mitsuba reads a file again for each element that names it.
+            total += times * stated_bytes(file)
+            if total > MOST_NAMED_BYTES:
+                expected = f"files that hold at most {MOST_NAMED_BYTES:,} bytes in all, unpacked"
+                raise self._refused(expected, f"more with {one_line(str(file), 200)}", "split the scene, or its meshes")
 
     def _read(self, path: Path, chain: list[Path]) -> None:
         """Add the elements of a file that was included by way of others, and the files that they name."""

@@ -9,48 +9,26 @@ import itertools
 import os
 import platform
 import queue
-import signal
-import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.folders import locked_folder
 from mi_splat.ledger.job import DiskFullError, EngineError, Event, HeldError, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.running import run_job
 from mi_splat.ledger.store import Store
-from mi_splat.processes import TERMINATED, python_command, sigterm_as_interrupt
+from mi_splat.process_group import GroupEndedError, Limits, ProcessGroup, connection, inbox
+from mi_splat.processes import TERMINATED, sigterm_as_interrupt
 
 _OTHERS = 0.02  # seconds in which a task that is alone waits for others, before it takes all cores
-_LOOK = 0.25  # seconds between two looks at the time and the memory
 _GRACE = 8.0  # seconds that a stopped job has to write down how far it is
-_SHOWN = 2000  # characters of what a process said last
 _BETWEEN = 0.1  # least seconds between two reports of progress
-
-
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """What a job may use; None is as much as it likes."""
-
-    seconds: float | None = None
-    megabytes: float | None = None
-
-    def broken(self, process: int, seconds: float) -> str:
-        """Which limit a process has broken after some seconds, in words; empty for none."""
-        if self.seconds is not None and seconds > self.seconds:
-            return f"ran longer than {self.seconds:g} s"
-        if self.megabytes is not None and (used := memory_of(process)) > self.megabytes:
-            return f"used {used:,.0f} MB of memory, more than {self.megabytes:,.0f}"
-        return ""
 
 
 class Engine(Protocol):
@@ -174,16 +152,15 @@ class Child:
     ) -> None:
         self._store, self._limits = Store(folder), limits or Limits()
         self._environment = dict(environment or {})
-        self._process: subprocess.Popen[bytes] | None = None
-        self._pipe: Any = None
-        self._output: Any = None
-        self._stopped: float | None = None
+        self._group: ProcessGroup | None = None
+        self._stopped = False
 
     def run(self, task: Task, on_event: OnEvent = nobody, *, cores: Sequence[int] = ()) -> Outcome:
         """Run a task, and write down what it could not write down itself: by what signal or limit it was ended."""
-        process, failures = self._started(), list[str]()
-        if self._stopped is not None:
+        group = self._started()
+        if self._stopped:
             return Outcome(state="stopped", text="the engine was closed")
+        failures = list[str]()
 
         def tell(event: Event) -> None:
             if event.state == "failed":
@@ -192,103 +169,78 @@ class Child:
 
         started = time.monotonic()
         try:
-            self._pipe.send((task, tuple(cores)))
+            group.pipe.send((task, tuple(cores)))
         except OSError:  # it was killed while it had nothing to do
             self.close()
             return self.run(task, on_event, cores=cores)
-        answer = self._answer(process, self._limits, tell)
-        if isinstance(answer, Outcome):
-            if self._limits.megabytes is not None and memory_of(process.pid) > self._limits.megabytes / 2:
-                self.close()  # what a process keeps of one task must not count against the next
+        try:
+            answer = _answer(group, self._limits, tell)
+        except GroupEndedError as error:
+            why = str(error)
+        else:
+            # What a process keeps of one task must not count against the next.
+            most = self._limits.megabytes
+            if most is not None and group.megabytes() > most / 2:
+                self.close()
             return answer
         self.close()
-        if self._stopped is not None:
+        if self._stopped:
             return Outcome(state="stopped", text="the engine was closed")
         if not failures:
             seconds = round(time.monotonic() - started, 3)
-            tries = self._store.note_failure(task, answer, seconds)
-            text = f"try {tries}: {answer}"
+            tries = self._store.note_failure(task, why, seconds)
+            text = f"try {tries}: {why}"
             tell(Event(state="failed", key=task.key, kind=task.kind, text=text, seconds=seconds))
         return Outcome(state="failed", text=failures[0])
 
     def stop(self) -> None:
         """End the `run` of another thread, which may write down first how far it is; it counts as no try."""
-        self._stopped = time.monotonic()
-        if (process := self._process) is not None:
-            process.terminate()
+        self._stopped = True
+        if (group := self._group) is not None:
+            group.terminate()
+            timer = threading.Timer(_GRACE, group.kill)
+            timer.daemon = True
+            timer.start()
 
     def close(self) -> None:
-        """End the process."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-            self._pipe.close()
-            self._output.close()
-            self._process = None
+        """End the process, and all that it has started."""
+        if self._group is not None:
+            self._group.close()
+            self._group = None
 
-    def _started(self) -> subprocess.Popen[bytes]:
-        if self._process is not None and self._process.poll() is None:
-            return self._process
+    def _started(self) -> ProcessGroup:
+        if self._group is not None and self._group.is_running:
+            return self._group
         self.close()
-        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
-        self._pipe, end = Pipe()
-        environment = {**os.environ, **self._environment}
-        command = python_command(__name__, str(self._store.folder.absolute()), str(end.fileno()))
-        files: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": self._output, "stderr": self._output}
-        with end:
-            process = subprocess.Popen(
-                command, env=environment, start_new_session=True, pass_fds=[end.fileno()], **files
-            )
-        self._process = process
-        if isinstance(answer := self._answer(process, Limits(), nobody), str):
+        group = ProcessGroup(__name__, str(self._store.folder.absolute()), environment=self._environment)
+        self._group = group
+        try:
+            _answer(group, Limits(), nobody)
+        except GroupEndedError as error:
             self.close()
-            raise EngineError.of("child process", "one that starts", answer, "see what it says")
-        return process
-
-    def _answer(self, process: subprocess.Popen[bytes], limits: Limits, tell: OnEvent) -> Outcome | str:
-        """What the process says at the end of a task; or how it ended, or which limit it broke."""
-        started = looked = time.monotonic()
-        while True:
-            try:
-                if self._pipe.poll(_LOOK):
-                    answer: Event | Outcome = self._pipe.recv()
-                    if isinstance(answer, Outcome):
-                        return answer
-                    tell(answer)
-                    if answer.state == "running":  # what the process imported before is not the task's
-                        started = time.monotonic()
-            except (EOFError, OSError):
-                return self._end(process)
-            if self._stopped is not None and time.monotonic() - self._stopped > _GRACE:
-                process.kill()
-            if time.monotonic() - looked > _LOOK:
-                looked = time.monotonic()
-                if broken := limits.broken(process.pid, looked - started):
-                    return broken
-
-    def _end(self, process: subprocess.Popen[bytes]) -> str:
-        """How a process ended, in words, and what it said last."""
-        status = process.wait()
-        how = f"ended by {signal.Signals(-status).name}" if status < 0 else f"ended with status {status}"
-        self._output.seek(max(0, self._output.seek(0, os.SEEK_END) - _SHOWN))
-        output = self._output.read().decode("utf-8", "replace").strip()
-        return f"{how}: {output}" if output else how
+            raise EngineError.of("child process", "one that starts", str(error), "see what it says") from error
+        return group
 
 
-def memory_of(process: int) -> float:
-    """Resident memory of a process in MB (1e6 bytes); 0 where it cannot be told."""
-    try:
-        pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-    except OSError:
-        shown = subprocess.run(["ps", "-o", "rss=", "-p", str(process)], capture_output=True, text=True, check=False)
-        return float(shown.stdout.strip() or 0) * 1024 / 1e6
+def _answer(group: ProcessGroup, limits: Limits, tell: OnEvent) -> Outcome:
+    """What a process says at the end of a task; `GroupEndedError` if it ended, or broke a limit."""
+    since = time.monotonic()
+    while True:
+        group.wait(limits, since)
+        try:
+            answer: Event | Outcome = group.pipe.recv()
+        except (EOFError, OSError) as error:
+            raise group.ended() from error
+        if isinstance(answer, Outcome):
+            return answer
+        tell(answer)
+        if answer.state == "running":  # what the process imported before is not the task's
+            since = time.monotonic()
 
 
 def serve(store: Store, pipe: Connection) -> None:
     """Run the tasks that come through a pipe, and say what happens."""
-    tasks: queue.SimpleQueue[tuple[Task, Sequence[int]]] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(pipe, tasks), daemon=True).start()
+    tasks: queue.SimpleQueue[tuple[Task, Sequence[int]]] = inbox(pipe.recv)
     last = 0.0
 
     def tell(event: Event) -> None:
@@ -324,17 +276,9 @@ def keep_to(cores: Sequence[int]) -> None:
         drjit.set_thread_count(len(cores))
 
 
-def _listen(pipe: Connection, tasks: queue.SimpleQueue[tuple[Task, Sequence[int]]]) -> None:
-    while True:
-        try:
-            tasks.put(pipe.recv())
-        except (EOFError, OSError):
-            os._exit(1)  # nobody watches any more
-
-
 def main() -> int:
     """Serve until the pipe is closed or SIGTERM comes, which ends a job as Ctrl-C would."""
-    pipe = Connection(int(sys.argv[2]))
+    pipe = connection(sys.argv[2])
     with sigterm_as_interrupt():
         try:
             serve(Store(Path(sys.argv[1])), pipe)

@@ -5,7 +5,7 @@ import functools
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,10 @@ from typing import Any
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import publish, save_json, sha256, sweep_temporary, temporary_folder
-from mi_splat.io.errors import from_os_error
+from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.folders import is_locked, locked_file
 from mi_splat.io.parsing import DocumentReader
-from mi_splat.ledger.job import Done, Task, canonical, digest
+from mi_splat.ledger.job import Done, Row, Task, canonical, digest
 
 RECORD, FILES = "job.json", "files"
 TRIES = 3  # how often a job may fail
@@ -66,7 +66,8 @@ class Store:
         try:
             task = task_of(record)
             whole = task.key == key and record["content"] == digest([record["files"], record["rows"]])
-        except (KeyError, TypeError):
+            whole = whole and _is_well_formed(record)
+        except (KeyError, TypeError, AttributeError):
             whole = False
         if not whole:
             raise InvalidValueError.of(str(path), f"the record of job {key}", "another one", AGAIN)
@@ -129,6 +130,21 @@ class Store:
         shutil.rmtree(self.path("partial", key), ignore_errors=True)
         self.forgive(key)
 
+    def keep(self, task: Task, rows: Sequence[Row], documents: Mapping[str, Any]) -> None:
+        """Put what another process has found into the store: rows, and JSON documents by their names."""
+        with temporary_folder(self.path("tmp")) as temporary:
+            files = temporary / FILES
+            files.mkdir()
+            for name, document in documents.items():
+                save_json(document, files / name)
+            task_part = {"kind": task.kind, "config": task.config, "inputs": task.inputs, "code": task.code}
+            record = {**task_part, **origin(), "varies": [], "rows": list(rows)}
+            try:
+                self.publish(temporary, record, task.key)
+            except SplatFileError:
+                if not self.has(task.key):  # else another process was first, with the same result
+                    raise
+
     def failures(self, key: str) -> list[dict[str, Any]]:
         """The tries of a job that failed: `error`, and what ran it."""
         path = self._failures(key)
@@ -177,6 +193,19 @@ class Store:
         for key in filter(_KEY.fullmatch, _names(self.path("partial"))):
             if self.has(key) and not self.is_held(key):
                 shutil.rmtree(self.path("partial", key), ignore_errors=True)
+
+
+def _is_well_formed(record: Mapping[str, Any]) -> bool:
+    """Whether what a record says of files and rows is of the kinds that whoever reads it counts on."""
+    files, rows, varies = record["files"], record["rows"], record["varies"]
+    return (
+        isinstance(files, dict)
+        and all(isinstance(content, str) for content in files.values())
+        and isinstance(rows, list)
+        and all(isinstance(row, dict) for row in rows)
+        and isinstance(varies, list)
+        and all(isinstance(name, str) for name in varies)
+    )
 
 
 def checked_key(key: str) -> str:

@@ -1,9 +1,12 @@
 """`mi-splat gate`: a verdict on every claim and every file, whatever a file does, and what says which splat it is."""
 
+import contextlib
 import io
 import json
 import os
-from concurrent.futures import Future
+import queue
+import threading
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +15,16 @@ import pytest
 import torch
 
 from attacks import cli
+from attacks.audits.gated import answer
+from attacks.audits.judging import Message
 from attacks.cli import gate
 from mi_splat.audit import audit, linting
-from mi_splat.audit.gate import CLAIMS, ROWS, Policy, fingerprint, sampled
+from mi_splat.audit.gate import CLAIMS, Policy, fingerprint, sampled
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.io import save_splat
 from mi_splat.io.splat_files import load_stored
-from mi_splat.ledger.engines import InProcess
-from mi_splat.ledger.job import Outcome, Task
+from mi_splat.ledger import Store
+from mi_splat.process_group import GroupEndedError
 from tests.audit.scenes import cone, direction, hidden, standing
 from tests.audit.test_lint import broken_ply, cloud, masked
 
@@ -102,25 +107,46 @@ def test_an_appearance_is_found_in_a_sample() -> None:
     assert sampled(scene, len(scene)) is scene
 
 
-class Kills(InProcess):
-    """Loses the process of one file once its numbers are judged."""
+class InThread:
+    """Reads in a thread of the tests, and loses its process over a file with a hostile name."""
 
-    def submit(self, task: Task) -> Future[Outcome]:
-        if not task.inputs["splat"]["path"].endswith("hostile.ply"):
-            return super().submit(task)
-        kept = self._store.path("partial", task.key)
-        kept.mkdir(parents=True)
-        (kept / ROWS).write_text(json.dumps({"rows": PASSED[:3]}))
-        lost: Future[Outcome] = Future()
-        lost.set_result(Outcome(state="failed", text="try 1: ended by SIGKILL"))
-        return lost
+    def __init__(self) -> None:
+        self._said: queue.SimpleQueue[Message] = queue.SimpleQueue()
+        self._heard: queue.SimpleQueue[bool] = queue.SimpleQueue()
+        self._is_lost = False
+
+    def ask(self, request: Mapping[str, Any]) -> None:
+        self._is_lost = "hostile" in request["files"]["splat"]
+        words = (request, self._said.put, self._heard.get)
+        threading.Thread(target=answer, args=words, daemon=True).start()
+
+    def go_on(self, is_new: bool) -> None:
+        self._heard.put(is_new)
+
+    def answer(self) -> Message:
+        message = self._said.get(timeout=60)
+        if self._is_lost and message["state"] == "account":  # what costs time comes next
+            raise GroupEndedError("ended by SIGKILL")
+        return message
+
+    def end(self, *, for_good: bool) -> None:
+        if for_good:
+            self.__init__()  # type: ignore[misc]
+
+    def close(self) -> None:
+        pass
+
+
+@contextlib.contextmanager
+def _readers_in_threads(workers: int, policy: Policy, store: Store) -> Iterator[list[Any]]:
+    yield [InThread()]
 
 
 def run(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, lines: list[Any], *words: str
 ) -> tuple[int, dict[str, dict[str, Any]]]:
     """Exit status, and the verdict on each file that standard input names."""
-    monkeypatch.setattr(gate, "engine_of", lambda options, on_event: Kills(options.store))
+    monkeypatch.setattr(gate, "_readers", _readers_in_threads)
     given = io.TextIOWrapper(
         io.BytesIO(b"read before\n" + b"left\n" * (not lines) + "".join(f"{line}\n" for line in lines).encode())
     )
@@ -158,7 +184,7 @@ def test_every_line_has_a_verdict_and_a_hostile_file_takes_none_with_it(
     sarif = tmp_path / "s.sarif"
     status, told = run(capsys, monkeypatch, tmp_path, [*lines, "{}"], "--only", "lint", "--sarif", str(sarif))
     expected = {
-        **{"hostile.ply": "accept", "broken.ply": "refuse", "text.ply": "refuse", "heavy.ply": "refuse"},
+        **{"hostile.ply": "not judged", "broken.ply": "refuse", "text.ply": "refuse", "heavy.ply": "refuse"},
         **{"pipe.ply": "not judged", "none.ply": "not judged", "fine.ply": "accept", "{}": "not judged"},
     }
     assert status == 3
@@ -190,6 +216,19 @@ def test_appearances_and_provenance_are_judged(
         assert told["clean.ply"]["verdict"] == told["clean.ply"]["claims"]["provenance"]["verdict"] == "accept"
         assert told["hidden.ply"]["claims"]["hidden appearance"]["verdict"] == told["hidden.ply"]["verdict"] == verdict
         assert told["hidden.ply"]["claims"]["provenance"]["verdict"] == "quarantine"
+
+
+def test_a_line_without_an_end_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_splat(cloud(), tmp_path / "fine.ply")
+    lines = ["x" * 1_000_000, json.dumps(str(tmp_path / "fine.ply"))]
+    status, told = run(capsys, monkeypatch, tmp_path, lines, "--only", "lint")
+    assert status == 1
+    assert told["fine.ply"]["verdict"] == "accept"
+    (long,) = (line for name, line in told.items() if name != "fine.ply")
+    assert long["verdict"] == "not judged"
+    assert len(json.dumps(long)) < 4000
 
 
 def test_a_policy_that_cannot_be_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

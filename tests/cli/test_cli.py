@@ -92,7 +92,11 @@ def command_that(action: Callable[[object], int], monkeypatch: pytest.MonkeyPatc
             1,
             "eps: expected a positive number, got -1",
         ),
-        (PermissionError(13, "Permission denied", "/out"), 1, "Permission denied: '/out'"),
+        (
+            PermissionError(13, "Permission denied", "/out"),
+            1,
+            "/out: expected files that can be read and written, got Perm",
+        ),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
     ids=["ours", "system", "interrupt"],

@@ -14,9 +14,10 @@ import pytest
 from PIL import Image
 
 from attacks import cli
+from mi_splat.fields import Output, field_type, type_hints
 from mi_splat.io import save_splat
 from mi_splat.io.documents import LOCK
-from mi_splat.io.folders import new_folder
+from mi_splat.io.folders import MANIFEST, new_folder
 from tests.capture.trucks import truck, write_glb
 from tests.cli.test_scenes import XML
 from tests.fakes import toy_scene
@@ -41,6 +42,8 @@ COMMANDS = {
     "evaluate a.ply b.ply": ("", "attacks.cli.options.load_detectors"),
 }
 """Commands that write: the file in a folder that --out names, or none, and what must not be reached."""
+GOES_ON = ("capture", "train", "study", "bench", "cloak")
+"""Commands whose folder is continued by the same command, so that none of it has to be replaced."""
 STUDY = 'name = "s"\n[[attack]]\nname = "above"\nelevation = [40, 90]\n'
 
 
@@ -135,6 +138,73 @@ def test_a_result_is_replaced_only_when_forced(
     with pytest.raises(AssertionError, match="work was begun"):
         cli.main([*words, "--force"])
     assert (folder / "out" / "result.json").read_text() == "{}"
+
+
+def outputs_of(command: str) -> dict[str, Any]:
+    """The options of a command that name what it writes, stores of many runs apart, and their types."""
+    kind = cli._command(command, ())["kind"]
+    hints = {name: field_type(hint) for name, hint in type_hints(kind).items()}
+    inner = {name: field_type(hint.args[0]) for name, hint in hints.items() if hint.origin is tuple}
+    written = {name: hint for name, hint in {**hints, **inner}.items() if Output() in hint.marks}
+    return {name: hint for name, hint in written.items() if name not in ("store", "stages")}
+
+
+@pytest.mark.parametrize("command", [name for name in cli.COMMANDS if outputs_of(name)])
+def test_every_command_that_writes_takes_force_or_goes_on(command: str) -> None:
+    fields = type_hints(cli._command(command, ())["kind"])
+    assert ("force" in fields) != (command in GOES_ON)
+
+
+LINES = {
+    "render a.ply --size 16 --out {}.png": "a file",
+    "render a.ply --size 16 --out {}.exr": "a file",
+    "render a.ply --size 16 --cameras orbit:2@20 --out {}.gif": "a file",
+    "render a.ply --size 16 --cameras orbit:2@20 --out {}": "pictures",
+    "select a.ply --cluster 1 --size 16 --out {}.png": "a file",
+    "select a.ply --cluster 1 --size 16 --out mask.npy {}.npy": "a file",
+    "convert a.ply {}.glb": "a file",
+    "audit a.ply --only lint --out {}": "a result",
+    "audit a.ply --repair {}.ply": "a file",
+    "gate a.ply --only lint --store store --sarif {}.sarif": "a file",
+    "report result --out {}.html": "a file",
+    "conform result --out {}": "a result",
+    "conform --export {}": "a result",
+    "poison set set2 --out {}": "a set",
+    "compare a.ply --out {}": "a result",
+    "detect a.ply --out {}": "a result",
+    "evaluate a.ply b.ply --out {}": "a result",
+    "artifact result --out {}": "a result",
+    "dagger a.ply --cluster 1 --out {}": "a result",
+    "dagger --region a.ply --cluster 1 --out {}": "a result",
+    "demo --out {}": "a result",
+}
+"""Commands with what they would replace; one for each command that takes --force, and more for files."""
+
+
+def test_every_command_that_takes_force_is_tried() -> None:
+    tried = {cli.command_of(line.split())[0] for line in LINES}
+    fields = {name: type_hints(cli._command(name, ())["kind"]) for name in cli.COMMANDS if outputs_of(name)}
+    assert {name for name, hints in fields.items() if "force" in hints} == tried
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_what_is_there_is_replaced_only_with_force(line: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kind, words = LINES[line], line.format("old").split()
+    (old,) = (folder / word for word in words if word.startswith("old"))
+    with new_folder(folder / "result") as made:
+        (made / "result.json").write_text("{}")
+    if kind == "a file":
+        old.write_text("precious")
+    else:
+        record = {"a result": "result.json", "pictures": "cameras.json", "a set": "poison.json"}[kind]
+        with new_folder(old, record=record) as made:
+            (made / record).write_text("precious")
+    assert cli.main(words) == 1
+    error = capsys.readouterr().err
+    assert "(--force)" in error, error
+    assert str(old.name) in error
+    kept = old if old.is_file() else next(path for path in old.iterdir() if path.name != MANIFEST)
+    assert kept.read_text() == "precious"
 
 
 # What commands refuse: in one line, with the right status, and with every file as it was

@@ -62,7 +62,20 @@ def channels(file: Path) -> dict[str, np.ndarray]:
 
 
 def test_floats_are_those_of_the_renderer(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["render", "toy.ply", "--azimuth", "0", "--distance", "3", *SMALL, "--near", "0.2", "--background", "white"]
+    words = [
+        "render",
+        "toy.ply",
+        "--azimuth",
+        "0",
+        "--distance",
+        "3",
+        *SMALL,
+        "--near",
+        "0.2",
+        "--background",
+        "white",
+        "--force",
+    ]
     assert cli.main([*words, "--alpha", "--depth", "--out", "a.exr", "--json"]) == 0
     layers = channels(toy / "a.exr")
     shot = camera_of(json.loads(capsys.readouterr().out)["cameras"][0])
@@ -91,7 +104,7 @@ def test_frames_of_different_sizes_are_no_animation(toy: Path, capsys: pytest.Ca
 
 
 def test_gaussians_nearer_than_the_near_plane_are_told(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["render", "toy.ply", "--azimuth", "0", "--distance", "3", *SMALL, "--near"]
+    words = ["render", "toy.ply", "--azimuth", "0", "--distance", "3", *SMALL, "--force", "--near"]
     assert cli.main([*words, "4"]) == 0
     assert "camera orbit: " in (told := capsys.readouterr().err)
     assert "nearer than 4 and not drawn" in told
@@ -104,7 +117,7 @@ def test_cameras_that_see_no_gaussian_are_warned_of(
     toy: Path, capsys: pytest.CaptureFixture[str], words: list[str]
 ) -> None:
     command, *more = words
-    call = [command, "toy.ply", *more, *SMALL, "--out", "a.gif" if command == "render" else "a.png"]
+    call = [command, "toy.ply", "--force", *more, *SMALL, "--out", "a.gif" if command == "render" else "a.png"]
     assert cli.main([*call, "--cameras", "orbit:3@20", "--centre", "0", "0", "1e5", "--distance", "2"]) == 0
     told = capsys.readouterr().err
     assert "no Gaussian is in view of 3 of 3 cameras, which are 1e+05 world units away" in told

@@ -68,7 +68,7 @@ def pixels(path: Path) -> np.ndarray:
 def test_render_takes_the_first_camera_or_the_one_named(folder: Path) -> None:
     for words, shape in (([], (32, 48, 3)), (["--cameras", "side"], (40, 20, 3)), (["--size", "24x16"], (16, 24, 3))):
         out = folder / "picture.png"
-        assert cli.main(["render", str(folder / "scene.xml"), "--out", str(out), *words]) == 0
+        assert cli.main(["render", str(folder / "scene.xml"), "--out", str(out), "--force", *words]) == 0
         picture = pixels(out)
         assert picture.shape == shape
         assert picture[shape[0] // 2, shape[1] // 2].min() > 128
@@ -80,7 +80,9 @@ def test_a_scene_names_splats_of_any_format(folder: Path, cloud: GaussianScene) 
     (folder / "other.xml").write_text(XML.replace("cloud.ply", "cloud.glb"))
     pictures = {}
     for name in ("scene.xml", "other.xml", "cloud.ply", "cloud.glb"):
-        assert cli.main(["render", str(folder / name), "--out", str(folder / "a.png"), "--size", "32x24"]) == 0
+        assert (
+            cli.main(["render", str(folder / name), "--out", str(folder / "a.png"), "--size", "32x24", "--force"]) == 0
+        )
         pictures[name] = pixels(folder / "a.png")
     assert np.array_equal(pictures["scene.xml"], pictures["other.xml"])
     assert np.array_equal(pictures["cloud.ply"], pictures["cloud.glb"])

@@ -1,5 +1,6 @@
 """What an error says fits Python and the command line; only the command line adds the names of its flags."""
 
+import json
 import os
 import re
 from collections.abc import Callable
@@ -68,3 +69,53 @@ def test_the_command_line_says_how_to_drop_what_is_not_valid(
     with pytest.warns(SplatFileWarning, match="left out"):
         assert cli.main(["convert", "nan.ply", "VALID.ply", "--drop-invalid"]) == 0
     assert os.path.exists("VALID.ply")
+
+
+def test_what_a_foreign_file_holds_is_not_repeated_whole(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    key = "k" * 70_000
+    (folder / "policy.toml").write_text(f'{key} = "accept"\n')
+    (folder / "rules.toml").write_text(f'[rules]\n{key} = "accept"\n')
+    (folder / "study.toml").write_text(f'study = "{key}"\n')
+    (folder / "config.json").write_text(json.dumps({key: 1}))
+    for words in (
+        ["gate", "a.ply", "--policy", "policy.toml"],
+        ["gate", "a.ply", "--policy", "rules.toml"],
+        ["study", "plan", "study.toml"],
+        ["render", "a.ply", "--cameras", f"a.ply#{key}"],
+        ["info", f"{key[:5000]}.ply"],
+        ["render", "a.ply", "--out", key[:5000]],
+        ["audit", "a.ply", "--only", "lint", "--out", f"new/{key[:5000]}"],
+        [key],
+    ):
+        assert cli.main(words) in (1, 2)
+        error = capsys.readouterr().err
+        assert len(error) < 2000, (words[:2], len(error))
+        assert len(error.splitlines()) == 1
+    assert not (folder / "new").exists()
+
+
+def test_a_name_that_is_too_long_has_a_remedy(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (
+        ["info", f"{'a' * 300}.ply"],
+        ["detect", f"{'a' * 300}.png"],
+        ["render", "a.ply", "--out", "a" * 300],
+    ):
+        assert cli.main(words) == 1
+        assert "File name too long; use a shorter name" in capsys.readouterr().err
+
+
+def test_a_lack_of_memory_is_one_line(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    for error in (MemoryError(), ImportError("libtorch.so: failed to map segment from shared object")):
+        monkeypatch.setattr(cli, "_dispatch", raiser(error))
+        assert cli.main(["info", "a.ply"]) == 1
+        assert "memory: expected enough for what was asked" in capsys.readouterr().err
+    monkeypatch.setattr(cli, "_dispatch", raiser(ImportError("no module of this name")))
+    with pytest.raises(ImportError, match="no module"):
+        cli.main(["info", "a.ply"])
+
+
+def raiser(error: Exception) -> Callable[[object], int]:
+    def fail(_: object) -> int:
+        raise error
+
+    return fail

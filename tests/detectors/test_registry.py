@@ -20,7 +20,8 @@ from attacks.detectors.catalogue import (
 )
 from attacks.detectors.torchvision import published_weights
 from attacks.detectors.weights import apply_weights, read_weights
-from tests.detectors.contract import check_detector, random_detector
+from attacks.testing import check_detector
+from tests.detectors.contract import random_detector
 from tests.fakes import ColourDetector
 
 SPEC = DetectorSpec(

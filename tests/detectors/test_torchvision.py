@@ -36,13 +36,14 @@ from attacks.detectors.torchvision import (
     wrap,
 )
 from attacks.detectors.weights import apply_weights, fingerprint
+from attacks.testing import check_detector
 from mi_splat.assets import build
 from mi_splat.cameras import Camera, orbit_pose, project_box
 from mi_splat.capture.path_tracer import scene_dict
 from mi_splat.errors import InvalidValueError
 from scenes.recipes.detector_surroundings import daylight, plain
 from scenes.recipes.mesh_views import capture
-from tests.detectors.contract import check_detector, random_detector, slope_is_the_gradient, warm_up
+from tests.detectors.contract import random_detector, slope_is_the_gradient, warm_up
 
 LIGHT = ("fasterrcnn_small", "fasterrcnn_mobilenet_v3_large_320_fpn")
 

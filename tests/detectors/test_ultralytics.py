@@ -13,7 +13,8 @@ from torch import nn
 from attacks.detectors import DetectorError, load_detector
 from attacks.detectors.base import Detector
 from attacks.detectors.catalogue import COCO_CLASSES, SMALL_CLASSES
-from tests.detectors.contract import check_detector, pictures
+from attacks.testing import check_detector
+from tests.detectors.contract import pictures
 
 try:
     from attacks.detectors import ultralytics

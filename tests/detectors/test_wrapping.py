@@ -14,8 +14,9 @@ from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors import DetectorError, load_detector, wrap_detector
 from attacks.objectives import hide
+from attacks.testing import check_detector
 from mi_splat.errors import InvalidValueError
-from tests.detectors.contract import check_detector, pictures
+from tests.detectors.contract import pictures
 from tests.fakes import blobs, camera, toy_scene
 
 Pairs = Iterator[tuple[Tensor, Tensor]]

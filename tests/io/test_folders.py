@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.documents import is_temporary, sweep_temporary
+from mi_splat.io import documents
+from mi_splat.io.documents import ASIDE, exchange, is_temporary, sweep_temporary
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.folders import (
     MANIFEST,
@@ -53,6 +54,16 @@ def have(out: Path, *records: str) -> None:
         pass
 
 
+def test_what_fails_leaves_no_empty_folder(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError):
+        failing(tmp_path / "out" / "deeper" / "detect")
+    assert names(tmp_path) == []
+    (tmp_path / "out").mkdir()
+    with pytest.raises(ZeroDivisionError):
+        failing(tmp_path / "out" / "deeper" / "detect")
+    assert names(tmp_path) == ["out"], "what was there before stays"
+
+
 def test_an_older_result_is_refused_or_replaced_whole(tmp_path: Path) -> None:
     out = result_in(tmp_path / "out")
     with pytest.raises(
@@ -71,6 +82,7 @@ def test_an_older_result_is_refused_or_replaced_whole(tmp_path: Path) -> None:
 def test_the_old_result_comes_back_where_the_new_one_cannot_take_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(documents, "exchange", lambda first, second: False)
     out, rename = result_in(tmp_path / "out"), os.rename
 
     def fails(source: os.PathLike[str], target: os.PathLike[str]) -> None:
@@ -92,6 +104,7 @@ def test_the_old_result_comes_back_where_the_new_one_cannot_take_its_name(
 KILLS = """
 import os, shutil, signal, sys
 from pathlib import Path
+from mi_splat.io import documents
 from mi_splat.io.folders import new_folder
 
 def counted(function, step, point):
@@ -109,13 +122,17 @@ def counted(function, step, point):
     return call
 
 def replace(out, step, point):
+    if not exchanges:
+        documents.exchange = lambda first, second: False
     with new_folder(out, force=True) as made:
         for name in ("result.json", "after.png"):
             (made / name).write_text("new")
+        documents.exchange = counted(documents.exchange, step, point)
         for module, name in (*((os, name) for name in ("rename", "unlink", "rmdir")), (shutil, "rmtree")):
             setattr(module, name, counted(getattr(module, name), step, point))
 
 done = 0
+exchanges = sys.argv[2] == "True"
 for folder in Path(sys.argv[1]).iterdir():
     child = os.fork()
     if not child:
@@ -127,12 +144,13 @@ for folder in Path(sys.argv[1]).iterdir():
 """Replaces results, and is killed before or after one of the steps of that, as the folder of each says."""
 
 
-def test_a_kill_at_any_step_leaves_the_old_result_or_the_new_one(tmp_path: Path) -> None:
+@pytest.mark.parametrize("exchanges", [True, False])
+def test_a_kill_at_any_step_leaves_the_old_result_or_the_new_one(exchanges: bool, tmp_path: Path) -> None:
     whole = {"old": ["before.png", "result.json"], "new": ["after.png", "result.json"]}
-    folders = [tmp_path / f"{point} {step}" for step in range(1, 15) for point in ("before", "after")]
+    folders = [tmp_path / f"{point} {step}" for step in range(1, 20) for point in ("before", "after")]
     for folder in folders:
         result_in(folder / "out")
-    subprocess.run([sys.executable, "-c", KILLS, str(tmp_path)], check=True)
+    subprocess.run([sys.executable, "-c", KILLS, str(tmp_path), str(exchanges)], check=True)
     seen = []
     for folder in folders:
         for left in folder.glob(".*.tmp"):
@@ -160,6 +178,37 @@ def test_of_two_results_for_one_name_none_is_lost(tmp_path: Path) -> None:
     assert (out / "result.json").read_text() == "first"
     assert (tmp_path / "out-3" / "result.json").read_text() == "second"
     assert names(tmp_path) == ["out", "out-2", "out-3"]
+
+
+@pytest.mark.parametrize("exchanges", [True, False])
+def test_a_folder_of_the_user_with_a_name_like_ours_is_never_touched(
+    exchanges: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not exchanges:
+        monkeypatch.setattr(documents, "exchange", lambda first, second: False)
+    mine = [tmp_path / ".out.old", tmp_path / ".out.0123456789abcdef.old"]
+    for folder in mine:
+        folder.mkdir()
+        (folder / "thesis.txt").write_text("precious")
+    check_new_folder(tmp_path / "out", force=True)
+    assert not (tmp_path / "out").exists()
+    result_in(tmp_path / "out")
+    with new_folder(tmp_path / "out", force=True) as folder:
+        (folder / "result.json").write_text("new")
+    assert names(tmp_path) == [".out.0123456789abcdef.old", ".out.old", "out"]
+    assert [(folder / "thesis.txt").read_text() for folder in mine] == ["precious"] * 2
+    assert names(tmp_path / "out") == ["result.json"]
+    assert not (tmp_path / "out" / ASIDE).exists()
+
+
+def test_names_are_exchanged_where_the_disk_can(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / name).touch()
+    if not exchange(tmp_path / "a", tmp_path / "b"):
+        pytest.skip("the disk exchanges no names")
+    assert names(tmp_path / "a") == ["b"]
+    assert not exchange(tmp_path / "a", tmp_path / "none")
 
 
 def test_force_never_replaces_what_is_no_result(tmp_path: Path) -> None:

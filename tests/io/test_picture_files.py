@@ -292,3 +292,11 @@ def test_the_first_size_of_a_radiance_picture_counts(tmp_path: Path) -> None:
     path.write_bytes(data.replace(line, line + b"\n-Y 1 +X 1\n"))
     with pixel_limit(1199), pytest.raises(PictureFileError, match="expected at most 1,199 pixels, got 1,200"):
         check_texture(path)
+
+
+def test_a_webp_may_have_half_as_many_pixels(tmp_path: Path) -> None:
+    Image.new("RGB", (200, 100)).save(tmp_path / "a.webp", lossless=True)
+    with pixel_limit(40_000):
+        assert load_picture(tmp_path / "a.webp").size == (200, 100)
+    with pixel_limit(39_000), pytest.raises(PictureFileError, match="at most 19,500 pixels, got 20,000"):
+        load_picture(tmp_path / "a.webp")

@@ -1,6 +1,8 @@
 """Scene files of unknown origin: what would end the process or fill the memory is refused before Mitsuba reads it."""
 
 import os
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -66,6 +68,62 @@ REFUSED: dict[str, tuple[Callable[[], bytes], str]] = {
     "a pipe that is included": (lambda: scene('<include filename="b/pipe"/>'), "b/pipe, a device or a pipe"),
     "a tree of many": (lambda: scene('<include filename="t4.xml"/>' * 50), "at most 1,000 inclusions"),
 }
+
+
+def serialized(vertices: int, *, faces: int = 1, zeros: int = 0, count: int = 1) -> bytes:
+    """A mesh in Mitsuba's own format: compressed, with a table of where each mesh begins."""
+    head = struct.pack("<I", 0x1000) + b"m\0" + struct.pack("<QQ", vertices, faces)
+    data = zlib.compress(head + bytes(zeros), 9)
+    return struct.pack("<HH", 0x041C, 4) + data + struct.pack(f"<{count}Q", *[0] * count) + struct.pack("<I", count)
+
+
+def shape(kind: str, name: str) -> str:
+    return f'<shape type="{kind}"><string name="filename" value="{name}"/></shape>'
+
+
+PLY = b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n"
+SIZES: dict[str, tuple[str, bytes, str]] = {
+    "a bomb": (
+        shape("serialized", "m.bin"),
+        serialized(150_000_000, zeros=1 << 20),
+        "at most 2,000,000,000 bytes in all",
+    ),
+    "many faces": (shape("serialized", "m.bin"), serialized(3, faces=1 << 60), "at most 2,000,000,000 bytes in all"),
+    "many in one": (shape("serialized", "m.bin"), serialized(9_000_000, count=9), "at most 2,000,000,000 bytes in all"),
+    "many times": (shape("serialized", "m.bin") * 9, serialized(9_000_000), "at most 2,000,000,000 bytes in all"),
+    "cut off": (shape("serialized", "m.bin"), b"\x1c\x04\4", "expected a serialized mesh, got a file that is cut off"),
+    "no counts": (shape("serialized", "m.bin"), serialized(3)[:12] + bytes(20), "expected a serialized mesh"),
+    "a table that lies": (shape("serialized", "m.bin"), serialized(3)[:-4] + b"\xff" * 4, "4,294,967,295 meshes"),
+    "a PLY that lies": (shape("ply", "m.bin"), PLY, "hold, got 4,000,000,000 elements"),
+    "a volume that lies": (
+        '<volume type="gridvolume"><string name="filename" value="m.bin"/></volume>',
+        b"VOL\3" + struct.pack("<i4i6f", 1, 1 << 10, 1 << 10, 1 << 10, 3, *[0.0] * 6),
+        "hold, got 3,221,225,472 values",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SIZES)
+def test_what_a_mesh_or_a_volume_states_is_bounded_before_it_is_read(case: str, tmp_path: Path) -> None:
+    inside, data, message = SIZES[case]
+    (tmp_path / "m.bin").write_bytes(data)
+    (tmp_path / "s.xml").write_bytes(scene(inside))
+    with pytest.raises(MiSplatError, match=message):
+        SceneParts(tmp_path / "s.xml").check()
+
+
+def test_a_sparse_file_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "m.obj").open("wb") as file:
+        file.truncate(1 << 40)
+    (tmp_path / "s.xml").write_bytes(scene(shape("obj", "m.obj")))
+    with pytest.raises(MiSplatError, match="bytes in all"):
+        SceneParts(tmp_path / "s.xml").check()
+
+
+def test_a_small_serialized_mesh_may_be_read(tmp_path: Path) -> None:
+    (tmp_path / "m.bin").write_bytes(serialized(3, zeros=200))
+    (tmp_path / "s.xml").write_bytes(scene(shape("serialized", "m.bin")))
+    SceneParts(tmp_path / "s.xml").check()
 
 
 @pytest.fixture

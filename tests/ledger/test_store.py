@@ -23,7 +23,7 @@ from mi_splat.io.documents import sha256
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Event, Job, running
-from mi_splat.ledger.job import DiskFullError, Task, canonical, decoded, encoded
+from mi_splat.ledger.job import DiskFullError, Task, canonical, decoded, digest, encoded
 from mi_splat.ledger.plans import plan, planned
 from mi_splat.ledger.running import run_job, task_for
 from mi_splat.ledger.store import Store, content_of_path, record_text
@@ -300,3 +300,37 @@ def test_a_plan_replaces_a_link_and_not_what_it_leads_to(tmp_path: Path) -> None
     (tmp_path / "store" / "plans" / "numbers.json").symlink_to("../../mine.txt")
     plan(Store(tmp_path / "store"), "numbers", {"one": Job(kind=NUMBERS, config=NumbersConfig())})
     assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("inputs", 7),
+        ("inputs", {"a": 7}),
+        ("rows", 7),
+        ("rows", [7]),
+        ("files", {"a": 7}),
+        ("varies", 7),
+        ("varies", [7]),
+    ],
+)
+def test_a_record_of_other_kinds_of_values_is_refused(name: str, value: object, tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path)
+    done = ledger.do(Job(kind=NUMBERS, config=NumbersConfig()))
+    path = ledger.store.folder_of(done.key) / "job.json"
+    record = {**read_json(path), name: value}
+    if name in ("rows", "files"):
+        record["content"] = digest([record["files"], record["rows"]])
+    path.write_text(json.dumps(record))
+    with pytest.raises(InvalidValueError, match="expected the record of job"):
+        ledger.store.record(done.key)
+
+
+def test_what_another_process_found_is_kept_once(tmp_path: Path) -> None:
+    store, task = Store(tmp_path), Task(kind=NUMBERS, config={}, inputs={"a": {"content": "0" * 64}}, code="c")
+    for text in ("first", "second"):
+        store.keep(task, [{"claim": text}], {"result.json": {"text": text}})
+    done = store.existing(task.key)
+    assert done.rows == [{"claim": "first"}]
+    assert read_json(done.folder / "result.json") == {"text": "first"}
+    assert not [*(tmp_path / "tmp").iterdir()]

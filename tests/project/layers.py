@@ -36,6 +36,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "scene",
             "placement",
             "processes",
+            "process_group",
         )
     ),
     "cameras": ("mi_splat.cameras", "mi_splat.directions", "mi_splat.bounds"),
@@ -73,6 +74,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "transformations": ("attacks.transformations",),
     "observation": ("attacks.observe",),
     "attacks": ("attacks.dagger", "attacks.cloak", "attacks.poisons", "attacks.audits"),
+    "test kit": ("attacks.testing",),
     "studies": ("attacks.studies",),
     "scoreboard": ("attacks.bench",),
     "reports": ("attacks.report",),

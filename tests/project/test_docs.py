@@ -113,9 +113,12 @@ def test_the_detector_of_the_how_to_works(warm: Warm) -> None:
     assert "stop sign" in done.stdout
 
 
-def test_the_plug_ins_of_the_page_are_made(warm: Warm) -> None:
+def test_the_plug_ins_of_the_page_keep_their_contracts(warm: Warm) -> None:
+    """Each section has the plug-in and its test, which is run here as it stands."""
     text = (ROOT / "docs" / "plug-ins.md").read_text()
-    done = warm.run("-c", "\n".join(blocks("python", text)), cwd=ROOT)
+    examples = list(blocks("python", text))
+    assert len(re.findall(r"^check_\w+\(", "\n".join(examples), flags=re.MULTILINE)) == text.count("\nTest it: ")
+    done = warm.run("-c", "\n".join(examples), cwd=ROOT)
     assert done.returncode == 0, done.stderr
     (entry,) = blocks("toml", text)
     assert set(tomllib.loads(entry)["project"]["entry-points"]) <= set(REGISTRIES)

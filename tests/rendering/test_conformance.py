@@ -1,8 +1,10 @@
 """The scenes of the 3DGS image: each wrong renderer shows in one of them, and its cause is found."""
 
+import io
 import json
 import re
 import shutil
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,7 @@ from mi_splat.io import load_splat
 from mi_splat.io.camera_records import recorded_cameras
 from mi_splat.io.documents import save_png
 from mi_splat.oracle import Array, render_rays
-from mi_splat.rendering import Renderer, RenderSettings, load_floats
+from mi_splat.rendering import Renderer, RenderSettings, load_floats, save_floats
 from tests.browser import CHROMIUM
 
 pytestmark = pytest.mark.shipped
@@ -275,3 +277,48 @@ def test_gradients_that_are_no_arrays_or_large_are_refused(tmp_path: Path, capsy
         assert said in capsys.readouterr().err
     file.write_bytes(b"PK")
     assert cli.main(["conform", "--gradients", str(tmp_path)]) == 1
+
+
+def damaged(whole: bytes) -> list[bytes]:
+    """A ZIP of an array as it comes: with an unknown method, a broken stream, a password, cut off."""
+    info = zipfile.ZipFile(io.BytesIO(whole)).infolist()[0]
+    start = info.header_offset + 30 + len(info.filename) + int.from_bytes(whole[28:30], "little")
+    central = whole.index(b"PK\1\2")
+    changes = (
+        {start: 255, start + 1: 255},
+        {central + 10: 97, 8: 97},
+        {central + 8: 1, 6: 1},
+        {central + 10: 12, 8: 12},
+    )
+    made = []
+    for change in changes:
+        data = bytearray(whole)
+        for place, value in change.items():
+            data[place] = value
+        made.append(bytes(data))
+    return [*made, whole[:-30]]
+
+
+def test_damaged_gradients_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "quaternion.npz"
+    np.savez_compressed(file, means=np.arange(3.0))
+    for data in damaged(file.read_bytes()):
+        file.write_bytes(data)
+        assert cli.main(["conform", "--gradients", str(tmp_path)]) == 1
+        error = capsys.readouterr().err
+        assert "quaternion.npz: expected arrays shaped as those exported" in error
+        assert len(error.splitlines()) == 1
+
+
+def test_a_damaged_float_image_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plane = np.random.default_rng(0).random((32, 32), np.float32)
+    save_floats({"R": plane, "G": plane, "B": plane}, tmp_path / "whole.exr")
+    whole = (tmp_path / "whole.exr").read_bytes()
+    (tmp_path / "whole.exr").unlink()
+    for data in (whole[:2000], whole[:400], whole[:-1500] + bytes(1500)):
+        (tmp_path / "quaternion.exr").write_bytes(data)
+        assert cli.main(["conform", str(tmp_path)]) in (1, DIFFERS)
+        assert "Traceback" not in capsys.readouterr().err
+    (tmp_path / "quaternion.exr").write_bytes(whole[:2000])
+    assert cli.main(["conform", str(tmp_path)]) == 1
+    assert "quaternion.exr: expected an OpenEXR image" in capsys.readouterr().err

@@ -92,6 +92,20 @@ def test_other_bytes_are_seen(attack: Path) -> None:
     assert (line.colour, line.words) == ("grey", "left out")
 
 
+def test_what_lies_behind_a_link_counts_as_missing(attack: Path, tmp_path: Path) -> None:
+    (attack / "more").mkdir()
+    (attack / "more" / "notes.json").write_text("{}")
+    write_manifest(attack)
+    assert red(attack) == []
+    (attack / "more").rename(tmp_path / "private")
+    (attack / "more").symlink_to(tmp_path / "private")
+    assert red(attack) == ["more/notes.json", "more"]
+    (attack / "rows.csv.xz").rename(tmp_path / "private" / "rows.csv.xz")
+    (attack / "rows.csv.xz").symlink_to(tmp_path / "private" / "rows.csv.xz")
+    with pytest.raises(MiSplatError, match="a link that leads out of the folder"):
+        read_result(attack)
+
+
 def test_a_link_counts_as_missing(attack: Path, attacked: Path) -> None:
     (attack / "cameras.json").unlink()
     (attack / "cameras.json").symlink_to(attacked / "cameras.json")

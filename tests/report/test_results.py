@@ -2,9 +2,11 @@
 
 import json
 import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from attacks.cli.summary import show_summary
@@ -17,14 +19,18 @@ from attacks.report.kinds.audit import angles
 from attacks.report.kinds.cloak import study_of
 from attacks.report.kinds.detectors import threshold_charts
 from attacks.report.results import RESULT_KINDS, read_section
-from mi_splat.errors import InvalidValueError
+from attacks.report.viewer_content import open_content
+from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.io.documents import save_png
 from mi_splat.io.folders import read_manifest
+from mi_splat.io.parsing import read_json
 from mi_splat.provenance import running_command
 from tests.cloak.tiny_study import study_in
 from tests.report.results import (
     ARTIFACTS,
     MAKERS,
     TWO_SEEDS,
+    change,
     cloak_record,
     rate,
     write_cloak,
@@ -207,3 +213,44 @@ def test_the_sector_is_missed_less_by_a_lower_confidence() -> None:
     assert [row[:2] for row in table.rows][:2] == [("fasterrcnn_small", "missed"), ("yolov8n_small", "missed")]
     assert threshold_charts(rows(SECTOR), cloak, {"target_rate": ("reported", "attack")}) == ((), ())
     assert threshold_charts(None, cloak, {"trigger_miss_rate": ("missed", "attack")}) == ((), ())
+
+
+HOSTILE = ["../private", "/etc/hostname", "..", "a/../../private", "C:\\private", ".hidden", "a\nb"]
+
+
+def own(folders: dict[str, Path], name: str, tmp_path: Path) -> Path:
+    """A copy of a result, with an image beside it that is none of its business."""
+    save_png(np.full((8, 8, 3), 255, np.uint8), tmp_path / "private.png")
+    copy: Path = shutil.copytree(folders[name], tmp_path / "result")
+    return copy
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_names_in_a_record_are_names(name: str, folders: dict[str, Path], tmp_path: Path) -> None:
+    folder = own(folders, "evaluate", tmp_path)
+    values = next(iter(read_json(folder / "result.json")["detectors"].values()))
+    change(folder / "result.json", detectors={name: values})
+    with pytest.raises(MiSplatError, match="expected names of files in its folder"):
+        read_section(folder)
+
+
+@pytest.mark.parametrize("name", ["../private.png", "/etc/hostname", 3])
+def test_names_of_images_in_an_audit_are_names(name: object, folders: dict[str, Path], tmp_path: Path) -> None:
+    folder = own(folders, "audit", tmp_path)
+    pictures = read_json(folder / "result.json")["pictures"]
+    change(folder / "result.json", pictures=[{**pictures[0], "file": name}])
+    with pytest.raises(MiSplatError, match="expected names of files in its folder"):
+        read_section(folder)
+
+
+def test_links_in_a_result_are_not_followed_out_of_it(folders: dict[str, Path], tmp_path: Path) -> None:
+    for number, kind in enumerate(folders):
+        (tmp_path / str(number)).mkdir()
+        folder = own(folders, kind, tmp_path / str(number))
+        (folder / "link").symlink_to("../private.png")
+        for read in (read_section, open_content):
+            with pytest.raises(MiSplatError, match="a link that leads out of the folder"):
+                read(folder)
+        (folder / "link").unlink()
+        (folder / "same.json").symlink_to("result.json")
+        read_section(folder)

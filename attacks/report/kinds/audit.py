@@ -13,6 +13,7 @@ from mi_splat.audit.files import AGAINST
 from mi_splat.audit.results import Vector
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.errors import counted
+from mi_splat.io.folders import file_in
 
 Record = Mapping[str, Any]
 _ELSEWHERE = (
@@ -168,7 +169,7 @@ def _pictures(folder: Path, record: Record) -> Iterator[Picture]:
             f"{'the look shows' if proven else 'colours differ most'}, right from outside. The surface that both see "
             f"differs by {shown['change']:.2f} in the mean (sRGB, 0 to 1)."
         )
-        yield Picture(path=folder / Path(shown["file"]).name, caption=caption, large=True)
+        yield Picture(path=file_in(folder, shown["file"]), caption=caption, large=True)
     caption = (
         "The same two views: the redder a Gaussian, the more of what was found it carries. "
         f"{record['carrying']:,} of {record['gaussians']:,} carry most of it."

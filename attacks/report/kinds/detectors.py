@@ -17,6 +17,7 @@ from attacks.report.checking import Tables, read_tables
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, listed, settings
 from attacks.tables import Column, Table, cell
 from mi_splat.errors import counted
+from mi_splat.io.folders import file_in
 
 Record = Mapping[str, Any]
 
@@ -63,7 +64,7 @@ def read_evaluation(folder: Path, record: Record) -> Section:
         figures=tuple([figure for one in judged for figure in _figures(one)] + list(_contradictions(record))),
         warnings=record["warnings"],
         pictures=tuple(
-            Picture(path=folder / f"{one.detector}.png", caption=f"{one.detector}: {_SIDES}", wide=True)
+            Picture(path=file_in(folder, f"{one.detector}.png"), caption=f"{one.detector}: {_SIDES}", wide=True)
             for one in judged
         ),
         charts=charts,

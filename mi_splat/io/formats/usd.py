@@ -26,6 +26,7 @@ from mi_splat.io.parsing import Fields, parse
 from mi_splat.sh import degree_of
 
 _ANSWER_LIMIT = 1 << 22
+_SHOWN = 4096  # bytes of what the process said last
 _Y_UP = {"Y": np.eye(4), "Z": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])}
 _THREADS = ("PXR_WORK_THREAD_LIMIT", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MALLOC_ARENA_MAX")
 _ONE_THREAD = dict.fromkeys(_THREADS, "1")
@@ -75,11 +76,17 @@ def read_usd(file: io.FileIO, path: str) -> Loaded:
 def _ask(path: str, link: Path, most: int) -> Fields:
     """What the child process says of a file; the values of its Gaussians lie beside the link then."""
     command = [sys.executable, str(Path(usd_child.__file__).resolve()), str(link), str(link.parent), str(most)]
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, env={**os.environ, **_ONE_THREAD})
+    said = Path(link.parent, "said")
+    with said.open("wb") as output:  # and not a pipe: the limit of files holds for what it says, too
+        streams = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": output}
+        done = subprocess.run(command, **streams, env={**os.environ, **_ONE_THREAD})
     try:
-        answer = Path(link.parent, "answer.json").read_bytes()
+        with Path(link.parent, "answer.json").open("rb") as file:
+            answer = file.read(_ANSWER_LIMIT + 1)
     except FileNotFoundError:
-        message = done.stderr.decode(errors="replace").strip().splitlines()
+        with said.open("rb") as file:
+            file.seek(max(0, said.stat().st_size - _SHOWN))
+            message = file.read().decode(errors="replace").strip().splitlines()
         why = f"signal {-done.returncode}" if done.returncode < 0 else (message or ["no answer"])[-1][:160]
         got = f"one that usd-core does not get through within its memory and time ({why})"
         raise SplatFileError.of(path, "an OpenUSD file that is intact", got, "export it again") from None

@@ -4,10 +4,13 @@ usd-core takes the memory that a file asks for, and may end the process over a d
 that had a limit of memory and of time, and no other. This file imports nothing of mi_splat, so that it starts fast.
 """
 
+import contextlib
+import ctypes
 import json
 import os
 import re
 import resource
+import signal
 import sys
 from collections.abc import Iterator
 from typing import Any, BinaryIO
@@ -22,6 +25,8 @@ ARCS = ("references", "payload", "inheritPaths", "specializes", "variantSetNames
 
 _MEMORY, _MEMORY_A_BYTE = 2 << 30, 32
 _SECONDS, _BYTES_A_SECOND = 30, 1 << 20
+_SMALLEST_FILE, _BYTES_A_GAUSSIAN = 1 << 22, 4 * (3 + 3 + 4 + 1 + 3 * 25)
+_SET_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
 _HIGHEST_DEGREE = 4
 _COLUMNS = {"positions": ("Vec3", 3), "scales": ("Vec3", 3), "orientations": ("Quat", 4), "opacities": ("", 1)}
 _SH = "radiance:sphericalHarmonics"
@@ -31,10 +36,11 @@ class RefusedError(Exception):
     """The file is not read: what was expected, what was found and what to do."""
 
 
-def _limit(size: int) -> None:
-    """Limit the memory and the time of this process to what a file of `size` bytes may need."""
+def _limit(size: int, most: int) -> None:
+    """Limit this process to what a file of `size` bytes, with `most` Gaussians, may need: memory, time and files."""
     limits = {
         resource.RLIMIT_CORE: 0,
+        resource.RLIMIT_FSIZE: _SMALLEST_FILE + _BYTES_A_GAUSSIAN * most,
         resource.RLIMIT_AS: _MEMORY + _MEMORY_A_BYTE * size,
         resource.RLIMIT_CPU: _SECONDS + size // _BYTES_A_SECOND,
     }
@@ -45,6 +51,15 @@ def _limit(size: int) -> None:
             resource.setrlimit(kind, (most, most))
         except (OSError, ValueError):
             continue  # macOS has no limit of address space
+
+
+def _end_with_parent() -> None:
+    """Let the system end this process when the one that started it ends, however that happens; only Linux can."""
+    parent = os.getppid()
+    with contextlib.suppress(AttributeError):
+        ctypes.CDLL(None).prctl(_SET_DEATH_SIGNAL, signal.SIGKILL)
+    if os.getppid() != parent:  # it has ended before
+        os._exit(1)
 
 
 def read(path: str, out: BinaryIO, most: int) -> dict[str, Any]:
@@ -164,13 +179,14 @@ def _rows(name: str, values: NDArray[np.generic] | None, count: int, default: li
 
 def main(path: str, folder: str, most: str) -> None:
     """Read `path` and write `values` and `answer.json` to `folder`."""
-    _limit(os.stat(path).st_size)
+    _end_with_parent()
+    _limit(os.stat(path).st_size, int(most))
     try:
         with open(os.path.join(folder, "values"), "wb") as out:
             answer = read(path, out, int(most))
     except RefusedError as refused:
         answer = {"refused": [word[:160] for word in refused.args]}
-    except (RuntimeError, MemoryError, ValueError) as error:
+    except (RuntimeError, MemoryError, ValueError, OSError) as error:
         answer = {"refused": ["an OpenUSD file that is intact", _words(error).replace(path, "it"), "export it again"]}
     with open(os.path.join(folder, "answer.json"), "w") as file:
         json.dump(answer, file)

@@ -12,11 +12,12 @@ from attacks.detectors import load_detector
 from attacks.detectors.catalogue import COCO_CLASSES, DetectorError, weights_of
 from attacks.detectors.graphs.detector import DEVIATION, FAMILIES, MEAN, GraphDetector, GraphNetwork, load
 from attacks.detectors.graphs.graph import GraphModel, Node
+from attacks.testing import check_detector
 from mi_splat.datasets.frames import read_picture
 from mi_splat.io.images import quantise
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import read_scene
-from tests.detectors.contract import check_detector, slope_is_the_gradient
+from tests.detectors.contract import slope_is_the_gradient
 
 pytestmark = pytest.mark.shipped
 
