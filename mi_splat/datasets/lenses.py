@@ -131,7 +131,8 @@ class Lens:
         if not len(points):
             return points
         misses = np.hypot(*(self.project(points) - pixels).T)
-        return points[misses < _CLOSE]
+        close: Values = points[misses < _CLOSE]
+        return close
 
     @property
     def widest(self) -> float:

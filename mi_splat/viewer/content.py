@@ -24,6 +24,7 @@ from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.scene_files import open_scene, resized
+from mi_splat.training.evaluation import loss_mask_of
 from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
 from mi_splat.viewer.session import DIFFERENCE, SIDE_BY_SIDE
 
@@ -132,6 +133,12 @@ class Photographs:
     def from_camera(self, camera: str | None) -> Tensor | None:
         """(H, W, 3) the picture of the camera of this name; None if there is none."""
         return None if camera is None or camera not in self.numbers else self.views[self.numbers[camera]].image
+
+    def counting_pixels(self, camera: str | None) -> Tensor | None:
+        """(H, W) 0 where the image of a camera is masked, as at the border of an undistorted one; None if nowhere."""
+        if camera is None or camera not in self.numbers:
+            return None
+        return loss_mask_of(self.views, self.numbers[camera])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

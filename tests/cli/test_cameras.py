@@ -11,7 +11,7 @@ from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View, look_at, project_points
 from mi_splat.cli.cameras import find_cameras, render_settings
 from mi_splat.cli.options import CameraOptions
-from mi_splat.datasets.frames import DatasetError
+from mi_splat.datasets import DatasetError
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.camera_records import describe, recorded_cameras, unique_names
 from mi_splat.rendering import Renderer, RenderSettings

@@ -9,13 +9,15 @@ import pytest
 import torch
 from PIL import ExifTags, Image
 
+from attacks import cli
 from mi_splat.cameras import Camera, View, project_points
 from mi_splat.datasets import Dataset, DatasetError, DatasetWarning, load_dataset
 from mi_splat.datasets.frames import read_picture, turned_clockwise
 from mi_splat.rendering import Renderer
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import score
-from mi_splat.training.loop import fit
+from mi_splat.training.loop import TrainState, fit
+from mi_splat.training.resume import save_state
 from mi_splat.training.strategies import strategy_config
 from tests.datasets.sets import CLOUD, PROBES, TESTS, VIEWS, lens_set, write_colmap, write_transforms
 from tests.gaussians import varied_scene
@@ -189,6 +191,36 @@ def test_training_does_not_see_what_is_masked(tmp_path: Path) -> None:
         splats[kind] = trained(load_dataset(tmp_path / kind))
     torch.testing.assert_close(splats["one"], splats["another"], atol=1e-6, rtol=0)
     assert not torch.allclose(splats["one"], splats["unmasked"], atol=1e-3)
+
+
+def test_a_training_with_masks_is_resumed_to_the_bit(tmp_path: Path) -> None:
+    """Of photographs with masks, a lens that bends and an orientation; another mask is another training."""
+    pixels = np.random.default_rng(0).integers(0, 256, (30, 40, 3)).astype(np.uint8)
+    folder = tmp_path / "set"
+    lens_set(folder, "SIMPLE_RADIAL", [40.0, 20.0, 15.0, -0.1], pixels, count=3)
+    with_orientation(folder / "images" / "1.png", 8)
+    mask = np.full((30, 40), 255, np.uint8)
+    mask[:10] = 0
+    (folder / "masks").mkdir()
+    Image.fromarray(mask).save(folder / "masks" / "2.png")
+    words = ["train", str(folder), "--random", "40", "--strategy", "fixed", "--sh-degree", "0", "--eval-interval", "0"]
+    words += ["--checkpoint-every", "3", "--iterations", "7"]
+    assert cli.main([*words, "--out", str(tmp_path / "whole")]) == 0
+
+    def stop(state: TrainState, path: Path) -> None:
+        save_state(state, path)
+        if state.iteration == 3:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mi_splat.training.resume.save_state", stop)
+        assert cli.main([*words, "--out", str(tmp_path / "stopped")]) == 130
+    assert not (tmp_path / "stopped" / "splat.ply").exists()
+    assert cli.main([*words, "--out", str(tmp_path / "stopped")]) == 0
+    kept = [(tmp_path / name / "splat.ply").read_bytes() for name in ("whole", "stopped")]
+    assert kept[0] == kept[1]
+    Image.fromarray(255 - mask).save(folder / "masks" / "2.png")
+    assert cli.main([*words[:-1], "8", "--out", str(tmp_path / "stopped")]) == 1
 
 
 def test_scores_are_of_what_is_not_masked(tmp_path: Path) -> None:

@@ -91,5 +91,5 @@ def like_the_photographs(views: Path, photographs: Path) -> float:
             np.asarray(image.convert("L").resize((32, 32), Image.Resampling.BOX), float).ravel()
             for image in (photograph, rendering)
         ]
-        correlations.append(float(np.corrcoef(*small)[0, 1]))
+        correlations.append(float(np.corrcoef(np.stack(small))[0, 1]))
     return min(correlations)

@@ -73,7 +73,7 @@ def test_what_is_placed_is_a_set_and_the_rest_is_listed(tmp_path: Path) -> None:
     out = tmp_path / "set"
     record = prepare(source, out, PrepareConfig(), masks=masks, on_progress=silent)
 
-    train, test = (load_dataset(out, split=split) for split in ("train", "test"))  # type: ignore[arg-type]
+    train, test = (load_dataset(out, split=split) for split in ("train", "test"))
     assert [path.name for path in test.paths] == ["IMG_0.png", "IMG_8.png"]  # every eighth
     assert len(train) == 7
     original = np.asarray(Image.open(source / "IMG 1.png"), np.float32) / np.float32(255)
@@ -130,7 +130,7 @@ def write_video(path: Path, frames: list[np.ndarray]) -> None:
     import cv2
 
     height, width = frames[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 10.0, (width, height))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10.0, (width, height))
     for frame in frames:
         writer.write(frame)
     writer.release()
@@ -216,7 +216,7 @@ def test_many_images_are_not_all_matched_with_each_other() -> None:
 def test_sources_that_are_no_data_set_are_refused_and_leave_nothing(
     count: int, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    nothing = {"models": [], "features": {}, "overlaps": {}}
+    nothing: dict[str, Any] = {"models": [], "features": {}, "overlaps": {}}
     monkeypatch.setattr("mi_splat.preparation.prepare.in_child", lambda *_: nothing)
     source, out = photographs(tmp_path / "photos", count), tmp_path / "set"
     with pytest.raises(PreparationError, match=says):
