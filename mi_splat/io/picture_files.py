@@ -107,7 +107,13 @@ def picture_orientation(source: Path | bytes, what: str = "") -> int:
 
 
 def _orientation(picture: Image.Image) -> int:
-    value = picture.getexif().get(ExifTags.Base.Orientation)
+    """1 also where EXIF is broken, which programs that show images ignore, too."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            value = picture.getexif().get(ExifTags.Base.Orientation)
+    except (*BROKEN, ArithmeticError):
+        return 1
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
