@@ -303,11 +303,10 @@ def test_a_webp_may_have_half_as_many_pixels(tmp_path: Path) -> None:
         load_picture(tmp_path / "a.webp")
 
 
-@pytest.mark.parametrize(
-    "exif", [b"", b"Exif\0\0", b"Exif\0\0II*\0\xff\xff\xff\xff", b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12"]
-)
-def test_broken_exif_is_ignored(exif: bytes, tmp_path: Path) -> None:
+@pytest.mark.filterwarnings("ignore:Corrupt EXIF data")
+@pytest.mark.parametrize("tags", [b"", b"II*\0\xff\xff\xff\xff", b"MM\0*\0\0\0\x08\0\x01\x01\x12", bytes(40)])
+def test_broken_exif_is_ignored(tags: bytes, tmp_path: Path) -> None:
     file = tmp_path / "a.jpg"
-    Image.new("RGB", (4, 2)).save(file, exif=exif)
+    Image.new("RGB", (4, 2)).save(file, exif=b"Exif\0\0" + tags)
     assert picture_orientation(file) == 1
     assert load_picture(file, upright=True).size == (4, 2)
