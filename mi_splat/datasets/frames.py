@@ -20,7 +20,7 @@ from mi_splat.datasets.folders import SUFFIXES as SUFFIXES
 from mi_splat.datasets.folders import is_smaller
 from mi_splat.datasets.lenses import Lens, pinhole
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.picture_files import load_picture, picture_header, picture_orientation
+from mi_splat.io.picture_files import check_pixels, load_picture, picture_header, picture_orientation
 from mi_splat.io.points import PointCloud
 
 _MODES = ("1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "HSV", "LAB")
@@ -122,6 +122,8 @@ def frame_of(photo: Photo, mask: Path | None, pose: Tensor, lens: Lens, where: s
         flat = pinhole(lens)
     except InvalidValueError as error:
         raise DatasetError(f"{where}: {error}") from error
+    if not lens.is_pinhole:
+        check_pixels(f"{photo.path} without its distortion", *flat.size)
     camera = camera_of(pose, flat, where)
     return Frame(
         camera=turned_clockwise(camera, photo.turns_after),

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError, MiSplatError
 
+OPENCV = 5
+"""The first version whose `remap` interpolates exactly; before, it rounds positions to 1/32 pixel."""
 LONGEST_SIDE = 32_767
 """Pixels: the longest side of an image that OpenCV undistorts."""
 LARGEST_COEFFICIENT = 1e6
@@ -39,15 +41,21 @@ Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 def _opencv() -> Any:
     """OpenCV, imported when a lens has distortion: most sets need none of it.
 
-    Several packages install it in one place, and those with windows need libraries of a desktop.
+    Several packages install it in one place; those with windows need libraries of a desktop, and
+    one that comes last may be older.
     """
     try:
         import cv2
     except (ImportError, OSError) as error:
-        do = "pip install --force-reinstall --no-deps opencv-python-headless"
-        got = " ".join(str(error).split())[:200]
-        raise MiSplatError.of("OpenCV", "a package that can be imported", got, do) from error
+        raise _unusable(" ".join(str(error).split())[:200]) from error
+    if int(cv2.__version__.partition(".")[0]) < OPENCV:
+        raise _unusable(cv2.__version__)
     return cv2
+
+
+def _unusable(got: str) -> MiSplatError:
+    do = "pip install --force-reinstall --no-deps opencv-python-headless"
+    return MiSplatError.of("lenses with distortion", f"OpenCV {OPENCV} or later", got, do)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

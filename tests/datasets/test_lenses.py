@@ -2,8 +2,10 @@
 
 import json
 import math
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,8 @@ from mi_splat.cameras import Camera, View, project_points
 from mi_splat.datasets import DatasetWarning, load_dataset
 from mi_splat.datasets.colmap import MODELS, find_model, read_model_cameras
 from mi_splat.datasets.lenses import Lens, undistorted
+from mi_splat.errors import MiSplatError
+from mi_splat.io.picture_files import pixel_limit
 from mi_splat.training.evaluation import MOST_PSNR, score
 from tests.datasets.sets import CLOUD, LENSES, PROBES, VIEWS, lens_set, ramps, write_colmap
 from tests.gaussians import varied_scene
@@ -108,6 +112,22 @@ def test_what_the_photograph_does_not_show_does_not_count(tmp_path: Path) -> Non
     scores = score(varied_scene(1, degree=0, seed=0), views, lambda _, camera: torch.ones_like(views[0].image))
     assert scores is not None
     assert scores.psnr == MOST_PSNR  # white everywhere, and black at the border of the image
+
+
+def test_an_image_may_not_grow_beyond_what_images_may_have(tmp_path: Path) -> None:
+    lens_set(tmp_path, "OPENCV_FISHEYE", LENSES["OPENCV_FISHEYE"][0], ramps())
+    with pixel_limit(20_000), pytest.raises(MiSplatError, match=r"0\.png without its distortion: .* 20,000 pixels"):
+        load_dataset(tmp_path, split=None)
+
+
+@pytest.mark.parametrize("found", ["4.13.0", None])
+def test_an_unusable_opencv_is_said_in_one_line(
+    found: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lens_set(tmp_path, "OPENCV_FISHEYE", [91.0, 95.0, 80.3, 60.1, 0.02, -0.01, 0.003, -0.001], ramps())
+    monkeypatch.setitem(sys.modules, "cv2", None if found is None else SimpleNamespace(__version__=found))
+    with pytest.raises(MiSplatError, match=r"OpenCV 5 or later, got .*; pip install --force-reinstall --no-deps"):
+        load_dataset(tmp_path, split=None)
 
 
 @pytest.mark.parametrize("model", ["OPENCV", "EQUIRECTANGULAR", "A_LENS_OF_TOMORROW"])
