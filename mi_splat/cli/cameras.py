@@ -16,8 +16,9 @@ from mi_splat.cameras import Camera, odd_fields_of_view, orbit_pose
 from mi_splat.cli.console import warn
 from mi_splat.cli.options import CameraOptions, axis_name
 from mi_splat.datasets import DatasetError, load_dataset
-from mi_splat.datasets.colmap import find_model, read_model_cameras
+from mi_splat.datasets.colmap import find_model
 from mi_splat.datasets.frames import Split
+from mi_splat.datasets.poses import numbered, poses_of
 from mi_splat.datasets.transforms import find_transforms
 from mi_splat.directions import UP
 from mi_splat.errors import InvalidValueError, MiSplatError, nearest
@@ -198,7 +199,8 @@ def _named(
     elif _is_set(text, loaded):
         centre, distance, focal = _placement(target, options)
         cameras = camera_set(text, centre, distance=distance, focal=focal, size=options.size or SIZE)
-        return _numbered(text.partition(":")[0], [with_up(camera, centre, options.up) for camera in cameras])
+        turned = [with_up(camera, centre, options.up) for camera in cameras]
+        return list(numbered(text.partition(":")[0], turned).items())
     else:
         names = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "no name, since the scene has no cameras"
         raise InvalidValueError.of("camera", f"{names}; or {FORMS}, or a folder", text, "name one that is there")
@@ -252,27 +254,21 @@ def _listed(path: Path, options: CameraOptions) -> list[tuple[str, Camera]]:
     recorded = recorded_cameras(path)
     if recorded is not None:
         return list(recorded.items())
-    # Of a file, centre, distance and focal length are not used.
-    return _numbered(path.stem, camera_set(str(path), (0, 0, 0), distance=1, focal=1, size=options.size or SIZE))
+    return list(poses_of(path, options.size or SIZE).items())
 
 
 def _beside_pictures(folder: Path, options: CameraOptions, split: Split | None) -> list[tuple[str, Camera]]:
     """The cameras of a set of images by their names; where images or lenses cannot be read, the poses alone."""
-    transforms, model = find_transforms(folder), find_model(folder)
-    if model is not None and transforms is None:
-        return [(Path(name).stem, camera) for name, camera in read_model_cameras(model, split).items()]
+    is_model = find_model(folder) is not None and find_transforms(folder) is None
+    if is_model:  # whose poses are all meant, also those of images that are missing
+        return list(poses_of(folder, options.size or SIZE, split).items())
     try:
         pictures = load_dataset(folder, split=split)
     except DatasetError:
-        if transforms is None:
+        if find_transforms(folder) is None:
             raise
-        return _listed(transforms, options)
+        return list(poses_of(folder, options.size or SIZE).items())
     return [(file.stem, camera) for file, camera in zip(pictures.paths, pictures.cameras, strict=True)]
-
-
-def _numbered(kind: str, cameras: list[Camera]) -> list[tuple[str, Camera]]:
-    width = len(str(len(cameras) - 1))
-    return [(f"{kind}-{number:0{width}}", camera) for number, camera in enumerate(cameras)]
 
 
 def _sized(camera: Camera, options: CameraOptions) -> Camera:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,9 +15,9 @@ from torch import Tensor
 from mi_splat.audit.surfaces import place_inside
 from mi_splat.bounds import bounds
 from mi_splat.camera_sets import framing
-from mi_splat.cameras import Camera, View
-from mi_splat.datasets import is_dataset, load_dataset
-from mi_splat.datasets.transforms import read_cameras
+from mi_splat.cameras import Camera, View, odd_fields_of_view
+from mi_splat.datasets import DatasetError, DatasetWarning, is_dataset, load_dataset
+from mi_splat.datasets.poses import poses_of
 from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
@@ -75,15 +76,19 @@ def with_cameras(content: Content, path: Path) -> Content:
     recorded = recorded_cameras(path) if path.is_file() else None
     if recorded is not None:
         orbits = {name: orbit_of(camera, centre, source=f"{path}{OF}{name}") for name, camera in recorded.items()}
-    elif is_dataset(path):
-        orbits, photographs = photographs_of(path, background=content.settings.background, centre=centre)
-    elif path.suffix.lower() == ".json" and path.is_file():  # poses of a list, or a camera path of nerfstudio
-        listed = enumerate(read_cameras(path, content.size))
-        orbits = {f"{path.stem}-{i}": orbit_of(camera, centre, source=f"{path}{OF}{i}") for i, camera in listed}
+    elif is_dataset(path) or (path.suffix.lower() == ".json" and path.is_file()):
+        try:
+            orbits, photographs = photographs_of(path, background=content.settings.background, centre=centre)
+        except DatasetError:  # of images or lenses that cannot be read, the poses alone
+            poses = poses_of(path, content.size)
+            orbits = {name: orbit_of(camera, centre, source=f"{path}{OF}{name}") for name, camera in poses.items()}
     else:
         expected = "a data set (COLMAP or transforms), or a JSON file with cameras"
         got = "neither" if path.exists() else "nothing there"
         raise InvalidValueError(message("cameras", expected, f"{path}, {got}", "name one that is there"))
+    exact = [orbit.exact for orbit in orbits.values() if orbit.exact is not None]
+    if photographs is None and (odd := odd_fields_of_view(exact)) is not None:
+        warnings.warn(f"{path}: {odd}", DatasetWarning, stacklevel=2)
     first = next(iter(orbits.values()))
     own = {f"{name} of the scene" if name in orbits else name: orbit for name, orbit in content.cameras.items()}
     alone = len(content.names) == 1

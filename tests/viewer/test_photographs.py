@@ -13,7 +13,7 @@ from PIL import Image
 from attacks import cli
 from attacks.report.viewer_content import open_content
 from mi_splat.cameras import Camera, View, orbit_pose
-from mi_splat.datasets import Dataset, load_dataset
+from mi_splat.datasets import Dataset, DatasetWarning, load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
@@ -155,3 +155,19 @@ def test_what_cannot_be_shown_together(folder: Path) -> None:
         open_content(folder / "set", cameras=folder / "colmap")
     with pytest.raises(InvalidValueError, match=r"cameras: expected a data set .* nothing there"):
         open_content(folder / "splat.ply", cameras=folder / "none")
+
+
+def test_poses_without_images_are_cameras(folder: Path, tmp_path: Path) -> None:
+    poses, path = tmp_path / "transforms.json", tmp_path / "path.json"
+    frames = [{"transform_matrix": torch.eye(4).tolist()}, {"transform_matrix": torch.eye(4).tolist()}]
+    poses.write_text(json.dumps({"camera_model": "FOV", "fl_x": 1e6, "w": 32, "h": 24, "frames": frames}))
+    with pytest.warns(DatasetWarning) as warned:
+        content = open_content(folder / "splat.ply", cameras=poses)
+    assert [str(line.message).partition(": ")[2][:30] for line in warned] == [
+        "the poses are used without the",
+        "2 of 2 cameras have a field of",
+    ]
+    assert {"transforms-0", "transforms-1"} <= set(content.cameras)
+    assert content.photographs is None
+    path.write_text(json.dumps({"keyframes": [{"matrix": torch.eye(4).flatten().tolist(), "fov": 60}]}))
+    assert "path-0" in open_content(folder / "splat.ply", cameras=path).cameras
