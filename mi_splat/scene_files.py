@@ -21,6 +21,7 @@ from mi_splat.io.errors import SplatFileError, SplatFileWarning, path_name
 from mi_splat.io.loaded import Loaded
 from mi_splat.io.scene_parts import SceneParts
 from mi_splat.io.splat_files import load_stored
+from mi_splat.io.up_axis import UpAxis, up_axis
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, check_scene, merge
 
@@ -35,12 +36,14 @@ class SplatScene:
         cameras: One per sensor, by its id.
         settings: Those of its `splat_tile` or `splat_ray` integrator, or the defaults where it has another one. Where
             the file states no near plane, it is that of `near_plane` for the scene and its cameras.
+        up: What is taken for up in a splat file, and why; None of a scene file, whose up is z.
     """
 
     scene: GaussianScene
     objects: dict[str, slice]
     cameras: dict[str, Camera]
     settings: RenderSettings
+    up: UpAxis | None = None
 
     def __repr__(self) -> str:
         objects, cameras = (listed(names) for names in (self.objects, self.cameras))
@@ -142,7 +145,8 @@ def open_scene(path: Path, device: str = "cpu", *, stored: Loaded | None = None)
         stored = (stored or load_stored(path)).settle(str(path), "raise", stacklevel=2)
         scene = stored.scene
         settings = RenderSettings(near=near_plane(scene), antialiased=stored.is_antialiased)
-        loaded = SplatScene(scene=scene, objects={path.stem: slice(0, len(scene))}, cameras={}, settings=settings)
+        objects = {path.stem: slice(0, len(scene))}
+        loaded = SplatScene(scene=scene, objects=objects, cameras={}, settings=settings, up=up_axis(path, stored))
     if device == "cpu":
         return loaded
     variant.check_device(device)

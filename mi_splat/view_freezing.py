@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torch import Tensor
@@ -15,6 +17,8 @@ if TYPE_CHECKING:
     from mi_splat.frozen_view import FrozenView
 
 MAX_BYTES = 2 << 30  # of all views together
+KEPT_BYTES = 192 << 20
+"""What views from changing cameras may take: those that validate a search, and a step's own; a few MB each."""
 MIN_PICTURES = 3
 """Pictures with a gradient from one camera from which a view pays, even where everything is free: making it takes about
 as long as one by a `Renderer`."""
@@ -43,27 +47,73 @@ def freeze_views(
 
 
 class RecentViews:
-    """Views of one scene from cameras that come as they like: made when they are asked for, the last ones kept."""
+    """Views of one scene from cameras that come as they like: made when they are asked for, those used most kept.
+
+    All images come from such views, whether they are kept or made again, so that memory decides nothing but time.
+    """
 
     def __init__(
-        self, scene: GaussianScene, *, render: RenderFn, rows: Tensor | None = None, max_bytes: int = MAX_BYTES
+        self,
+        scene: GaussianScene,
+        *,
+        render: RenderFn,
+        rows: Tensor | None = None,
+        max_bytes: int = MAX_BYTES,
+        kept_bytes: int | None = None,
     ) -> None:
         self._scene, self._render, self._rows, self._max_bytes = scene, render, rows, max_bytes
+        self._kept_bytes = affordable_bytes() if kept_bytes is None else kept_bytes
         self._first: FrozenView | None = None
         self._kept: dict[Camera, FrozenView] = {}
+        self._uses: Counter[Camera] = Counter()
+
+    @property
+    def nbytes(self) -> int:
+        """What the views that are kept take."""
+        return sum(view.nbytes for view in self._kept.values())
 
     def get(self, camera: Camera) -> FrozenView | None:
         """The view from a camera; None where there is none, so that pictures are those of `render`."""
+        self._uses[camera] += 1
         view = self._kept.pop(camera, None) or _view(
             self._scene, camera, self._first, render=self._render, rows=self._rows, max_bytes=self._max_bytes
         )
         if view is None:
             return None
         self._first = self._first or view
-        self._kept[camera] = view
-        while sum(kept.nbytes for kept in self._kept.values()) > self._max_bytes:
-            del self._kept[next(iter(self._kept))]
+        self._make_room(view.nbytes)
+        self._kept[camera] = view  # as the last one
         return view
+
+    def clear(self) -> None:
+        """Drop all views, and give their memory back; they are made again where they are asked for."""
+        if self._first is None:
+            return
+        import drjit as dr
+
+        self._first = None
+        self._kept.clear()
+        dr.flush_malloc_cache()
+
+    def _make_room(self, wanted: int) -> None:
+        """Drop views until there is room for another: of those used least, the one that was used longest ago."""
+        while self._kept and self.nbytes + wanted > self._kept_bytes:
+            del self._kept[min(self._kept, key=self._uses.__getitem__)]
+
+
+def affordable_bytes() -> int:
+    """What views may take that are made again where they are dropped: little, and less where memory is short."""
+    return min(KEPT_BYTES, _available_bytes() // 8)
+
+
+def _available_bytes() -> int:
+    """Memory that programs may still take, as far as the system says."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        (line,) = (line for line in lines if line.startswith("MemAvailable:"))
+        return int(line.split()[1]) << 10
+    except (OSError, ValueError, IndexError):
+        return 8 * KEPT_BYTES
 
 
 def _view(

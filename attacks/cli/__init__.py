@@ -18,7 +18,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from mi_splat.cli.console import PROGRAM, UsageError, import_at_once, warn
+from mi_splat.cli.console import PROGRAM, UsageError, import_at_once, show_notes, warn
 from mi_splat.errors import MiSplatError, message, nearest, one_line, printable, shortened
 from mi_splat.processes import INTERRUPTED, TERMINATED, sigterm_as_interrupt
 
@@ -229,8 +229,14 @@ def _dispatch(words: list[str]) -> int:
         module.check_inputs(options)
     if name not in WITHOUT_TORCH:
         import_at_once("torch")
-    with running_command(given), _pixel_limit(most):
-        return run(options) or DONE
+    succeeded = False
+    try:
+        with running_command(given), _pixel_limit(most):
+            status = run(options) or DONE
+        succeeded = True
+    finally:
+        show_notes(succeeded=succeeded)
+    return int(status)
 
 
 def _pixel_limit(most: int | None) -> AbstractContextManager[object]:

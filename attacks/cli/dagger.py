@@ -129,7 +129,7 @@ def run(options: DaggerOptions) -> None:
             chosen, weights = _showing(chosen, weights)
         require_visible(weights)
         cameras = list(chosen.cameras.values())
-        views = FixedViews(loaded.scene, chosen.mask, cameras, render=chosen.render, up=options.view.up)
+        views = FixedViews(loaded.scene, chosen.mask, cameras, render=chosen.render, up=chosen.up)
         origin = {"selection": selection.as_dict(), "cameras": list(chosen.cameras)}
         told = tuple(doubts(chosen.mask, weights))
         interrupted = _attack(options, loaded, chosen, views, origin, advance, told)
@@ -145,7 +145,7 @@ def run_region(options: DaggerRegionOptions) -> None:
         loaded, selection, chosen = _opened(options)
         name, camera = next(iter(chosen.cameras.items()))
         drawn = Transformations(cameras=options.region, pictures=options.pictures)
-        views = DrawnViews(loaded.scene, chosen.mask, camera, drawn, render=chosen.render, up=options.view.up)
+        views = DrawnViews(loaded.scene, chosen.mask, camera, drawn, render=chosen.render, up=chosen.up)
         origin = {"selection": selection.as_dict(), "cameras": [name], "reference": describe(name, camera)}
         interrupted = _attack(options, loaded, chosen, views, origin, advance)
     _end(options, interrupted)

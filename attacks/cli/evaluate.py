@@ -133,7 +133,7 @@ def _document(
         "object_gaussians": int(chosen.mask.sum()),
         "original": options.original,
         "min_confidence": options.min_confidence,
-        **({} if options.view.up == UP else {"up": list(options.view.up)}),
+        **({} if chosen.up == UP else {"up": list(chosen.up)}),
         "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
         **{f"{name}_hash": scene_hash(scene) for name, scene in scenes.items()},
         "fingerprints": {detector.name: detector.fingerprint for detector in detectors},

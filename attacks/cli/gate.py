@@ -12,6 +12,7 @@ import itertools
 import json
 import queue
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -98,7 +99,8 @@ def run(options: GateOptions) -> int:
         check_new_file(options.sarif, ENDINGS, force=options.force)
     requests = _requests(options.files)
     store = Store(options.store.expanduser())
-    store.sweep()
+    with contextlib.suppress(MiSplatError, OSError):  # verdicts can be given where none can be kept
+        store.sweep()
     verdicts = _Verdicts(options)
     with _readers(chosen_workers(options.workers), policy, store) as readers:
         _judge_all(requests, readers, policy, store, verdicts)
@@ -117,12 +119,13 @@ def _judge_all(
     room = threading.Semaphore(_WAITING * len(readers))
 
     def judge(request: Request) -> None:
-        judge, begun = idle.get(), time.monotonic()
+        free = idle.get()
+        started = time.monotonic()
         try:
-            judged = judge.judge(request)
+            judged = free.judge(request)
         finally:
-            idle.put(judge)
-        verdicts.add(request["file"], judged, policy, time.monotonic() - begun)
+            idle.put(free)
+        verdicts.add(request["file"], judged, policy, time.monotonic() - started)
 
     def ended(future: Future[None]) -> None:
         room.release()
@@ -135,6 +138,7 @@ def _judge_all(
                 room.acquire()
                 pool.submit(judge, request).add_done_callback(ended)
         except BaseException:
+            verdicts.stop()
             pool.shutdown(wait=False, cancel_futures=True)
             for reader in readers:
                 reader.close()  # else the pool waits for what is being judged
@@ -153,7 +157,11 @@ def _readers(workers: int, policy: Policy, store: Store) -> Iterator[list[Reader
     with contextlib.ExitStack() as caches:
         numbers = itertools.count()
         for worker in range(workers):
-            variables = environment(free_cache(store.folder, numbers, caches))
+            try:
+                kernels = free_cache(store.folder, numbers, caches)
+            except MiSplatError:  # verdicts can be given where none can be kept
+                kernels = Path(caches.enter_context(tempfile.TemporaryDirectory()))
+            variables = environment(kernels)
             cores = share_of_cores(worker, workers)
             readers.append(ReaderProcess(limits, environment=variables, cores=cores))
         try:
@@ -173,11 +181,18 @@ class _Verdicts:
         self._found = set[str]()
         self._reports = list[Mapping[str, Any]]()
         self._fault: Exception | None = None
+        self._is_stopped = False
+
+    def stop(self) -> None:
+        """Take no more: what is ended now is ended because of us, and says nothing of a file."""
+        self._is_stopped = True
 
     def add(self, file: str, judged: Judged, policy: Policy, seconds: float) -> None:
         """A file is judged."""
         line = _line(file, judged, policy, seconds)
         with self._lock:
+            if self._is_stopped:
+                return
             self._found.add(line["verdict"])
             if self._options.sarif is not None:
                 self._reports.append(_report(line, judged))

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Annotated
 
 from attacks.detectors import load_detector
-from mi_splat.cli.console import limit_threads, progress, show
+from mi_splat.cli.console import limit_threads, progress, show, warn
 from mi_splat.cli.flags import Flag, Positional
-from mi_splat.cli.options import Colour, Direction, Size
+from mi_splat.cli.options import Colour, Direction, Size, up_line
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Length, Metavar, between
 
@@ -47,7 +47,7 @@ class ViewOptions:
     """Data set, whose photographs are shown beside the splat, or JSON file with cameras to look from."""
     up: Direction | None = None
     """Direction that is up in the files: an axis, or X,Y,Z; foreign splats and sets of COLMAP often have -y.
-    None is what the result was made with, z if it says nothing."""
+    None is what the result was made with; else what the file says, or its cameras or its ground tell, else z."""
     detector: Annotated[str, Flag(name="detectors"), Metavar("DETECTOR")] | None = None
     """Name of a detector (see `mi-splat detectors`) that looks at the pictures of a resting camera."""
     weights: Path | None = None
@@ -80,6 +80,8 @@ def run(options: ViewOptions) -> None:
         content = open_content(
             options.path, clean=options.clean, up=options.up, cameras=options.cameras, background=options.background
         )
+        if options.up is None and content.file_up is not None and content.up == content.file_up.direction:
+            warn(up_line(content.file_up))
         content = content.with_settings(background=options.background, near=options.near, size=options.size)
         inspector = None
         if options.detector is not None:

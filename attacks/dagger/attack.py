@@ -151,6 +151,7 @@ def _judged(problem: Problem, config: DaggerConfig, outcome: Outcome, views: Fix
     attacked, drawn, held_out = subset.applied(outcome.parameters), views.transformations, views.held_out(config)
     saved = as_saved(attacked)
     controls = {draw: as_saved(noisy) for draw, noisy in control_scenes(problem, outcome.parameters, config, held_out)}
+    views.release()
     clean = (views.saved, views.clean_reports(problem.detectors, held_out))
     judged, image, control_images = judge(problem, held_out, clean, saved, controls)
     in_file = GaussianSubset.of(saved, subset.rows, sh_degree=subset.sh_degree).parameters(config.attributes)

@@ -6,7 +6,8 @@ a detector sees. So noise is scaled until the mean squared error over the object
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
@@ -20,10 +21,21 @@ from mi_splat.scene import GaussianScene
 
 TOLERANCE = 0.1
 """Difference in the object's PSNR at which noise is as large as an attack, dB."""
-_TRIALS, _WAVES, _SMOOTH_SH = 16, 8, 4
-"""Scales that are tried; plane waves of a smooth field; SH coefficients that it changes (up to degree 1)."""
+_NEAR = TOLERANCE * math.log(10) / 10
+_TRIALS, _FEW = 16, 6
+"""Scales that are tried; views on which a scale is estimated, where there are many more."""
+_FLATTEST, _STEEPEST, _LARGEST_STEP = 0.2, 4.0, math.log(10)
+"""Bounds of how the logarithm of an error grows with that of the scale, and of a step of the latter."""
+_WAVES, _SMOOTH_SH = 8, 4
+"""Plane waves of a smooth field; SH coefficients that it changes (up to degree 1)."""
 _FURTHEST = 10.0
 """Most that noise changes logits, log-scales, quaternions and, in world units, means by."""
+
+Error = tuple[float, int]
+"""Sum of the squared differences over an object's pixels in a view, and their number."""
+
+Gap = Callable[[float], float | None]
+"""Logarithm of the error over the wanted one at a scale; None where one of them is zero."""
 
 Draw = tuple[str, int]
 """Name of a control, and index of the draw."""
@@ -34,7 +46,8 @@ def control_scenes(
 ) -> Iterator[tuple[Draw, GaussianScene]]:
     """Every draw of each control, as the scene that a file would hold."""
     subset, reference = problem.subset, problem.subset.parameters(config.attributes)
-    wanted = _object_error(problem, attacked, views) if config.noise_draws and config.controls != ("norm-noise",) else 0
+    has_matched = config.noise_draws and config.controls != ("norm-noise",)
+    wanted = _object_errors(problem, attacked, views) if has_matched else []
     for control in config.controls:
         generator = Generator().manual_seed(config.seed + 1)  # not the draws of the attack's own starting points
         for draw in range(config.noise_draws):
@@ -76,36 +89,77 @@ def _smooth_field(means: Tensor, like: Tensor, generator: Generator) -> Tensor:
     return change
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """Where the error is expected to be the wanted one, and how its logarithm grows with that of the scale."""
+
+    scale: float = 1.0
+    slope: float = 2.0
+
+
 def _matched(
-    problem: Problem, noisy: Parameters, reference: Parameters, views: Sequence[View], wanted: float
+    problem: Problem, noisy: Parameters, reference: Parameters, views: Sequence[View], wanted: Sequence[Error]
 ) -> Parameters:
-    """The noise, scaled until it changes the object's pixels by the error that is wanted."""
+    """The noise, scaled until it changes the object's pixels by the error that is wanted.
+
+    A small change's error grows with the square of its scale, so the first estimate is linear in the logarithms. It is
+    made better on a few of the views, and then on all, of which two looks are usual.
+    """
+
+    def scaled(scale: float) -> Parameters:
+        return {name: reference[name] + scale * (value - reference[name]) for name, value in noisy.items()}
+
+    def gap_on(some: slice) -> Gap:
+        aim = _mean(wanted[some])
+
+        def gap(scale: float) -> float | None:
+            error = _mean(_object_errors(problem, scaled(scale), views[some]))
+            return math.log(error / aim) if error and aim else None
+
+        return gap
+
     moves = [float((value - reference[name]).abs().max()) for name, value in noisy.items() if name != "sh"]
     most = min((_FURTHEST / move for move in moves if move), default=math.inf)
-    scale, below, above = 1.0, None, None
+    line = Line()
+    if len(views) > 2 * _FEW:
+        line = _crossing(gap_on(slice(None, None, len(views) // _FEW)), line, most)
+    return scaled(_crossing(gap_on(slice(None)), line, most).scale)
+
+
+def _crossing(gap: Gap, line: Line, most: float) -> Line:
+    """The scale, at most so large, at which the gap vanishes, by secants; the last one that was looked at."""
+    scale, slope = min(line.scale, most), line.slope
+    low, high = -math.inf, math.inf  # logarithms of scales that are too small, too large
+    before: tuple[float, float] | None = None
     for _ in range(_TRIALS):
-        scaled = {name: reference[name] + scale * (value - reference[name]) for name, value in noisy.items()}
-        error = _object_error(problem, scaled, views)
-        if not error or not wanted or abs(10 * math.log10(error / wanted)) <= TOLERANCE:
+        here = gap(scale)
+        if here is None or abs(here) <= _NEAR or (scale >= most and here < 0):
             break
-        here = (math.log(scale), math.log(error / wanted))
-        below, above = (below, here) if error > wanted else (here, above)
-        if below is None or above is None:  # a small change's error grows with the square of the scale
-            if scale >= most and error < wanted:
-                break
-            scale = min(scale * min(max((wanted / error) ** 0.5, 0.1), 10.0), most)
-        else:
-            share = below[1] / (below[1] - above[1])
-            scale = math.exp(below[0] + min(max(share, 0.1), 0.9) * (above[0] - below[0]))
-    return scaled
+        place = math.log(scale)
+        if before is not None and place != before[0]:
+            slope = min(max((here - before[1]) / (place - before[0]), _FLATTEST), _STEEPEST)
+        low, high = (place, high) if here < 0 else (low, place)
+        before = (place, here)
+        step = min(max(-here / slope, -_LARGEST_STEP), _LARGEST_STEP)
+        following = place + step
+        if not low < following < high:
+            following = (low + high) / 2
+        scale = min(math.exp(following), most)
+    return Line(scale=scale, slope=slope)
 
 
-def _object_error(problem: Problem, parameters: Parameters, views: Sequence[View]) -> float:
-    """Mean squared error over the pixels that are at least half the object's, as in `image_change`."""
-    squares, pixels = 0.0, 0
+def _object_errors(problem: Problem, parameters: Parameters, views: Sequence[View]) -> list[Error]:
+    """Over the pixels that are at least half the object's, as in `image_change`."""
+    errors: list[Error] = []
     for view in views:
         on_object = view.weight >= 0.5
         change = problem.image(parameters, view.camera) - problem.clean(view.camera)
-        squares += float(change[on_object].double().square().sum())
-        pixels += 3 * int(on_object.sum())
-    return squares / pixels
+        squares = float(change[on_object].double().square().sum())
+        errors.append((squares, 3 * int(on_object.sum())))
+    return errors
+
+
+def _mean(errors: Sequence[Error]) -> float:
+    """Mean squared error; 0 without pixels."""
+    pixels = sum(count for _, count in errors)
+    return sum(squares for squares, _ in errors) / pixels if pixels else 0.0

@@ -32,7 +32,7 @@ from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange
 from mi_splat.errors import counted as number_of
 from mi_splat.errors import one_line
-from mi_splat.io.images import through_png
+from mi_splat.io.images import from_bytes, to_bytes
 from mi_splat.metrics import psnr
 from mi_splat.scene import GaussianScene
 
@@ -41,9 +41,14 @@ from mi_splat.scene import GaussianScene
 class Seen:
     """What a detector reports on one splat in one view."""
 
-    image: Tensor  # (H, W, 3) the picture as the detector got it, 8 bits in [0, 1]
+    pixels: Tensor  # (H, W, 3) uint8 sRGB, the picture as the detector got it
     detections: Detections  # what it reports
     verdict: Verdict  # whether the attacker has the aim there
+
+    @property
+    def image(self) -> Tensor:
+        """The picture as (H, W, 3) float32 in [0, 1]."""
+        return from_bytes(self.pixels)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,23 +105,24 @@ def judge(
             names, seen = (view, detector.name, target), dict(zip(controls, others, strict=True))
             judged.append(JudgedView(*names, clean=before, attacked=after, controls=seen))
     plain = [_plain_pictures(problem, scene, views, of_splat) for scene, of_splat in zip(scenes, reports, strict=True)]
-    image, *changes = [image_change(plain[0], one, [view.weight for view in views]) for one in plain[1:]]
+    weights = [view.weight for view in views]
+    image, *changes = [image_change(map(from_bytes, plain[0]), map(from_bytes, one), weights) for one in plain[1:]]
     return tuple(judged), image, dict(zip(controls, changes, strict=True))
 
 
 def _seen(problem: Problem, report: ViewDetections, target: Target) -> Seen:
     verdict = problem.objective.verdict(report.detections, target)
-    return Seen(image=report.image, detections=report.detections, verdict=verdict)
+    return Seen(pixels=report.pixels, detections=report.detections, verdict=verdict)
 
 
 def _plain_pictures(
     problem: Problem, scene: GaussianScene, views: Sequence[View], reports: Mapping[tuple[int, str], ViewDetections]
 ) -> list[Tensor]:
-    """8-bit pictures before anything random happens to them; those of the detections where nothing does."""
+    """uint8 pictures before anything random happens to them; those of the detections where nothing does."""
     if all(view.change == PictureChange(noise_seed=view.change.noise_seed) for view in views):
-        return [reports[view.index, problem.detectors[0].name].image for view in views]
+        return [reports[view.index, problem.detectors[0].name].pixels for view in views]
     with torch.no_grad():
-        return [through_png(problem.render(scene, view.camera)) for view in views]
+        return [torch.from_numpy(to_bytes(problem.render(scene, view.camera))) for view in views]
 
 
 FIXED, DRAWN = "dagger", "dagger-eot"

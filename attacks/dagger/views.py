@@ -38,8 +38,9 @@ _VALIDATION = 500_000_000
 _ATTEMPTS = 200
 """Cameras drawn for one view before we say that the region does not show the object."""
 
-_PICTURES = 512
-"""Clean pictures kept; at 256 x 256 one takes 0.8 MB."""
+_PICTURES, _DRAWN_PICTURES = 512, 80
+"""Clean pictures kept, of fixed and of drawn cameras; at 256 x 256 one takes 0.8 MB. Of drawn cameras there are many,
+and a clean picture is made at once where the view is frozen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -115,6 +116,7 @@ class FixedViews:
     """An object seen from chosen cameras, which are attacked and which judge the result."""
 
     transformations: Transformations | None = None
+    most_pictures = _PICTURES
 
     def __init__(
         self,
@@ -186,6 +188,9 @@ class FixedViews:
             rows=self.subset.rows,
         )
 
+    def release(self) -> None:
+        """Give back memory that makes a search faster."""
+
     def clean_reports(self, detectors: Sequence[Detector], views: Sequence[View]) -> Reports:
         """What detectors report on the clean file in some views; kept, as several attacks may share them."""
         reports: Reports = {}
@@ -207,7 +212,7 @@ class FixedViews:
     def picture(self, camera: Camera) -> Tensor:
         """The (H, W, 3) picture of the clean scene, values in [0, 1]; the last ones are kept in memory."""
         if camera not in self._pictures:
-            while len(self._pictures) >= _PICTURES:
+            while len(self._pictures) >= self.most_pictures:
                 del self._pictures[next(iter(self._pictures))]
             with torch.no_grad():
                 self._pictures[camera] = self._clean(camera).clamp(0, 1)
@@ -234,6 +239,7 @@ class DrawnViews(FixedViews):
     """
 
     transformations: Transformations
+    most_pictures = _DRAWN_PICTURES
 
     def __init__(
         self,
@@ -277,6 +283,10 @@ class DrawnViews(FixedViews):
     def frozen(self, config: DaggerConfig) -> RecentViews:
         """Images of a search in which only colours change."""
         return self._frozen
+
+    def release(self) -> None:
+        """Give back the memory of frozen views."""
+        self._frozen.clear()
 
     def originals(self, detectors: Sequence[Detector], config: DaggerConfig) -> Callable[[View, str], str | None]:
         """What a detector calls the clean object in most of the validation views."""

@@ -4,7 +4,7 @@ Both attacks are judged by this module alone: what it has not seen on an 8-bit p
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ from attacks.observe.rows import CLEAN
 from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.directions import Direction, Point, direction_of
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.images import through_png
+from mi_splat.io.images import from_bytes, through_png
 from mi_splat.io.ply import through_ply
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.visibility import object_weight
@@ -45,7 +45,7 @@ class ViewDetections:
     @property
     def image(self) -> Tensor:
         """The picture as (H, W, 3) float32 in [0, 1]."""
-        return self.pixels.to(torch.float32) / 255
+        return from_bytes(self.pixels)
 
     def direction(self, centre: Point) -> Direction:
         """Azimuth and elevation of the camera as seen from `centre` (3,), world units."""
@@ -182,18 +182,30 @@ class ImageChange:
         return "no pixel changed" if self.psnr is None else f"PSNR {self.psnr:.1f} dB"
 
 
-def image_change(before: Sequence[Tensor], after: Sequence[Tensor], weights: Sequence[Tensor]) -> ImageChange:
+def image_change(before: Iterable[Tensor], after: Iterable[Tensor], weights: Sequence[Tensor]) -> ImageChange:
     """Compare (H, W, 3) pictures pairwise; `weights` are (H, W) as from `visible_weight`."""
-    gaps = [(b.detach() - a.detach()).double() for b, a in zip(before, after, strict=True)]
-    squares = [gap.square() for gap in gaps]
-    on_object = [square[weight >= 0.5] for square, weight in zip(squares, weights, strict=True)]
-    outside = [gap[weight < 1 / 255].abs() for gap, weight in zip(gaps, weights, strict=True)]
+    # Squares of all pixels at once, so that means are summed in one order; all else a picture at a time.
+    squares = torch.empty(3 * sum(weight.numel() for weight in weights), dtype=torch.float64)
+    on_object: list[Tensor] = []
+    total = largest = outside = 0.0
+    end = 0
+    for clean, changed, weight in zip(before, after, weights, strict=True):
+        gap = (clean.detach() - changed.detach()).double()
+        square = gap.square()
+        begin, end = end, end + gap.numel()
+        squares[begin:end] = square.flatten()
+        on_object.append(square[weight >= 0.5])
+        total += float(square.sum())
+        largest = max(largest, float(gap.abs().max()))
+        beside = gap[weight < 1 / 255]
+        if beside.numel():
+            outside = max(outside, float(beside.abs().max()))
     return ImageChange(
-        l2=math.sqrt(sum(float(square.sum()) for square in squares) / len(squares)),
-        linf=max(float(gap.abs().max()) for gap in gaps),
-        psnr=_psnr(torch.cat([square.flatten() for square in squares])),
-        psnr_object=_psnr(torch.cat([square.flatten() for square in on_object])),
-        outside=max((float(gap.max()) for gap in outside if gap.numel()), default=0.0),
+        l2=math.sqrt(total / len(weights)),
+        linf=largest,
+        psnr=_psnr(squares),
+        psnr_object=_psnr(torch.cat(on_object)),
+        outside=outside,
     )
 
 

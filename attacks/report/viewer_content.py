@@ -57,7 +57,11 @@ def open_content(
         content = replace(content, settings=replace(content.settings, background=background))
     if cameras is not None:
         content = with_cameras(content, cameras)
-    return content.turned(recorded_up(path) if up is None else up)
+    if up is None:
+        up = recorded_up(path)
+        if tuple(up) == UP and content.file_up is not None:
+            up = content.file_up.direction
+    return content.turned(up)
 
 
 def recorded_up(path: Path) -> Point:

@@ -12,11 +12,11 @@ from mi_splat.audit.surfaces import SKY, Target, cameras_around, near_of, quanti
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
+from mi_splat.neighbours import nearest_neighbours
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import multiply
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.scene_files import resized
-from mi_splat.selection.clusters import nearest_neighbours
 from mi_splat.sh import colour_to_dc
 
 _UNITS = {

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cli.console import UsageError, progress, show_result
+from mi_splat.cli.console import UsageError, note, progress, show_result
 from mi_splat.cli.flags import Positional
-from mi_splat.cli.options import CameraOptions, Direction, JsonOptions, axis_name, check_no_input_in
+from mi_splat.cli.options import CameraOptions, Direction, JsonOptions, axis_name, check_no_input_in, up_line
 from mi_splat.errors import MiSplatError
 from mi_splat.fields import Metavar, OutFile, OutFolder, between
 
@@ -210,10 +210,14 @@ def _with_looks(loaded: SplatScene, options: AuditOptions) -> tuple[GaussianScen
 
     cameras = None
     if options.cameras:
-        wanted = CameraOptions(cameras=options.cameras, up=options.up or CameraOptions().up)
+        wanted = CameraOptions(cameras=options.cameras, up=options.up)
         cameras = tuple(find_cameras(loaded, wanted).values())
     against = changes(loaded.scene, open_scene(options.against).scene) if options.against else None
-    judged = audit(loaded.scene, cameras=cameras, up=options.up)
+    up: Sequence[float] | None = options.up
+    if up is None and loaded.up is not None and loaded.up.is_stated:
+        note(up_line(loaded.up))
+        up = loaded.up.direction
+    judged = audit(loaded.scene, cameras=cameras, up=up)
     return loaded.scene, replace(judged, against=against), cameras
 
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -13,8 +14,8 @@ from mi_splat.bounds import bounds, culled_in_view, near_plane, nothing_in_view
 from mi_splat.camera_forms import FORMS
 from mi_splat.camera_sets import camera_set, framing, with_up
 from mi_splat.cameras import Camera, odd_fields_of_view, orbit_pose
-from mi_splat.cli.console import warn
-from mi_splat.cli.options import CameraOptions, axis_name
+from mi_splat.cli.console import note, warn
+from mi_splat.cli.options import CameraOptions, axis_name, up_line
 from mi_splat.datasets import DatasetError, load_dataset
 from mi_splat.datasets.colmap import find_model
 from mi_splat.datasets.frames import Split
@@ -23,6 +24,7 @@ from mi_splat.datasets.transforms import find_transforms
 from mi_splat.directions import UP
 from mi_splat.errors import InvalidValueError, MiSplatError, nearest
 from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
+from mi_splat.io.up_axis import Direction, UpAxis, Z, cameras_up
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import SplatScene, open_scene, resized
@@ -62,8 +64,10 @@ def find_cameras(
     shows: Shows | None = None,
     split: Split | None = None,
 ) -> dict[str, Camera]:
-    """The cameras by name, in the order in which they are asked for; warns of odd fields of view."""
-    cameras = _found_cameras(loaded, options, focus, shows, split)
+    """The cameras by name, in the order in which they are asked for; warns of odd fields of view and other worlds."""
+    if options.up is not None or not _are_placed(loaded, options):
+        options = upright(loaded, options)
+    cameras = _cameras(loaded, options, focus, shows, split)
     if (odd := odd_fields_of_view(list(cameras.values()))) is not None:
         warn(odd)
     for text in options.cameras:
@@ -73,16 +77,42 @@ def find_cameras(
     return cameras
 
 
-def _found_cameras(
+def _are_placed(loaded: SplatScene, options: CameraOptions) -> bool:
+    """Whether the cameras have their places already, and need no direction that is up."""
+    if options.cameras:
+        return not any(_is_set(text, loaded) for text in options.cameras)
+    return bool(loaded.cameras) and not options.orbits
+
+
+def upright(loaded: SplatScene, options: CameraOptions, cameras: Iterable[Camera] = ()) -> CameraOptions:
+    """The options with the direction that is up; one line says which is taken, and how to turn it.
+
+    Cameras that have their places tell more than a ground.
+    """
+    if options.up is not None:
+        if options.up != UP:
+            warn(f"up is {axis_name(options.up)}")
+        return options
+    if loaded.up is None:  # a scene of this library
+        return dataclasses.replace(options, up=Z)
+    up = loaded.up
+    if not up.is_stated:
+        poses = [camera.to_world[:3, :3].double().cpu().numpy() for camera in cameras]
+        stood = cameras_up(np.array(poses)) if len(poses) > 1 else None
+        up = up if stood is None else UpAxis(stood, "as the cameras stand")
+    note(up_line(up))
+    return dataclasses.replace(options, up=up.direction)
+
+
+def _cameras(
     loaded: SplatScene,
     options: CameraOptions,
     focus: GaussianScene | None,
     shows: Shows | None,
     split: Split | None,
 ) -> dict[str, Camera]:
+    """The cameras, where the options say which way is up, if that is needed."""
     target = loaded.scene if focus is None else focus
-    if options.up != UP:
-        warn(f"up is {axis_name(options.up)}")
     if options.cameras:
         _check_meaning(loaded, options)
         return _unique(pair for text in options.cameras for pair in _meant(text, loaded, options, target, split))
@@ -106,7 +136,7 @@ def _inside(
 ) -> tuple[CameraOptions, float]:
     """The options with a place inside, if the scene is a room; and the azimuth, the best of four if none is given."""
     azimuths = AROUND if options.azimuth is None else [azimuth]
-    if (place := place_inside(target, azimuths, elevation=elevation, up=options.up)) is None:
+    if (place := place_inside(target, azimuths, elevation=elevation, up=options.up or Z)) is None:
         return options, azimuth
     if not place.is_room:
         do = f"pass --distance {place.distance:.2g} to look from inside"
@@ -199,7 +229,7 @@ def _named(
     elif _is_set(text, loaded):
         centre, distance, focal = _placement(target, options)
         cameras = camera_set(text, centre, distance=distance, focal=focal, size=options.size or SIZE)
-        turned = [with_up(camera, centre, options.up) for camera in cameras]
+        turned = [with_up(camera, centre, options.up or Z) for camera in cameras]
         return list(numbered(text.partition(":")[0], turned).items())
     else:
         names = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "no name, since the scene has no cameras"
@@ -287,7 +317,7 @@ def _orbit(target: GaussianScene, options: CameraOptions, azimuth: float, elevat
     centre, distance, focal = _placement(target, options)
     width, height = options.size or SIZE
     pose = orbit_pose(centre, azimuth=azimuth, elevation=elevation, distance=distance, roll=options.camera_roll)
-    return with_up(Camera(to_world=pose, focal=focal, width=width, height=height), centre, options.up)
+    return with_up(Camera(to_world=pose, focal=focal, width=width, height=height), centre, options.up or Z)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -297,6 +327,7 @@ class Chosen:
     mask: Tensor
     cameras: dict[str, Camera]
     render: Renderer
+    up: Direction
 
     def weights(self, loaded: SplatScene) -> dict[str, Tensor]:
         """(H, W) share of each pixel that the object makes up, by the camera's name."""
@@ -312,11 +343,11 @@ def choose(loaded: SplatScene, selection: Selection, options: CameraOptions, *, 
     Otherwise the object does, and cameras that nothing else is said of look at it.
     """
     if selection.click:
-        cameras = find_cameras(loaded, options, split=split)
+        options, cameras = _upright_cameras(loaded, options, None, None, split)
         render = renderer_of(loaded, options, cameras)
         first = next(iter(cameras.values()))
         mask = select(loaded.scene, selection, objects=loaded.objects, camera=first, render=render)
-        return Chosen(mask=mask, cameras=cameras, render=render)
+        return Chosen(mask=mask, cameras=cameras, render=render, up=options.up or Z)
     mask = select(loaded.scene, selection, objects=loaded.objects)
     return look_at_object(loaded, mask, options, split=split)
 
@@ -329,5 +360,21 @@ def look_at_object(loaded: SplatScene, mask: Tensor, options: CameraOptions, *, 
         with torch.no_grad():
             return float(object_weight(loaded.scene, mask, camera, small).mean())
 
-    cameras = find_cameras(loaded, options, focus=loaded.scene.select(mask), shows=shows, split=split)
-    return Chosen(mask=mask, cameras=cameras, render=renderer_of(loaded, options, cameras))
+    options, cameras = _upright_cameras(loaded, options, loaded.scene.select(mask), shows, split)
+    render = renderer_of(loaded, options, cameras)
+    return Chosen(mask=mask, cameras=cameras, render=render, up=options.up or Z)
+
+
+def _upright_cameras(
+    loaded: SplatScene,
+    options: CameraOptions,
+    focus: GaussianScene | None,
+    shows: Shows | None,
+    split: Split | None,
+) -> tuple[CameraOptions, dict[str, Camera]]:
+    """The options with the direction that is up, and the cameras: first what the other one needs."""
+    if _are_placed(loaded, options):
+        cameras = _cameras(loaded, options, focus, shows, split)
+        return upright(loaded, options, cameras.values()), cameras
+    options = upright(loaded, options)
+    return options, _cameras(loaded, options, focus, shows, split)

@@ -62,6 +62,22 @@ def warn(text: str) -> None:
     sys.stderr.write(f"{PROGRAM}: {printable(text)}\n")
 
 
+_notes: list[str] = []
+
+
+def note(text: str) -> None:
+    """A line that a command which succeeds says on stderr at its end, once."""
+    if text not in _notes:
+        _notes.append(text)
+
+
+def show_notes(*, succeeded: bool) -> None:
+    """Say what was noted, of a command that succeeded; of one that failed the error is what counts."""
+    for text in _notes if succeeded else ():
+        warn(text)
+    _notes.clear()
+
+
 def show(text: str = "") -> None:
     """A line for a human on stdout."""
     sys.stdout.write(f"{printable(text)}\n")

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 from mi_splat.attributes import ATTRIBUTES, values_hash
 from mi_splat.cli.console import import_at_once, progress, show_json, show_table
 from mi_splat.cli.flags import Positional
-from mi_splat.cli.options import JsonOptions
+from mi_splat.cli.options import JsonOptions, up_line
 from mi_splat.io.errors import SplatFileWarning
+from mi_splat.io.folders import splat_in
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,16 +44,18 @@ def run(options: InfoOptions) -> None:
     with progress(f"reading {options.file}"):
         read = _scene_file_facts if options.file.suffix.lower() == ".xml" else _file_facts
         facts = read(options.file)
+    file = str(splat_in(options.file) or options.file)
     if options.json:
-        show_json({"file": str(options.file), **facts})
+        show_json({"file": file, **facts})
     else:
-        show_table([("file", str(options.file)), *((name, _text(value)) for name, value in facts.items())])
+        show_table([("file", file), *((name, _text(value)) for name, value in facts.items())])
 
 
 def _file_facts(path: Path) -> dict[str, object]:
     """Facts about a splat file, which has no parts; Gaussians that are not valid are described and left out."""
     from mi_splat.io.loaded import ranges
     from mi_splat.io.splat_files import load_stored
+    from mi_splat.io.up_axis import up_axis
 
     stored = load_stored(path)
     with warnings.catch_warnings(record=True) as caught:
@@ -60,6 +63,9 @@ def _file_facts(path: Path) -> dict[str, object]:
         splat = stored.settle(str(path), "drop", stacklevel=1).arrays
     notes = [str(item.message) for item in caught if issubclass(item.category, SplatFileWarning)]
     facts: dict[str, object] = {"parts": None, **splat_facts(splat)}
+    digest = facts.pop("hash")
+    facts["up"] = up_line(up_axis(path, stored)).removeprefix("up is taken as ")
+    facts["hash"] = digest
     facts["mode"] = "antialiased" if stored.is_antialiased else "default"
     return {**facts, "unread": ", ".join(ranges(stored.unread)) or None, "notes": " ".join(notes) or None}
 

@@ -7,11 +7,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from mi_splat.cli.console import UsageError
 from mi_splat.errors import nearest
 from mi_splat.fields import Converter, Length, Metavar, OutFolder, Range, between
+
+if TYPE_CHECKING:
+    from mi_splat.io.up_axis import UpAxis
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _AXES = {
@@ -70,6 +73,13 @@ def check_no_input_in(folder: Path, *inputs: Path | None) -> None:
 def axis_name(direction: Sequence[float]) -> str:
     """A direction as --up takes it: its axis, or three numbers."""
     return next((name for name, axis in _AXES.items() if axis == tuple(direction)), _written(direction))
+
+
+def up_line(up: "UpAxis") -> str:
+    """What a command says of the direction that it takes for up: which, why, and how to turn it."""
+    x, y, z = up.direction
+    other = (0.0, -1.0, 0.0) if up.direction == (0.0, 0.0, 1.0) else (-x + 0.0, -y + 0.0, -z + 0.0)
+    return f"up is taken as {axis_name(up.direction)} ({up.reason}); --up {axis_name(other)} turns it"
 
 
 def _written(value: Sequence[float]) -> str:
@@ -148,9 +158,9 @@ class CameraOptions:
     """World units from the centre; None is as near as shows the object or the scene whole."""
     centre: Point | None = None
     """Point that cameras of an orbit or a set look at; None is the middle of the object, or of all Gaussians."""
-    up: Direction = (0.0, 0.0, 1.0)
+    up: Direction | None = None
     """Direction that is up in the scene, for orbits and sets: an axis, or X,Y,Z; scenes from COLMAP often have
-    -y."""
+    -y. None is z in a scene XML; of a splat file what its comment says, or its cameras or its ground tell, else z."""
     fov: FieldOfView = 45.0
     """Field of view of orbits and sets in degrees, over the shorter side of the picture."""
     size: Size | None = None

@@ -30,6 +30,7 @@ from mi_splat.datasets.frames import (
     turned_image,
 )
 from mi_splat.datasets.lenses import pinhole, undistorted
+from mi_splat.datasets.packed import Packed
 from mi_splat.datasets.transforms import PARTS, SINGLE, find_transforms, read_transforms
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
@@ -41,22 +42,22 @@ CACHE_BYTES = 256 << 20
 
 
 class _Entry(NamedTuple):
-    """One image in memory: the view, and (H, W) alpha and mask if it has them."""
+    """One image in memory, and (H, W) alpha and mask if it has them."""
 
-    view: View
-    alpha: Tensor | None
-    mask: Tensor | None
+    image: Packed
+    alpha: Packed | None
+    mask: Packed | None
 
     @property
     def bytes(self) -> int:
         """Memory that it takes."""
-        planes = [plane.numel() for plane in (self.alpha, self.mask) if plane is not None]
-        return 4 * (self.view.image.numel() + sum(planes))
+        planes = [plane for plane in (self.image, self.alpha, self.mask) if plane is not None]
+        return sum(plane.bytes for plane in planes)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class Dataset(ViewSet):
-    """Views whose pictures are read when they are asked for; the last ones read are kept, so do not change them."""
+    """Views whose pictures are read when they are asked for; the last ones read are kept, those of 8 bits as bytes."""
 
     frames: tuple[Frame, ...]  # cameras with the files of their pictures
     points: PointCloud | None = None  # points from which a training may start; None if the set has none
@@ -109,11 +110,12 @@ class Dataset(ViewSet):
         """A view, or the set of some of them."""
         if isinstance(index, slice):
             return dataclasses.replace(self, frames=self.frames[index])
-        return self._read(index).view
+        return View(self.cameras[index], self._read(index).image.unpack())
 
     def alpha(self, index: int) -> Tensor | None:
         """(H, W) float32 in [0, 1], opacity of the picture; None if it has none."""
-        return self._read(index).alpha
+        alpha = self._read(index).alpha
+        return None if alpha is None else alpha.unpack()
 
     def loss_mask(self, index: int) -> Tensor | None:
         """(H, W) float32 in [0, 1], 1 where the image counts in a loss; None if all of it does.
@@ -123,20 +125,24 @@ class Dataset(ViewSet):
         frame = self.frames[range(len(self.frames))[operator.index(index)]]
         if frame.mask is None and frame.lens is None:
             return None
-        return self._read(index).mask
+        mask = self._read(index).mask
+        return None if mask is None else mask.unpack()
 
     def _read(self, index: int) -> _Entry:
-        """A view with its alpha and its mask, from memory or from the disk."""
+        """An image with its alpha and its mask, from memory or from the disk."""
         index = range(len(self.frames))[operator.index(index)]
-        entry = self._cache.pop(index, None) or self._load(index)
-        self._cache[index] = entry  # as the last one
-        kept = self.cache_bytes // max(entry.bytes, 1)
-        while len(self._cache) > max(kept, 1):
-            self._cache.popitem(last=False)
+        if index in self._cache:
+            self._cache.move_to_end(index)
+            return self._cache[index]
+        entry = self._cache[index] = self._load(index)
+        held = sum(other.bytes for other in self._cache.values())
+        while held > self.cache_bytes and len(self._cache) > 1:
+            _, oldest = self._cache.popitem(last=False)
+            held -= oldest.bytes
         return entry
 
     def _load(self, index: int) -> _Entry:
-        """A view with its alpha and its mask from the disk."""
+        """An image with its alpha and its mask from the disk."""
         frame, camera = self.frames[index], self.cameras[index]
         image, alpha = stored_pixels(frame.path, self.background)
         mask = None
@@ -150,10 +156,10 @@ class Dataset(ViewSet):
             got, do = tuple(image.shape[:2]), "it has changed: load the set again"
             raise DatasetError.of(str(frame.path), f"{(camera.height, camera.width)} rows and columns", got, do)
         planes = [
-            None if plane is None else torch.from_numpy(area_mean(plane, self.downscale)[..., 0])
+            None if plane is None else Packed.of(torch.from_numpy(area_mean(plane, self.downscale)[..., 0]))
             for plane in (alpha, mask)
         ]
-        return _Entry(View(camera, torch.from_numpy(image)), *planes)
+        return _Entry(Packed.of(torch.from_numpy(image)), *planes)
 
 
 def _upright(

@@ -275,9 +275,25 @@ IN_FOLDERS = ("splat.ply", "attacked.ply")
 """Names by which a folder has one splat: of a training and of an attack."""
 
 
+_ITERATION = re.compile(r"iteration_(\d{1,9})")
+_OF_ITERATION = "point_cloud.ply"
+
+
 def splat_in(folder: str | os.PathLike[str]) -> str | None:
-    """The splat that a folder may stand for; None if it has none, or is none."""
+    """The splat that a folder may stand for, of 3DGS that of its newest iteration; None if it has none, or is none."""
     files = (os.path.join(folder, name) for name in IN_FOLDERS)
+    return next(filter(os.path.isfile, files), None) or _newest_iteration(folder)
+
+
+def _newest_iteration(folder: str | os.PathLike[str]) -> str | None:
+    """point_cloud/iteration_N/point_cloud.ply of the largest N, as 3DGS and what came from it write; None without."""
+    around = os.path.join(folder, "point_cloud")
+    try:
+        names = os.listdir(around)
+    except OSError:
+        return None
+    numbers = {int(match[1]): name for name in names if (match := _ITERATION.fullmatch(name))}
+    files = (os.path.join(around, numbers[number], _OF_ITERATION) for number in sorted(numbers, reverse=True))
     return next(filter(os.path.isfile, files), None)
 
 

@@ -84,6 +84,11 @@ def to_bytes(image: Tensor) -> np.ndarray:
     return (image.detach().clamp(0, 1) * 255).round().cpu().numpy().astype(np.uint8)
 
 
+def from_bytes(pixels: Tensor) -> Tensor:
+    """(H, W, 3) float32 sRGB in [0, 1] of uint8 pixels."""
+    return pixels.float() / 255
+
+
 def through_png(image: Tensor) -> Tensor:
     """The picture as an 8-bit PNG keeps it, which loses nothing else; (H, W, 3) float32 in [0, 1]."""
     import torch  # writing does without

@@ -155,6 +155,8 @@ class Loaded:
     is_antialiased: bool = False
     notices: tuple[Notice, ...] = ()
     unread: tuple[str, ...] = ()
+    stated_up: tuple[float, float, float] | None = None  # direction that the file says is up
+    format_up: tuple[float, float, float] | None = None  # direction that its format defines as up
     document: object = None  # of a glTF, for checks of its form
 
     @property

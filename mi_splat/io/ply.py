@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from mi_splat.io.documents import save_bytes
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.loaded import HIGHER_BANDS, SHOWN, Loaded, arrays_of, as_scene, unit, validated
+from mi_splat.io.loaded import HIGHER_BANDS, SHOWN, Loaded, Notice, arrays_of, as_scene, ranges, unit, validated
+from mi_splat.io.up_axis import commented_up
 from mi_splat.sh import colour_to_dc
 
 if TYPE_CHECKING:
@@ -217,6 +218,10 @@ REST_COUNTS = (0, 9, 24, 45)
 _REST_OF_DEGREE_4 = 72
 _FLATNESS = 1e-3
 """Third scale of a flat Gaussian, as a share of the smaller of its other two."""
+_OF_SPLATS = ("f_dc_", "f_rest_", "scale_", "rot_", "opacity")
+_PREFIX = re.compile(r"^scal(ar)?_(?=n[xyz]$|f_dc_|f_rest_|scale_|rot_|opacity$|filter_3D$)")
+_TIME = re.compile(r"t|scale_t|rot_r_\d|trbf_\w+|motion_\d+|omega_\d+|velocity_\d+")
+"""Columns of splats that move: 4D Gaussian Splatting (Yang et al. 2024), Spacetime Gaussians (Li et al. 2024)."""
 _MODE = re.compile(r"splatrendermode:\s*(\w+)|(?:postshot\.)?(?:antialiased|anti_aliasing)[ =]+(\d)", re.IGNORECASE)
 
 
@@ -228,10 +233,12 @@ def rest_names(count: int) -> list[str]:
 def read_ply(file: io.FileIO, path: str) -> Loaded:
     """Read a splat in any encoding, any kinds of numbers and any order of properties."""
     header = read_header(file, path)
-    if (vertex := header.elements.get("vertex")) is None:
+    if (stored := header.elements.get("vertex")) is None:
         raise _error(path, "an element named vertex", ", ".join(header.elements), "pass a splat")
-    scale_names, colour_names, rest = _check_properties(vertex, path)
+    vertex = _usual_names(stored)
+    scale_names, colour_names, rest = _check_properties(vertex, header, path)
     rows, kinds = read_rows(file, header, "vertex", path), vertex.kinds
+    rows.dtype.names = tuple(kinds)
     logits, logs = _columns(rows, ["opacity"])[:, 0], _columns(rows, scale_names)
     if len(scale_names) == 2:
         logs = np.concatenate([logs, logs.min(axis=1, keepdims=True) + math.log(_FLATNESS)], axis=1)
@@ -250,13 +257,37 @@ def read_ply(file: io.FileIO, path: str) -> Loaded:
     sh[:, 1:] = _columns(rows, used).reshape(len(rows), 3, kept).transpose(0, 2, 1)
     loaded = validated(_columns(rows, _MEANS), scales, unit(_columns(rows, _ROTATIONS)), opacities, sh)
     notices = [HIGHER_BANDS] if rest == _REST_OF_DEGREE_4 else []
+    notices += _moving(vertex)
     if len(scale_names) == 2:
         notices.append(("three scales", "two (a 2DGS splat)", "its flat Gaussians are drawn as very thin ellipsoids"))
     read = {*_MEANS, *_NORMALS, *scale_names, *_ROTATIONS, "opacity", *colour_names, *rest_names(rest), _FILTER}
     unread = [name for name in vertex.columns if name not in read]
     unread += [f"element {name}" for name in header.elements if name != "vertex"]
     mode = _FILTER in kinds or header.is_antialiased
-    return dataclasses.replace(loaded, is_antialiased=mode, notices=tuple(notices), unread=tuple(unread))
+    return dataclasses.replace(
+        loaded,
+        is_antialiased=mode,
+        notices=tuple(notices),
+        unread=tuple(unread),
+        stated_up=commented_up(header.comments),
+    )
+
+
+def _usual_names(vertex: Element) -> Element:
+    """The columns by the names of 3DGS, where CloudCompare and 3dgsconverter put `scalar_` and `scal_` before them."""
+    usual = {name: _PREFIX.sub("", name) for name in vertex.columns}
+    if len(set(usual.values())) < len(usual):  # the file has both names
+        return vertex
+    return Element(vertex.count, {usual[name]: kinds for name, kinds in vertex.columns.items()})
+
+
+def _moving(vertex: Element) -> list[Notice]:
+    """A notice where the columns are those of a splat that moves."""
+    times = [name for name in vertex.columns if _TIME.fullmatch(name)]
+    if not times or times == ["t"]:  # which may be anything
+        return []
+    got = f"one that moves (4D: {', '.join(ranges(times))})"
+    return [("a splat of one moment", got, "the Gaussians of all times are drawn at once")]
 
 
 def _activated(logs: NDArray[np.floating], logits: NDArray[np.floating]) -> list[NDArray[np.floating]]:
@@ -266,9 +297,12 @@ def _activated(logs: NDArray[np.floating], logits: NDArray[np.floating]) -> list
     return [np.exp(logs, dtype=np.float64), opacities]
 
 
-def _check_properties(vertex: Element, path: str) -> tuple[list[str], list[str], int]:
+def _check_properties(vertex: Element, header: Header, path: str) -> tuple[list[str], list[str], int]:
     """Names of the scales and of the colours, and the number of further SH properties."""
     kinds, rest = vertex.kinds, sum(name.startswith("f_rest_") for name in vertex.columns)
+    if any(name.startswith("f_anchor_feat") for name in vertex.columns):
+        got = "the anchors of a Scaffold-GS, of which a network makes Gaussians for each view"
+        raise _error(path, "the properties of a 3DGS splat", got, "train a plain 3DGS on the same images")
     if rest not in (*REST_COUNTS, _REST_OF_DEGREE_4):
         raise _error(path, "0, 9, 24 or 45 properties f_rest_* (SH degree 0 to 3)", rest)
     scales = _SCALES if _SCALES[2] in kinds else _SCALES[:2]
@@ -276,13 +310,27 @@ def _check_properties(vertex: Element, path: str) -> tuple[list[str], list[str],
     needed = [*_MEANS, *scales, *_ROTATIONS, "opacity", *colours, *rest_names(rest)]
     missing = [name for name in needed if name not in kinds]
     if missing:
-        more = f" and {len(missing) - SHOWN} more" if len(missing) > SHOWN else ""
-        do = "pass a splat: this may be a point cloud, or a mesh, of which mi-splat capture takes pictures"
-        raise _error(path, "the properties of a 3DGS splat", f"no {', '.join(missing[:SHOWN])}{more}", do)
+        raise _no_splat(vertex, header, missing, path)
     for name in needed:
         if kinds[name][0] != "f" and name not in _RGB:
             raise _error(path, f"{name} as float or double", f"an integer ({kinds[name]})")
     return scales, colours, rest
+
+
+def _no_splat(vertex: Element, header: Header, missing: Sequence[str], path: str) -> SplatFileError:
+    """The error of a PLY without properties of a splat: it says what the file is, as far as its header tells."""
+    more = f" and {len(missing) - SHOWN} more" if len(missing) > SHOWN else ""
+    lacks = f"no {', '.join(missing[:SHOWN])}{more}"
+    has_some = any(name.startswith(_OF_SPLATS) for name in vertex.columns)
+    faces = header.elements.get("face")
+    got, do = lacks, "export the splat again"
+    if faces is not None and faces.count and not has_some:
+        got = f"a mesh of {faces.count:,} faces"
+        do = "save it as .glb, then `mi-splat capture MESH.glb` renders images to train a splat on"
+    elif not has_some:
+        got = f"a point cloud ({lacks})"
+        do = "pass a splat; one is trained on images and their cameras with `mi-splat train SET`"
+    return _error(path, "the properties of a 3DGS splat", got, do)
 
 
 def _columns(rows: Rows, names: Sequence[str]) -> NDArray[np.floating]:

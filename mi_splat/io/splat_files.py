@@ -13,6 +13,7 @@ import numpy as np
 
 from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError, install, message
+from mi_splat.io import archives
 from mi_splat.io.documents import save_bytes
 from mi_splat.io.errors import (
     SplatFileError,
@@ -36,11 +37,15 @@ USD = (".usdc", ".usda", ".usdz")
 
 SUFFIXES = (".ply", ".glb", *USD, ".compressed.ply", ".sog", ".spz", ".splat")
 
+_ZIP = ".zip"
+IN_ARCHIVES = (".ply", ".spz", ".sog", ".glb", ".splat")
+"""Endings of splats that are read out of a ZIP archive; OpenUSD wants a file of its own."""
 _MAGIC = {b"ply": ".ply", b"NGSP": ".spz", b"\x1f\x8b": ".spz", b"PK\x03\x04": ".sog", b"glTF": ".glb"}
 _MAGIC |= {b"PXR-USDC": ".usdc", b"#usda": ".usda"}
 _OTHERS = {
     ".gltf": "pack it into one .glb, for instance with gltf-transform",
-    ".obj": "this is a mesh: capture pictures of it with mi-splat capture, and train a splat on them",
+    ".obj": "this is a mesh: save it as .glb, then `mi-splat capture MESH.glb` renders images to train a splat on",
+    ".npz": "these are arrays of NumPy, whose meaning no name tells: save a .ply of them with mi_splat.save_splat",
     ".json": "bundle an unbundled SOG as .sog with splat-transform",
     ".lcc": "convert it to .ply with splat-transform",
     ".lcc2": "convert it to .ply with splat-transform",
@@ -59,11 +64,15 @@ def suffix_of(path: str) -> str | None:
 
 
 def format_to_read(path: str, head: bytes) -> str:
-    """The suffix of the format of a file, ".ply" also for compressed ones.
+    """The suffix of the format of a file, ".ply" also for compressed ones, ".zip" for what a download is packed in.
 
     A name that promises nothing is overruled by the file's mark; one that promises something else is an error.
     """
     if os.path.basename(path).lower().endswith(_PROGRAMS):
+        raise _unknown(path)
+    if path.lower().endswith(_ZIP) and head.startswith(b"PK"):
+        return _ZIP
+    if path.lower().endswith(".npz"):
         raise _unknown(path)
     named = suffix_of(path)
     named = ".ply" if named == ".compressed.ply" else named
@@ -133,7 +142,8 @@ def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "dr
     ellipsoids, the splat was trained with antialiasing and is to be drawn with it.
 
     Args:
-        path: A splat file; or a folder with one: of `mi-splat train` or `dagger`.
+        path: A splat file; a .zip with one; or a folder with one: of `mi-splat train` or `dagger`, or of 3DGS, whose
+            newest iteration is taken.
         on_invalid: What to do with Gaussians that are not valid (a value is not finite in float32 or above 1e9, the
             scale vanishes, the quaternion is zero): raise, or drop them with a `SplatFileWarning` that says how many
             and which.
@@ -186,21 +196,29 @@ def save_splat(scene: GaussianScene, path: str | os.PathLike[str], *, antialiase
 
 
 def load_stored(path: str | os.PathLike[str]) -> Loaded:
-    """All Gaussians of a file, valid or not, in its order, and which are not."""
+    """All Gaussians of a file, valid or not, in its order, and which are not; of a .zip those of the splat in it."""
     name = splat_in(path_name(path)) or path_name(path)
     try:
         # Values that are not finite make NumPy warn where they are cast; each reader judges them at its end.
         with open_regular(name) as file, np.errstate(all="ignore"):
             suffix = format_to_read(name, os.pread(file.fileno(), HEAD, 0))
-            if suffix == ".ply" and read_header(file, name).is_compressed:
-                suffix = ".compressed.ply"
-            if suffix in USD:
-                require_usd(name)
-            module, function, _ = _FORMATS[suffix]
-            read: Callable[[io.FileIO, str], Loaded] = getattr(importlib.import_module(module), function)
-            return read(file, name)
+            if suffix != _ZIP:
+                return _read(file, name, suffix)
+            with archives.splat_of(file, name, IN_ARCHIVES) as (member, inner):
+                return _read(member, inner, format_to_read(inner, os.pread(member.fileno(), HEAD, 0)))
     except OSError as error:
         raise from_os_error(name, "a splat file that can be read", error) from error
+
+
+def _read(file: io.FileIO, name: str, suffix: str) -> Loaded:
+    """The content of a file whose format has that suffix."""
+    if suffix == ".ply" and read_header(file, name).is_compressed:
+        suffix = ".compressed.ply"
+    if suffix in USD:
+        require_usd(name)
+    module, function, _ = _FORMATS[suffix]
+    read: Callable[[io.FileIO, str], Loaded] = getattr(importlib.import_module(module), function)
+    return read(file, name)
 
 
 def write_splat_file(

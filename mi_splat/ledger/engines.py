@@ -18,8 +18,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Protocol
 
-from mi_splat.io.errors import SplatFileError
-from mi_splat.io.folders import locked_folder
+from mi_splat.io.folders import LockedError, locked_folder
 from mi_splat.ledger.job import DiskFullError, EngineError, Event, HeldError, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.running import run_job
 from mi_splat.ledger.store import Store
@@ -138,7 +137,7 @@ def free_cache(folder: Path, numbers: Iterator[int], held: contextlib.ExitStack)
     """The first folder for compiled kernels that no other process of this machine uses."""
     for number in numbers:
         cache = folder / "kernels" / f"{platform.node()}-{number}"
-        with contextlib.suppress(SplatFileError):
+        with contextlib.suppress(LockedError):  # any other error is one of the disk, and comes again
             held.enter_context(locked_folder(cache))
             return cache
     raise AssertionError("numbers do not end")

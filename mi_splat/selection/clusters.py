@@ -6,36 +6,9 @@ import numpy as np
 import torch
 from torch import Generator, Tensor
 
+from mi_splat.neighbours import nearest_neighbours
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import dc_to_colour
-
-
-def nearest_neighbours(points: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Distances to the nearest other points of each point, in order, and which points these are."""
-    from scipy.spatial import cKDTree  # a third of a second
-
-    size = len(points)
-    count = min(count, size - 1)
-    if count < 1:
-        return torch.zeros(size, 0, dtype=torch.float64), torch.zeros(size, 0, dtype=torch.int64)
-    positions = points.detach().cpu().double().numpy()
-    distances, rows = cKDTree(positions).query(positions, count + 1)
-    others = rows != np.arange(size)[:, None]
-    others[others.all(axis=1), -1] = False  # so many points in one place that the point itself is not among the nearest
-    return (
-        torch.from_numpy(distances[others].reshape(size, count)),
-        torch.from_numpy(rows[others].reshape(size, count).astype(np.int64)),
-    )
-
-
-def nearest_of(points: Tensor, every: int) -> Tensor:
-    """Index of the nearest of every so many-th point to each point."""
-    from scipy.spatial import cKDTree
-
-    positions = points.detach().cpu().double().numpy()
-    _, rows = cKDTree(positions[::every]).query(positions)
-    return torch.from_numpy(rows.astype(np.int64) * every)
-
 
 NEIGHBOURS, NEAREST = 12, 8
 """Neighbours that a Gaussian may be linked to, and the one whose distance is the measure of nearness."""

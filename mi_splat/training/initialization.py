@@ -10,28 +10,38 @@ from torch import Generator, Tensor
 from mi_splat.cameras import Camera, View, cameras_of, project_points
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
+from mi_splat.neighbours import nearest_distances
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc
 
-_BLOCK = 1 << 22
-"""Distances that are held at once."""
+_NEAREST = 3
+"""Neighbours whose distances make the size of a Gaussian."""
 _MATCHED, _ROUNDS = 3, 32
 """Pictures in which an outlier lies at least, and how often as many as are wanted are drawn."""
 
 
 def spacing(points: Tensor) -> Tensor:
-    """Root mean squared distance of each point to its three nearest neighbours; (N, 3) in, (N,) out, world units."""
-    count = len(points)
-    nearest = min(3, count - 1)
+    """Root mean squared distance of each point to its three nearest neighbours.
+
+    Args:
+        points: (N, 3) world units.
+
+    Returns:
+        (N,) world units; 1 for a single point.
+
+    Raises:
+        InvalidValueError: A coordinate is not finite.
+    """
+    finite = points.isfinite().all(1)
+    if not bool(finite.all()):
+        row = int((~finite).nonzero()[0, 0])
+        got = f"{points[row].tolist()} in row {row}"
+        raise InvalidValueError.of("points", "finite coordinates", got, "remove those points")
+    nearest = min(_NEAREST, len(points) - 1)
     if nearest < 1:
-        return torch.ones(count, dtype=points.dtype)
-    rows = max(1, _BLOCK // count)
-    squares = []
-    for first in range(0, count, rows):
-        # Not by the matrix product: it would lose the small distances of points far from the origin.
-        gaps = torch.cdist(points[first : first + rows], points, compute_mode="donot_use_mm_for_euclid_dist")
-        squares.append(gaps.topk(nearest + 1, largest=False).values[:, 1:].square().mean(1))
-    return torch.cat(squares).sqrt()
+        return torch.ones(len(points), dtype=points.dtype)
+    distances = nearest_distances(points.detach().cpu(), nearest)
+    return distances.square().mean(1).sqrt().to(points)
 
 
 def from_points(

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
 import torch
 from PIL import ImageDraw
 from torch import Tensor
@@ -21,6 +22,7 @@ from mi_splat.datasets.poses import poses_of
 from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
+from mi_splat.io.up_axis import UpAxis, cameras_up
 from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
@@ -64,7 +66,16 @@ def content_of_dataset(path: Path, *, background: tuple[float, float, float] = (
         size=first.camera_size or (640, 480),
         cameras=orbits,
         photographs=photographs,
+        file_up=_up_of_cameras(orbits.values()),
     )
+
+
+def _up_of_cameras(orbits: Iterable[Orbit]) -> UpAxis | None:
+    """What the cameras of photographs tell of the direction that is up."""
+    exact = [orbit.exact for orbit in orbits if orbit.exact is not None]
+    poses = [camera.to_world[:3, :3].double().numpy() for camera in exact]
+    direction = cameras_up(np.array(poses)) if poses else None
+    return None if direction is None else UpAxis(direction, "as its cameras stand")
 
 
 def with_cameras(content: Content, path: Path) -> Content:
@@ -151,7 +162,8 @@ class Content:
     """What a page shows: one splat, or two of which the first is the clean one, or photographs with at most one.
 
     `size` (width, height) is that of the inspected picture, unless a camera of a file has its own. Everything is turned
-    so that `up`, a direction of the files, is z on the page. `describe` says in words where a camera stands.
+    so that `up`, a direction of the files, is z on the page; `file_up` is what they tell of it. `describe` says in
+    words where a camera stands.
     """
 
     title: str
@@ -162,6 +174,7 @@ class Content:
     cameras: Mapping[str, Orbit] = field(default_factory=dict)
     photographs: Photographs | None = None
     up: Point = UP
+    file_up: UpAxis | None = None
     describe: Callable[[Camera], tuple[str, ...]] = lambda camera: ()
 
     def __post_init__(self) -> None:
@@ -259,6 +272,7 @@ def content_of_file(path: Path, *, name: str | None = None, clean: Path | None =
         start=start,
         size=start.camera_size or (640, 480),
         cameras=cameras or {"whole scene": start},
+        file_up=first.up,
     )
     trained = path.resolve().parent.parent  # point_cloud of FOLDER/point_cloud/iteration_30000/point_cloud.ply
     listed = trained.parent / "cameras.json"

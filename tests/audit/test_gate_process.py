@@ -1,5 +1,6 @@
 """`mi-splat gate` as a service: the processes that read files share limits and end together, and no verdict is lost."""
 
+import contextlib
 import json
 import os
 import re
@@ -234,7 +235,9 @@ def test_a_gate_that_is_ended_leaves_nothing(how: signal.Signals, tmp_path: Path
     if not Path("/proc/self/stat").exists():
         pytest.skip("no /proc")
     words = [str(slow_file(tmp_path / "many.usda")), "--workers", "1"]
-    gate = subprocess.Popen(command(tmp_path / "store", *words), env=environment(tmp_path))
+    gate = subprocess.Popen(
+        command(tmp_path / "store", *words), env=environment(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
     end = time.monotonic() + 90
     while not any(len(processes) > 1 for processes in readers_of(gate.pid).values()):
         assert time.monotonic() < end, "the process that reads OpenUSD was never started"
@@ -246,6 +249,9 @@ def test_a_gate_that_is_ended_leaves_nothing(how: signal.Signals, tmp_path: Path
     for group in groups:
         until_gone(group, 5.0)
     assert time.monotonic() - started < 3
+    said, errors = gate.communicate()
+    assert said == b""
+    assert errors == (b"mi-splat: terminated\n" if how == signal.SIGTERM else b"")
     assert not [*(tmp_path / "temporary").iterdir()]
     assert not [*(tmp_path / "store").rglob("*.tmp")]
 
@@ -313,6 +319,35 @@ def test_a_store_on_a_full_disk_changes_no_verdict(
     judged = Judge(reader, LINT, Store(tmp_path / "store")).judge({"file": str(tmp_path / "junk.ply")})
     assert LINT.verdict(judged.rows)["verdict"] == "refuse"
     assert judged.record is None
+
+
+@pytest.fixture
+def full_disk(tmp_path: Path) -> Iterator[Path]:
+    """A small disk of its own, without a free byte; only root can have one."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=32k", "tmpfs", str(folder)]
+    if sys.platform != "linux" or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("no disk can be made")
+    try:
+        (folder / "store").mkdir()
+        with contextlib.suppress(OSError):
+            (folder / "fill").write_bytes(bytes(1 << 16))
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_disk_changes_no_exit_status(full_disk: Path, tmp_path: Path) -> None:
+    (tmp_path / "junk.ply").write_text("junk")
+    sarif = full_disk / "found.sarif"
+    words = command(full_disk / "store", "--sarif", str(sarif), "--workers", "1", str(tmp_path / "junk.ply"))
+    done = subprocess.run(words, env=environment(tmp_path), capture_output=True, text=True, timeout=60)
+    assert done.returncode == 3
+    assert "junk.ply: refuse" in done.stdout
+    assert "No space left on device" in done.stderr
+    assert not sarif.exists()
+    assert not [*full_disk.rglob("*.tmp")]
 
 
 def test_a_sarif_file_is_replaced_only_when_forced(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from tests.project.layers import ROOT
 from tests.viewer.contents import ball
 
 SMALL = ["--size", "24x16"]
+UP_LINE = "mi-splat: up is taken as z (nothing says otherwise); --up -y turns it\n"
 
 
 @pytest.fixture
@@ -109,7 +110,7 @@ def test_gaussians_nearer_than_the_near_plane_are_told(toy: Path, capsys: pytest
     assert "camera orbit: " in (told := capsys.readouterr().err)
     assert "nearer than 4 and not drawn" in told
     assert cli.main([*words, "0.1"]) == 0
-    assert capsys.readouterr().err == ""
+    assert capsys.readouterr().err == UP_LINE
 
 
 @pytest.mark.parametrize("words", [["render"], ["select", "--box", "-9", "-9", "-9", "9", "9", "9"]])
@@ -161,7 +162,7 @@ def test_it_serves_until_it_is_told_to_stop(splat: Path) -> None:
             out, errors = process.communicate(timeout=120)
         finally:
             process.kill()
-    assert (process.returncode, errors) == (0, "")
+    assert (process.returncode, errors) == (0, UP_LINE)
     assert out.splitlines()[-1] == "The page is closed."
     port = int(address.partition("?")[0].rstrip("/").rpartition(":")[2])
     with socket.socket() as free:

@@ -40,7 +40,7 @@ def test_a_click_selects_the_car_and_writes_what_is_asked_for(
     words = ["select", str(path), "--click", "45,39", *VIEW, "--out", *map(str, outs), "--json"]
     assert cli.main(words) == 0
     captured = capsys.readouterr()
-    assert captured.err == ""
+    assert captured.err == "mi-splat: up is taken as z (a guess: it stands on a ground); --up -y turns it\n"
     document = json.loads(captured.out)
     mask = torch.from_numpy(np.load(outs[1]))
     assert iou(mask, owner == CAR) > 0.95

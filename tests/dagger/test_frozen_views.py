@@ -1,6 +1,9 @@
 """A search over SH takes its pictures from frozen views, and finds what it finds without them."""
 
 import functools
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -17,9 +20,10 @@ from attacks.transformations.config import Transformations
 from mi_splat import rendering
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.rendering import Renderer
-from mi_splat.view_freezing import RecentViews, freeze_views
+from mi_splat.view_freezing import KEPT_BYTES, RecentViews, affordable_bytes, freeze_views
 from tests.dagger.toy import QUICK, REGION
 from tests.fakes import CoarseDetector, ColourDetector, camera, toy_scene
+from tests.project.layers import ROOT
 
 CAMERAS = [camera(), camera(offset=0.5)]
 STEPS = 4
@@ -115,7 +119,7 @@ def test_a_view_that_was_given_up_for_others_has_the_same_bits_when_it_is_made_a
     scene, mask = toy_scene()
     usual = RecentViews(scene, render=Renderer(), rows=mask).get(CAMERAS[0])
     assert usual is not None
-    few = RecentViews(scene, render=Renderer(), rows=mask, max_bytes=usual.nbytes + 10_000)
+    few = RecentViews(scene, render=Renderer(), rows=mask, kept_bytes=usual.nbytes + 10_000)
     first, other, again = (few.get(camera) for camera in (*CAMERAS, CAMERAS[0]))
     assert first is not None
     assert again is not None
@@ -127,3 +131,49 @@ def test_a_view_that_was_given_up_for_others_has_the_same_bits_when_it_is_made_a
     assert torch.equal(usual(sh), again(sh))
     assert RecentViews(scene, render=Renderer(), rows=mask, max_bytes=0).get(CAMERAS[0]) is None
     assert RecentViews(scene, render=unknown(), rows=mask).get(CAMERAS[0]) is None
+
+
+def test_views_that_are_used_most_are_kept_within_the_memory() -> None:
+    scene, mask = toy_scene()
+    cameras = [camera(offset=0.1 * number) for number in range(8)]
+    often = cameras[:2]
+    made = RecentViews(scene, render=Renderer(), rows=mask)
+    sizes = [view.nbytes for view in map(made.get, cameras) if view is not None]
+    few = RecentViews(scene, render=Renderer(), rows=mask, kept_bytes=3 * max(sizes))
+    kept = [few.get(one) for _ in range(3) for one in often][-2:]
+    for one in cameras[2:]:
+        few.get(one)
+        assert few.nbytes <= 3 * max(sizes)
+    assert [few.get(one) for one in often] == kept
+    assert 0 < affordable_bytes() <= KEPT_BYTES
+
+
+def test_views_that_were_released_are_made_again_with_the_same_bits() -> None:
+    scene, mask = toy_scene()
+    views = RecentViews(scene, render=Renderer(), rows=mask)
+    first = views.get(CAMERAS[0])
+    assert first is not None
+    image = first(scene.sh[mask])
+    views.clear()
+    views.clear()
+    assert views.nbytes == 0
+    again = views.get(CAMERAS[0])
+    assert again is not None
+    assert torch.equal(again(scene.sh[mask]), image)
+
+
+MEASURED = """
+import resource, sys
+from attacks.cli import main
+words = ["dagger", "--region", "scenes/car_street.xml", "--object", "car", "--target", "person", "--out", sys.argv[1]]
+assert main(words) == 0
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+@pytest.mark.nightly
+def test_the_command_of_the_page_takes_less_than_1_500_megabytes(tmp_path: Path) -> None:
+    words = [sys.executable, "-c", MEASURED, str(tmp_path / "out")]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
+    unit = 1 if sys.platform == "darwin" else 1024
+    assert int(done.stdout.splitlines()[-1]) * unit < 1_500_000_000

@@ -4,6 +4,7 @@ import json
 import math
 import shutil
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import numpy as np
@@ -13,7 +14,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mi_splat.cameras import Camera, View, look_at, project_points
-from mi_splat.datasets import DatasetWarning, load_dataset
+from mi_splat.datasets import Dataset, DatasetWarning, load_dataset
+from mi_splat.datasets.packed import Packed
 from mi_splat.errors import MiSplatError
 from mi_splat.rotation import normalise, to_matrix
 from tests.datasets.sets import (
@@ -228,14 +230,43 @@ def test_pictures_are_read_when_they_are_needed(tmp_path: Path) -> None:
     assert torch.equal(dataset[1].image, VIEWS[1].image)  # from memory
 
 
-def test_memory_is_bounded(tmp_path: Path) -> None:
+def test_memory_is_bounded_and_counts_the_bytes_of_8_bit_images(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write_transforms(tmp_path, VIEWS)
-    one = 4 * VIEWS[0].image.numel()
+    decoded: list[int] = []
+    load = Dataset._load
+
+    def counted(self: Dataset, index: int) -> Any:
+        decoded.append(index)
+        return load(self, index)
+
+    monkeypatch.setattr(Dataset, "_load", counted)
+    one = VIEWS[0].image.numel()  # bytes of an image, of which each value is a byte
     dataset = load_dataset(tmp_path, cache_bytes=2 * one)
-    first = dataset[0]
-    assert dataset[0] is first
-    dataset[1], dataset[2]
-    assert dataset[0] is not first
+    first = dataset[0].image
+    assert torch.equal(dataset[0].image, first)
+    assert len(decoded) == 1
+    dataset[1], dataset[0]
+    assert len(decoded) == 2  # two fit
+    dataset[2], dataset[0]
+    assert len(decoded) == 3  # the one read longest ago went
+    assert torch.equal(dataset[1].image, VIEWS[1].image)
+    assert len(decoded) == 4
     none = load_dataset(tmp_path, cache_bytes=0)
     none[0], none[1]
     assert len(none._cache) == 1
+
+
+@hypothesis.given(seed=st.integers(0, 2**32 - 1), others=st.sampled_from((0, 1, 30, 2000)))
+def test_packed_images_are_equal_to_the_bit(seed: int, others: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    image = torch.randint(0, 256, (20, 30, 3), generator=generator).float() / 255
+    where = torch.randint(0, image.numel(), (others,), generator=generator)
+    image.view(-1)[where] = torch.rand(others, generator=generator)
+    packed = Packed.of(image)
+    assert torch.equal(packed.unpack(), image)
+    assert torch.equal(packed.unpack(), image)  # what is kept does not change
+    assert packed.bytes <= 4 * image.numel()
+    if others <= 30:
+        assert packed.bytes <= image.numel() + 8 * others

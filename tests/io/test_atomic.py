@@ -251,6 +251,22 @@ def test_a_lock_that_this_program_did_not_make_is_left_alone(kind: str, tmp_path
     assert names(out) == [LOCK]
 
 
+def test_a_lock_that_leads_elsewhere_makes_and_changes_nothing(tmp_path: Path) -> None:
+    """A link to a file that is not there would make it, and a second name of an empty file would fill it."""
+    out, absent, empty = tmp_path / "out", tmp_path / "absent.txt", tmp_path / "empty.txt"
+    out.mkdir()
+    empty.write_bytes(b"")
+    (out / LOCK).symlink_to(absent)
+    with pytest.raises(SplatFileError, match="expected a lock of this program"), locked_folder(out):
+        raise AssertionError("it has the folder")
+    assert not absent.exists()
+    (out / LOCK).unlink()
+    os.link(empty, out / LOCK)
+    with pytest.raises(SplatFileError, match="expected a lock of this program"), locked_folder(out):
+        raise AssertionError("it has the folder")
+    assert empty.read_bytes() == b""
+
+
 def test_a_disk_without_locks_refuses_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def none(descriptor: int, how: int) -> None:
         raise OSError(errno.ENOLCK, "no locks available")

@@ -313,6 +313,13 @@ def test_leftovers_of_a_killed_program_are_swept_and_those_of_a_running_one_are_
     os.utime(left, (time.time() - 90,) * 2)
     assert sweep_temporary(tmp_path) == 1
     assert names(tmp_path) == []
+    target = tmp_path / "of_the_user"
+    target.write_text("kept")
+    link = tmp_path / left.name
+    link.symlink_to(target)
+    os.utime(link, (0, 0), follow_symlinks=False)
+    assert sweep_temporary(tmp_path) == 0, "this program makes no links"
+    assert link.is_symlink()
 
 
 # Every file of a result is in its manifest, and a manifest of strangers leads nowhere else

@@ -116,7 +116,7 @@ PLY = {
     **{f"no {name}": (ply_bytes(reordered(ROWS, [n for n in NEEDED if n != name])), f"got no {name};")
        for name in ("x", "opacity", "rot_3", "scale_1", "f_dc_2")},
     "no f_rest_5": (ply_bytes(reordered(ROWS, [n for n in NEEDED if n != "f_rest_5"])), "properties f_rest.*got 8"),
-    "a point cloud": (ply_bytes(splat_rows(3, names=["x", "y", "z"])), "got no scale_0, .* and 5 more"),
+    "a point cloud": (ply_bytes(splat_rows(3, names=["x", "y", "z"])), "got a point cloud .no scale_0, .* and 5 more"),
     "integer property": (HEAD.replace(b"float f_dc_1", b"int f_dc_1") + BODY, r"f_dc_1 as float.*integer \(i4\)"),
     "text too short": (TEXT_HEAD + LINE * 39 + b"\n" * 200, "40 lines for 40 x vertex, got 39"),
     "text row too short": (TEXT_HEAD + LINE * 39 + LINE[4:] + b" " * 99, "row 39: .*early end-of-line"),

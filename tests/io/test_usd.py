@@ -1,6 +1,11 @@
 """OpenUSD: exact there and back, files by hand as the schema says, transforms, and files that mean harm."""
 
+import json
 import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -113,6 +118,7 @@ HOSTILE = {
         usda('def "A" (variantSets = "v") {\nvariantSet "v" = {\n"a" {\ndef "B" (payload = @x.usd@) {\n}\n}\n}\n}'),
         "variantSetNames of /A|payload of",
     ),
+    "payload alone": (usda(splat(), 'def "B" (payload = @x.usd@) {\n}'), "payload of /B"),
     "copies": (usda(splat(), 'def "B" (inherits = </Splat>) {\n}'), "inheritPaths of /B"),
     "clips": (usda('def "B" (clips = {dictionary a = {asset[] assetPaths = [@a.usd@]}}) {\n}'), "clips of /B"),
     "high_degree": (usda(splat(TWO.replace("Degree = 1", "Degree = 2000000000"))), "an SH degree of 0 to 4"),
@@ -138,6 +144,19 @@ def test_what_is_refused(name: str, tmp_path: Path) -> None:
     assert len(str(caught.value)) < len(str(tmp_path)) + 500
 
 
+def test_the_process_that_reads_has_little_memory() -> None:
+    program = (
+        "from mi_splat.io.formats import usd_child\n"
+        "usd_child._limit(1000, 10)\n"
+        "try:\n"
+        "    bytearray(usd_child._MEMORY + 1000 * usd_child._MEMORY_A_BYTE)\n"
+        "except MemoryError:\n"
+        "    print('refused')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "refused\n"
+
+
 def test_claims_of_binary_files_do_not_fill_the_memory(tmp_path: Path) -> None:
     """An array that claims 10^12 values, and one array that a hundred prims share."""
     from pxr import Sdf, Usd, Vt
@@ -157,3 +176,45 @@ def test_claims_of_binary_files_do_not_fill_the_memory(tmp_path: Path) -> None:
     layer.Export(str(tmp_path / "b.usdc"))
     with pytest.raises(SplatFileError, match="Gaussians, got 10000: this may be a decompression bomb"):
         load_splat(tmp_path / "b.usdc")
+
+
+def test_the_process_that_reads_has_limits(tmp_path: Path) -> None:
+    """Of memory, time and files, by the size of the file and the Gaussians that it may hold."""
+    code = """
+import json, resource
+from mi_splat.io.formats import usd_child
+usd_child._limit(1 << 20, 1000)
+names = ("RLIMIT_AS", "RLIMIT_CPU", "RLIMIT_FSIZE", "RLIMIT_CORE")
+print(json.dumps([resource.getrlimit(getattr(resource, name))[0] for name in names]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    memory, seconds, file, core = json.loads(done.stdout)
+    if sys.platform == "linux":
+        assert memory == (2 << 30) + 32 * (1 << 20)
+    assert (seconds, core) == (31, 0)
+    assert 4 * 86 * 1000 < file < 1 << 23
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends a process with the one that started it")
+def test_the_process_that_reads_ends_with_the_one_that_started_it(tmp_path: Path) -> None:
+    many = "".join(f'def Xform "a{number}" {{}}\n' for number in range(600_000))
+    (tmp_path / "a.usda").write_text(f"#usda 1.0\n{many}")
+    code = f"from mi_splat.io.splat_files import load_stored; load_stored({str(tmp_path / 'a.usda')!r})"
+    reader = subprocess.Popen([sys.executable, "-c", code])
+    children = Path(f"/proc/{reader.pid}/task/{reader.pid}/children")
+    until(lambda: bool(children.read_text().split()))
+    (child,) = map(int, children.read_text().split())
+    until(lambda: b"usd_child" in Path(f"/proc/{child}/cmdline").read_bytes())
+    time.sleep(0.5)  # until it has asked the system for that
+    reader.kill()
+    reader.wait()
+    until(
+        lambda: not Path(f"/proc/{child}").exists() or "\nState:\tZ" in Path(f"/proc/{child}/status").read_text(), 5.0
+    )
+
+
+def until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)

@@ -1,5 +1,8 @@
 """Plans and what runs them: order, failures, limits, two drivers, plans that go on with results."""
 
+import contextlib
+import errno
+import itertools
 import os
 import signal
 import subprocess
@@ -15,8 +18,9 @@ import drjit as dr
 import pytest
 
 from mi_splat.errors import InvalidValueError
+from mi_splat.io.errors import SplatFileError
 from mi_splat.ledger import Done, Event, Job, Store
-from mi_splat.ledger.engines import Child, InProcess, Limits, Processes, keep_to
+from mi_splat.ledger.engines import Child, InProcess, Limits, Processes, free_cache, keep_to
 from mi_splat.ledger.job import EngineError, OnEvent, Outcome, Task
 from mi_splat.ledger.plans import Driver, Entry, Plan, Result, forecast, grid, plan, planned, status
 from mi_splat.ledger.running import task_for
@@ -199,6 +203,17 @@ def test_a_child_that_cannot_start_is_told(tmp_path: Path, monkeypatch: pytest.M
     with pytest.raises(EngineError, match="expected one that starts, got ended with status 1"):
         run(tmp_path, {"any": walk(0)})
     assert not (tmp_path / "failed").exists()
+
+
+def test_a_full_disk_has_no_free_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def is_full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with contextlib.ExitStack() as held:
+        assert free_cache(tmp_path, itertools.count(3), held).name.endswith("-3")
+        monkeypatch.setattr(os, "pwrite", is_full)
+        with pytest.raises(SplatFileError, match="No space left on device"):
+            free_cache(tmp_path, itertools.count(5), held)
 
 
 def test_a_task_that_is_alone_has_all_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

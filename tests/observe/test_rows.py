@@ -119,6 +119,14 @@ def test_broken_files_are_refused(data: bytes, message: str, tmp_path: Path, mon
         read_rows(tmp_path / "u.csv")
 
 
+def test_a_packed_table_asks_for_little_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A header of xz may ask for a dictionary of gigabytes, whatever follows."""
+    monkeypatch.setattr(rows, "_MOST_MEMORY", 1 << 20)
+    (tmp_path / "t.csv.xz").write_bytes(lzma.compress(b"splat\nclean\n", preset=6))  # 8 MiB of dictionary
+    with pytest.raises(InvalidValueError, match="expected a table of rows"):
+        read_rows(tmp_path / "t.csv.xz")
+
+
 def test_a_wide_table_of_unknown_columns_takes_little_memory(tmp_path: Path) -> None:
     line = ",".join(["ab"] * 200) + "\n"
     head = ",".join(f"c{number}" for number in range(200))

@@ -36,6 +36,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "scene",
             "placement",
             "processes",
+            "neighbours",
             "process_group",
         )
     ),

@@ -238,3 +238,12 @@ def test_detections_in_words_and_boxes() -> None:
     left, _, right, bottom = (2 * float(value) for value in expected.boxes[0])
     assert image.getpixel((round((left + right) / 2), round(bottom))) != (0, 0, 0)
     assert image.getpixel((78, 78)) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("path", ["//host/share/a.ply", "\\\\host\\share\\a.ply", 7, None])
+def test_no_path_of_a_record_leads_into_the_network(path: object, tmp_path: Path) -> None:
+    for story, key in (("audit", "file"), ("evaluate", "attacked")):
+        record = {"story": story, key: path, "cameras": [], "objects": [{"evidence": 1, "centre": [0, 0, 0]}]}
+        (tmp_path / "result.json").write_text(json.dumps({**record, "gaussians": 1}))
+        with pytest.raises(MiSplatError, match="expected the path of a splat on this machine"):
+            open_content(tmp_path)

@@ -7,9 +7,10 @@ from torch import Tensor
 
 from mi_splat import oracle
 from mi_splat.cameras import RenderFn
+from mi_splat.neighbours import nearest_neighbours
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, merge
-from mi_splat.selection.clusters import clusters, components, find_plane, nearest_neighbours
+from mi_splat.selection.clusters import clusters, components, find_plane
 from mi_splat.selection.visibility import contributions
 from mi_splat.sh import colour_to_dc
 from tests.gaussians import varied_scene

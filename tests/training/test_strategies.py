@@ -1,11 +1,14 @@
 """What one call of each strategy does to the tensors."""
 
+import time
+
 import pytest
 import torch
 from torch import Tensor
 
 from mi_splat.training.strategies import ClassicConfig, Edit, MCMCConfig
 from mi_splat.training.strategies.classic import densify_and_prune
+from mi_splat.training.strategies.mcmc import _shared as shared
 from mi_splat.training.strategies.mcmc import relocate
 
 
@@ -78,3 +81,20 @@ def test_relocated_gaussians_look_like_the_one_they_came_from() -> None:
     untouched = [i for i in range(4) if i != parent]
     for name, tensor in after.items():
         assert torch.equal(tensor[untouched], before[name][untouched])
+
+
+def test_only_gaussians_in_one_place_are_worked_on() -> None:
+    before = values(100_000)
+    shares = torch.ones(100_000, dtype=torch.int64)
+    shares[[7, 9]] = torch.tensor([60, 3])
+    begun = time.process_time()
+    opacities, scales = shared(before["opacities"], before["scales"], shares)
+    assert time.process_time() - begun < 1  # on all rows: 3 s
+    some = torch.arange(5, 12)
+    alone = shared(before["opacities"][some], before["scales"][some], shares[some])
+    assert torch.equal(opacities[some], alone[0])
+    assert torch.equal(scales[some], alone[1])
+    kept = shares == 1
+    assert torch.equal(opacities[kept], before["opacities"][kept])
+    assert torch.equal(scales[kept], before["scales"][kept])
+    assert (scales[~kept] != before["scales"][~kept]).all()

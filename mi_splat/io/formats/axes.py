@@ -21,6 +21,8 @@ Signs = tuple[float, float, float]
 X, Z = (1.0, -1.0, -1.0), (-1.0, -1.0, 1.0)
 """Signs of the coordinates after half a turn about an axis."""
 
+Y_UP = (0.0, -1.0, 0.0)
+"""In the axes of the PLY, what is up in a format that defines y as up, after half a turn about x or z."""
 _PROBE = (0.36, 0.48, 0.8)
 
 

@@ -26,6 +26,7 @@ from mi_splat.io.loaded import (
     vanished,
 )
 from mi_splat.io.ply import REST_COUNTS, Element, Header, header_bytes, read_header, read_rows, rest_names
+from mi_splat.io.up_axis import commented_up
 from mi_splat.sh import colour_to_dc
 
 CHUNK = 256
@@ -67,7 +68,8 @@ def read_compressed_ply(file: io.FileIO, path: str) -> Loaded:
         colours[:, 3],
         sh,
     )
-    return dataclasses.replace(loaded, is_antialiased=header.is_antialiased)
+    up = commented_up(header.comments)
+    return dataclasses.replace(loaded, is_antialiased=header.is_antialiased, stated_up=up)
 
 
 def write_compressed_ply(arrays: Arrays, *, antialiased: bool = False) -> Encoded:

@@ -39,6 +39,7 @@ _KINDS = {
     "ROTATION": ("f4", "i1", "i2"),
     "OPACITY": ("f4", "u1", "u2"),
 }
+GENERATOR = "mi-splat"
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 _JSON_LIMIT = 1 << 22
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
@@ -76,7 +77,10 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
     loaded = axes.concatenated(parts)
     notices = (("splats only", f"{others} other primitives", "they were left out"),) if others else ()
     arrays = axes.flipped(loaded.arrays, axes.Z)
-    return dataclasses.replace(loaded, arrays=arrays, notices=notices, document=document)
+    # What this program wrote has the axes of its own scenes.
+    is_own = document.root.object("asset", {}).values.get("generator") == GENERATOR
+    up = None if is_own else axes.Y_UP
+    return dataclasses.replace(loaded, arrays=arrays, notices=notices, document=document, format_up=up)
 
 
 def _primitive(document: Glb, primitive: Fields, extension: Fields) -> Loaded:
@@ -279,7 +283,7 @@ def _glb_bytes(columns: Mapping[str, NDArray[np.generic]]) -> bytes:
         "extensions": {EXTENSION: _PROPERTIES},
     }
     document = {
-        "asset": {"version": "2.0", "generator": "mi-splat"},
+        "asset": {"version": "2.0", "generator": GENERATOR},
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],

@@ -9,15 +9,14 @@ archive's directory and from the pictures' headers, before anything is decompres
 import dataclasses
 import io
 import json
-import struct
 import zipfile
-import zlib
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from mi_splat.io.archives import ZIP_ERRORS, check_directory
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.loaded import (
     ROOT_HALF,
@@ -49,7 +48,6 @@ Files = Callable[[str, int], bytes]
 """Bytes of the member `name`, which may have at most so many."""
 
 _MOST_MEMBERS = 64
-_END, _END64 = struct.Struct("<4s4H2LH"), b"PK\x06\x07"
 _MOST_PIXELS = 1 << 26
 _SPREAD = 1 << 16
 _AGAIN = "write or download it again"
@@ -61,6 +59,7 @@ _Picture = Callable[..., NDArray[np.uint8]]
 
 def read_sog(file: io.FileIO, path: str) -> Loaded:
     """Read a bundled SOG."""
+    check_directory(file, path, most=_MOST_MEMBERS)
     data = read_whole(file)
     files, size = archive_files(data, path), len(data)
     meta = parse(files(_META, _META_LIMIT), path, limit=_META_LIMIT)
@@ -256,16 +255,11 @@ def _group_means(rows: Array, labels: NDArray[np.int64], groups: int) -> Array:
     return np.stack([np.bincount(labels, column, groups) / counts for column in rows.T], axis=1)
 
 
-_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, struct.error,
-               OverflowError, OSError)  # fmt: skip
-
-
 def archive_files(data: bytes, path: str) -> Files:
     """The members of a zip archive."""
-    _check_directory(data, path)
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
-    except _ZIP_ERRORS as error:
+    except ZIP_ERRORS as error:
         raise SplatFileError.of(path, "a zip archive", str(error)[:100], _AGAIN) from None
 
     def read(name: str, most: int) -> bytes:
@@ -278,7 +272,7 @@ def archive_files(data: bytes, path: str) -> Files:
         except KeyError:
             got = ", ".join(archive.namelist())[:100] or "an empty archive"
             raise SplatFileError.of(path, f"a member {name}", got, _AGAIN) from None
-        except _ZIP_ERRORS as error:
+        except ZIP_ERRORS as error:
             raise SplatFileError.of(f"{path}: {name}", "an intact member", str(error)[:100], _AGAIN) from None
 
     return read
@@ -288,17 +282,6 @@ def _bounded(plain: bytes, most: int, where: str) -> bytes:
     if len(plain) > most:
         raise SplatFileError.of(where, f"at most {most} bytes", "more", _AGAIN)
     return plain
-
-
-def _check_directory(data: bytes, path: str) -> None:
-    """Raise unless the end of the archive claims a small directory, which zipfile reads as a whole."""
-    offset = data.rfind(b"PK\x05\x06", max(0, len(data) - _END.size - 0xFFFF))
-    if offset < 0 or len(data) - offset < _END.size:
-        raise SplatFileError.of(path, "a zip archive with its directory", "none: it is truncated", _AGAIN)
-    fields = _END.unpack_from(data, offset)
-    if fields[4] > _MOST_MEMBERS or fields[5] > _MOST_MEMBERS * 1024 or data[max(0, offset - 20) :][:4] == _END64:
-        got = f"{fields[4]} in {fields[5]} bytes"
-        raise SplatFileError.of(path, f"a zip archive of at most {_MOST_MEMBERS} members", got, _AGAIN)
 
 
 def read_picture(data: bytes, where: str, *, least: int, width: int | None = None) -> NDArray[np.uint8]:

@@ -25,6 +25,7 @@ from mi_splat.io.loaded import FREE_GAUSSIANS, HIGHER_BANDS, Array, Arrays, Enco
 from mi_splat.io.parsing import Fields, parse
 from mi_splat.sh import degree_of
 
+_WRITER = "mi-splat"
 _ANSWER_LIMIT = 1 << 22
 _SHOWN = 4096  # bytes of what the process said last
 _Y_UP = {"Y": np.eye(4), "Z": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])}
@@ -53,6 +54,9 @@ def read_usd(file: io.FileIO, path: str) -> Loaded:
         values = np.fromfile(Path(folder, "values"), np.float32)
     parts, up, metres = answer.objects("parts"), answer.text("up"), answer.number("metres")
     others = answer.whole("others", 0, 1 << 31)
+    if not parts and answer.values.get("nurec"):
+        do = "export it as ParticleField3DGaussianSplat or PLY, with 3dgrut's exporter (3DGRUT, Isaac Sim 6.0 or newer)"
+        raise SplatFileError.of(path, f"a visible prim of type {usd_child.SPLAT}", "a NuRec volume", do)
     if not parts:
         got = f"none, but {others} other prims" if others else "none"
         raise SplatFileError.of(path, f"a visible prim of type {usd_child.SPLAT}", got, "export the splat again")
@@ -70,7 +74,10 @@ def read_usd(file: io.FileIO, path: str) -> Loaded:
         gaussians, values = _gaussians(part, values)
         loaded.append(axes.transformed(gaussians, frame @ matrix, path))
     whole = axes.concatenated(loaded)
-    return dataclasses.replace(whole, arrays=axes.flipped(whole.arrays, axes.Z), notices=tuple(notices))
+    arrays = axes.flipped(whole.arrays, axes.Z)
+    # What this program wrote has the axes of its own scenes.
+    up_axis = None if answer.values.get("comment") == _WRITER else axes.Y_UP
+    return dataclasses.replace(whole, arrays=arrays, notices=tuple(notices), format_up=up_axis)
 
 
 def _ask(path: str, link: Path, most: int) -> Fields:
@@ -78,8 +85,13 @@ def _ask(path: str, link: Path, most: int) -> Fields:
     command = [sys.executable, str(Path(usd_child.__file__).resolve()), str(link), str(link.parent), str(most)]
     said = Path(link.parent, "said")
     with said.open("wb") as output:  # and not a pipe: the limit of files holds for what it says, too
-        streams = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": output}
-        done = subprocess.run(command, **streams, env={**os.environ, **_ONE_THREAD})
+        done = subprocess.run(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            env={**os.environ, **_ONE_THREAD},
+        )
     try:
         with Path(link.parent, "answer.json").open("rb") as file:
             answer = file.read(_ANSWER_LIMIT + 1)
@@ -113,6 +125,7 @@ def write_usd(arrays: Arrays, ending: str) -> Encoded:
     turned = axes.flipped(arrays, axes.Z)
     means, scales, rotations, opacities, sh = (np.ascontiguousarray(value) for value in turned.values())
     layer = Sdf.Layer.CreateAnonymous(".usdc" if ending == ".usdz" else ending)
+    layer.comment = _WRITER
     stage = Usd.Stage.Open(layer)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)

@@ -19,7 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 SPLAT = "ParticleField3DGaussianSplat"
+NUREC = "omni:nurec:isNuRecVolume"
+"""An attribute of the volumes that NVIDIA's NuRec wrote before the schema of splats."""
 MOST_PARTS = 1000
+_LONGEST_COMMENT = 80
 ARCS = ("references", "payload", "inheritPaths", "specializes", "variantSetNames", "clips")
 """What a prim may say to be made of other prims or files."""
 
@@ -77,11 +80,13 @@ def read(path: str, out: BinaryIO, most: int) -> dict[str, Any]:
     cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
     parts: list[dict[str, Any]] = []
     others = total = 0
+    nurec = False
     for prim in _shapes(stage, Usd, UsdGeom):
         shown = UsdGeom.Imageable(prim)
         hidden = shown.ComputeVisibility() == "invisible" or shown.ComputePurpose() in ("guide", "proxy")
         if prim.GetTypeName() != SPLAT or hidden:
             others += 1
+            nurec = nurec or bool(prim.HasAttribute(NUREC))
             continue
         if len(parts) == MOST_PARTS:
             raise RefusedError(f"at most {MOST_PARTS} splats", "more", "merge them")
@@ -91,7 +96,9 @@ def read(path: str, out: BinaryIO, most: int) -> dict[str, Any]:
         parts.append({**part, "matrix": np.array(cache.GetLocalToWorldTransform(prim)).T.ravel().tolist()})
     has_unit = stage.HasAuthoredMetadata("metersPerUnit")
     metres = UsdGeom.GetStageMetersPerUnit(stage) if has_unit else 1.0
-    return {"up": str(UsdGeom.GetStageUpAxis(stage)), "metres": metres, "others": others, "parts": parts}
+    about = {"comment": str(layer.comment)[:_LONGEST_COMMENT], "nurec": nurec}
+    up = str(UsdGeom.GetStageUpAxis(stage))
+    return {"up": up, "metres": metres, "others": others, "parts": parts, **about}
 
 
 def _check_alone(layer: Any, sdf: Any) -> None:

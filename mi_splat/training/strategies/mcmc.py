@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from mi_splat.training.strategies.config import MCMCConfig
 
 
+_MOST_SHARES = 51
+"""Shares beyond which binomials of float64 lose the sum, as in the reference implementation."""
+
+
 class MCMCStrategy(Strategy):
     """Rounds of relocation and growth, noise after each step, and a loss that wants few and small Gaussians."""
 
@@ -64,22 +68,30 @@ def relocate(parameters: Parameters, *, config: MCMCConfig, generator: Generator
 
 def _shared(logits: Tensor, scales: Tensor, shares: Tensor) -> tuple[Tensor, Tensor]:
     """Opacity and log-scale of `shares` Gaussians in one place that look like one (Kheradmand et al. 2024, eq. 9)."""
-    opacity = logits.double().sigmoid().clamp(max=1 - 1e-7)
-    n = shares.clamp(max=51)
+    several = (shares > 1).nonzero()[:, 0]
+    n = shares[several].clamp(max=_MOST_SHARES)
+    opacity = logits[several].double().sigmoid().clamp(max=1 - 1e-7)
     split = 1 - (1 - opacity) ** (1 / n)
-    total = torch.zeros_like(opacity)
-    for i in range(1, int(n.max()) + 1):
+    factor = opacity / _series(split, n)
+    limited = split.clamp(min=0.005, max=1 - 1e-7)
+    shared_scales = scales[several].double() + factor.log()[:, None]
+    return (
+        logits.index_copy(0, several, limited.logit().to(logits.dtype)),
+        scales.index_copy(0, several, shared_scales.to(scales.dtype)),
+    )
+
+
+def _series(split: Tensor, n: Tensor) -> Tensor:
+    """The double sum of eq. 9, by which opacities are divided, of (M,) opacities of a share and (M,) their numbers."""
+    total = torch.zeros_like(split)
+    most = int(n.max()) if len(n) else 0
+    for i in range(1, most + 1):
+        reached = (n >= i).nonzero()[:, 0]
         k = torch.arange(1, i + 1, dtype=torch.float64, device=split.device)
         binomials = split.new_tensor([math.comb(i - 1, j) * (-1) ** j for j in range(i)])
-        terms = (binomials / k.sqrt()) * split[:, None] ** k
-        total += torch.where(n >= i, terms.sum(1), 0.0)
-    factor = torch.where(n > 1, opacity / total, 1.0)
-    several = n > 1
-    limited = split.clamp(min=0.005, max=1 - 1e-7)
-    return (
-        torch.where(several, limited.logit(), logits.double()).to(logits.dtype),
-        torch.where(several[:, None], scales.double() + factor.log()[:, None], scales.double()).to(scales.dtype),
-    )
+        terms = (binomials / k.sqrt()) * split[reached, None] ** k
+        total.index_add_(0, reached, terms.sum(1))
+    return total
 
 
 def explore(parameters: Parameters, *, lr_means: float, config: MCMCConfig, generator: Generator) -> Tensor:
