@@ -170,6 +170,7 @@ LINES = {
     "conform result --out {}": "a result",
     "conform --export {}": "a result",
     "poison set set2 --out {}": "a set",
+    "prepare set/images --out {}": "a prepared set",
     "compare a.ply --out {}": "a result",
     "detect a.ply --out {}": "a result",
     "evaluate a.ply b.ply --out {}": "a result",
@@ -196,7 +197,9 @@ def test_what_is_there_is_replaced_only_with_force(line: str, folder: Path, caps
     if kind == "a file":
         old.write_text("precious")
     else:
-        record = {"a result": "result.json", "pictures": "cameras.json", "a set": "poison.json"}[kind]
+        records = {"a result": "result.json", "pictures": "cameras.json"}
+        records |= {"a set": "poison.json", "a prepared set": "prepare.json"}
+        record = records[kind]
         with new_folder(old, record=record) as made:
             (made / record).write_text("precious")
     assert cli.main(words) == 1
