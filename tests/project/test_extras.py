@@ -64,7 +64,7 @@ def test_notice_names_extras_that_exist() -> None:
         ("report", ["report", "scenes"]),
         ("ocr", ["detect", "scenes/stop_sign.xml", "--detectors", "rapidocr"]),
         ("meshes", ["capture", "MESH"]),
-        ("photos", ["prepare", "PHOTOS"]),
+        ("photos", ["prepare", "docs/images"]),
         ("yolo", ["dagger", "scenes/car_street.xml", "--detectors", "yolov8n_small"]),
         ("view", ["view", "scenes/car_street.xml"]),
         ("yolo", ["cloak", "scenes/cloak_demo.toml", "--detectors", "yolov8n_small"]),
