@@ -91,11 +91,6 @@ class Dataset(ViewSet):
         more = ([masks] if any(masks) else []) + ([changed] if changed else [])
         return repr((images, self.downscale, self.background, *more))
 
-    @property
-    def has_masks(self) -> bool:
-        """Whether some images have a mask; images with alpha have none, as they blend with the background."""
-        return any(frame.mask is not None for frame in self.frames)
-
     def __len__(self) -> int:
         """Number of views."""
         return len(self.frames)

@@ -102,11 +102,6 @@ class Lens:
         """Whether straight lines stay straight."""
         return not (self.fisheye or any(self.distortion))
 
-    @property
-    def pinhole_part(self) -> Lens:
-        """The same lens without its distortion, at the same image size."""
-        return replace(self, distortion=(), fisheye=False)
-
     def resized(self, size: tuple[int, int]) -> Lens:
         """The lens of the same image with another number of pixels."""
         across, down = size[0] / self.size[0], size[1] / self.size[1]
