@@ -60,6 +60,7 @@ class ProcessGroup:
         self.folder = Path(tempfile.mkdtemp(prefix="mi-splat-"))
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the group
         self._looked = 0.0
+        self._closing = threading.Lock()
         self._is_closed = False
         folder = str(self.folder)
         self.pipe, end = Pipe()
@@ -147,11 +148,14 @@ class ProcessGroup:
 
     def close(self) -> None:
         """End the group, and remove what it leaves."""
-        self.kill()
-        self._is_closed = True
-        self._wait()
-        self.pipe.close()
-        self._output.close()
+        with self._closing:
+            if self._is_closed:
+                return
+            self.kill()
+            self._is_closed = True
+            self._wait()
+            self.pipe.close()
+            self._output.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
 

@@ -55,7 +55,7 @@ class Reader(Protocol):
         ...
 
     def close(self) -> None:
-        """End what is being read at once, also from another thread."""
+        """End what is being read at once, also from another thread; nothing is read any more."""
         ...
 
 
@@ -117,8 +117,9 @@ class ReaderProcess:
         """End the process at once, also while another thread waits for it."""
         with self._starting:
             self._is_closed = True
-            if self._group is not None:
-                self._group.kill()
+            group = self._group
+        if group is not None:
+            group.close()
 
     def _leave(self) -> None:
         if self._group is not None:

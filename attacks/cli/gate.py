@@ -16,7 +16,6 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -113,36 +112,35 @@ def _judge_all(
     """Judge files side by side, one for each reader."""
     from attacks.audits.judging import Judge
 
-    idle: queue.SimpleQueue[Judge] = queue.SimpleQueue()
+    waiting: queue.Queue[Request | None] = queue.Queue(_WAITING * len(readers))
+    threads = []
     for reader in readers:
-        idle.put(Judge(reader, policy, store))
-    room = threading.Semaphore(_WAITING * len(readers))
+        words = (waiting, Judge(reader, policy, store), policy, verdicts)
+        # A thread that is in the middle of something must not hold up an interruption.
+        threads.append(threading.Thread(target=_judge_from, args=words, daemon=True))
+    for thread in threads:
+        thread.start()
+    try:
+        for request in requests:
+            waiting.put(request)
+        for _ in threads:
+            waiting.put(None)
+        for thread in threads:
+            thread.join()
+    except BaseException:
+        verdicts.stop()
+        raise
 
-    def judge(request: Request) -> None:
-        free = idle.get()
+
+def _judge_from(waiting: queue.Queue[Request | None], judge: Judge, policy: Policy, verdicts: _Verdicts) -> None:
+    """Judge one waiting file after the other; nothing that happens to one ends this."""
+    while (request := waiting.get()) is not None:
         started = time.monotonic()
         try:
-            judged = free.judge(request)
-        finally:
-            idle.put(free)
-        verdicts.add(request["file"], judged, policy, time.monotonic() - started)
-
-    def ended(future: Future[None]) -> None:
-        room.release()
-        if not future.cancelled() and (error := future.exception()) is not None:
+            judged = judge.judge(request)
+            verdicts.add(request["file"], judged, policy, time.monotonic() - started)
+        except BaseException as error:  # noqa: BLE001  # it counts as a file that is not judged
             verdicts.lose(error)
-
-    with ThreadPoolExecutor(len(readers)) as pool:
-        try:
-            for request in requests:
-                room.acquire()
-                pool.submit(judge, request).add_done_callback(ended)
-        except BaseException:
-            verdicts.stop()
-            pool.shutdown(wait=False, cancel_futures=True)
-            for reader in readers:
-                reader.close()  # else the pool waits for what is being judged
-            raise
 
 
 @contextlib.contextmanager
@@ -169,7 +167,6 @@ def _readers(workers: int, policy: Policy, store: Store) -> Iterator[list[Reader
         finally:
             for reader in readers:
                 reader.close()
-                reader.end(for_good=True)
 
 
 class _Verdicts:
@@ -201,6 +198,8 @@ class _Verdicts:
     def lose(self, error: BaseException) -> None:
         """A file has no verdict because of a fault of this program."""
         with self._lock:
+            if self._is_stopped:
+                return
             self._found.add("not judged")
             warn(f"no verdict on a file: {one_line(str(error))}; report this")
 

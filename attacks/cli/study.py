@@ -160,7 +160,8 @@ def _last_line(text: str) -> str:
 
 def engine_of(options: JobOptions, on_event: Callable[[Event], None]) -> Engine:
     """What runs the jobs of a command."""
-    from mi_splat.ledger.engines import InProcess, Limits, Processes
+    from mi_splat.ledger.engines import InProcess, Processes
+    from mi_splat.process_group import Limits
 
     if (workers := chosen_workers(options.workers)) == 0:
         return InProcess(options.store, on_event=on_event)

@@ -31,7 +31,6 @@ def reader() -> Iterator[ReaderProcess]:
     made = ReaderProcess(Limits(seconds=60.0, megabytes=4000.0), environment={"OMP_NUM_THREADS": "1"})
     yield made
     made.close()
-    made.end(for_good=True)
 
 
 @pytest.fixture

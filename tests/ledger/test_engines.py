@@ -20,10 +20,11 @@ import pytest
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.errors import SplatFileError
 from mi_splat.ledger import Done, Event, Job, Store
-from mi_splat.ledger.engines import Child, InProcess, Limits, Processes, free_cache, keep_to
+from mi_splat.ledger.engines import Child, InProcess, Processes, free_cache, keep_to
 from mi_splat.ledger.job import EngineError, OnEvent, Outcome, Task
 from mi_splat.ledger.plans import Driver, Entry, Plan, Result, forecast, grid, plan, planned, status
 from mi_splat.ledger.running import task_for
+from mi_splat.process_group import Limits
 from tests.ledger.drive import Ledger, two_levels, walk
 from tests.project.layers import ROOT
 
