@@ -137,12 +137,14 @@ def _crossing(gap: Gap, line: Line, most: float) -> Line:
     before: tuple[float, float] | None = None
     for _ in range(_TRIALS):
         here = gap(scale)
-        if here is None or abs(here) <= _NEAR or (scale >= most and here < 0):
+        if here is None or (scale >= most and here < 0):
             break
         place = math.log(scale)
         if before is not None and place != before[0]:
             slope = min(max((here - before[1]) / (place - before[0]), _FLATTEST), _STEEPEST)
             is_measured = True
+        if abs(here) <= _NEAR:
+            break
         low, high = (place, high) if here < 0 else (low, place)
         before = (place, here)
         step = min(max(-here / slope, -_LARGEST_STEP), _LARGEST_STEP)
