@@ -32,6 +32,8 @@ _WAVES, _SMOOTH_SH = 8, 4
 """Plane waves of a smooth field; SH coefficients that it changes (up to degree 1)."""
 _FURTHEST = 10.0
 """Most that noise changes logits, log-scales, quaternions and, in world units, means by."""
+_FURTHEST_SH = 1e6
+"""The same of SH coefficients: more takes no colour further than white, and a scene holds no more than 1e9."""
 
 Error = tuple[float, int]
 """Sum of the squared differences over an object's pixels in a view, and their number."""
@@ -122,8 +124,9 @@ def _matched(
 
         return gap
 
-    moves = [float((value - reference[name]).abs().max()) for name, value in noisy.items() if name != "sh"]
-    most = min((_FURTHEST / move for move in moves if move), default=math.inf)
+    moves = {name: float((value - reference[name]).abs().max()) for name, value in noisy.items()}
+    furthest = {name: _FURTHEST_SH if name == "sh" else _FURTHEST for name in moves}
+    most = min((furthest[name] / move for name, move in moves.items() if move), default=math.inf)
     line = Line()
     if len(views) > 2 * _FEW:
         line = _crossing(gap_on(slice(None, None, len(views) // _FEW)), line, most)
