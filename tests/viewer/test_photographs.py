@@ -95,7 +95,7 @@ def test_the_command_makes_the_picture_of_a_rolled_camera(
     for orbit in (content.cameras[name], content.cameras[name].changed(azimuth=50.0)):
         command = shlex.split(work.commands(orbit)["splat"])
         assert ("--camera-roll" in command) == (orbit.exact is None)
-        assert cli.main([*command[1:], "--out", "again.png"]) == 0
+        assert cli.main([*command[1:], "--out", "again.png", "--force"]) == 0
         with Image.open("again.png") as picture:
             assert np.array_equal(np.asarray(picture), to_bytes(work.picture("splat", orbit)))
 
