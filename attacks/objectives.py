@@ -337,7 +337,7 @@ class Untargeted(Suppression):
         return self._judge(detections, target, [target.original])
 
 
-STRICT_SEARCH = {"near": 0.8, "spread": 1.0}
+STRICT_NEAR, STRICT_SPREAD = 0.8, 1.0
 """How a strict search weighs candidates; chosen on single views of the sign on `fasterrcnn_small`."""
 
 
@@ -356,7 +356,7 @@ def relabel(to: str, *, confidence: float | None = None, iou: float = 0.5, stric
     if not strict:
         return Relabel(label=to, confidence=REPORTED if confidence is None else confidence, iou=iou)
     needed = LEFT if confidence is None else confidence
-    return Relabel(label=to, confidence=needed, iou=iou, strict=True, **STRICT_SEARCH)
+    return Relabel(label=to, confidence=needed, iou=iou, strict=True, near=STRICT_NEAR, spread=STRICT_SPREAD)
 
 
 def hide(*, confidence: float = GONE) -> Hide:

@@ -24,7 +24,7 @@ sys.path.insert(0, str(ROOT))
 
 COUNTS = (1_000, 10_000, 100_000, 1_000_000)
 STEEP = 1.6
-"""Exponent from which growth counts as that of all points with all; sorting and trees stay below 1.3."""
+"""Exponent from which growth counts as that of all points with all; sorting and trees stay below 1.4."""
 TIMEOUT = 900
 _OWN = "--one"
 

@@ -257,6 +257,27 @@ def angle_of(focal: float, pixels: int) -> float:
     return 2 * math.atan(pixels / 2 / focal)
 
 
+NARROWEST, WIDEST = 1.0, 170.0
+"""Degrees: a camera with another field of view is hardly meant."""
+
+
+def odd_fields_of_view(cameras: Sequence[Camera]) -> str | None:
+    """What to warn of where cameras have a focal length that is hardly meant; None if none has."""
+    angles = []
+    for camera in cameras:
+        across = math.degrees(angle_of(camera.fx, camera.width))
+        down = math.degrees(angle_of(camera.fy, camera.height))
+        if min(across, down) < NARROWEST or max(across, down) > WIDEST:
+            angles.append((across, camera))
+    if not angles:
+        return None
+    angle, camera = angles[0]
+    return (
+        f"{len(angles)} of {len(cameras)} cameras have a field of view of {angle:.2g} degrees "
+        f"(a focal length of {camera.fx:,.5g} pixels for {camera.width} pixels); check the unit of the focal length"
+    )
+
+
 def project_points(points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
     """Project world points with a camera."""
     pose = camera.to_camera.to(points)

@@ -74,10 +74,10 @@ def one_line(text: str, most: int = 400) -> str:
     return line if len(line) <= most else f"{line[: most - 3]}..."
 
 
-def listed(names: Iterable[str], most: int = 6) -> str:
-    """The first of some names in one line, each of at most 40 signs, and how many are left."""
+def listed(names: Iterable[str], most: int = 6, *, width: int = 40) -> str:
+    """The first of some names in one line, each of at most so many signs, and how many are left."""
     every = list(names)
-    told = [one_line(name, 40) for name in every[:most]]
+    told = [one_line(name, width) for name in every[:most]]
     return ", ".join([*told, f"{len(every) - most} more"] if len(every) > most else told) or "none"
 
 

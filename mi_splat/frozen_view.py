@@ -10,6 +10,7 @@ import copy
 import math
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import torch
 from torch import Tensor
@@ -122,6 +123,11 @@ class FrozenView:
         pairs, nbytes = freeze_pairs(picture, free, towards, max_bytes=max_bytes, held=held)
         constant, alpha = picture.colour.torch().reshape(self._shape), picture.opacity.torch().reshape(self._shape[:2])
         return pairs, constant, alpha.clone(), nbytes
+
+
+def give_memory_back() -> None:
+    """Return what Dr.Jit holds of views that are gone to the system."""
+    dr.flush_malloc_cache()
 
 
 class _Step(torch.autograd.Function):

@@ -89,11 +89,11 @@ class RecentViews:
         """Drop all views, and give their memory back; they are made again where they are asked for."""
         if self._first is None:
             return
-        import drjit as dr
+        from mi_splat.frozen_view import give_memory_back
 
         self._first = None
         self._kept.clear()
-        dr.flush_malloc_cache()
+        give_memory_back()
 
     def _make_room(self, wanted: int) -> None:
         """Drop views until there is room for another: of those used least, the one that was used longest ago."""

@@ -39,6 +39,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "select": "select one object of a splat, and check the selection",
     },
     "make a splat": {
+        "prepare": "find the cameras of photographs or of a video, for a set to train on",
         "capture": "render training images of a mesh scene",
         "train": "train a splat on images with cameras",
     },
@@ -68,7 +69,7 @@ GROUPS: dict[str, dict[str, str]] = {
 }
 """What each command does, by task; a name with a flag is a mode of a command, with options of its own."""
 COMMANDS = {name: summary for group in GROUPS.values() for name, summary in group.items()}
-OF_SPLATS = ("capture", "train", "render", "select", "info", "audit", "conform", "convert")
+OF_SPLATS = ("prepare", "capture", "train", "render", "select", "info", "audit", "conform", "convert")
 """Commands whose modules are in `mi_splat.cli`; those of the others are here."""
 WITHOUT_TORCH = ("detectors", "doctor", "gate", "info", "rows", "study")
 """Commands that do without torch, or with most of what they are asked."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from attacks.cli.options import Confidence, DetectorOptions
 from mi_splat import provenance
-from mi_splat.cli.console import UsageError, progress, show_result
+from mi_splat.cli.console import UsageError, progress, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions
 from mi_splat.fields import OutFolder
@@ -25,18 +25,26 @@ if TYPE_CHECKING:
     """Where from, by which detector; the picture, (H, W, 3) sRGB in [0, 1], and what is reported on it."""
 
 
-EXAMPLES = ("detect photo.png YOUR.ply --cameras orbit:8@20 --out out/detect",)
+EXAMPLES = (
+    "detect photo.png YOUR.ply --cameras orbit:8@20 --out out/detect",
+    "detect YOUR_PHOTOS --min-confidence 0.5 --out out/photos",
+)
+_SPLATS = (".ply", ".spz", ".sog", ".splat", ".glb", ".usd", ".usda", ".usdc", ".usdz")
+"""Endings of splats: a folder with one of them is opened as a splat, whatever images lie beside it."""
+MOST_IMAGES = 1000
+"""Images of one folder; each is decoded, and its boxes are drawn into a file of its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DetectOptions(DetectorOptions, ResultOptions):
-    """Let detectors look at pictures, or at splats and scenes from cameras; draw the boxes and list them.
+    """Run detectors on images, or on splats and scenes from cameras; draw the boxes and list them.
 
-    Writes a picture with boxes for each picture and detector, and result.json, into --out.
+    Photographs are turned upright by their EXIF orientation. Writes an image with boxes for each image and detector,
+    and result.json, into --out.
     """
 
     inputs: Positional[tuple[Path, ...]] = ()
-    """Pictures, splat files and scene XMLs; at least one."""
+    """Images, folders of images, splat files and scene XMLs; at least one."""
     view: CameraOptions = field(default_factory=CameraOptions)
     """Where splats and scenes are looked at from."""
     min_confidence: Confidence = 0.3
@@ -57,7 +65,7 @@ def run(options: DetectOptions) -> None:
     with progress("loading") as advance, new_folder(options.out, force=options.force) as folder:
         # Not before the first file is read and its cameras are found: a wrong name is told at once.
         detectors = functools.cache(lambda: load_detectors(options.detectors, options.weights))
-        for source in options.inputs:
+        for source in _sources(options.inputs):
             advance(f"looking at {source}")
             for camera, detector, image, detections in _reports(source, detectors, options.view):
                 where = "" if camera is None else f"-{camera['name']}"
@@ -97,7 +105,8 @@ def _reports(source: Path, detectors: Callable[[], list[Detector]], view: Camera
     from mi_splat.scene_files import open_scene
 
     if _is_picture(source):
-        image, _ = read_picture(source, downscale=1, background=view.background or (0.0, 0.0, 0.0))
+        background = view.background or (0.0, 0.0, 0.0)
+        image, _ = read_picture(source, downscale=1, background=background, upright=True)
         for detector in detectors():
             with torch.no_grad():
                 (detections,) = detector.detect(image[None])
@@ -111,12 +120,50 @@ def _reports(source: Path, detectors: Callable[[], list[Detector]], view: Camera
         yield records[seen.view], seen.detector, seen.image, seen.detections
 
 
+def _sources(inputs: Sequence[Path]) -> Iterator[Path]:
+    """The inputs, with the images of a folder in its place; those that cannot be read are named and left out."""
+    from mi_splat.datasets import DatasetError
+    from mi_splat.datasets.frames import picture_size
+    from mi_splat.io.picture_files import PictureFileError
+
+    for source in inputs:
+        images = _images_in(source)
+        if not images:
+            yield source
+            continue
+        for image in images:
+            try:
+                picture_size(image)
+            except (PictureFileError, DatasetError) as error:
+                warn(f"{error}; going on without it")
+                continue
+            yield image
+
+
+def _images_in(folder: Path) -> list[Path]:
+    """The images of a folder in the order of their names; none of a file, or of a folder that holds a splat.
+
+    Raises:
+        UsageError: There are more than `MOST_IMAGES`.
+    """
+    if not folder.is_dir():
+        return []
+    files = sorted(path for path in folder.iterdir() if path.is_file())
+    if any(path.suffix.lower() in _SPLATS for path in files):
+        return []
+    images = [path for path in files if _is_picture(path)]
+    if len(images) > MOST_IMAGES:
+        do = "name fewer, for instance with a pattern of the shell"
+        raise UsageError.of(str(folder), f"at most {MOST_IMAGES:,} images", f"{len(images):,}", do)
+    return images
+
+
 def _check_inputs(options: DetectOptions) -> None:
     """Raise if there are none, or a flag says where a scene is looked at from, and there is none among them."""
     if not options.inputs:
         raise UsageError.of("inputs", "pictures, splats or scenes", "none", "name one or more")
     idle = [f"--{name}" for name in _given(options.view) if name != "background"]
-    if idle and all(map(_is_picture, options.inputs)):
+    if idle and all(_is_picture(source) or _images_in(source) for source in options.inputs):
         got = f"pictures only, and {', '.join(idle)}"
         raise UsageError.of("inputs", "a splat or a scene to look at from cameras", got, "leave the flag out")
 

@@ -223,6 +223,7 @@ CHECKS = (
 EXTRAS = {
     "meshes": ("trimesh",),
     "ocr": ("rapidocr_onnxruntime",),
+    "photos": ("pycolmap",),
     "report": ("jinja2", "matplotlib"),
     "tflite": ("tflite",),
     "usd": ("pxr",),

@@ -187,7 +187,7 @@ def run(options: PoisonOptions) -> None:
         }
         advance("writing")
         with new_folder(options.out, force=options.force, record=RECORD) as folder:
-            write_poisoned(folder, views, done, held_out=held_out, keeps_alpha=True)
+            write_poisoned(folder, views, done, held_out=held_out, changes_count=kind.replaces, keeps_alpha=True)
             save_png((before_and_after if kind.replaces else difference_sheet)(done), folder / BEFORE_AND_AFTER)
             save_json(record, folder / RECORD)
     for text in warnings:

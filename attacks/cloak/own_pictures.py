@@ -123,7 +123,7 @@ def appearance_of(look: str, reach: int) -> Appearance:
         return Inpaint(reach=reach)
     if not Path(look).is_file():
         raise InvalidValueError(message("--look", "remove, or a picture", look, "name a picture that is there"))
-    pixels = np.asarray(load_picture(Path(look)).convert("RGB"), np.float32) / 255
+    pixels = np.asarray(load_picture(Path(look), upright=True).convert("RGB"), np.float32) / 255
     return Overlay(picture=torch.from_numpy(pixels), reach=reach, name=f"the picture {Path(look).name}")
 
 

@@ -22,6 +22,8 @@ from mi_splat.scene import GaussianScene
 TOLERANCE = 0.1
 """Difference in the object's PSNR at which noise is as large as an attack, dB."""
 _NEAR = TOLERANCE * math.log(10) / 10
+_KNOWN = 5 * _NEAR
+"""Gap over which a slope that was measured leads to within `TOLERANCE`: it is known to a fifth."""
 _TRIALS, _FEW = 16, 6
 """Scales that are tried; views on which a scale is estimated, where there are many more."""
 _FLATTEST, _STEEPEST, _LARGEST_STEP = 0.2, 4.0, math.log(10)
@@ -30,6 +32,8 @@ _WAVES, _SMOOTH_SH = 8, 4
 """Plane waves of a smooth field; SH coefficients that it changes (up to degree 1)."""
 _FURTHEST = 10.0
 """Most that noise changes logits, log-scales, quaternions and, in world units, means by."""
+_FURTHEST_SH = 1e6
+"""The same of SH coefficients: more takes no colour further than white, and a scene holds no more than 1e9."""
 
 Error = tuple[float, int]
 """Sum of the squared differences over an object's pixels in a view, and their number."""
@@ -95,6 +99,7 @@ class Line:
 
     scale: float = 1.0
     slope: float = 2.0
+    is_measured: bool = False  # whether the slope is that of two looks
 
 
 def _matched(
@@ -103,7 +108,8 @@ def _matched(
     """The noise, scaled until it changes the object's pixels by the error that is wanted.
 
     A small change's error grows with the square of its scale, so the first estimate is linear in the logarithms. It is
-    made better on a few of the views, and then on all, of which two looks are usual.
+    made better on a few of the views, and then on all, of which one look is usual: near the aim the slope is known well
+    enough to go the rest of the way without another one.
     """
 
     def scaled(scale: float) -> Parameters:
@@ -118,8 +124,9 @@ def _matched(
 
         return gap
 
-    moves = [float((value - reference[name]).abs().max()) for name, value in noisy.items() if name != "sh"]
-    most = min((_FURTHEST / move for move in moves if move), default=math.inf)
+    moves = {name: float((value - reference[name]).abs().max()) for name, value in noisy.items()}
+    furthest = {name: _FURTHEST_SH if name == "sh" else _FURTHEST for name in moves}
+    most = min((furthest[name] / move for name, move in moves.items() if move), default=math.inf)
     line = Line()
     if len(views) > 2 * _FEW:
         line = _crossing(gap_on(slice(None, None, len(views) // _FEW)), line, most)
@@ -128,16 +135,19 @@ def _matched(
 
 def _crossing(gap: Gap, line: Line, most: float) -> Line:
     """The scale, at most so large, at which the gap vanishes, by secants; the last one that was looked at."""
-    scale, slope = min(line.scale, most), line.slope
+    scale, slope, is_measured = min(line.scale, most), line.slope, line.is_measured
     low, high = -math.inf, math.inf  # logarithms of scales that are too small, too large
     before: tuple[float, float] | None = None
     for _ in range(_TRIALS):
         here = gap(scale)
-        if here is None or abs(here) <= _NEAR or (scale >= most and here < 0):
+        if here is None or (scale >= most and here < 0):
             break
         place = math.log(scale)
         if before is not None and place != before[0]:
             slope = min(max((here - before[1]) / (place - before[0]), _FLATTEST), _STEEPEST)
+            is_measured = True
+        if abs(here) <= _NEAR:
+            break
         low, high = (place, high) if here < 0 else (low, place)
         before = (place, here)
         step = min(max(-here / slope, -_LARGEST_STEP), _LARGEST_STEP)
@@ -145,7 +155,9 @@ def _crossing(gap: Gap, line: Line, most: float) -> Line:
         if not low < following < high:
             following = (low + high) / 2
         scale = min(math.exp(following), most)
-    return Line(scale=scale, slope=slope)
+        if is_measured and abs(here) <= _KNOWN:
+            break
+    return Line(scale=scale, slope=slope, is_measured=is_measured)
 
 
 def _object_errors(problem: Problem, parameters: Parameters, views: Sequence[View]) -> list[Error]:

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from mi_splat.cameras import Camera, View, ViewSet, cameras_of
 from mi_splat.errors import InvalidValueError, one_line
+from mi_splat.training.evaluation import loss_mask_of
 
 OnStep = Callable[[int, int], None]
 """Called after each picture, or each step, with the number finished and the number wanted."""
@@ -67,6 +68,10 @@ class PoisonedViews(ViewSet):
     def cameras(self) -> tuple[Camera, ...]:
         """The camera of each view; poisoning leaves them as they are."""
         return cameras_of(self.untouched)
+
+    def loss_mask(self, index: int) -> Tensor | None:
+        """(H, W) in [0, 1], 1 where the image of a view counts; as in the set."""
+        return loss_mask_of(self.untouched, index)
 
     def __len__(self) -> int:
         """Number of views."""

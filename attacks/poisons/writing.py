@@ -1,4 +1,4 @@
-"""A poisoned set as files: pictures that stayed keep their bytes, changed ones their alpha."""
+"""A poisoned set as files: pictures that stayed keep their bytes, changed ones their alpha and their masks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torch.nn.functional import pad
 from attacks.poisons.base import Change, Poisoned, PoisonedViews
 from mi_splat.cameras import View
 from mi_splat.datasets import Dataset
-from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
+from mi_splat.datasets.writing import IMAGES, MASKS, list_transforms, make_folder, picture_name
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import quantise, to_bytes
 
@@ -32,11 +32,13 @@ def write_poisoned(
     done: Poisoned,
     *,
     held_out: Dataset | None = None,
+    changes_count: bool = False,
     keeps_alpha: bool = False,
 ) -> None:
-    """Write a poisoned set: transforms files, PNG pictures, points.
+    """Write a poisoned set: transforms files, PNG pictures, masks, points.
 
-    A picture that stayed keeps its bytes if it is a PNG file that is read as it is, and its pixels otherwise.
+    A picture that stayed keeps its bytes if it is a PNG file that is read as it is, and its pixels otherwise. With
+    `changes_count`, pixels that changed count for a victim even where the clean set masks them.
     """
     images = make_folder(folder / IMAGES)
     parts: dict[str, tuple[Dataset, Mapping[int, View]]] = {"train": (clean, done.views.replaced)}
@@ -46,12 +48,15 @@ def write_poisoned(
     for split, (views, replaced) in parts.items():
         listing[split] = [(picture_name(split, index), camera) for index, camera in enumerate(views.cameras)]
         for index, (name, _) in enumerate(listing[split]):
-            if index not in replaced and views.downscale == 1 and views.paths[index].suffix == ".png":
+            if index not in replaced and _is_its_file(views, index):
                 shutil.copyfile(views.paths[index], images / name)
             else:
                 new = replaced.get(index)
                 opaque = None if new is None or keeps_alpha else to_bytes(new.image)
                 save_png(_pixels(views, index, new) if opaque is None else opaque, images / name)
+            mask = _counting(views, index, replaced.get(index) if changes_count else None)
+            if mask is not None:
+                save_png(to_bytes(mask), make_folder(folder / MASKS) / name)
     list_transforms(folder, listing, clean.points)
 
 
@@ -102,6 +107,21 @@ def _part(changed: Tensor) -> slice:
     middle = (indices[0] + indices[-1]) // 2 if indices else count // 2
     start = max(0, min(middle - _LARGEST // 2, count - _LARGEST))
     return slice(start, start + _LARGEST)
+
+
+def _is_its_file(views: Dataset, index: int) -> bool:
+    """Whether a picture is what a PNG file holds, neither made smaller, turned nor undistorted."""
+    frame = views.frames[index]
+    return frame.is_stored and views.downscale == 1 and frame.path.suffix == ".png"
+
+
+def _counting(views: Dataset, index: int, changed: View | None) -> Tensor | None:
+    """(H, W) what of a picture counts for who trains on it: what counted before, and all that was changed."""
+    mask = views.loss_mask(index)
+    if mask is None or changed is None:
+        return mask
+    differs = quantise(changed.image) != quantise(views[index].image)  # as files have them
+    return torch.where(differs.any(-1), 1.0, mask)
 
 
 def _pixels(views: Dataset, index: int, new: View | None) -> NDArray[np.uint8]:

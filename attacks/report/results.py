@@ -36,13 +36,16 @@ class ResultKind:
         return resolve_name(f"attacks.{self.counter}") if self.counter else None
 
 
-_PROVENANCE = ("torch/*", "seconds", "cpu_seconds", "seeds/*", "versions/*")
-"""Numbers that every record may hold: how it was made, and how long that took."""
+_PROVENANCE = (
+    *("torch/*", "seconds", "cpu_seconds", "seed", "seeds/*", "versions/*", "config/*", "selection/*"),
+    *("cameras/*", "reference/*", "redraws/*", "background/*", "near", "up/*", "min_confidence", "object_gaussians"),
+)
+"""Numbers that every record may hold: how it was made, from where, of how many Gaussians, and how long that took."""
 _OF_DAGGER = (
     *_PROVENANCE,
-    *("seed", "config/*", "eps", "radius/*", "used/*", "used_in_file/*"),
+    *("eps", "radius/*", "used/*", "used_in_file/*"),
     *("steps", "evaluations", "loss", "trace/*", "zero_gradient_fraction/*", "clamped_fraction"),
-    *("changed_gaussians", "object_gaussians", "*psnr*", "image/*", "views/*"),
+    *("changed_gaussians", "*psnr*", "image/*", "views/*"),
 )
 _OF_ATTACKS = ("attacks/*", "of_all_attacks/*")
 _OF_BENCH = ("cpu_seconds/*", "detector/classes", "attacks/*/settings/*", "attacks/*/labels/*")

@@ -145,8 +145,6 @@ _COLUMNS: dict[str, Column[Any]] = {
     "seeds": "seeds",
     "Gaussians": _number("count", 0),
     "times the clean splat's": _number("times", 2),
-    "CPU time": _number("cpu_seconds", 2),
-    "wall time": _number("seconds", 2),
     "memory": _number("peak_megabytes", 2),
     "time of a picture": _number("milliseconds", 2),
     "PSNR, held out, dB": _number("psnr", 2),

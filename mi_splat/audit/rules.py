@@ -52,6 +52,7 @@ class Stored:
     arrays: Arrays  # N Gaussians, unchecked; quaternions are normalised
     valid: Mask  # (N,) those that a scene can hold
     shown: Mask  # (N,) those of them with an opacity from `VISIBLE`
+    infinite: Mask  # (N,) those valid ones whose file holds an infinite logarithm or logit
 
     @classmethod
     def of(cls, loaded: Loaded) -> Stored:
@@ -59,7 +60,10 @@ class Stored:
         valid = np.ones(len(loaded.arrays["means"]), np.bool_)
         valid[loaded.invalid] = False
         with np.errstate(invalid="ignore"):
-            return cls(loaded.arrays, valid, valid & (loaded.arrays["opacities"] >= VISIBLE))
+            shown = valid & (loaded.arrays["opacities"] >= VISIBLE)
+        infinite = np.zeros(len(valid), np.bool_)
+        infinite[list(loaded.infinite)] = True
+        return cls(loaded.arrays, valid, shown, infinite)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,8 +114,12 @@ def _not_finite(stored: Stored, largest: float) -> Mask:
     rows = _any(np.isnan(arrays["scales"]))
     for name in ("means", "opacities", "sh"):
         rows |= _any(~np.isfinite(arrays[name]))
-    # What a reader refuses for another reason is not finite in the file only: an infinite logit has a sigmoid.
+    # What a reader refuses for another reason is not finite in the file only.
     return rows | (~stored.valid & ~_out_of_range(stored, largest) & ~_quaternion(stored, 0))
+
+
+def _infinite(stored: Stored, _: float) -> Mask:
+    return stored.infinite
 
 
 def _giant(stored: Stored, factor: float) -> Mask:
@@ -217,6 +225,13 @@ RULES = (
         threshold=0,
         reason="The quaternion is zero or not finite, so the Gaussian has no orientation.",
         find=_quaternion,
+    ),
+    Rule(
+        name="infinite",
+        severity="note",
+        threshold=0,
+        reason="An opacity logit is infinite, or a log-scale is minus infinity, which not every program reads.",
+        find=_infinite,
     ),
     Rule(
         name="giant",

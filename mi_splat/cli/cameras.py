@@ -13,15 +13,16 @@ from mi_splat.audit.surfaces import AROUND, place_inside
 from mi_splat.bounds import bounds, culled_in_view, near_plane, nothing_in_view
 from mi_splat.camera_forms import FORMS
 from mi_splat.camera_sets import camera_set, framing, with_up
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras import Camera, odd_fields_of_view, orbit_pose
 from mi_splat.cli.console import note, warn
 from mi_splat.cli.options import CameraOptions, axis_name, up_line
-from mi_splat.datasets import load_dataset
-from mi_splat.datasets.colmap import find_model, read_model_cameras
+from mi_splat.datasets import DatasetError, load_dataset
+from mi_splat.datasets.colmap import find_model
 from mi_splat.datasets.frames import Split
+from mi_splat.datasets.poses import numbered, poses_of
 from mi_splat.datasets.transforms import find_transforms
 from mi_splat.directions import UP
-from mi_splat.errors import InvalidValueError, nearest
+from mi_splat.errors import InvalidValueError, MiSplatError, nearest
 from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
 from mi_splat.io.up_axis import Direction, UpAxis, Z, cameras_up
 from mi_splat.rendering import Renderer, RenderSettings
@@ -44,6 +45,13 @@ _TRIED = ((30.0, 20.0), (120.0, 20.0), (210.0, 20.0), (300.0, 20.0), (30.0, 60.0
 _GOOD = 0.6
 """Share of the best one's part of the picture from which on a camera shows the object well."""
 
+_COMPARED, _FEWEST_COMPARED = 5, 3
+"""Images of a set that are compared with renderings."""
+_LONGEST_SIDE, _THUMBNAIL = 128, 16
+"""Pixels of these renderings, and of what is compared of them."""
+_ALIKE, _GAINED = 0.9, 0.25
+"""A correlation from which on an image is like its rendering; share of what lacks to 1 that else has to be gained."""
+
 Shows = Callable[[Camera], float]
 """How much of its picture an object makes up, seen from a camera."""
 
@@ -56,10 +64,17 @@ def find_cameras(
     shows: Shows | None = None,
     split: Split | None = None,
 ) -> dict[str, Camera]:
-    """The cameras by name, in the order in which they are asked for."""
+    """The cameras by name, in the order in which they are asked for; warns of odd fields of view and other worlds."""
     if options.up is not None or not _are_placed(loaded, options):
         options = upright(loaded, options)
-    return _cameras(loaded, options, focus, shows, split)
+    cameras = _cameras(loaded, options, focus, shows, split)
+    if (odd := odd_fields_of_view(list(cameras.values()))) is not None:
+        warn(odd)
+    for text in options.cameras:
+        folder = Path(text)
+        if folder.is_dir() and (strange := another_world(loaded, options, folder)) is not None:
+            warn(strange)
+    return cameras
 
 
 def _are_placed(loaded: SplatScene, options: CameraOptions) -> bool:
@@ -210,37 +225,80 @@ def _named(
     elif path.suffix.lower() == ".xml":
         named = list(open_scene(path).cameras.items())
     elif path.is_dir():
-        named = _beside_pictures(path, split)
+        named = _beside_pictures(path, options, split)
     elif _is_set(text, loaded):
         centre, distance, focal = _placement(target, options)
         cameras = camera_set(text, centre, distance=distance, focal=focal, size=options.size or SIZE)
-        return _numbered(text.partition(":")[0], [with_up(camera, centre, options.up or Z) for camera in cameras])
+        turned = [with_up(camera, centre, options.up or Z) for camera in cameras]
+        return list(numbered(text.partition(":")[0], turned).items())
     else:
         names = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "no name, since the scene has no cameras"
         raise InvalidValueError.of("camera", f"{names}; or {FORMS}, or a folder", text, "name one that is there")
     return [(name, _sized(camera, options)) for name, camera in named]
 
 
+def another_world(loaded: SplatScene, options: CameraOptions, folder: Path) -> str | None:
+    """What to warn of where the images of a set do not look like renderings from their own cameras; else None.
+
+    A set of another scene, or one whose world was turned or scaled since, shows other things from its cameras. Each of
+    some images is compared with the renderings from all of their cameras: the own one has to be most alike.
+    """
+    try:
+        views = load_dataset(folder, split=None, background=options.background or loaded.settings.background)
+    except MiSplatError:  # poses alone
+        return None
+    count = min(len(views), _COMPARED)
+    if count < _FEWEST_COMPARED:
+        return None
+    chosen = [round(i * (len(views) - 1) / (count - 1)) for i in range(count)]
+    longest = max(max(camera.width, camera.height) for camera in views.cameras)
+    small = dataclasses.replace(views, downscale=max(1, longest // _LONGEST_SIDE))
+    cameras = {str(i): small.cameras[i] for i in chosen}
+    render = Renderer(render_settings(loaded, options, cameras))
+    with torch.no_grad():
+        drawn = torch.stack([_thumbnail(render(loaded.scene, camera)) for camera in cameras.values()])
+    taken = torch.stack([_thumbnail(small[i].image) for i in chosen])
+    alike = taken @ drawn.T  # correlations: images by rows, cameras by columns
+    own = float(alike.diagonal().mean())
+    others = (float(alike.sum()) - own * count) / (count * (count - 1))
+    # Of one object on a plain background all images are alike, so what counts is how much of the rest is gained.
+    gained = (own - others) / max(1 - others, 1e-6)
+    if own > _ALIKE or gained > _GAINED:
+        return None
+    return (
+        f"{folder}: its images do not look like the splat from their own cameras (correlation {own:.2f}, {others:.2f} "
+        "from each other's); do the cameras belong to another scene, or was the splat turned or scaled since?"
+    )
+
+
+def _thumbnail(image: Tensor) -> Tensor:
+    """A small grey image as a vector of mean 0 and length 1, or zeros where it has one colour."""
+    grey = image[..., :3].clamp(0, 1).mean(-1)[None, None]
+    values = torch.nn.functional.adaptive_avg_pool2d(grey, _THUMBNAIL).flatten()
+    values = values - values.mean()
+    length = float(values.norm())
+    return values / length if length > 1e-4 else torch.zeros_like(values)
+
+
 def _listed(path: Path, options: CameraOptions) -> list[tuple[str, Camera]]:
     recorded = recorded_cameras(path)
     if recorded is not None:
         return list(recorded.items())
-    # Of a file, centre, distance and focal length are not used.
-    return _numbered(path.stem, camera_set(str(path), (0, 0, 0), distance=1, focal=1, size=options.size or SIZE))
+    return list(poses_of(path, options.size or SIZE).items())
 
 
-def _beside_pictures(folder: Path, split: Split | None) -> list[tuple[str, Camera]]:
-    """The cameras of a set of pictures by their names; those of a COLMAP model need no pictures."""
-    model = find_model(folder)
-    if model is not None and find_transforms(folder) is None:
-        return [(Path(name).stem, camera) for name, camera in read_model_cameras(model, split).items()]
-    pictures = load_dataset(folder, split=split)
+def _beside_pictures(folder: Path, options: CameraOptions, split: Split | None) -> list[tuple[str, Camera]]:
+    """The cameras of a set of images by their names; where images or lenses cannot be read, the poses alone."""
+    is_model = find_model(folder) is not None and find_transforms(folder) is None
+    if is_model:  # whose poses are all meant, also those of images that are missing
+        return list(poses_of(folder, options.size or SIZE, split).items())
+    try:
+        pictures = load_dataset(folder, split=split)
+    except DatasetError:
+        if find_transforms(folder) is None:
+            raise
+        return list(poses_of(folder, options.size or SIZE).items())
     return [(file.stem, camera) for file, camera in zip(pictures.paths, pictures.cameras, strict=True)]
-
-
-def _numbered(kind: str, cameras: list[Camera]) -> list[tuple[str, Camera]]:
-    width = len(str(len(cameras) - 1))
-    return [(f"{kind}-{number:0{width}}", camera) for number, camera in enumerate(cameras)]
 
 
 def _sized(camera: Camera, options: CameraOptions) -> Camera:

@@ -13,7 +13,6 @@ from mi_splat.cli.console import import_at_once, progress, show_json, show_table
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions, up_line
 from mi_splat.io.errors import SplatFileWarning
-from mi_splat.io.folders import splat_in
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,6 +40,8 @@ QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
 def run(options: InfoOptions) -> None:
     """Print the facts about a file."""
+    from mi_splat.io.folders import splat_in
+
     with progress(f"reading {options.file}"):
         read = _scene_file_facts if options.file.suffix.lower() == ".xml" else _file_facts
         facts = read(options.file)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from mi_splat.cli.console import limit_threads, progress, show_result, warn
 from mi_splat.cli.flags import Positional, choice_among
 from mi_splat.cli.options import Colour, JsonOptions
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, counted
 from mi_splat.fields import Folder, Length, Metavar, OutFolder, Seed, at_least, between
 from mi_splat.io.parsing import read_json
 from mi_splat.training.config import FitConfig
@@ -36,7 +37,10 @@ _STRATEGY = strategy_name(FitConfig().strategy)
 
 @dataclass(frozen=True, kw_only=True)
 class TrainOptions(JsonOptions):
-    """Train a splat on pictures with cameras: a set of `mi-splat capture`, of COLMAP, or transforms.json.
+    """Train a splat on images with cameras: a set of `mi-splat prepare` or `capture`, of COLMAP, or transforms.json.
+
+    Images of lenses with distortion are undistorted, photographs are turned upright, and what is black in the set's
+    masks (mask_path of frames, or a folder masks/) does not count.
 
     Writes splat.ply, metrics.json, config.json and checkpoint.safetensors into --out. A run that was stopped goes on
     when the same command is given again, and makes the bits that it would have made. A run also goes on with more
@@ -79,6 +83,8 @@ def defaults(words: Sequence[str]) -> dict[str, Any]:
     return {"strategy": name, "fit": FitConfig(strategy=strategy_config(name))}
 
 
+FEW_VIEWS = 10
+"""Training views below which a splat is warned of."""
 RANDOM_START = 10_000
 """Gaussians of a start without points."""
 CULLED = 0.001
@@ -107,6 +113,7 @@ def _train(options: TrainOptions) -> None:
         load = partial(load_dataset, options.dataset, downscale=options.downscale, background=options.background)
         views = load(split="train")
         held_out = load(split="test")
+        _say_of_images(options.dataset, views, held_out)
         start = _start(views, options)
         near = near_plane(start, views.cameras) if options.near is None else options.near
         render = _renderer(options, near)
@@ -119,6 +126,7 @@ def _train(options: TrainOptions) -> None:
     _warn_of_culled(start, views, near)
     begun = time.monotonic()
     held_out_score = ""
+    pace = _Pace(config.iterations, options.downscale)
     with progress("training", total=config.iterations) as advance:
 
         def on_resume(state: TrainState) -> None:
@@ -126,9 +134,11 @@ def _train(options: TrainOptions) -> None:
             rest = f"going on from step {state.iteration:,} of {config.iterations:,}"
             warn(whole if state.iteration >= config.iterations else rest)
             advance("training", state.iteration)
+            pace.resume()
 
         def on_step(step: Progress) -> None:
             nonlocal held_out_score
+            pace.count(step.iteration)
             if step.held_out is not None:
                 held_out_score = f", held out {step.held_out.psnr:.2f} dB"
             advance(f"loss {step.loss:.4f}, {step.count:,} Gaussians{held_out_score}")
@@ -148,6 +158,56 @@ def _train(options: TrainOptions) -> None:
             on_step=on_step,
         )
     _show(options, len(trained.scene), time.monotonic() - begun)
+
+
+def _say_of_images(source: Path, views: Dataset, held_out: Dataset) -> None:
+    """Say how many images the set lists and has, and warn of few."""
+    from mi_splat.datasets.folders import unlisted_images
+
+    listed, there = views.listed | held_out.listed, len(views) + len(held_out)
+    split = f"{counted(len(views), 'image')} for training, {len(held_out)} held out"
+    masked = sum(frame.mask is not None for frame in views.frames)
+    warn(f"{source}: {there} of {counted(len(listed), 'listed image')} there; {split}; {masked} with a mask")
+    others = unlisted_images(listed)
+    if others:
+        do = "find the cameras of the others with `mi-splat prepare`"
+        warn(f"{len(listed)} of {len(listed) + others} images in {source} have a camera; {do}")
+    if len(views) < FEW_VIEWS:
+        warn(f"{counted(len(views), 'training view')} only: 20 to 200 are usual; the splat will be poor elsewhere")
+
+
+class _Pace:
+    """Says once how long a training will take, and what helps where it is long."""
+
+    WARM_UP, WORTH_SAYING = 5, 10.0
+    """Steps that compile and are not counted; seconds after which it is said."""
+
+    def __init__(self, iterations: int, downscale: int) -> None:
+        self._iterations, self._downscale = iterations, downscale
+        self._left, self._began, self._steps = self.WARM_UP, 0.0, 0
+        self._is_said = False
+
+    def resume(self) -> None:
+        """Begin to count again."""
+        self._left = self.WARM_UP
+
+    def count(self, iteration: int) -> None:
+        """Count a step."""
+        now = time.monotonic()
+        if self._left:
+            self._left -= 1
+            self._began = now
+            return
+        self._steps += 1
+        if self._is_said or now - self._began < self.WORTH_SAYING:
+            return
+        self._is_said = True
+        each = (now - self._began) / self._steps
+        rest = each * (self._iterations - iteration)
+        text = f"a step takes {each:.2g} s: about {max(1, round(rest / 60))} min left at this pace"
+        if each > 1:
+            text += f"; --downscale {self._downscale * math.ceil(math.sqrt(each))} is faster"
+        warn(text)
 
 
 def _show(options: TrainOptions, count: int, seconds: float) -> None:

@@ -12,7 +12,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.datasets.frames import DatasetError, picture_size, read_picture
+from mi_splat.datasets import DatasetError
+from mi_splat.datasets.frames import picture_size, read_picture
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import file_name
 from mi_splat.io.images import PICTURES

@@ -1,7 +1,7 @@
 """Sets of pictures with cameras, as other programs keep them: Blender/NeRF transforms and COLMAP models."""
 
 from mi_splat.datasets.dataset import Dataset, is_dataset, load_dataset
-from mi_splat.datasets.frames import DatasetError, DatasetWarning
+from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.io.points import PointCloud
 
 __all__ = [

@@ -6,9 +6,9 @@ COLMAP's poses are world-to-camera with our camera axes, and (0.5, 0.5) is the c
 import math
 import struct
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,46 +17,68 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera
+from mi_splat.datasets.errors import DatasetError, DatasetWarning
+from mi_splat.datasets.folders import SetFiles, image_folder, mask_folders
 from mi_splat.datasets.frames import (
     HELD_OUT,
-    UNDISTORT,
-    DatasetError,
-    DatasetWarning,
+    Found,
     Frame,
-    Intrinsics,
     Split,
     camera_of,
+    frame_of,
     held_out,
-    picture_size,
+    photo_of,
     refuse_doubles,
+    report_frames,
     report_missing,
-    within,
 )
-from mi_splat.errors import InvalidValueError
+from mi_splat.datasets.lenses import Lens
+from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.points import PointCloud
 from mi_splat.rotation import to_matrix
 
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """A camera model of COLMAP: how many parameters it has, and how many of them are focal lengths."""
+
+    parameters: int
+    focals: int
+    is_read: bool = True  # whether its distortion can be undone
+
+
 MODELS = {
-    "SIMPLE_PINHOLE": (0, 3),
-    "PINHOLE": (1, 4),
-    "SIMPLE_RADIAL": (2, 4),
-    "RADIAL": (3, 5),
-    "OPENCV": (4, 8),
-    "FULL_OPENCV": (6, 12),
+    "SIMPLE_PINHOLE": Model(3, 1),
+    "PINHOLE": Model(4, 2),
+    "SIMPLE_RADIAL": Model(4, 1),
+    "RADIAL": Model(5, 1),
+    "OPENCV": Model(8, 2),
+    "OPENCV_FISHEYE": Model(8, 2),
+    "FULL_OPENCV": Model(12, 2),
+    "FOV": Model(5, 2, is_read=False),
+    "SIMPLE_RADIAL_FISHEYE": Model(4, 1),
+    "RADIAL_FISHEYE": Model(5, 1),
+    "THIN_PRISM_FISHEYE": Model(12, 2, is_read=False),
+    "RAD_TAN_THIN_PRISM_FISHEYE": Model(16, 2, is_read=False),
+    "SIMPLE_DIVISION": Model(4, 1, is_read=False),
+    "DIVISION": Model(5, 2, is_read=False),
+    "SIMPLE_FISHEYE": Model(3, 1),
+    "FISHEYE": Model(4, 2),
+    "EUCM": Model(6, 2, is_read=False),
+    "EQUIRECTANGULAR": Model(2, 0, is_read=False),
 }
-"""Id and number of parameters of the camera models of COLMAP that are read if their distortion is zero."""
-ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
-"""Those of them that have one focal length; the others have two."""
-
-
-def unreadable(where: str, model: str) -> DatasetError:
-    """The error for a camera model that is not read."""
-    return DatasetError.of(where, "a camera model without distortion (PINHOLE)", model, UNDISTORT)
+"""COLMAP's camera models, in the order of its ids."""
+PANORAMA = "EQUIRECTANGULAR"
+CUT_PANORAMAS = (
+    "cut the panoramas into perspective images, for instance with `ns-process-data images "
+    "--camera-type equirectangular --images-per-equirect 8` of nerfstudio"
+)
+"""What to do about panoramas, which no pinhole camera sees."""
 
 
 @dataclass(frozen=True, slots=True)
-class Lens:
-    """A camera of a model: picture size in pixels, name of the distortion model, its parameters."""
+class ModelCamera:
+    """A camera of a model: image size in pixels, name of the distortion model, its parameters."""
 
     model: str
     width: int
@@ -74,11 +96,11 @@ class Pose:
     name: str
 
 
-Entry = TypeVar("Entry", Lens, Pose)
+Entry = TypeVar("Entry", ModelCamera, Pose)
 
 
-def read_model(cameras_file: Path) -> tuple[list[Pose], dict[int, Intrinsics], PointCloud | None]:
-    """The poses of a model in the order of names, the lenses that they have by their numbers, and points if it has."""
+def read_model(cameras_file: Path) -> tuple[list[Pose], dict[int, ModelCamera], PointCloud | None]:
+    """The poses of a model in the order of names, the cameras that they have by their numbers, and points if it has."""
     suffix = cameras_file.suffix
     read = _Binary if suffix == ".bin" else _Text
     images, points3d = cameras_file.with_name(f"images{suffix}"), cameras_file.with_name(f"points3D{suffix}")
@@ -95,7 +117,7 @@ def read_model(cameras_file: Path) -> tuple[list[Pose], dict[int, Intrinsics], P
         raise DatasetError.of(str(images), "at least one picture", "none", "register pictures first")
     ordered = sorted(poses.values(), key=lambda pose: pose.name)
     refuse_doubles((pose.name for pose in ordered), images)
-    used = {number: _intrinsics(lenses, number, cameras_file) for number in {pose.lens for pose in ordered}}
+    used = {number: _camera_of(lenses, number, cameras_file) for number in {pose.lens for pose in ordered}}
     if rows is None:
         return ordered, used, None
     points, colours = torch.from_numpy(rows.reshape(-1, 6)).tensor_split(2, dim=1)
@@ -121,15 +143,15 @@ class _Binary:
     def __init__(self, path: Path) -> None:
         self._path, self._data, self._at = path, path.read_bytes(), 0
 
-    def lenses(self) -> Iterator[tuple[int, Lens]]:
+    def lenses(self) -> Iterator[tuple[int, ModelCamera]]:
         """Ids and cameras."""
-        models = {number: (name, count) for name, (number, count) in MODELS.items()}
+        models = list(MODELS.items())
         for _ in self._records():
             number, model, width, height = self._take("iiQQ")
-            if model not in models:
-                raise unreadable(f"{self._path}, camera {number}", f"number {model}")
-            name, count = models[model]
-            yield number, Lens(name, width, height, self._take(f"{count}d"))
+            if not 0 <= model < len(models):
+                raise _unknown(f"{self._path}, camera {number}", f"number {model}")
+            name, kind = models[model]
+            yield number, ModelCamera(name, width, height, self._take(f"{kind.parameters}d"))
 
     def poses(self) -> Iterator[tuple[int, Pose]]:
         """Ids and pictures."""
@@ -174,12 +196,12 @@ class _Text:
     def __init__(self, path: Path) -> None:
         self._path = path
 
-    def lenses(self) -> Iterator[tuple[int, Lens]]:
+    def lenses(self) -> Iterator[tuple[int, ModelCamera]]:
         """Ids and cameras."""
         for line, fields in self._rows():
             with self._expected("CAMERA_ID MODEL WIDTH HEIGHT PARAMS...", line, fields):
                 number, width, height = (int(fields[i]) for i in (0, 2, 3))
-                lens = Lens(fields[1], width, height, tuple(map(float, fields[4:])))
+                lens = ModelCamera(fields[1], width, height, tuple(map(float, fields[4:])))
             yield number, lens
 
     def poses(self) -> Iterator[tuple[int, Pose]]:
@@ -231,7 +253,7 @@ class _Text:
 TEST_LIST = "test.txt"
 """Beside a model, the names of the pictures for tests, one a line."""
 
-_FOLDERS = ("sparse/0", "sparse", "0", ".")
+_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "0", ".")
 _KINDS = (".bin", ".txt")
 
 
@@ -241,41 +263,71 @@ def find_model(path: Path) -> Path | None:
     return next((candidate for candidate in candidates if candidate.is_file()), None)
 
 
-def read_colmap(
-    root: Path, cameras_file: Path, split: Split | None, every: int
-) -> tuple[list[Frame], PointCloud | None]:
+def read_colmap(root: Path, cameras_file: Path, split: Split | None, every: int) -> Found:
     """The frames of a split in the order of names, and the points."""
     folder = cameras_file.parent
     others = [other for other in sorted(folder.parent.glob("[0-9]*")) if other != folder and find_model(other)]
     if folder.name == "0" and others and root != folder:
         do = f"{folder} is read; to read another, pass its folder"
         warnings.warn(f"{folder.parent} has {len(others) + 1} models: {do}", DatasetWarning, stacklevel=3)
-    poses, lenses, points = read_model(cameras_file)
+    poses, cameras, points = read_model(cameras_file)
     source, images = _images_file(cameras_file), _images_folder(root, folder)
-    frames: dict[str, Frame] = {}
+    lenses = {number: _lens(camera, number, cameras_file, images) for number, camera in cameras.items()}
+    files, masks = SetFiles(images), mask_folders(images)
+    found: dict[str, Frame] = {}
+    listed, missing = set[Path](), []
     for pose in poses:
-        picture = within(images, pose.name, str(source))
-        if picture.is_file():
-            where, lens = f"{source}, {pose.name}", lenses[pose.lens]
-            picture_size(picture, lens.size)
-            frames[pose.name] = Frame(camera=camera_of(_to_world(pose, where), lens, where), path=picture)
-    missing = [images / pose.name for pose in poses if pose.name not in frames]
+        where = f"{source}, {pose.name}"
+        path = files.find(pose.name, str(source))
+        listed.add(path)
+        if not path.is_file():
+            missing.append(path)
+            continue
+        lens = lenses[pose.lens]
+        mask = files.mask(masks, pose.name)
+        found[pose.name] = frame_of(photo_of(path, lens.size), mask, _to_world(pose, where), lens, where)
     report_missing(missing, len(poses), source)
-    read_poses = [pose for pose in poses if pose.name in frames]
-    return [frames[pose.name] for pose in _split(read_poses, folder / TEST_LIST, split, every)], points
+    report_frames(list(found.values()), source)
+    read_poses = [pose for pose in poses if pose.name in found]
+    frames = [found[pose.name] for pose in _split(read_poses, folder / TEST_LIST, split, every)]
+    return Found(frames, frozenset(listed), points)
 
 
 def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[str, Camera]:
-    """The cameras of a model by the names of their pictures, which need not be there."""
-    poses, lenses, _ = read_model(cameras_file)
+    """The cameras of a model by the names of their images, which need not be there.
+
+    Where an image is there, its camera is that of `read_colmap`: without distortion, and upright. Of the others and of
+    lenses that cannot be undone, distortion is ignored.
+    """
+    poses, model_cameras, _ = read_model(cameras_file)
     source, images = _images_file(cameras_file), _images_folder(cameras_file.parent, cameras_file.parent)
+    files = SetFiles(images)
+    paths = {pose.name: files.find(pose.name, str(source)) for pose in poses}
+    present = {name for name, path in paths.items() if path.is_file()}
     if split is not None:
-        poses = [pose for pose in poses if (images / pose.name).is_file()] or poses
-    cameras = {}
+        poses = [pose for pose in poses if pose.name in present] or poses
+    cameras, bent = {}, set[str]()
     for pose in _split(poses, cameras_file.with_name(TEST_LIST), split, HELD_OUT):
         where = f"{source}, {pose.name}"
-        cameras[pose.name] = camera_of(_to_world(pose, where), lenses[pose.lens], where)
+        model, to_world = model_cameras[pose.lens], _to_world(pose, where)
+        try:
+            if pose.name not in present:
+                raise DatasetError.of(where, "its image", "none", "use its pose alone")
+            lens = _lens(model, pose.lens, cameras_file, images)
+            cameras[pose.name] = frame_of(photo_of(paths[pose.name], lens.size), None, to_world, lens, where).camera
+        except MiSplatError:
+            pinhole = _pinhole_part(model, f"{cameras_file}, camera {pose.lens}")
+            cameras[pose.name] = camera_of(to_world, pinhole, where)
+            bent |= {model.model} if _is_bent(model) else set()
+    report_ignored_distortion(bent, cameras_file)
     return cameras
+
+
+def report_ignored_distortion(models: Collection[str], source: Path) -> None:
+    """Say that poses are used without the distortion of their lenses."""
+    if models:
+        text = f"{source}: the poses are used without the distortion of their lenses ({', '.join(sorted(models))})"
+        warnings.warn(text, DatasetWarning, stacklevel=4)
 
 
 def _images_file(cameras_file: Path) -> Path:
@@ -283,13 +335,12 @@ def _images_file(cameras_file: Path) -> Path:
 
 
 def _images_folder(root: Path, folder: Path) -> Path:
-    """Where a model's pictures are: images/ in the folder that was asked for or above the model."""
-    candidates = [parent / "images" for parent in (root, folder, folder.parent, folder.parent.parent)]
-    return next((candidate for candidate in candidates if candidate.is_dir()), candidates[0])
+    """Where a model's images are: images/ in the folder that was asked for or above the model."""
+    return image_folder((root, folder, *list(folder.parents)[:3]))
 
 
 def _split(poses: list[Pose], test_list: Path, split: Split | None, every: int) -> list[Pose]:
-    """The part of a model's pictures, by its list of test pictures if it has one."""
+    """The part of a model's images, by its list of test images if it has one."""
     if split is None or not test_list.is_file():
         return held_out(poses, split, every)
     try:
@@ -299,21 +350,58 @@ def _split(poses: list[Pose], test_list: Path, split: Split | None, every: int) 
     return [pose for pose in poses if (pose.name in tests) == (split == "test")]
 
 
-def _intrinsics(lenses: Mapping[int, Lens], number: int, source: Path) -> Intrinsics:
-    """What a model says of one lens."""
-    if number not in lenses:
+def _camera_of(cameras: Mapping[int, ModelCamera], number: int, source: Path) -> ModelCamera:
+    """A camera of a model, of a kind that is known and with all of its parameters."""
+    if number not in cameras:
         raise DatasetError.of(str(source), f"a camera {number}", "none", "export the model again")
-    lens, where = lenses[number], f"{source}, camera {number}"
-    if lens.model not in MODELS:
-        raise unreadable(where, lens.model)
-    if len(lens.parameters) != (count := MODELS[lens.model][1]):
-        expected, got = f"{count} parameters of {lens.model}", len(lens.parameters)
+    camera, where = cameras[number], f"{source}, camera {number}"
+    if camera.model not in MODELS:
+        raise _unknown(where, camera.model)
+    count = MODELS[camera.model].parameters
+    if len(camera.parameters) != count:
+        expected, got = f"{count} parameters of {camera.model}", len(camera.parameters)
         raise DatasetError.of(where, expected, got, "export the model again")
-    first = lens.parameters[:1] if lens.model in ONE_FOCAL else ()
-    fx, fy, cx, cy, *rest = (*first, *lens.parameters)
-    if any(rest):  # also of NaN
-        raise unreadable(where, f"{lens.model} with distortion")
-    return Intrinsics(focal=(fx, fy), principal=(cx, cy), size=(lens.width, lens.height))
+    return camera
+
+
+def _unknown(where: str, model: str) -> DatasetError:
+    """The error for a camera model that COLMAP 4.2 does not have."""
+    do = "undistort the images with the program that wrote the model"
+    return DatasetError.of(where, f"a camera model, one of {', '.join(MODELS)}", model, do)
+
+
+def _pinhole_part(camera: ModelCamera, where: str) -> Lens:
+    """The focal lengths and the principal point of a camera, without its distortion."""
+    focals = MODELS[camera.model].focals
+    if not focals:
+        raise DatasetError.of(where, "a camera with a focal length", camera.model, CUT_PANORAMAS)
+    fx, fy, cx, cy = (*camera.parameters[:1], *camera.parameters)[focals - 1 : focals + 3]
+    return Lens(focal=(fx, fy), principal=(cx, cy), size=(camera.width, camera.height))
+
+
+def _coefficients(camera: ModelCamera) -> tuple[float, ...]:
+    """What a camera has beside focal lengths and principal point."""
+    focals = MODELS[camera.model].focals
+    return camera.parameters[focals + 2 :] if focals else ()
+
+
+def _is_bent(camera: ModelCamera) -> bool:
+    return camera.model.endswith("FISHEYE") or any(_coefficients(camera))
+
+
+def _lens(camera: ModelCamera, number: int, source: Path, images: Path) -> Lens:
+    """The lens of a camera, whose distortion can be undone."""
+    where = f"{source}, camera {number}"
+    pinhole, coefficients = _pinhole_part(camera, where), _coefficients(camera)
+    if not MODELS[camera.model].is_read:
+        readable = [name for name, model in MODELS.items() if model.is_read]
+        paths = ", ".join(repr(str(path)) for path in ("undistorted", source.parent, images))
+        do = f"pip install pycolmap, and undistort the set: pycolmap.undistort_images({paths})"
+        raise DatasetError.of(where, f"a camera model of {', '.join(readable)}", camera.model, do)
+    try:
+        return replace(pinhole, distortion=coefficients, fisheye=camera.model.endswith("FISHEYE"))
+    except InvalidValueError as error:
+        raise DatasetError(f"{where}: {error}") from error
 
 
 def _to_world(pose: Pose, where: str) -> Tensor:

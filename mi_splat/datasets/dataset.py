@@ -5,37 +5,54 @@ from __future__ import annotations
 import dataclasses
 import operator
 import os
+import warnings
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, overload
 
+import numpy as np
+import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera, View, ViewSet
+from mi_splat.cameras import Camera, View, ViewSet, odd_fields_of_view
 from mi_splat.datasets.colmap import find_model, read_colmap
-from mi_splat.datasets.frames import HELD_OUT, DatasetError, Frame, Split, downscaled, read_picture
+from mi_splat.datasets.errors import DatasetError, DatasetWarning
+from mi_splat.datasets.frames import (
+    HELD_OUT,
+    Frame,
+    Pixels,
+    Split,
+    area_mean,
+    downscaled,
+    stored_mask,
+    stored_pixels,
+    turned_image,
+)
+from mi_splat.datasets.lenses import pinhole, undistorted
 from mi_splat.datasets.packed import Packed
 from mi_splat.datasets.transforms import PARTS, SINGLE, find_transforms, read_transforms
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
 from mi_splat.io.errors import folder_advice
-from mi_splat.io.points import PointCloud, load_points
+from mi_splat.io.points import PointCloud
 
 CACHE_BYTES = 256 << 20
 """How much of a set a `Dataset` keeps in memory unless told otherwise."""
 
 
 class _Entry(NamedTuple):
-    """One picture in memory, and (H, W) alpha if it has it."""
+    """One image in memory, and (H, W) alpha and mask if it has them."""
 
     image: Packed
     alpha: Packed | None
+    mask: Packed | None
 
     @property
     def bytes(self) -> int:
         """Memory that it takes."""
-        return self.image.bytes + (0 if self.alpha is None else self.alpha.bytes)
+        planes = [plane for plane in (self.image, self.alpha, self.mask) if plane is not None]
+        return sum(plane.bytes for plane in planes)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
@@ -44,6 +61,7 @@ class Dataset(ViewSet):
 
     frames: tuple[Frame, ...]  # cameras with the files of their pictures
     points: PointCloud | None = None  # points from which a training may start; None if the set has none
+    listed: frozenset[Path] = frozenset()  # every image that the set's files name, there or not
     downscale: int = 1  # integer factor by which pictures are made smaller
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)  # sRGB colour behind transparent pixels
     cache_bytes: int = CACHE_BYTES  # how much is kept in memory
@@ -66,8 +84,12 @@ class Dataset(ViewSet):
 
     @property
     def fingerprint(self) -> str:
-        """What tells this set from others: the bytes of its pictures, and how they are read."""
-        return repr(([_digest(path) for path in self.paths], self.downscale, self.background))
+        """What tells this set from others: the bytes of its images and masks, and how they are read."""
+        images = [_digest(path) for path in self.paths]
+        masks = [None if frame.mask is None else _digest(frame.mask) for frame in self.frames]
+        changed = [(frame.lens, frame.turns_before, frame.turns_after) for frame in self.frames if not frame.is_stored]
+        more = ([masks] if any(masks) else []) + ([changed] if changed else [])
+        return repr((images, self.downscale, self.background, *more))
 
     def __len__(self) -> int:
         """Number of views."""
@@ -90,8 +112,19 @@ class Dataset(ViewSet):
         alpha = self._read(index).alpha
         return None if alpha is None else alpha.unpack()
 
+    def loss_mask(self, index: int) -> Tensor | None:
+        """(H, W) float32 in [0, 1], 1 where the image counts in a loss; None if all of it does.
+
+        It is 0 where the set's mask is black, and where an image that was undistorted shows nothing.
+        """
+        frame = self.frames[range(len(self.frames))[operator.index(index)]]
+        if frame.mask is None and frame.lens is None:
+            return None
+        mask = self._read(index).mask
+        return None if mask is None else mask.unpack()
+
     def _read(self, index: int) -> _Entry:
-        """A picture with its alpha, from memory or from the disk."""
+        """An image with its alpha and its mask, from memory or from the disk."""
         index = range(len(self.frames))[operator.index(index)]
         if index in self._cache:
             self._cache.move_to_end(index)
@@ -104,13 +137,48 @@ class Dataset(ViewSet):
         return entry
 
     def _load(self, index: int) -> _Entry:
-        """A picture with its alpha from the disk."""
-        path, camera = self.frames[index].path, self.cameras[index]
-        image, alpha = read_picture(path, downscale=self.downscale, background=self.background)
+        """An image with its alpha and its mask from the disk."""
+        frame, camera = self.frames[index], self.cameras[index]
+        image, alpha = stored_pixels(frame.path, self.background)
+        mask = None
+        if frame.mask is not None:
+            height, width, _ = image.shape
+            mask = stored_mask(frame.mask, frame.path, (width, height))
+        if not frame.is_stored:
+            image, alpha, mask = _upright(frame, image, alpha, mask)
+        image = area_mean(image, self.downscale)
         if tuple(image.shape[:2]) != (camera.height, camera.width):
             got, do = tuple(image.shape[:2]), "it has changed: load the set again"
-            raise DatasetError.of(str(path), f"{(camera.height, camera.width)} rows and columns", got, do)
-        return _Entry(Packed.of(image), None if alpha is None else Packed.of(alpha))
+            raise DatasetError.of(str(frame.path), f"{(camera.height, camera.width)} rows and columns", got, do)
+        planes = [
+            None if plane is None else Packed.of(torch.from_numpy(area_mean(plane, self.downscale)[..., 0]))
+            for plane in (alpha, mask)
+        ]
+        return _Entry(Packed.of(torch.from_numpy(image)), *planes)
+
+
+def _upright(
+    frame: Frame, image: Pixels, alpha: Pixels | None, mask: Pixels | None
+) -> tuple[Pixels, Pixels | None, Pixels | None]:
+    """The image of a frame's camera with its alpha and its mask, out of those in the files."""
+    planes = [image, *(plane for plane in (alpha, mask) if plane is not None)]
+    together = turned_image(np.concatenate(planes, -1), frame.turns_before)
+    shown = None
+    if frame.lens is not None:
+        if together.shape[1::-1] != frame.lens.size:
+            got, do = together.shape[:2], "it has changed: load the set again"
+            expected = f"{frame.lens.size[::-1]} rows and columns"
+            raise DatasetError.of(str(frame.path), expected, got, do)
+        together, seen = undistorted(np.ascontiguousarray(together), frame.lens, pinhole(frame.lens))
+        if not seen.all():
+            shown = turned_image(seen[..., None].astype(np.float32), frame.turns_after)
+    together = turned_image(together, frame.turns_after)
+    image = together[..., :3]
+    alpha = None if alpha is None else together[..., 3:4]
+    mask = None if mask is None else together[..., -1:]
+    if shown is not None:
+        mask = shown if mask is None else mask * shown
+    return image, alpha, mask
 
 
 def _digest(file: Path) -> str:
@@ -135,7 +203,13 @@ def load_dataset(
     The format is found by itself: transforms_train.json and transforms_test.json, or transforms.json, or a COLMAP model
     in sparse/0, in sparse or in the folder itself, with pictures in images/. The world stays as it is in the files.
     Headers of all pictures are read, and what does not fit is refused now; pixels are read later. Pictures that are
-    listed and not there are left out, with a `DatasetWarning`. Lenses with distortion are refused.
+    listed and not there are left out, with a `DatasetWarning`.
+
+    Images of lenses with distortion are undistorted as they are read (`mi_splat.datasets.lenses`),
+    and images that EXIF says to turn are turned, each with its camera and its mask. Masks are those
+    that frames name (`mask_path`), or that lie in masks/ under the name of the image with .png
+    appended, the same name, or the same stem; see `Dataset.loss_mask`. Where the set has no
+    images/, those of images_2, images_4 or images_8 are read, and intrinsics are scaled to them.
 
     Args:
         path: The folder, or a transforms file.
@@ -150,8 +224,8 @@ def load_dataset(
         The views, whose pictures are read when they are asked for, and the points of the set if it has some.
 
     Raises:
-        DatasetError: The set is of neither kind, empty, or something in it is broken, its lenses have distortion, or
-            more than a third of the pictures are missing.
+        DatasetError: The set is of neither kind, empty, or something in it is broken or cannot be undistorted, or
+            more than a third of the images are missing.
         PictureFileError: A picture cannot be read.
         SplatFileError: The point cloud beside transforms cannot be read.
         InvalidValueError: An argument is out of range.
@@ -164,19 +238,26 @@ def load_dataset(
     transforms = find_transforms(root)
     model = None if transforms else find_model(root)
     if transforms:
-        frames, file = read_transforms(transforms, split, test_every)
-        points = None if file is None else load_points(file)
+        found = read_transforms(transforms, split, test_every)
     elif model:
-        frames, points = read_colmap(root, model, split, test_every)
+        found = read_colmap(root, model, split, test_every)
     else:
         expected = "transforms.json, transforms_train.json or a COLMAP model in sparse/0"
         got = "none of these" if root.is_dir() else "no such folder"
         raise DatasetError.of(str(root), expected, got, folder_advice(root, "pass the folder of a data set"))
+    frames = tuple(found.frames)
     if not frames and split != "test":
         do = "choose another split or test_every"
         raise DatasetError.of(str(root), "at least one picture", f"none for split {split!r}", do)
+    if (odd := odd_fields_of_view([frame.camera for frame in frames])) is not None:
+        warnings.warn(f"{root}: {odd}", DatasetWarning, stacklevel=2)
     return Dataset(
-        frames=tuple(frames), points=points, downscale=downscale, background=background, cache_bytes=cache_bytes
+        frames=frames,
+        points=found.points,
+        listed=found.listed,
+        downscale=downscale,
+        background=background,
+        cache_bytes=cache_bytes,
     )
 
 

@@ -1,40 +1,173 @@
-"""What every format comes down to: cameras with the files of their pictures."""
+"""What every format comes down to: cameras with the files of their images."""
 
-import os
+from __future__ import annotations
+
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from PIL import Image
 from torch import Tensor
 
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.io.picture_files import load_picture, picture_header
-
-
-class DatasetError(MiSplatError):
-    """A set of pictures cannot be read or written; the message names the file and says what to do."""
-
-
-class DatasetWarning(UserWarning):
-    """A set of pictures is read, but without something that it lists."""
-
-
-SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".PNG", ".JPG", ".JPEG")
-"""What is appended, in this order, to the name of a picture that has no suffix."""
+from mi_splat.datasets.errors import DatasetError, DatasetWarning
+from mi_splat.datasets.folders import SUFFIXES as SUFFIXES
+from mi_splat.datasets.folders import is_smaller
+from mi_splat.datasets.lenses import Lens, pinhole
+from mi_splat.errors import InvalidValueError
+from mi_splat.io.picture_files import check_pixels, load_picture, picture_header, picture_orientation
+from mi_splat.io.points import PointCloud
 
 _MODES = ("1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "HSV", "LAB")
 
 Pixels = NDArray[np.float32]
+Size = tuple[int, int]
+
+_QUARTER_TURNS = {1: 0, 6: 1, 3: 2, 8: 3}
+"""Quarter turns clockwise that an EXIF orientation wants; the other four are mirror images."""
+
+Split = Literal["train", "test"]
+HELD_OUT = 8
+"""Where a format has no split of its own, images in the order of names are for tests at multiples of this index."""
+
+MOST_MISSING = 1 / 3
+"""Share of the images that a set lists and does not have, above which it is refused."""
+
+Item = TypeVar("Item")
 
 
-def picture_size(path: Path, claimed: tuple[int, int] | None = None) -> tuple[int, int]:
-    """Width and height of a picture, read off its header."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Frame:
+    """One image of a set. The image is turned, undistorted and turned again; its mask alike."""
+
+    camera: Camera  # the pinhole camera of the result, at full size
+    path: Path
+    mask: Path | None = None  # a grey image, white where the image counts
+    lens: Lens | None = None  # of the image after the first turn; None if it is a pinhole camera's
+    turns_before: int = 0  # quarter turns clockwise
+    turns_after: int = 0
+
+    @property
+    def is_stored(self) -> bool:
+        """Whether the image is what its file holds, neither turned nor undistorted."""
+        return self.lens is None and not self.turns_before and not self.turns_after
+
+
+class Found(NamedTuple):
+    """What a reader found in the files of a set."""
+
+    frames: list[Frame]  # of the split
+    listed: frozenset[Path]  # every image that the files list, there or not
+    points: PointCloud | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Photo:
+    """A file with an image, known without decoding it."""
+
+    path: Path
+    stored: Size  # width and height in the file
+    size: Size  # those that the set's intrinsics mean
+    turns_before: int = 0
+    turns_after: int = 0
+
+
+def photo_of(path: Path, claimed: Size | None) -> Photo:
+    """The image in a file, and how it becomes upright.
+
+    EXIF says how a photograph is to be turned. Structure from motion works on the pixels as they
+    are stored, so the camera is turned with the image. Where a set claims the size of the upright
+    image, its camera is that of the upright image.
+    """
+    stored = picture_size(path)
+    turns = quarter_turns(path)
+    if claimed is None or claimed == stored:
+        return Photo(path=path, stored=stored, size=stored, turns_after=turns)
+    if turns % 2 and _are_alike(stored[::-1], claimed, path):
+        return Photo(path=path, stored=stored, size=claimed, turns_before=turns)
+    if _are_alike(stored, claimed, path):
+        return Photo(path=path, stored=stored, size=claimed, turns_after=turns)
+    got = f"{stored[0]} x {stored[1]}"
+    do = "use the images from which the cameras were made"
+    raise DatasetError.of(str(path), f"{claimed[0]} x {claimed[1]} pixels", got, do)
+
+
+def _are_alike(stored: Size, claimed: Size, path: Path) -> bool:
+    """Whether an image has the size that a set claims, or in a folder of smaller images its aspect."""
+    if stored == claimed:
+        return True
+    scale = max(stored) / max(claimed)
+    gaps = [abs(side - whole * scale) for side, whole in zip(stored, claimed, strict=True)]
+    return is_smaller(path) and max(gaps) <= 1
+
+
+def quarter_turns(path: Path) -> int:
+    """Quarter turns clockwise that make an image upright by its EXIF orientation; 0 for a mirror image."""
+    return _QUARTER_TURNS.get(picture_orientation(path), 0)
+
+
+def frame_of(photo: Photo, mask: Path | None, pose: Tensor, lens: Lens, where: str) -> Frame:
+    """The frame of an image whose set says so of its lens and its pose."""
+    if mask is not None:
+        check_mask(mask, photo)
+    size = photo.stored if photo.turns_before % 2 == 0 else photo.stored[::-1]
+    if lens.size != size:
+        lens = lens.resized(size)
+    try:
+        flat = pinhole(lens)
+    except InvalidValueError as error:
+        raise DatasetError(f"{where}: {error}") from error
+    if not lens.is_pinhole:
+        check_pixels(f"{photo.path} without its distortion", *flat.size)
+    camera = camera_of(pose, flat, where)
+    return Frame(
+        camera=turned_clockwise(camera, photo.turns_after),
+        path=photo.path,
+        mask=mask,
+        lens=None if lens.is_pinhole else lens,
+        turns_before=photo.turns_before,
+        turns_after=photo.turns_after,
+    )
+
+
+def camera_of(pose: Tensor, lens: Lens, where: str) -> Camera:
+    """The camera of a pose with a lens without distortion; errors name the place in the set."""
+    width, height = lens.size
+    try:
+        return Camera(to_world=pose, focal=lens.focal, width=width, height=height, principal=lens.principal)
+    except InvalidValueError as error:
+        raise DatasetError(f"{where}: {error}") from error
+
+
+def turned_clockwise(camera: Camera, quarter_turns: int) -> Camera:
+    """The camera whose image is that of `camera`, turned clockwise by so many quarter turns."""
+    for _ in range(quarter_turns % 4):
+        pose = camera.to_world.clone()
+        # What was up in the image is right now, and what was right is down.
+        pose[:3, 0] = -camera.to_world[:3, 1]
+        pose[:3, 1] = camera.to_world[:3, 0]
+        camera = Camera(
+            to_world=pose,
+            focal=(camera.fy, camera.fx),
+            width=camera.height,
+            height=camera.width,
+            principal=(camera.height - camera.cy, camera.cx),
+        )
+    return camera
+
+
+def turned_image(values: Pixels, quarter_turns: int) -> Pixels:
+    """(H, W, ...) pixels after so many quarter turns clockwise."""
+    return np.rot90(values, -quarter_turns) if quarter_turns % 4 else values
+
+
+def picture_size(path: Path, claimed: Size | None = None) -> Size:
+    """Width and height of an image as it is stored, read off its header."""
     size, mode = picture_header(path)
     if mode not in _MODES:
         raise DatasetError.of(str(path), "8 bits a channel", f"mode {mode}", "convert it to 8 bits")
@@ -44,16 +177,56 @@ def picture_size(path: Path, claimed: tuple[int, int] | None = None) -> tuple[in
     return size
 
 
-def read_picture(path: Path, *, downscale: int, background: tuple[float, float, float]) -> tuple[Tensor, Tensor | None]:
-    """A picture over a background, and its alpha."""
-    picture = load_picture(path)
+def stored_pixels(
+    path: Path, background: tuple[float, float, float], *, upright: bool = False
+) -> tuple[Pixels, Pixels | None]:
+    """(H, W, 3) sRGB of an image over a background, and its (H, W, 1) alpha if it has one."""
+    picture = load_picture(path, upright=upright)
     has_alpha = "A" in picture.mode or "a" in picture.mode or "transparency" in picture.info
     values = np.asarray(picture.convert("RGBA" if has_alpha else "RGB"), np.float32) / np.float32(255)
     if not has_alpha:
-        return torch.from_numpy(area_mean(values, downscale)), None
+        return values, None
     alpha = values[..., 3:]
     blended = values[..., :3] * alpha + np.asarray(background, np.float32) * (1 - alpha)
-    return torch.from_numpy(area_mean(blended, downscale)), torch.from_numpy(area_mean(alpha, downscale)[..., 0])
+    return blended, alpha
+
+
+def read_picture(
+    path: Path, *, downscale: int, background: tuple[float, float, float], upright: bool = False
+) -> tuple[Tensor, Tensor | None]:
+    """An image over a background, and its alpha; upright as its EXIF orientation says, or as it is stored."""
+    values, alpha = stored_pixels(path, background, upright=upright)
+    image = torch.from_numpy(area_mean(values, downscale))
+    return image, None if alpha is None else torch.from_numpy(area_mean(alpha, downscale)[..., 0])
+
+
+def check_mask(path: Path, photo: Photo) -> None:
+    """Raise if a mask has another shape than its image, which it may be larger or smaller than."""
+    size = picture_size(path)
+    is_upright = (photo.turns_before + photo.turns_after) % 2 and _have_one_aspect(size[::-1], photo.stored)
+    if not is_upright and not _have_one_aspect(size, photo.stored):
+        expected = f"a mask of {photo.stored[0]} x {photo.stored[1]} pixels"
+        do = "make the mask as large as its image"
+        raise DatasetError.of(str(path), expected, f"{size[0]} x {size[1]}", do)
+
+
+def _have_one_aspect(size: Size, other: Size) -> bool:
+    """Whether one of two images is the other one, made larger or smaller."""
+    larger, smaller = sorted((size, other), reverse=True)
+    scale = smaller[0] / larger[0]
+    return abs(larger[1] * scale - smaller[1]) <= 1
+
+
+def stored_mask(path: Path, image: Path, size: Size) -> Pixels:
+    """(H, W, 1) mask in [0, 1], the grey values of a file, at the size of its image as that is stored."""
+    mask = load_picture(path).convert("L")
+    turns = quarter_turns(image)
+    if turns % 2 and not _have_one_aspect(mask.size, size):
+        # The mask was drawn on the upright image.
+        mask = Image.fromarray(np.rot90(np.asarray(mask), turns))
+    if mask.size != size:
+        mask = mask.resize(size, Image.Resampling.BOX)
+    return np.asarray(mask, np.float32)[..., None] / np.float32(255)
 
 
 def area_mean(values: Pixels, factor: int) -> Pixels:
@@ -66,62 +239,8 @@ def area_mean(values: Pixels, factor: int) -> Pixels:
     return means
 
 
-Split = Literal["train", "test"]
-HELD_OUT = 8
-"""Where a format has no split of its own, pictures in the order of names are for tests at multiples of this index."""
-
-MOST_MISSING = 1 / 3
-"""Share of the pictures that a set lists and does not have, above which it is refused."""
-
-_LONGEST_NAME = 255
-
-Item = TypeVar("Item")
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Frame:
-    """One picture of a set."""
-
-    camera: Camera  # at the picture's full size
-    path: Path
-
-
-class Intrinsics(NamedTuple):
-    """What a set says of a camera without distortion, in pixels."""
-
-    focal: tuple[float, float]
-    principal: tuple[float, float]
-    size: tuple[int, int]  # width and height
-
-
-UNDISTORT = "undistort the pictures first, for instance with colmap image_undistorter"
-"""What to do about lenses that bend straight lines, and about panoramas."""
-
-
-def camera_of(pose: Tensor, lens: Intrinsics, where: str) -> Camera:
-    """The camera of a pose; errors name the place in the set."""
-    width, height = lens.size
-    try:
-        return Camera(to_world=pose, focal=lens.focal, width=width, height=height, principal=lens.principal)
-    except InvalidValueError as error:
-        raise DatasetError(f"{where}: {error}") from error
-
-
-def within(folder: Path, name: str, source: str, *, above: int = 0) -> Path:
-    """A file that a set names, which has to lie in the set."""
-    relative = os.path.relpath(name, os.path.abspath(folder)) if os.path.isabs(name) else os.path.normpath(name)
-    parts = Path(relative).parts
-    if parts[: above + 1] == ("..",) * (above + 1):
-        do = "put the set's files into its folder, and name them from there"
-        raise DatasetError.of(source, "the name of a file in the set", repr(name[:80]), do)
-    if any(len(part.encode("utf-8", "replace")) > _LONGEST_NAME for part in parts) or len(name) > 4 * _LONGEST_NAME:
-        got, do = f"one of {len(name)} characters", "repair it"
-        raise DatasetError.of(source, f"the name of a file, parts up to {_LONGEST_NAME} bytes", got, do)
-    return folder / name
-
-
 def report_missing(missing: Sequence[Path], listed: int, source: Path) -> None:
-    """Warn of pictures that are not there."""
+    """Warn of images that are not there."""
     if not missing:
         return
     got = f"{len(missing)} of {listed} pictures missing ({missing[0].name}{', ...' if len(missing) > 1 else ''})"
@@ -131,25 +250,25 @@ def report_missing(missing: Sequence[Path], listed: int, source: Path) -> None:
     warnings.warn(f"{source}: {got}; going on without them", DatasetWarning, stacklevel=4)
 
 
+def report_frames(frames: Sequence[Frame], source: Path) -> None:
+    """Warn of images that are not read as a reader of the set would think."""
+    small = sorted({frame.path.parent.name for frame in frames if is_smaller(frame.path)})
+    if small:
+        text = f"{source}: no images/, so the smaller ones in {small[0]} are used"
+        warnings.warn(text, DatasetWarning, stacklevel=4)
+
+
 def downscaled(camera: Camera, factor: int) -> Camera:
-    """The camera of a picture that was made smaller by an integer factor; a rest of the size is cut off."""
+    """The camera of an image that was made smaller by an integer factor; a rest of the size is cut off."""
     if factor == 1:
         return camera
-    return Camera(
-        to_world=camera.to_world,
+    return replace(
+        camera,
         focal=(camera.fx / factor, camera.fy / factor),
         width=camera.width // factor,
         height=camera.height // factor,
         principal=(camera.cx / factor, camera.cy / factor),
     )
-
-
-def find_picture(path: Path) -> Path:
-    """The picture called `path`, whose name may lack its suffix; `path` itself if there is none."""
-    if path.is_file():
-        return path
-    candidates = (path.with_name(path.name + suffix) for suffix in SUFFIXES)
-    return next((candidate for candidate in candidates if candidate.is_file()), path)
 
 
 def held_out(items: Sequence[Item], split: Split | None, every: int) -> list[Item]:

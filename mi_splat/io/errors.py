@@ -57,5 +57,6 @@ def from_os_error(path: str, expected: str, error: OSError) -> SplatFileError:
 def folder_advice(folder: str | os.PathLike[str], otherwise: str) -> str:
     """What to do about a folder that cannot be read as it is: photographs need cameras first."""
     if os.path.isdir(folder) and any(name.lower().endswith(_PHOTOGRAPHS) for name in os.listdir(folder)):
-        return "find the cameras of the photographs with COLMAP first: see docs/how-to/photographs.md"
+        do = f"find the cameras of the photographs first, with `mi-splat prepare {os.fspath(folder)} --out SET`"
+        return f"{do}: see docs/how-to/photographs.md"
     return otherwise

@@ -153,6 +153,7 @@ class Loaded:
     invalid: NDArray[np.int64]
     reason: str
     is_antialiased: bool = False
+    infinite: tuple[int, ...] = ()  # valid rows in which a stored logarithm or logit is infinite
     notices: tuple[Notice, ...] = ()
     unread: tuple[str, ...] = ()
     stated_up: tuple[float, float, float] | None = None  # direction that the file says is up

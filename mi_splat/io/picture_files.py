@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from PIL import Image, UnidentifiedImageError
+from PIL import ExifTags, Image, UnidentifiedImageError
 
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.errors import LFS_ADVICE, LFS_POINTER, from_os_error
@@ -39,6 +39,16 @@ _MARKER = re.compile(rb"\xff[^\x00\x01\xff\xd0-\xd7]", re.DOTALL)
 """A marker with a length after it, or the end: not a stuffed byte, a fill byte or a restart."""
 
 _ANIMATED = ("PNG", "WEBP")
+_UPRIGHT = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+"""What makes an image upright, by its EXIF orientation."""
 _lock = threading.RLock()
 _most = MOST_PIXELS
 
@@ -90,6 +100,41 @@ def picture_header(
         return picture.size, picture.mode
 
 
+def picture_orientation(source: Path | bytes, what: str = "") -> int:
+    """The EXIF orientation of an image, 1 to 8; 1, as it is stored, if it has none."""
+    with _opened(source, what or str(source), FORMATS) as picture:
+        return _orientation(picture)
+
+
+def _orientation(picture: Image.Image) -> int:
+    """1 also where EXIF is broken, which programs that show images ignore, too."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            value = picture.getexif().get(ExifTags.Base.Orientation)
+    except (*BROKEN, ArithmeticError):
+        return 1
+    return value if isinstance(value, int) and 1 <= value <= 8 else 1
+
+
+def made_upright(picture: Image.Image, orientation: int) -> Image.Image:
+    """A decoded picture, turned or mirrored as an EXIF orientation says."""
+    turn = _UPRIGHT.get(orientation)
+    return picture if turn is None else picture.transpose(turn)
+
+
+def focal_length_35mm(picture: Image.Image) -> float | None:
+    """The focal length that a camera has written into a picture, in millimetres for the diagonal of 35 mm film."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            written = picture.getexif().get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
+        length = float(written or 0)
+    except (*BROKEN, ArithmeticError):
+        return None
+    return length if 1 <= length <= 2000 else None
+
+
 def check_scans(picture: Image.Image, what: str) -> None:
     """Raise if a picture, opened and not yet decoded, is a JPEG of so many scans that decoding takes minutes."""
     if picture.format == "TIFF" and "jpeg" in str(picture.info.get("compression")):
@@ -121,14 +166,16 @@ def _scans(data: bytes) -> int:
     return scans
 
 
-def load_picture(source: Path | bytes, what: str = "", *, formats: Sequence[str] = FORMATS) -> Image.Image:
-    """A whole picture, decoded."""
+def load_picture(
+    source: Path | bytes, what: str = "", *, formats: Sequence[str] = FORMATS, upright: bool = False
+) -> Image.Image:
+    """A whole picture, decoded; turned as its EXIF orientation says if it is to be upright."""
     with _opened(source, what or str(source), formats) as picture:
         if picture.format in _ANIMATED and getattr(picture, "is_animated", False):
             raise PictureFileError.of(what or str(source), "one picture", "an animation", "save one picture of it")
         check_scans(picture, what or str(source))
         picture.load()
-        return picture.copy()
+        return made_upright(picture, _orientation(picture) if upright else 1).copy()
 
 
 @contextmanager

@@ -218,6 +218,8 @@ REST_COUNTS = (0, 9, 24, 45)
 _REST_OF_DEGREE_4 = 72
 _FLATNESS = 1e-3
 """Third scale of a flat Gaussian, as a share of the smaller of its other two."""
+_POINT = 1e-9
+"""Scale of a Gaussian that has none at all, world units: what is seen of it is the rasteriser's low-pass filter."""
 _OF_SPLATS = ("f_dc_", "f_rest_", "scale_", "rot_", "opacity")
 _PREFIX = re.compile(r"^scal(ar)?_(?=n[xyz]$|f_dc_|f_rest_|scale_|rot_|opacity$|filter_3D$)")
 _TIME = re.compile(r"t|scale_t|rot_r_\d|trbf_\w+|motion_\d+|omega_\d+|velocity_\d+")
@@ -242,6 +244,8 @@ def read_ply(file: io.FileIO, path: str) -> Loaded:
     logits, logs = _columns(rows, ["opacity"])[:, 0], _columns(rows, scale_names)
     if len(scale_names) == 2:
         logs = np.concatenate([logs, logs.min(axis=1, keepdims=True) + math.log(_FLATNESS)], axis=1)
+    infinite = np.isinf(logits) | np.isneginf(logs).any(axis=1)
+    logs = _without_minus_infinity(logs)
     scales, opacities = _activated(logs, logits)
     if _FILTER in kinds:  # the 3D smoothing filter, Yu et al. 2024, eq. 9
         wider = np.sqrt(scales**2 + rows[_FILTER].astype(np.float64)[:, None] ** 2)
@@ -267,6 +271,7 @@ def read_ply(file: io.FileIO, path: str) -> Loaded:
     return dataclasses.replace(
         loaded,
         is_antialiased=mode,
+        infinite=tuple(np.setdiff1d(np.flatnonzero(infinite), loaded.invalid).tolist()),
         notices=tuple(notices),
         unread=tuple(unread),
         stated_up=commented_up(header.comments),
@@ -291,10 +296,22 @@ def _moving(vertex: Element) -> list[Notice]:
 
 
 def _activated(logs: NDArray[np.floating], logits: NDArray[np.floating]) -> list[NDArray[np.floating]]:
-    """Scales and opacities as `mi_splat.io.parameters.activate` computes them: in float64, rounded once."""
+    """Scales and opacities as `mi_splat.io.parameters.activate` computes them: in float64, rounded once.
+
+    An infinite logit is an opacity of 0 or 1, as SuperSplat and splat-transform read it.
+    """
     opacities = 1 / (1 + np.exp(-logits.astype(np.float64)))
-    opacities[~np.isfinite(logits)] = np.nan
     return [np.exp(logs, dtype=np.float64), opacities]
+
+
+def _without_minus_infinity(logs: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Logarithms of scales in which a scale of 0 is that of a flat Gaussian, or of a point."""
+    empty = np.isneginf(logs)
+    if not empty.any():
+        return logs
+    smallest = np.where(empty, np.inf, logs).min(axis=1, keepdims=True)
+    flat = np.where(np.isposinf(smallest), math.log(_POINT), smallest + math.log(_FLATNESS))
+    return np.asarray(np.where(empty, flat, logs).astype(logs.dtype))
 
 
 def _check_properties(vertex: Element, header: Header, path: str) -> tuple[list[str], list[str], int]:

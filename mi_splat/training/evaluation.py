@@ -2,12 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import torch
+from torch import Tensor
 
 from mi_splat.cameras import RenderFn, View
 from mi_splat.metrics import psnr, ssim
 from mi_splat.scene import GaussianScene
+from mi_splat.training.losses import masked
 
 MOST_PSNR = 120.0
 """dB, far above what pictures of 8 bits can tell apart."""
@@ -21,15 +24,31 @@ class Scores:
     ssim: float
 
 
+@runtime_checkable
+class HasMasks(Protocol):
+    """Views of which some parts may not count, as of `mi_splat.datasets.Dataset`."""
+
+    def loss_mask(self, index: int) -> Tensor | None:
+        """(H, W) in [0, 1], 1 where the image of a view counts; None if all of it does."""
+
+
+def loss_mask_of(views: Sequence[View], index: int) -> Tensor | None:
+    """The mask of a view; None if all of it counts, as of views without masks."""
+    return views.loss_mask(index) if isinstance(views, HasMasks) else None
+
+
 def score(scene: GaussianScene, views: Sequence[View], render: RenderFn) -> Scores | None:
-    """Compare a splat with views."""
+    """Compare a splat with views: PSNR over the pixels that count, SSIM of images that are black elsewhere."""
     rows: list[dict[str, float]] = []
     with torch.no_grad():
-        for view in views:
+        for index, view in enumerate(views):
             image = render(scene, view.camera)[..., :3].clamp(0, 1)  # a fourth channel is alpha
-            image = image.to(view.image.device)
-            best = float(psnr(image, view.image).clamp(max=MOST_PSNR))
-            rows.append({"psnr": best, "ssim": float(ssim(image, view.image))})
+            mask = loss_mask_of(views, index)
+            image, truth = masked(image.to(view.image.device), mask), masked(view.image, mask)
+            best = psnr(image, truth)
+            if mask is not None:
+                best = best + 10 * mask.mean().clamp(min=1e-6).log10()  # the masked pixels have no error
+            rows.append({"psnr": float(best.clamp(max=MOST_PSNR)), "ssim": float(ssim(image, truth))})
     if not rows:
         return None
     return Scores(**{name: sum(row[name] for row in rows) / len(rows) for name in rows[0]})

@@ -16,8 +16,8 @@ from mi_splat.cameras import Camera, RenderFn, View, cameras_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
-from mi_splat.training.evaluation import score
-from mi_splat.training.losses import photometric_loss
+from mi_splat.training.evaluation import loss_mask_of, score
+from mi_splat.training.losses import masked, photometric_loss
 from mi_splat.training.state import Progress, TrainingError, TrainState, check_start
 from mi_splat.training.strategies import ScreenGradients, Step
 
@@ -40,7 +40,8 @@ class Fit:
 __all__ = ["Fit", "FitConfig", "Progress", "TrainState", "TrainingError", "advance", "fit", "scene_extent"]
 
 OnStep = Callable[[Progress], None]
-Target = tuple[Camera, Tensor]
+Target = tuple[Camera, Tensor, Tensor | None]
+"""A camera, its image, and the mask of what of it counts."""
 
 
 def scene_extent(views: Sequence[View]) -> float:
@@ -62,7 +63,8 @@ def fit(
     """Train a splat on views.
 
     Args:
-        views: Pictures to match.
+        views: Pictures to match; where they have masks (`mi_splat.datasets.Dataset.loss_mask`), what is masked does
+            not count.
         start: Gaussians to begin with.
         render: Any differentiable renderer; the classic strategy needs one that keeps screen gradients, see
             `mi_splat.rendering.Renderer`.
@@ -122,11 +124,11 @@ def advance(
 
 
 def targets_of(views: Sequence[View], device: torch.device) -> Callable[[int], Target]:
-    """Camera and image by number, on a device; a GPU keeps as many as fill a quarter of its memory."""
+    """Camera, image and mask by number, on a device; a GPU keeps as many as fill a quarter of its memory."""
 
     def load(index: int) -> Target:
-        view = views[index]
-        return view.camera, view.image.to(device)
+        view, mask = views[index], loss_mask_of(views, index)
+        return view.camera, view.image.to(device), None if mask is None else mask.to(device)
 
     if device.type == "cpu":
         return load
@@ -137,8 +139,9 @@ def targets_of(views: Sequence[View], device: torch.device) -> Callable[[int], T
 def _step(state: TrainState, target_of: Callable[[int], Target], count: int, render: RenderFn) -> float:
     """One image, its loss, its gradient, and a step of Adam."""
     index, scene = state.next_view(count), state.scene()
-    camera, target = target_of(index)
-    loss = photometric_loss(render(scene, camera), target, lambda_dssim=state.config.lambda_dssim)
+    camera, target, mask = target_of(index)
+    image = masked(render(scene, camera), mask)
+    loss = photometric_loss(image, masked(target, mask), lambda_dssim=state.config.lambda_dssim)
     state.optimiser.zero_grad()
     value = differentiate(state, loss, scene)
     state.descend()

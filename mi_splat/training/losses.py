@@ -109,3 +109,19 @@ def photometric_loss(image: Tensor, reference: Tensor, *, lambda_dssim: float = 
         raise InvalidValueError.of("image", expected, tuple(image.shape), "render it at that size")
     loss: Tensor = _Photometric.apply(image, reference, lambda_dssim)
     return loss
+
+
+def masked(image: Tensor, mask: Tensor | None) -> Tensor:
+    """The image, black where a mask is 0.
+
+    A loss of two images that were masked alike depends neither on what is behind the mask, which
+    windows of SSIM would see, nor on what is rendered there.
+
+    Args:
+        image: (H, W, 3) image.
+        mask: (H, W) in [0, 1], 1 where the image counts; None if all of it does.
+
+    Returns:
+        (H, W, 3) image.
+    """
+    return image if mask is None else image * mask.to(image.device)[..., None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,8 +16,9 @@ from torch import Tensor
 from mi_splat.audit.surfaces import place_inside
 from mi_splat.bounds import bounds
 from mi_splat.camera_sets import framing
-from mi_splat.cameras import Camera, View
-from mi_splat.datasets import is_dataset, load_dataset
+from mi_splat.cameras import Camera, View, odd_fields_of_view
+from mi_splat.datasets import DatasetError, DatasetWarning, is_dataset, load_dataset
+from mi_splat.datasets.poses import poses_of
 from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
@@ -25,6 +27,7 @@ from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.scene_files import open_scene, resized
+from mi_splat.training.evaluation import loss_mask_of
 from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
 from mi_splat.viewer.session import DIFFERENCE, SIDE_BY_SIDE
 
@@ -84,12 +87,19 @@ def with_cameras(content: Content, path: Path) -> Content:
     recorded = recorded_cameras(path) if path.is_file() else None
     if recorded is not None:
         orbits = {name: orbit_of(camera, centre, source=f"{path}{OF}{name}") for name, camera in recorded.items()}
-    elif is_dataset(path):
-        orbits, photographs = photographs_of(path, background=content.settings.background, centre=centre)
+    elif is_dataset(path) or (path.suffix.lower() == ".json" and path.is_file()):
+        try:
+            orbits, photographs = photographs_of(path, background=content.settings.background, centre=centre)
+        except DatasetError:  # of images or lenses that cannot be read, the poses alone
+            poses = poses_of(path, content.size)
+            orbits = {name: orbit_of(camera, centre, source=f"{path}{OF}{name}") for name, camera in poses.items()}
     else:
         expected = "a data set (COLMAP or transforms), or a JSON file with cameras"
         got = "neither" if path.exists() else "nothing there"
         raise InvalidValueError(message("cameras", expected, f"{path}, {got}", "name one that is there"))
+    exact = [orbit.exact for orbit in orbits.values() if orbit.exact is not None]
+    if photographs is None and (odd := odd_fields_of_view(exact)) is not None:
+        warnings.warn(f"{path}: {odd}", DatasetWarning, stacklevel=2)
     first = next(iter(orbits.values()))
     own = {f"{name} of the scene" if name in orbits else name: orbit for name, orbit in content.cameras.items()}
     alone = len(content.names) == 1
@@ -139,6 +149,12 @@ class Photographs:
     def from_camera(self, camera: str | None) -> Tensor | None:
         """(H, W, 3) the picture of the camera of this name; None if there is none."""
         return None if camera is None or camera not in self.numbers else self.views[self.numbers[camera]].image
+
+    def counting_pixels(self, camera: str | None) -> Tensor | None:
+        """(H, W) 0 where the image of a camera is masked, as at the border of an undistorted one; None if nowhere."""
+        if camera is None or camera not in self.numbers:
+            return None
+        return loss_mask_of(self.views, self.numbers[camera])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -137,6 +137,11 @@ class Painter:
         if len(self.content.names) < 2 or (photographs and self._photograph(orbit) is None):
             return None
         first, second = (self.picture(name, orbit) for name in self.content.names)
+        if photographs is not None:
+            counts = photographs.counting_pixels(self.content.camera_name(orbit))
+            if counts is not None:
+                mask = _resized(counts[..., None], self.content.size_at(orbit))
+                second = first + mask * (second - first)
         return None if torch.equal(first, second) else float(psnr(first, second))
 
     def comparison(self, orbit: Orbit) -> str:

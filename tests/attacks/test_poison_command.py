@@ -34,13 +34,13 @@ SMALL = {
 
 @pytest.fixture(scope="module")
 def names(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """A set whose pictures are clear on the left; its PNG files are of another writer."""
+    """A set whose pictures have masks, and are clear on the left; its PNG files are of another writer."""
     folder, render = tmp_path_factory.mktemp("set"), Renderer(RenderSettings(near=0.1))
     with torch.no_grad():
         views = [View(camera, render(SPLAT, camera).clamp(0, 1)) for camera in CAMERAS]
-    alpha = torch.ones(16, 20)
-    alpha[:, :4], alpha[:, 4:8] = 0, 0.4
-    write_transforms(folder / "set", views[:4], test=views[4:], alphas=[alpha] * 5)
+    alpha, mask = torch.ones(16, 20), torch.ones(16, 20)
+    alpha[:, :4], alpha[:, 4:8], mask[12:] = 0, 0.4, 0
+    write_transforms(folder / "set", views[:4], test=views[4:], alphas=[alpha] * 5, masks=[mask] * 5)
     for file in (folder / "set" / "images").iterdir():
         load_picture(file).save(file, compress_level=0)
     save_splat(SPLAT, folder / "splat.ply")
@@ -80,17 +80,18 @@ def test_without_a_budget_every_file_keeps_its_bytes(kind: str, names: list[str]
 
 
 @pytest.mark.parametrize("kind", SMALL)
-def test_pictures_change_within_the_ball_and_keep_alpha(kind: str, names: list[str], tmp_path: Path) -> None:
+def test_pictures_change_within_the_ball_and_keep_alpha_and_masks(kind: str, names: list[str], tmp_path: Path) -> None:
     record = poison(tmp_path / "out", names, kind, "--eps", "8", "--share", "0.5", "--seed", "3")
     assert {"kind": kind, "eps": 8, "seed": 3}.items() <= record.items()
     changes = {change["index"]: change for change in record["changes"]}
     assert len(changes) == 2
     before, after = both(names, tmp_path / "out")
     for index, (old, new) in enumerate(zip(before, after, strict=True)):
-        kept, keeps = before.alpha(index), after.alpha(index)
-        assert kept is not None
-        assert keeps is not None
-        assert torch.equal(kept, keeps)
+        for plane in (Dataset.alpha, Dataset.loss_mask):
+            kept, keeps = plane(before, index), plane(after, index)
+            assert kept is not None
+            assert keeps is not None
+            assert torch.equal(kept, keeps)
         difference = (old.image - new.image).abs()
         assert (difference[:, :4] == 0).all()  # where it is clear
         told = changes.get(index, {"largest": 0.0, "pixels_changed": 0})

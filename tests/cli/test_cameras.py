@@ -8,16 +8,19 @@ import pytest
 import torch
 
 from mi_splat.camera_sets import orbit
-from mi_splat.cameras import Camera, look_at, project_points
+from mi_splat.cameras import Camera, View, look_at, project_points
 from mi_splat.cli.cameras import find_cameras, render_settings
 from mi_splat.cli.options import CameraOptions
-from mi_splat.datasets.frames import DatasetError
+from mi_splat.datasets import DatasetError
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.camera_records import describe, recorded_cameras, unique_names
-from mi_splat.rendering import RenderSettings
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.rotation import to_matrix
+from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.scene_files import SplatScene
-from tests.datasets.sets import CLOUD, VIEWS, colmap_binary
+from tests.datasets.sets import CLOUD, VIEWS, colmap_binary, write_colmap
 from tests.fakes import camera, toy_scene
+from tests.gaussians import varied_scene
 from tests.training.sets import write_set
 
 
@@ -170,3 +173,49 @@ def test_near_plane_and_background() -> None:
     assert render_settings(own, CameraOptions(near=0.07), near_one).near == 0.07
     assert render_settings(own, CameraOptions(), near_one).background == (0.1, 0.2, 0.3)
     assert render_settings(own, CameraOptions(background=(1, 1, 1)), near_one).background == (1, 1, 1)
+
+
+# A set whose world is another one
+
+
+@pytest.fixture(scope="module")
+def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[GaussianScene, Path]:
+    """A splat, and a set of its renderings."""
+    scene = varied_scene(60, degree=0, seed=5).replace(opacities=torch.full((60,), 0.9))
+    poses = orbit((0, 0, 0), count=9, elevation=25, distance=4, focal=50.0, size=(48, 36))
+    render = Renderer()
+    views = [View(pose, render(scene, pose).clamp(0, 1)) for pose in poses]
+    folder = tmp_path_factory.mktemp("photographed") / "set"
+    write_colmap(folder, views)
+    return scene, folder
+
+
+def opened(scene: GaussianScene) -> SplatScene:
+    return SplatScene(scene=scene, objects={}, cameras={}, settings=RenderSettings())
+
+
+def test_a_set_of_the_splat_s_world_is_not_warned_of(
+    photographed: tuple[GaussianScene, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, folder = photographed
+    assert len(find_cameras(opened(scene), CameraOptions(cameras=(str(folder),)))) == 9
+    noisy = scene.replace(sh=scene.sh + 0.2 * torch.randn(scene.sh.shape, generator=torch.Generator().manual_seed(1)))
+    find_cameras(opened(noisy), CameraOptions(cameras=(str(folder),)))
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("how", ["turned", "another", "far away"])
+def test_a_set_of_another_world_is_warned_of(
+    how: str, photographed: tuple[GaussianScene, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, folder = photographed
+    quarter = to_matrix(torch.tensor([0.5**0.5, 0.5**0.5, 0.0, 0.0], dtype=torch.float64))
+    shift = torch.tensor([500.0, 0, 0]) if how == "far away" else torch.zeros(3)
+    moved = {
+        "turned": scene.transform(Similarity(rotation=quarter, translation=torch.zeros(3))),
+        "another": varied_scene(60, degree=0, seed=6),
+        "far away": scene.replace(means=scene.means + shift),
+    }[how]
+    find_cameras(opened(moved), CameraOptions(cameras=(str(folder),)))
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "its images do not look like the splat from their own cameras" in line

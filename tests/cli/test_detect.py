@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from PIL import Image
+from PIL import ExifTags, Image
 
 from attacks import cli
 from attacks.observe.comparison import compare
@@ -59,6 +59,41 @@ def test_pictures_and_splats_are_looked_at(folder: Path, capsys: pytest.CaptureF
     assert "--force" in capsys.readouterr().err
     assert cli.main(["detect", "clean.ply", "--min-confidence", "1", *VIEW, "--out", "none"]) == 0
     assert "clean-orbit-00-fake_colour: nothing" in capsys.readouterr().out
+
+
+def test_the_images_of_a_folder_are_looked_at_upright(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["render", "clean.ply", *VIEW, "--out", "views"]) == 0
+    photos = folder / "photos"
+    photos.mkdir()
+    upright = Image.open(folder / "views" / "orbit-00.png")
+    upright.save(photos / "b.png")
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    upright.transpose(Image.Transpose.ROTATE_90).save(photos / "a.PNG", exif=exif)
+    (photos / "c.jpg").write_bytes(b"no image")
+    (photos / "notes.txt").write_text("no image either")
+    capsys.readouterr()
+    assert cli.main(["detect", "photos", "--out", "detected", "--json"]) == 0
+    captured = capsys.readouterr()
+    assert "c.jpg" in captured.err
+    assert "going on without it" in captured.err
+    first, second = json.loads(captured.out)["pictures"]
+    assert [Path(row["source"]).name for row in (first, second)] == ["a.PNG", "b.png"]
+    assert first["detections"] == second["detections"] != []
+    assert cli.main(["detect", "photos", "--fov", "30", "--out", "again"]) == 2
+    assert "pictures only, and --fov" in capsys.readouterr().err
+
+
+def test_a_folder_of_too_many_images(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("attacks.cli.detect.MOST_IMAGES", 1)
+    (folder / "photos").mkdir()
+    for name in ("a.png", "b.png"):
+        Image.new("RGB", (8, 8)).save(folder / "photos" / name)
+    assert cli.main(["detect", "photos", "--out", "detected"]) == 2
+    assert "at most 1 images, got 2" in capsys.readouterr().err
+    assert not (folder / "detected").exists()
 
 
 def test_a_clean_and_an_attacked_splat_are_compared(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -30,6 +30,7 @@ from mi_splat.fields import (
 
 NEEDED = {
     "capture": ["car_street"],
+    "prepare": ["photos", "--out", "out"],
     "train": ["set", "--out", "out"],
     "render": ["a.ply"],
     "convert": ["a.ply", "b.spz"],

@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
         ("report nowhere", "got nothing there"),
         ("cloak missing.toml", "no file missing.toml"),
         ("capture car --cameras hemisphere:-3", "expected hemisphere:N"),
+        ("prepare nowhere --out out", "nowhere: expected a folder of photographs, or a video, got no such file"),
     ],
 )
 def test_wrong_inputs_are_refused_before_torch_is_imported(

@@ -26,6 +26,7 @@ from tests.training.sets import write_set
 
 COMMANDS = {
     "capture truck.glb --size 16": ("", "mi_splat.capture.writer.write_capture"),
+    "prepare set/images": ("", "mi_splat.preparation.prepare.take_photographs"),
     "train set": ("", "mi_splat.training.resume.train"),
     "render a.ply": ("a.png", "mi_splat.cli.cameras.renderer_of"),
     "render a.ply --cameras orbit:3@20": ("", "mi_splat.cli.cameras.renderer_of"),
@@ -169,6 +170,7 @@ LINES = {
     "conform result --out {}": "a result",
     "conform --export {}": "a result",
     "poison set set2 --out {}": "a set",
+    "prepare set/images --out {}": "a prepared set",
     "compare a.ply --out {}": "a result",
     "detect a.ply --out {}": "a result",
     "evaluate a.ply b.ply --out {}": "a result",
@@ -195,7 +197,9 @@ def test_what_is_there_is_replaced_only_with_force(line: str, folder: Path, caps
     if kind == "a file":
         old.write_text("precious")
     else:
-        record = {"a result": "result.json", "pictures": "cameras.json", "a set": "poison.json"}[kind]
+        records = {"a result": "result.json", "pictures": "cameras.json"}
+        records |= {"a set": "poison.json", "a prepared set": "prepare.json"}
+        record = records[kind]
         with new_folder(old, record=record) as made:
             (made / record).write_text("precious")
     assert cli.main(words) == 1

@@ -48,7 +48,9 @@ def write_set(folder: Path, up: Any = "z") -> list[str]:
     scene, render = ball_on_a_plane(), Renderer()
     views = [View(camera, render(scene, camera).clamp(0, 1)) for camera in CAMERAS]
     moved = [View(camera, view.image) for view, camera in zip(views, turned(views, back).cameras, strict=True)]
-    write_transforms(folder / "set", moved[4:], test=moved[:4])
+    left = torch.ones(32, 40)
+    left[:, 20:] = 0
+    write_transforms(folder / "set", moved[4:], test=moved[:4], masks=[left] * 20)
     save_splat(scene.transform(Similarity(rotation=back, translation=torch.zeros(3).double())), folder / "splat.ply")
     return [str(folder / "set"), str(folder / "splat.ply")]
 
@@ -79,6 +81,10 @@ def test_the_object_is_gone_from_there_and_all_else_stays(names: list[str], tmp_
     before, after = (load_dataset(folder, split="train") for folder in (names[0], tmp_path / "out"))
     for index, (old, new) in enumerate(zip(before, after, strict=True)):
         assert torch.equal(old.camera.to_world, new.camera.to_world)
+        counted, counts = (poisoned.loss_mask(index) for poisoned in (before, after))
+        assert counted is not None
+        assert counts is not None
+        assert torch.equal(counts > 0, (counted > 0) | (old.image != new.image).any(-1))
         if index in changed:
             assert red(old.image) > 20
             assert red(new.image) == 0

@@ -11,7 +11,7 @@ from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison import methods
 from mi_splat.comparison.compare import FORWARD, GAP, GRADIENT, CompareConfig, as_dict, compare, save_sheets, sheet
 from mi_splat.comparison.methods import Method, load_methods, register_method
-from mi_splat.datasets.frames import DatasetError
+from mi_splat.datasets import DatasetError
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene

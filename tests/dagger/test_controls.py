@@ -38,6 +38,6 @@ def test_noise_is_matched_in_few_looks_at_the_views(gain: float, number: int) ->
     wanted = _object_errors(Pictures(gain=0.4), attacked, views)  # type: ignore[arg-type]
     pictures: Any = Pictures(gain=gain)
     matched = _matched(pictures, noisy, reference, views, wanted)
-    assert pictures.count <= (7 if number == 1 else 3 * number + 6 * 7)
+    assert pictures.count <= (7 if number == 1 else 2 * number + 6 * 7)
     error = _mean(_object_errors(pictures, matched, views))
     assert abs(10 * float(torch.tensor(error / _mean(wanted)).log10())) <= TOLERANCE

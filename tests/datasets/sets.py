@@ -14,7 +14,7 @@ from torch import Tensor
 
 from mi_splat.cameras import Camera, View, look_at, project_points
 from mi_splat.datasets import PointCloud
-from mi_splat.datasets.writing import IMAGES, list_colmap, list_transforms, make_folder, picture_name
+from mi_splat.datasets.writing import IMAGES, MASKS, list_colmap, list_transforms, make_folder, picture_name
 from mi_splat.io.documents import save_png
 from mi_splat.io.points import to_bytes
 from mi_splat.rotation import from_matrix
@@ -27,6 +27,7 @@ def write_set(
     *,
     test: Iterable[View] = (),
     alphas: Sequence[Tensor] | None = None,
+    masks: Sequence[Tensor | None] = (),
     points: PointCloud | None = None,
 ) -> None:
     """Write PNG files of views, and the files that list them."""
@@ -38,6 +39,9 @@ def write_set(
             name = picture_name(split, len(listing[split]))
             save_png(to_bytes(image), images / name)
             listing[split].append((name, shot.camera))
+    for (name, _), mask in zip((*listing["train"], *listing["test"]), masks, strict=False):
+        if mask is not None:
+            save_png(to_bytes(mask), make_folder(folder / MASKS) / name)
     write_list(folder, listing, points)
 
 
@@ -101,3 +105,45 @@ def colmap_binary(folder: Path, views: list[View], cloud: PointCloud) -> Path:
     ]
     (model / "points3D.bin").write_bytes(struct.pack("<Q", len(data)) + b"".join(data))
     return model
+
+
+LENSES: dict[str, tuple[list[float], tuple[int, int], list[float]]] = {
+    "SIMPLE_RADIAL": ([150.0, 80.3, 60.1, -0.12], (165, 121), [150.0, 150.0, 82.809375, 60.60083333333333]),
+    "RADIAL": ([150.0, 80.3, 60.1, 0.12, -0.03], (152, 114), [150.0, 150.0, 76.285, 57.095]),
+    "OPENCV": (
+        [150.0, 140.0, 80.3, 60.1, -0.2, 0.05, 0.003, -0.002],
+        (168, 124),
+        [150.0, 140.0, 84.315, 62.10333333333333],
+    ),
+    "FULL_OPENCV": (
+        [150.0, 140.0, 80.3, 60.1, 0.4, -0.1, 0.003, -0.002, 0.02, 0.3, -0.05, 0.03],
+        (153, 115),
+        [150.0, 140.0, 76.786875, 57.59583333333333],
+    ),
+    "OPENCV_FISHEYE": (
+        [90.0, 95.0, 80.3, 60.1, 0.02, -0.01, 0.003, -0.001],
+        (215, 136),
+        [90.0, 95.0, 107.903125, 68.11333333333333],
+    ),
+    "FISHEYE": ([90.0, 95.0, 80.3, 60.1], (219, 137), [90.0, 95.0, 109.91062500000001, 68.61416666666668]),
+}
+"""COLMAP's parameters of images of 160 x 120, and what COLMAP 4.2.1 undistorts them to: size, and fx, fy, cx, cy."""
+
+
+def lens_set(folder: Path, model: str, parameters: list[float], pixels: np.ndarray[Any, Any], count: int = 1) -> None:
+    """Write a text model with pictures of one lens."""
+    sparse = folder / "sparse" / "0"
+    sparse.mkdir(parents=True)
+    (folder / "images").mkdir()
+    words = " ".join(map(repr, parameters))
+    (sparse / "cameras.txt").write_text(f"1 {model} {pixels.shape[1]} {pixels.shape[0]} {words}\n")
+    names = [f"{number}.png" for number in range(count)]
+    (sparse / "images.txt").write_text("".join(f"{i} 1 0 0 0 0 0 {i} 1 {n}\n\n" for i, n in enumerate(names, 1)))
+    for name in names:
+        Image.fromarray(pixels).save(folder / "images" / name)
+
+
+def ramps() -> np.ndarray[Any, Any]:
+    """Bytes (120, 160, 3) in which red is the column and green is the row: they say where a pixel comes from."""
+    rows, columns = np.mgrid[:120, :160]
+    return np.stack([columns, rows, 255 + 0 * rows], -1).astype(np.uint8)

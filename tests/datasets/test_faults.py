@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from mi_splat.datasets import DatasetError, load_dataset
+from mi_splat.datasets.writing import make_folder
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import load_splat
 from tests.datasets.sets import CLOUD, VIEWS, colmap_binary, write_colmap, write_transforms
@@ -84,9 +85,16 @@ TRANSFORMS: dict[str, tuple[Harm, str]] = {
     "a focal length in words": (entry(fl_x="wide"), "fl_x: expected a finite number"),
     "half a pixel": (entry(w=18.5), "integers"),
     "another size in the file": (entry(w=36, h=26), r"00000\.png: expected 36 x 26 pixels, got 18 x 13"),
-    "distortion": (entry(k1=0.1, p2=0.1), "a lens without distortion, got k1, p2; .*colmap image_undistorter"),
-    "a fisheye lens": (entry(camera_model="OPENCV_FISHEYE"), "got OPENCV_FISHEYE; undistort"),
-    "another fisheye lens": (entry(is_fisheye=True), "got is_fisheye; undistort"),
+    "a fourth coefficient": (entry(k1=0.1, k4=0.1), "k1, k2, p1, p2, k3 of OPENCV, got k4; name the camera_model FULL"),
+    "endless distortion": (entry(k1=1e9), r"frame 0 .*coefficients up to 1e\+06"),
+    "a lens that folds": (entry(k1=-50), "a lens that can be undone"),
+    "a panorama": (entry(camera_model="EQUIRECTANGULAR"), "got EQUIRECTANGULAR; cut the panoramas .*ns-process-data"),
+    "a lens of another program": (entry(camera_model="FOV"), "got FOV; find the cameras again.*mi-splat prepare"),
+    "a mask from elsewhere": (edit(lambda d: d["frames"][0].update(mask_path="/etc/hosts")), "mask_path: .*in the set"),
+    "a mask of another size": (
+        lambda f: Image.new("L", (9, 9)).save(make_folder(f / "masks") / "train_00000.png"),
+        "a mask of 18 x 13 pixels, got 9 x 9",
+    ),
     "a picture from elsewhere": (edit(lambda d: d["frames"][0].update(file_path="../../x")), "a file in the set"),
     "a picture of the system": (edit(lambda d: d["frames"][0].update(file_path="/etc/passwd")), "a file in the set"),
     "points from elsewhere": (entry(ply_file_path="/x.ply"), "ply_file_path: expected the name of a file in the set"),
@@ -115,9 +123,16 @@ TEXT: dict[str, tuple[Harm, str]] = {
     **COMMON,
     "a lens of NaN": (
         rewrite(MODEL + "cameras.txt", lambda data: b"1 RADIAL 18 13 20 9 6 nan 0\n"),
-        "RADIAL with dist",
+        "camera 1: distortion: expected coefficients",
     ),
-    "a lens that bends": (rewrite(MODEL + "cameras.txt", lambda data: b"1 RADIAL 18 13 20 9 6 0.1 0\n"), "; undistort"),
+    "a lens of the view": (
+        rewrite(MODEL + "cameras.txt", lambda data: b"1 FOV 18 13 20 20 9 6 0.1\n"),
+        r"got FOV; pip install pycolmap, .*pycolmap\.undistort_images\('undistorted', '.*sparse/0', '.*images'\)",
+    ),
+    "panoramas": (
+        rewrite(MODEL + "cameras.txt", lambda data: b"1 EQUIRECTANGULAR 18 13 18 13\n"),
+        "got EQUIRECTANGULAR; cut the panoramas",
+    ),
     "a lens without focal length": (
         rewrite(MODEL + "cameras.txt", lambda data: b"1 RADIAL 18 13 0 9 6 0 0\n"),
         "focal",
@@ -183,7 +198,7 @@ def test_binary_sizes(name: str, change: Callable[[bytes], bytes], tmp_path: Pat
 BINARY: dict[str, tuple[Harm, str]] = {
     "distortion": (splice("cameras.bin", 12, "<i", 3), "cameras.bin"),
     "unknown model": (splice("cameras.bin", 12, "<i", 99), "number 99; undistort"),
-    "panoramas": (splice("cameras.bin", 12, "<i", 17), "number 17; undistort"),
+    "panoramas": (splice("cameras.bin", 12, "<i", 17), "cameras.bin"),
     "doubled camera": (splice("cameras.bin", 56, "<i", 7), "7 twice"),
     "NaN": (splice("images.bin", 12, "<d", float("nan")), "a quaternion"),
     "no such camera": (splice("images.bin", 68, "<i", 9), "a camera 9"),
@@ -206,7 +221,9 @@ def test_folders_that_are_no_set(tmp_path: Path) -> None:
         load_dataset(tmp_path)
     Image.new("RGB", (5, 5)).save(tmp_path / "photo.JPG", "JPEG")
     for read in (load_dataset, load_splat):
-        with pytest.raises(MiSplatError, match="find the cameras of the photographs"):
+        with pytest.raises(
+            MiSplatError, match=r"find the cameras of the photographs first, with `mi-splat prepare .* --out SET`"
+        ):
             read(tmp_path)
     with pytest.raises(DatasetError, match="no such folder"):
         load_dataset(tmp_path / "nowhere")

@@ -25,6 +25,7 @@ from mi_splat.io.picture_files import (
     check_texture,
     load_picture,
     picture_header,
+    picture_orientation,
     pixel_limit,
 )
 from tests.capture.trucks import truck, write_glb
@@ -300,3 +301,12 @@ def test_a_webp_may_have_half_as_many_pixels(tmp_path: Path) -> None:
         assert load_picture(tmp_path / "a.webp").size == (200, 100)
     with pixel_limit(39_000), pytest.raises(PictureFileError, match="at most 19,500 pixels, got 20,000"):
         load_picture(tmp_path / "a.webp")
+
+
+@pytest.mark.filterwarnings("ignore:Corrupt EXIF data")
+@pytest.mark.parametrize("tags", [b"", b"II*\0\xff\xff\xff\xff", b"MM\0*\0\0\0\x08\0\x01\x01\x12", bytes(40)])
+def test_broken_exif_is_ignored(tags: bytes, tmp_path: Path) -> None:
+    file = tmp_path / "a.jpg"
+    Image.new("RGB", (4, 2)).save(file, exif=b"Exif\0\0" + tags)
+    assert picture_orientation(file) == 1
+    assert load_picture(file, upright=True).size == (4, 2)

@@ -11,6 +11,7 @@ import pytest
 import torch
 from hypothesis import strategies as st
 
+from mi_splat.audit.linting import lint_file
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import SplatFileError, SplatFileWarning, load_splat, save_splat
 from mi_splat.io.points import PointCloud, load_points, save_points
@@ -158,6 +159,22 @@ def test_the_filter_of_mip_splatting_is_applied(tmp_path: Path) -> None:
     torch.testing.assert_close(scene.opacities.double(), plain.opacities * kept, rtol=1e-5, atol=0)
 
 
+def test_infinite_logits_and_scales_of_zero_are_read(tmp_path: Path) -> None:
+    """As SuperSplat and splat-transform do: opaque, invisible, flat, and a point."""
+    rows = splat_rows(5, 1)
+    rows["opacity"][:2] = np.inf, -np.inf
+    rows["scale_1"][2] = -np.inf
+    for axis in range(3):
+        rows[f"scale_{axis}"][3] = -np.inf
+    plain = load(ply_bytes(splat_rows(5, 1)), tmp_path)
+    scene = load(ply_bytes(rows), tmp_path)
+    assert scene.opacities[:2].tolist() == [1.0, 0.0]
+    assert float(scene.scales[2, 1]) == pytest.approx(1e-3 * float(scene.scales[2, [0, 2]].min()), rel=1e-5)
+    assert scene.scales[3].tolist() == pytest.approx([1e-9] * 3)
+    assert torch.equal(scene.scales[4], plain.scales[4])
+    assert lint_file(tmp_path / "a.ply").findings[0].rule == "infinite"
+
+
 # Gaussians that are not valid, and paths that lead to no file
 
 
@@ -166,7 +183,7 @@ def test_the_filter_of_mip_splatting_is_applied(tmp_path: Path) -> None:
     [
         ({"x": np.nan}, "a coordinate of the mean is nan"),
         ({"f_rest_8": np.inf}, "an SH coefficient is inf"),
-        ({"opacity": np.inf}, "the opacity is nan"),
+        ({"opacity": np.nan}, "the opacity is nan"),
         ({"scale_2": np.nan}, "a scale is nan"),
         ({"rot_1": np.nan}, "the quaternion is zero or not finite"),
         ({"rot_0": 0, "rot_1": 0, "rot_2": 0, "rot_3": 0}, "the quaternion is zero or not finite"),

@@ -55,6 +55,8 @@ NIGHTLY_PAGES = {
     *("docs/report.md", "docs/transfer.md", "docs/how-to/resume-and-extend.md", "docs/rendering-studies.md"),
 }
 """Pages whose lines need what long lines have made, or whose short lines are also on other pages."""
+WALKED_PAGES = {"docs/how-to/photographs.md"}
+"""Pages that a nightly test of their own runs whole: tests/preparation/test_photographs_of_a_phone.py."""
 ELSEWHERE = {
     "make test": "runs these tests",
     "make docs": ".ci/run runs it, and by night tests/project/test_docs.py looks at what it has built",
@@ -104,7 +106,7 @@ class Line:
     @property
     def when(self) -> When | None:
         """When it is run; None if no table says it."""
-        if self.kind in ELSEWHERE:
+        if self.kind in ELSEWHERE or self.page in WALKED_PAGES:
             return "never"
         if self.kind in FAST and self.page not in NIGHTLY_PAGES:
             return "fast"

@@ -45,6 +45,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "ledger": ("mi_splat.ledger",),
     "selection": ("mi_splat.selection",),
     "data sets": ("mi_splat.datasets", "mi_splat.camera_forms", "mi_splat.camera_sets"),
+    "preparation": ("mi_splat.preparation",),
     "objects": ("mi_splat.assets",),
     "rasterization": ("mi_splat.rasterization",),
     "ray tracing": ("mi_splat.raytracing",),

@@ -25,6 +25,7 @@ else:
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 ALSO = {"PIL": "pillow", "pxr": "usd-core"} | {"rapidocr_onnxruntime": "rapidocr-onnxruntime"}
+ALSO |= {"cv2": "opencv-python-headless"}
 """Modules that are not called as their package is."""
 MODULES = [module for modules in EXTRAS.values() for module in modules]
 
@@ -63,6 +64,7 @@ def test_notice_names_extras_that_exist() -> None:
         ("report", ["report", "scenes"]),
         ("ocr", ["detect", "scenes/stop_sign.xml", "--detectors", "rapidocr"]),
         ("meshes", ["capture", "MESH"]),
+        ("photos", ["prepare", "docs/images"]),
         ("yolo", ["dagger", "scenes/car_street.xml", "--detectors", "yolov8n_small"]),
         ("view", ["view", "scenes/car_street.xml"]),
         ("yolo", ["cloak", "scenes/cloak_demo.toml", "--detectors", "yolov8n_small"]),

@@ -5,8 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from attacks import cli
+from mi_splat.cli.train import _Pace
 from mi_splat.io import load_splat
 from tests.training.sets import write_set
 
@@ -42,7 +44,7 @@ def test_near_is_an_option_and_what_it_culls_is_said(tmp_path: Path, capsys: pyt
 def test_a_run_that_goes_on_says_so(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["train", str(dataset), "--out", str(tmp_path / "out"), "--sh-degree", "1"]
     assert cli.main([*words, "--iterations", "5"]) == 0
-    assert capsys.readouterr().err == ""
+    assert "going on" not in capsys.readouterr().err
     assert cli.main([*words, "--iterations", "5"]) == 0
     assert "the run has all its 5 steps" in capsys.readouterr().err
     assert cli.main([*words, "--iterations", "8"]) == 0
@@ -71,3 +73,36 @@ def test_a_set_without_points_starts_anywhere_and_it_is_said(
     words = ["train", str(dataset), "--out", str(tmp_path / "out"), "--iterations", "1"]
     assert cli.main([*words, "--max-gaussians", "20"]) == 0
     assert "the set has no points: starting on 20 Gaussians anywhere" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("ignore::mi_splat.datasets.DatasetWarning")
+def test_the_images_of_a_set_are_counted(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["train", str(dataset), "--iterations", "2", "--sh-degree", "0", "--out"]
+    (dataset / "images" / "train_00002.png").unlink()
+    assert cli.main([*words, str(tmp_path / "few")]) == 0
+    printed = capsys.readouterr().err
+    assert "6 of 7 listed images there; 5 images for training, 1 held out; 0 with a mask" in printed
+    assert "5 training views only: 20 to 200 are usual" in printed
+    for name in ("IMG_1.JPG", "IMG_2.png"):
+        Image.new("RGB", (32, 32)).save(dataset / "images" / name)
+    assert cli.main([*words, str(tmp_path / "unlisted")]) == 0
+    assert f"7 of 9 images in {dataset} have a camera; find the cameras of the others" in capsys.readouterr().err
+
+
+def test_the_time_that_is_left_is_said_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("mi_splat.cli.train.time.monotonic", lambda: clock[0])
+    pace = _Pace(1000, downscale=2)
+    for iteration in range(1, 30):
+        clock[0] += 60.0 if iteration == 1 else 2.5  # the first step compiles
+        pace.count(iteration)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "a step takes 2.5 s: about 41 min left at this pace; --downscale 4 is faster" in line
+    pace = _Pace(1000, downscale=1)
+    for iteration in range(1, 300):
+        clock[0] += 0.1
+        pace.count(iteration)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "--downscale" not in line

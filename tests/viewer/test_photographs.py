@@ -13,13 +13,14 @@ from PIL import Image
 from attacks import cli
 from attacks.report.viewer_content import open_content
 from mi_splat.cameras import Camera, View, orbit_pose
-from mi_splat.datasets import load_dataset
+from mi_splat.datasets import Dataset, DatasetWarning, load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer
 from mi_splat.training.resume import poses_digest
+from mi_splat.viewer.content import Photographs
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.session import Pace, Step, ViewState
 from tests.datasets.sets import write_colmap, write_transforms
@@ -71,6 +72,19 @@ def test_a_splat_is_rendered_where_each_photograph_was_taken(folder: Path, kind:
     assert work.paint(state, Step.FULL, Pace()).pixels.std() > 10
 
 
+def test_what_a_photograph_does_not_show_is_no_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    content = open_content(folder / "splat.ply", cameras=folder / "set")
+    work = Painter(content, Renderer(content.settings))
+    taken = work.picture("photograph", content.start)
+    cut = taken.clone()
+    cut[:, :20] = 0.0
+    monkeypatch.setattr(Photographs, "from_camera", lambda self, name: cut)
+    assert (work.similarity(content.start) or 99.0) < 30
+    shown = (torch.arange(taken.shape[1]) >= 20).float().expand(taken.shape[:2])
+    monkeypatch.setattr(Dataset, "loss_mask", lambda self, index: shown)
+    assert (work.similarity(content.start) or 99.0) > 45
+
+
 def test_the_command_makes_the_picture_of_a_rolled_camera(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -81,7 +95,7 @@ def test_the_command_makes_the_picture_of_a_rolled_camera(
     for orbit in (content.cameras[name], content.cameras[name].changed(azimuth=50.0)):
         command = shlex.split(work.commands(orbit)["splat"])
         assert ("--camera-roll" in command) == (orbit.exact is None)
-        assert cli.main([*command[1:], "--out", "again.png"]) == 0
+        assert cli.main([*command[1:], "--out", "again.png", "--force"]) == 0
         with Image.open("again.png") as picture:
             assert np.array_equal(np.asarray(picture), to_bytes(work.picture("splat", orbit)))
 
@@ -141,3 +155,19 @@ def test_what_cannot_be_shown_together(folder: Path) -> None:
         open_content(folder / "set", cameras=folder / "colmap")
     with pytest.raises(InvalidValueError, match=r"cameras: expected a data set .* nothing there"):
         open_content(folder / "splat.ply", cameras=folder / "none")
+
+
+def test_poses_without_images_are_cameras(folder: Path, tmp_path: Path) -> None:
+    poses, path = tmp_path / "transforms.json", tmp_path / "path.json"
+    frames = [{"transform_matrix": torch.eye(4).tolist()}, {"transform_matrix": torch.eye(4).tolist()}]
+    poses.write_text(json.dumps({"camera_model": "FOV", "fl_x": 1e6, "w": 32, "h": 24, "frames": frames}))
+    with pytest.warns(DatasetWarning) as warned:
+        content = open_content(folder / "splat.ply", cameras=poses)
+    assert [str(line.message).partition(": ")[2][:30] for line in warned] == [
+        "the poses are used without the",
+        "2 of 2 cameras have a field of",
+    ]
+    assert {"transforms-0", "transforms-1"} <= set(content.cameras)
+    assert content.photographs is None
+    path.write_text(json.dumps({"keyframes": [{"matrix": torch.eye(4).flatten().tolist(), "fov": 60}]}))
+    assert "path-0" in open_content(folder / "splat.ply", cameras=path).cameras
