@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mi_splat.errors import InvalidValueError
-from tests.campaign.kinds import Kind
+from tests.campaign.kind import Kind
 
 WHOLE = b"a valid file"
 _KEPT: list[bytes] = []

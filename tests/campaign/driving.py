@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mi_splat.process_group import GroupEndedError, Limits, ProcessGroup
-from tests.campaign.kinds import Kind
+from tests.campaign.kind import Kind
 
 START = Limits(seconds=300.0, megabytes=4000.0)
 """Until the process can read, on a machine that does much else."""

@@ -131,11 +131,13 @@ _PLAIN += ',"../../x","/etc/passwd","1","\\u001b[2J\\r\\n","a/b",".",[],{},[[]],
 VALUES: tuple[Any, ...] = (
     *json.loads(_PLAIN),
     *(f"{RAW}NaN", f"{RAW}-Infinity", f"{RAW}1e999", f"{RAW}{'9' * 10_000}"),
+    *("[" * 5000, "[0, 0]"),
     *(f'{RAW}"\\ud800"', f'{RAW}"{"long" * 5000}"', f'{RAW}{{"a":1,"a":2}}'),
     *(f"{RAW}{1 << 64}", f"{RAW}{'[' * 70}{']' * 70}", f"{RAW}{'[' * 5000}{']' * 5000}"),
 )
 WORDS = b'NaN inf -1 0 1e999 -1e300 1e-320 99999999999999999999 [] {} "" \xff true ../../x'.split()
 WORDS += [b"\x1b[2J", b"\0", b"(" * 3000, b"w" * 5000]
+_EVERYWHERE = (0, 0, 1, -1, 1e-300, 1e300, 1.7e308)
 _WORD = re.compile(rb'-?\d[\d.eE+-]*|"[^"\n]*"|[A-Za-z_]+')
 _RAW = re.compile(rf'"{RAW}((?:[^"\\]|\\.)*)"')
 _NUMBERS: tuple[tuple[str, float], ...] = (
@@ -183,9 +185,11 @@ def _changed(values: Any, random: Random) -> Any:
     if not slots:
         return random.choice(VALUES)
     holder, key = random.choice(slots)
-    match random.randrange(6):
+    match random.randrange(7):
         case 0:
             del holder[key]
+        case 6:
+            holder[key] = _with_one_number(holder[key], random.choice(_EVERYWHERE))
         case 1 if isinstance(holder, list):
             holder.insert(key, copy.deepcopy(holder[key]))
         case 2:
@@ -197,6 +201,15 @@ def _changed(values: Any, random: Random) -> Any:
         case _:
             holder[key] = copy.deepcopy(random.choice(VALUES))
     return values
+
+
+def _with_one_number(values: Any, number: float) -> Any:
+    """The values with one number in the place of all: a matrix of zeros, for instance."""
+    if isinstance(values, dict):
+        return {key: _with_one_number(value, number) for key, value in values.items()}
+    if isinstance(values, list):
+        return [_with_one_number(value, number) for value in values]
+    return number if isinstance(values, int | float) else values
 
 
 def _slots(values: Any) -> Iterator[tuple[Any, Any]]:

@@ -26,7 +26,8 @@ import torch
 from mi_splat.errors import MiSplatError
 from mi_splat.process_group import connection, inbox, limit_file_size
 from tests.campaign.bad import BAD
-from tests.campaign.kinds import KINDS, Kind
+from tests.campaign.kind import Kind
+from tests.campaign.kinds import KINDS
 from tests.campaign.mutations import mutant
 
 SECONDS = float(os.environ.get("MI_SPLAT_CPU_SECONDS", "20"))

@@ -42,7 +42,7 @@ def test_damaged_files_are_read_or_refused(name: str, driver: Driver) -> None:
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", BAD)
 def test_whatever_none_may_do_is_noticed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MI_SPLAT_CPU_SECONDS", "1")
+    monkeypatch.setenv("MI_SPLAT_CPU_SECONDS", "4")
     driver = Driver()
     try:
         account = driver.run(BAD[name], seed=1, count=2)

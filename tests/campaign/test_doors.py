@@ -7,7 +7,8 @@ from attacks.studies.study_file import read_study
 from mi_splat.io.picture_files import FORMATS as IMAGES
 from mi_splat.io.splat_files import SUFFIXES as SPLATS
 from tests.campaign.doors import decoding_modules, public_readers
-from tests.campaign.kinds import KINDS, STUDIES
+from tests.campaign.kinds import KINDS
+from tests.campaign.of_results import STUDIES
 from tests.project.layers import ROOT
 
 WITHOUT = {
@@ -21,7 +22,11 @@ WITHOUT = {
 """Public readers that need no kind, and why."""
 MODULES_WITHOUT = {
     **dict.fromkeys(
-        ("attacks.audits.gated", "attacks.audits.judging"), "messages between our own processes; tests/audit"
+        (
+            *("attacks.audits.gated", "attacks.audits.judging"),
+            *("mi_splat.preparation.prepare", "mi_splat.preparation.worker"),
+        ),
+        "messages between our own processes",
     ),
     **dict.fromkeys(
         (
