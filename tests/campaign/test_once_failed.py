@@ -41,6 +41,15 @@ def test_documents(name: str, change: Callable[[Any], Any], tmp_path: Path) -> N
         kind.read(path)
 
 
+@pytest.mark.parametrize("number", [0, 1e200, 1.7e308])
+def test_rotations_that_are_none_say_nothing_of_up(number: float, tmp_path: Path) -> None:
+    kind = KINDS["cameras beside a splat"]
+    path = kind.make(tmp_path)
+    cameras = json.loads(path.read_text())
+    path.write_text(json.dumps([*cameras, {**cameras[0], "rotation": [[number] * 3] * 3}]))
+    assert "cameras" not in str(kind.read(path))
+
+
 @pytest.mark.parametrize(("name", "data"), [("mesh.ply", b"ply\n\xff\n"), ("mesh.obj", b"v 0 0 0\nf \xb0 1 2\n")])
 def test_meshes_that_are_no_text(name: str, data: bytes, tmp_path: Path) -> None:
     kind = KINDS[f"mesh scene {name}"]
