@@ -99,7 +99,10 @@ def test_layers_sectors_and_what_is_smooth_over_azimuth_are_found(suitcase: Made
     assert judged.strongest.look.region.axis[0] < -0.8
 
 
-@pytest.mark.parametrize("make", [scenes.glossy, scenes.metal, scenes.velvet, scenes.noisy])
+MORE_MATERIALS = [pytest.param(make, marks=pytest.mark.nightly) for make in (scenes.metal, scenes.velvet)]
+
+
+@pytest.mark.parametrize("make", [scenes.glossy, scenes.noisy, *MORE_MATERIALS])
 def test_honest_splats_are_not_called_hidden(make: Callable[[Made], Made]) -> None:
     judged = audit(make(standing("car", count=1200)).scene)
     assert judged.verdict == "nothing found"
