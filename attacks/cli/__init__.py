@@ -190,9 +190,18 @@ _NO_MEMORY = ("failed to map segment", "annot allocate memory", "failed to alloc
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Show warnings in one line each, without the line of code that raised them."""
+    """Show warnings in one line each, once, without the line of code that raised them."""
     before = warnings.formatwarning
-    warnings.formatwarning = lambda text, *_, **__: f"{PROGRAM}: warning: {printable(' '.join(str(text).split()))}\n"
+    shown = set[str]()
+
+    def line(text: Warning | str, *_: object, **__: object) -> str:
+        words = printable(" ".join(str(text).split()))
+        if words in shown:
+            return ""
+        shown.add(words)
+        return f"{PROGRAM}: warning: {words}\n"
+
+    warnings.formatwarning = line
     try:
         yield
     finally:

@@ -68,3 +68,12 @@ def test_errors_and_warnings_of_hostile_names_are_one_line(
         assert warnings.formatwarning(HOSTILE, UserWarning, "", 0) == f"mi-splat: warning: {SHOWN}\n".replace(
             "\\r", " "
         )
+
+
+def test_a_warning_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    """A set is read for its training and for its held-out images, and may be warned of twice."""
+    with warnings.catch_warnings(), cli._plain_warnings():
+        warnings.simplefilter("always")
+        for text in ("12 masks missing", "12 masks  missing", "another"):
+            warnings.warn(text, UserWarning, stacklevel=1)
+    assert capsys.readouterr().err == "mi-splat: warning: 12 masks missing\nmi-splat: warning: another\n"
