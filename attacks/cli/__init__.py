@@ -194,14 +194,14 @@ def _plain_warnings() -> Iterator[None]:
     before = warnings.formatwarning
     shown = set[str]()
 
-    def line(text: Warning | str, *_: object, **__: object) -> str:
+    def formatted(text: Warning | str, category: type[Warning], file: str, number: int, line: str | None = None) -> str:
         words = printable(" ".join(str(text).split()))
         if words in shown:
             return ""
         shown.add(words)
         return f"{PROGRAM}: warning: {words}\n"
 
-    warnings.formatwarning = line
+    warnings.formatwarning = formatted
     try:
         yield
     finally:
