@@ -194,8 +194,10 @@ def _plain_warnings() -> Iterator[None]:
     before = warnings.formatwarning
     shown = set[str]()
 
-    def formatted(text: Warning | str, category: type[Warning], file: str, number: int, line: str | None = None) -> str:
-        words = printable(" ".join(str(text).split()))
+    def formatted(
+        message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+    ) -> str:
+        words = printable(" ".join(str(message).split()))
         if words in shown:
             return ""
         shown.add(words)
