@@ -79,7 +79,7 @@ def load_mitsuba_scene(path: str | Path, **parameters: Any) -> Any:
     try:
         # Not parallel: rare failures were seen with threads; their cause is not known.
         loaded = mi.load_file(str(path), parallel=False, **parameters)
-    except RuntimeError as error:
+    except (RuntimeError, UnicodeDecodeError) as error:
         raise _reason(error, path) from None
     if not isinstance(loaded, mi.Scene):
         raise InvalidValueError.of(str(path), "a <scene>", type(loaded).__name__, "wrap it in <scene>")
@@ -127,9 +127,12 @@ def _settings_of(integrator: Any, near: float, path: str | Path) -> RenderSettin
     return RenderSettings(near=near)
 
 
-def _reason(error: RuntimeError, path: Path) -> MiSplatError:
+def _reason(error: RuntimeError | UnicodeDecodeError, path: Path) -> MiSplatError:
     """Mitsuba wraps what a plugin raises in text; give back the last line of it, which is ours if we raised it."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    text = str(error)
+    if isinstance(error, UnicodeDecodeError):  # Mitsuba quotes bytes of a file that are no text
+        text = error.object.decode("utf-8", "replace")
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
     ours = [line for line in lines if line.startswith(("SplatFileError:", "InvalidValueError:"))]
     if ours:
         return SplatFileError(ours[-1].split(": ", 1)[1])

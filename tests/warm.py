@@ -13,6 +13,7 @@ import runpy
 import subprocess
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,9 +34,24 @@ class Warm:
         self._server: subprocess.Popen[str] | None = None
 
     def run(
-        self, *words: str, cwd: Path, missing: Sequence[str] = (), check: bool = False
+        self,
+        *words: str,
+        cwd: Path,
+        missing: Sequence[str] = (),
+        check: bool = False,
+        kill: tuple[float, int] | None = None,
+        mark: tuple[str, str] | None = None,
     ) -> subprocess.CompletedProcess[str]:
-        """Run a program to its end."""
+        """Run a program to its end.
+
+        Args:
+            words: `-m` or `-c`, and what follows.
+            cwd: Its working folder.
+            missing: Modules that it does not find.
+            check: Whether another status than 0 is an error.
+            kill: After how many seconds it gets which signal, unless it has ended; None for no signal.
+            mark: A variable of its environment, and of that of all that it starts, with its value.
+        """
         if self._server is None:
             command = [sys.executable, "-m", "tests.warm"]
             root = Path(__file__).resolve().parents[1]
@@ -44,7 +60,8 @@ class Warm:
         assert server.stdin is not None
         assert server.stdout is not None
         with TemporaryDirectory() as folder:
-            request = {"words": words, "cwd": str(cwd), "missing": list(missing), "folder": folder}
+            request: dict[str, Any] = {"words": words, "cwd": str(cwd), "missing": list(missing), "folder": folder}
+            request |= {"kill": kill, "mark": mark}
             server.stdin.write(json.dumps(request) + "\n")
             server.stdin.flush()
             status = int(server.stdout.readline())
@@ -88,10 +105,23 @@ def serve() -> None:
         child = os.fork()
         if child == 0:
             _end(_status(request))
-        _, status = os.waitpid(child, 0)
+        status = _ended(child, request["kill"])
         sys.stdout.write(f"{os.waitstatus_to_exitcode(status)}\n")
         sys.stdout.flush()
     _end(0)
+
+
+def _ended(child: int, kill: tuple[float, int] | None) -> int:
+    """Wait for a child, which gets a signal meanwhile if there is one; its status."""
+    if kill is not None:
+        seconds, number = kill
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            if os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+                break
+            time.sleep(0.002)
+        os.kill(child, number)  # it is not waited for yet, so that its number is still its own
+    return os.waitpid(child, 0)[1]
 
 
 def _end(status: int) -> NoReturn:
@@ -123,6 +153,8 @@ def _begin(request: dict[str, Any]) -> None:
         path = os.devnull if number == 0 else os.path.join(request["folder"], name)
         os.dup2(os.open(path, os.O_RDONLY if number == 0 else os.O_WRONLY | os.O_CREAT), number)
     os.chdir(request["cwd"])
+    if request["mark"]:
+        os.environ.update([request["mark"]])
     missing = request["missing"]
     if missing:
         _hide(missing)

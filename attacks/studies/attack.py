@@ -115,12 +115,17 @@ def street_of(condition: str, sun: SunTable | None) -> tuple[SunTable | None, di
 
 
 def cameras_in(path: Path) -> dict[str, Camera]:
-    """The cameras of a file, by name."""
-    cameras = recorded_cameras(path) if path.is_file() else None
+    """The cameras of a file, by name; read once as long as the file is the same."""
+    cameras = _recorded(path, _state(path)) if path.is_file() else None
     if not cameras:
         do = "write one with scenes.recipes.drawn_cameras"
         raise InvalidValueError.of("cameras", "a JSON file with cameras", str(path), do)
-    return cameras
+    return dict(cameras)
+
+
+@functools.lru_cache(maxsize=64)
+def _recorded(path: Path, state: object) -> dict[str, Camera] | None:
+    return recorded_cameras(path)
 
 
 @functools.lru_cache(maxsize=64)

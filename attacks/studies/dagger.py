@@ -11,6 +11,7 @@ that judge are others. [judge] has those of `Judge`.
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ import polars as pl
 
 from attacks.aims import OBJECTIVES, PluggedObjective
 from attacks.dagger.config import REGION
-from attacks.detectors.registry import detector_spec, load_detector
+from attacks.detectors.registry import DetectorSpec, detector_spec, load_detector
 from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe import Control
 from attacks.observe.conditions import OWN, SunTable, package_of
@@ -163,7 +164,14 @@ def weights(detectors: tuple[str, ...]) -> dict[str, Path]:
 
 def fingerprints(detectors: tuple[str, ...]) -> tuple[str, ...]:
     """Fingerprints of those detectors whose weights are in no file."""
-    return tuple(load_detector(name).fingerprint for name in detectors if detector_spec(name).weights is None)
+    pairs = [(name, detector_spec(name)) for name in detectors]
+    return tuple(_fingerprint(name, spec) for name, spec in pairs if spec.weights is None)
+
+
+@functools.lru_cache(maxsize=64)
+def _fingerprint(name: str, spec: DetectorSpec) -> str:
+    """The fingerprint of a detector, which is loaded once for all attempts of a study."""
+    return load_detector(name).fingerprint
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -180,6 +188,7 @@ class DaggerWork(Work[DaggerAttempt]):
     story, can_bisect = STORY, True
 
     def __init__(self, study: Study) -> None:
+        _fingerprint.cache_clear()  # weights may be others by now
         super().__init__(study, map(self.attempt, study.points))
         searches: dict[Any, list[DaggerAttempt]] = {}
         for attempt in self.attempts:

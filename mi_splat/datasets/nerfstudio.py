@@ -30,6 +30,7 @@ OPENGL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 WORLD = "dataparser_transforms.json"
 _FOV = 75.0
 """Degrees from top to bottom, the default of nerfstudio's viewer."""
+_MOST_PIXELS = 1 << 31  # a camera has a bound of its own
 _COLMAP = "colmap/sparse/0"
 _AS_FROM_COLMAP = [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]]
 """How nerfstudio turned the world of COLMAP before its files said so."""
@@ -79,10 +80,17 @@ def world_of(path: Path, document: Mapping[str, Any]) -> World | None:
     if applied is not None:
         # The file's poses were turned already; the description begins before that.
         fields = Fields({"applied_transform": applied}, str(path), DatasetError, "repair it")
-        from_original = from_original @ torch.linalg.inv(_square(fields.rows("applied_transform", 3, 4)))
+        turned = _square(fields.rows("applied_transform", 3, 4))
+        if not is_rotation(turned[:3, :3]):
+            raise fields.bad("applied_transform", "a rotation and a shift", applied)
+        from_original = from_original @ torch.linalg.inv(turned)
     scale = values.number("scale")
     if document.get("applied_scale") is not None:
-        scale /= Fields(document, str(path), DatasetError, "repair it").number("applied_scale")
+        fields = Fields(document, str(path), DatasetError, "repair it")
+        applied_scale = fields.number("applied_scale")
+        if not applied_scale > 0:
+            raise fields.bad("applied_scale", "a number above 0", applied_scale)
+        scale /= applied_scale
     turn, shift = from_original[:3, :3], from_original[:3, 3]
     if not (is_rotation(turn) and 0 < scale < math.inf):
         raise DatasetError.of(str(file), "a rotation and a positive scale", from_original.tolist(), "copy it again")
@@ -112,7 +120,10 @@ def camera_path(document: Mapping[str, Any], path: Path, size: tuple[int, int]) 
     for entry in whole.objects(name):
         height = int(_number(whole, "render_height", size[1]))
         aspect = _number(entry, "aspect", size[0] / size[1])
-        width = int(_number(whole, "render_width", round(height * aspect)))
+        wide = height * aspect
+        if not 0 < wide < _MOST_PIXELS:
+            raise entry.bad("aspect", f"a width of 1 to {_MOST_PIXELS} pixels", aspect)
+        width = int(_number(whole, "render_width", round(wide)))
         angle = _number(entry, "fov", _number(whole, "default_fov", _FOV))
         if not 0 < angle < 180:
             raise entry.bad("fov", "degrees between 0 and 180", angle)
@@ -136,7 +147,7 @@ def _matrix(entry: Fields, key: str) -> Tensor:
     if isinstance(value, str):
         try:
             value = json.loads(value[:10_000])
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise entry.bad(key, "16 numbers", value) from error
     numbers = Fields({key: value}, entry.where, DatasetError, "export the camera path again").numbers(key, 16, 16)
     matrix = torch.tensor(numbers, dtype=torch.float64).reshape(4, 4)

@@ -31,6 +31,8 @@ _CAMERAS = "cameras.json"
 _MOST_CAMERAS_BYTES = 64 << 20
 _LEAST_AGREED = 0.4
 """How far along up the cameras' own up directions point in the mean; 1 is all alike, and none looks up or down."""
+_ORTHONORMAL = 0.01
+"""How far the products of the rows of a rotation may be from 0 and 1."""
 _ALIKE, _MOST_ROLL = 0.02, 0.03
 """Mean squares of what points right in the cameras: across of the first of its axes, where all look the same way if it
 is less, and along up, where they were rolled if it is more."""
@@ -108,9 +110,9 @@ def cameras_up(rotations: NDArray[np.float64]) -> Direction | None:
         rotations: (N, 3, 3) camera to world; x of a camera points right, y down.
 
     Returns:
-        (3,) unit vector, an axis if it is near to one; None if the cameras do not agree.
+        (3,) unit vector, an axis if it is near to one; None if the cameras do not agree, or one has no rotation.
     """
-    if not len(rotations) or not np.isfinite(rotations).all():
+    if not len(rotations) or not _are_rotations(rotations):
         return None
     rights, ups = rotations[:, :, 0], -rotations[:, :, 1]
     mean = ups.mean(axis=0)
@@ -122,6 +124,12 @@ def cameras_up(rotations: NDArray[np.float64]) -> Direction | None:
     if shares[0] > _MOST_ROLL or abs(agreed) < _LEAST_AGREED:
         return None
     return _rounded(across if agreed > 0 else -across)
+
+
+@np.errstate(all="ignore")  # of what is no number, or too large, no comparison is true
+def _are_rotations(matrices: NDArray[np.float64]) -> bool:
+    errors = matrices @ matrices.transpose(0, 2, 1) - np.eye(3)
+    return bool(np.abs(errors).max() < _ORTHONORMAL)
 
 
 def ground_up(means: NDArray[np.floating], opacities: NDArray[np.floating]) -> Direction | None:
@@ -212,7 +220,7 @@ def _up_of_cameras_file(file: str) -> Direction | None:
         return None
     try:
         rotations = np.array([entry["rotation"] for entry in entries], np.float64)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         return None
     return cameras_up(rotations) if rotations.shape[1:] == (3, 3) else None
 

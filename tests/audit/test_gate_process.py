@@ -190,10 +190,10 @@ def in_shell(tmp_path: Path, redirected: str, *words: str) -> int:
     return subprocess.run(line, env=environment(tmp_path), stderr=subprocess.DEVNULL, timeout=120).returncode
 
 
-ALSO = [pytest.param(redirected, marks=pytest.mark.nightly) for redirected in (">&-", "| head -0")]
+ALSO = [pytest.param(words, marks=pytest.mark.nightly) for words in (">&-", "| head -0", "<&- >&- 2>&-")]
 
 
-@pytest.mark.parametrize("redirected", [">/dev/full", "<&- >&- 2>&-", *ALSO])
+@pytest.mark.parametrize("redirected", [">/dev/full", *ALSO])
 def test_a_verdict_counts_whoever_can_read_it(redirected: str, tmp_path: Path) -> None:
     if not os.path.exists("/dev/full"):
         pytest.skip("no /dev/full")
@@ -228,7 +228,7 @@ def readers_of(process: int) -> dict[int, Sequence[int]]:
     return found
 
 
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("how", [signal.SIGTERM, pytest.param(signal.SIGKILL, marks=pytest.mark.nightly)])
 def test_a_gate_that_is_ended_leaves_nothing(how: signal.Signals, tmp_path: Path) -> None:
     pytest.importorskip("pxr")
     if not Path("/proc/self/stat").exists():
@@ -337,6 +337,7 @@ def full_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", str(folder)], check=True)
 
 
+@pytest.mark.nightly  # >/dev/full above is a full disk, too
 def test_a_full_disk_changes_no_exit_status(full_disk: Path, tmp_path: Path) -> None:
     (tmp_path / "junk.ply").write_text("junk")
     sarif = full_disk / "found.sarif"

@@ -42,6 +42,7 @@ def test_an_old_llvm_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "apt install" in finding.advice
 
 
+@pytest.mark.nightly  # it starts a process for each check, ten seconds in all
 def test_this_machine_is_healthy(capsys: pytest.CaptureFixture[str]) -> None:
     status = cli.main(["doctor", "--json"])
     document = json.loads(capsys.readouterr().out)
