@@ -190,9 +190,20 @@ _NO_MEMORY = ("failed to map segment", "annot allocate memory", "failed to alloc
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Show warnings in one line each, without the line of code that raised them."""
+    """Show warnings in one line each, once, without the line of code that raised them."""
     before = warnings.formatwarning
-    warnings.formatwarning = lambda text, *_, **__: f"{PROGRAM}: warning: {printable(' '.join(str(text).split()))}\n"
+    shown = set[str]()
+
+    def formatted(
+        message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+    ) -> str:
+        words = printable(" ".join(str(message).split()))
+        if words in shown:
+            return ""
+        shown.add(words)
+        return f"{PROGRAM}: warning: {words}\n"
+
+    warnings.formatwarning = formatted
     try:
         yield
     finally:

@@ -128,11 +128,7 @@ def check_renderer(renderer: Any, *, differentiable: bool = True) -> None:
     for name in ATTRIBUTES if differentiable else ():
         with contract.promise(f"gradient of {name}"):
             _gradient(render, scene, camera, name)
-    with contract.promise("determinism"):
-        do = "draw nothing, or from a seed of its own"
-        expect_repeatable(lambda: [render(scene, camera)], "the same picture in a second call", do, atol=_SAME)
-    with contract.promise("scene"):
-        _stays(lambda given: render(given, camera), scene)
+    _is_repeatable(contract, render, scene, camera, "draw nothing, or from a seed of its own")
     contract.settle()
 
 
@@ -162,12 +158,16 @@ def check_condition(condition: Any, *, name: str = "condition") -> None:
         expect(isinstance(made.holds(camera), bool), "True or False from `holds`", made.holds(camera), "return a bool")
     with contract.promise("pictures"):
         _picture(made(scene, camera), made.move(camera))
-    with contract.promise("determinism"):
-        do = "take noise from a seed of its own, such as one of the camera"
-        expect_repeatable(lambda: [made(scene, camera)], "the same picture in a second look", do, atol=_SAME)
-    with contract.promise("scene"):
-        _stays(lambda given: made(given, camera), scene)
+    _is_repeatable(contract, made, scene, camera, "take noise from a seed of its own, such as one of the camera")
     contract.settle()
+
+
+def _is_repeatable(contract: Contract, render: Any, scene: GaussianScene, camera: Camera, do: str) -> None:
+    """The same image in a second call, and a scene that stays as it is."""
+    with contract.promise("determinism"):
+        expect_repeatable(lambda: [render(scene, camera)], "the same picture in a second call", do, atol=_SAME)
+    with contract.promise("scene"):
+        _stays(lambda given: render(given, camera), scene)
 
 
 def _camera(*, offset: float = 0.0, size: tuple[int, int] = _SIZE) -> Camera:

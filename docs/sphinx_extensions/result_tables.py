@@ -81,7 +81,6 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         (
             "dagger_eot_smallest",
             "dagger_eot_pairs",
-            "dagger_eot_strict",
             "dagger_eot_openimages",
             "dagger_eot_settings",
         ),

@@ -68,3 +68,11 @@ def test_errors_and_warnings_of_hostile_names_are_one_line(
         assert warnings.formatwarning(HOSTILE, UserWarning, "", 0) == f"mi-splat: warning: {SHOWN}\n".replace(
             "\\r", " "
         )
+
+
+def test_a_warning_is_said_once() -> None:
+    """A set is read for its training and for its held-out images, and may be warned of twice."""
+    with warnings.catch_warnings(), cli._plain_warnings():
+        texts = ("12 masks missing", "12 masks  missing", "another")
+        said = [warnings.formatwarning(text, UserWarning, "", 0) for text in texts]
+    assert said == ["mi-splat: warning: 12 masks missing\n", "", "mi-splat: warning: another\n"]

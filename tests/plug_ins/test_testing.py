@@ -294,7 +294,7 @@ def test_conditions_that_are_broken() -> None:
         render = renderer_of("", viewing.settings)
         return rendered("noisy", lambda scene, camera: render(scene, camera) + 0.1 * torch.rand(28, 40, 3))
 
-    broken_by(lambda: check_condition(noisy), "determinism: expected the same picture in a second look")
+    broken_by(lambda: check_condition(noisy), "determinism: expected the same picture in a second call")
     broken_by(lambda: check_condition(lambda viewing: 3), "making it: expected a Condition, got int")
     viewing = Viewing(settings=RenderSettings(), centre=(0.0, 0.0, 0.0), alone=lambda splat: splat)
     nowhere = dataclasses.replace(fog(viewing), move=lambda camera: 3)

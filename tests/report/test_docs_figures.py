@@ -27,7 +27,7 @@ OUR = ("fasterrcnn_small", "yolov8n_small")
 PAGES: Mapping[str, Any] = runpy.run_path(str(ROOT / "docs" / "sphinx_extensions" / "result_tables.py"))["PAGES"]
 FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")
 REPORTED_BY_ALL = 0.5
-MOST_BYTES = 12_000_000
+MOST_BYTES = 13_000_000
 """Of all artifacts."""
 
 
@@ -52,7 +52,7 @@ def test_every_artifact_is_green_and_known_by_its_manifest() -> None:
         derived = flat(document)
         figures += len(derived)
         rates += sum(isinstance(value, tuple) for value in derived.values())
-    assert (figures, rates) == (97383, 14937)
+    assert (figures, rates) == (97563, 15010)
 
 
 def test_artifacts_are_small_and_name_no_machine() -> None:
@@ -393,7 +393,8 @@ def audit_row() -> tuple[str, ...]:
     given = audit_set.with_cameras(held)
     found, alarms = (audit_set.called(filter(of, held)) for of in (audit_set.hides, audit_set.honest))
     found_given, alarms_given = (audit_set.called(filter(of, given)) for of in (audit_set.hides, audit_set.honest))
-    meshes = audit_set.read(ROOT / "docs" / "tables" / "audit_meshes.csv")
+    every = audit_set.read(ROOT / "docs" / "tables" / "audit_meshes.csv")
+    meshes = [row for row in every if row["verdict"] in ("hidden look", "suspicious", "nothing found")]
     alone, with_cameras = (
         [[row[column] for row in meshes].count(verdict) for verdict in ("hidden look", "suspicious")]
         for column in ("verdict", "with_cameras")
@@ -421,7 +422,8 @@ def test_readme_says_what_the_rows_give() -> None:
         assert sentence in text
     table = text.partition("## Results")[2].partition("Rates of DAGGER")[0]
     derived = FRACTION.findall(" ".join(rows))
-    assert set(FRACTION.findall(table)) <= {*derived, second_car()}
+    epsilon = "16/255"
+    assert set(FRACTION.findall(table)) <= {*derived, second_car(), epsilon}
 
 
 @pytest.mark.parametrize("result", sorted(ARTIFACTS.glob("*/result.json")), ids=lambda path: path.parent.name)
