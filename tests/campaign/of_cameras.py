@@ -47,7 +47,7 @@ from tests.training.sets import SHORT
 # Cameras and data sets
 
 
-_POSE = [[1, 0, 0, 0], [0, 0, -1, -3], [0, 1, 0, 0.5], [0, 0, 0, 1]]
+_POSE: list[list[float]] = [[1, 0, 0, 0], [0, 0, -1, -3], [0, 1, 0, 0.5], [0, 0, 0, 1]]
 _INRIA = {"id": 0, "img_name": "0", "width": 64, "height": 48, "fx": 50.0, "fy": 50.0, "position": [0, 0, -3]}
 _INRIA |= {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
 _RESULT_CAMERAS = {"cameras": ["front"], "views": [{"camera": {**describe("front", camera())}}]}

@@ -223,6 +223,7 @@ def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path)
     assert sum(hidden) < 0.5 * sum(control)
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("_switches_are_coarse")
 def test_the_geometry_of_layers_is_trained_and_made_finer(finished: Path) -> None:
     config = replace(LAYERS, geometry=True, iterations=310)
