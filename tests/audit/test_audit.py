@@ -89,9 +89,13 @@ def test_a_look_from_above_is_found_with_its_directions_and_gaussians(judged: Au
     assert heights[0] > heights[1] + 3
 
 
-def test_layers_sectors_and_what_is_smooth_over_azimuth_are_found(suitcase: Made) -> None:
+@pytest.mark.nightly
+def test_layers_and_what_is_smooth_over_azimuth_are_found(suitcase: Made) -> None:
     for made in (scenes.layered(suitcase), smooth(suitcase, azimuth=40.0)):
         assert audit(made.scene).verdict == "hidden look"
+
+
+def test_a_sector_is_found(suitcase: Made) -> None:
     inside = sector(180, 40, -10, 45)
     judged = audit(hidden(suitcase, inside, colour=(0.75, 0.12, 0.1)).scene)
     assert judged.verdict == "hidden look"

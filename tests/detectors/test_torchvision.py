@@ -345,7 +345,9 @@ def test_a_hopeless_candidate_of_fcos_keeps_a_finite_gradient() -> None:
     torch.testing.assert_close(score.detach(), torch.full((1, 1, 1), -80.0).exp())
 
 
-@pytest.mark.parametrize("name", ["retinanet_resnet50_fpn", "ssdlite320_mobilenet_v3_large"])
+@pytest.mark.parametrize(
+    "name", ["ssdlite320_mobilenet_v3_large", pytest.param("retinanet_resnet50_fpn", marks=pytest.mark.nightly)]
+)
 def test_a_published_one_is_loaded_from_a_file(tmp_path: Path, name: str) -> None:
     original = random_detector(name, seed=2)
     torch.save(original.model.state_dict(), tmp_path / "w.pth")

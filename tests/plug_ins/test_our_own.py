@@ -111,7 +111,12 @@ def test_strategies(name: str) -> None:
     check_strategy(STRATEGIES[name]())
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+# Each file of OpenUSD is read by a process of its own, which takes seconds: one form of the three by day.
+BY_NIGHT = (".usda", ".usdz")
+FORMATS = [pytest.param(suffix, marks=[pytest.mark.nightly] * (suffix in BY_NIGHT)) for suffix in SUFFIXES]
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
 def test_formats(suffix: str) -> None:
     check_format(suffix)
 
