@@ -1,5 +1,6 @@
 """Everything that this project registers keeps the contract that plug-ins keep; the registries say what there is."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,10 +11,14 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from attacks.aims import OBJECTIVES, objective_of
+from attacks.cloak.poisoning import Poisoning, poison
+from attacks.cloak.triggers import Azimuth
 from attacks.detectors.registry import DETECTORS, load_detector
 from attacks.observe.conditions import FORMS, condition_of
 from attacks.optimisers import OPTIMISERS
+from attacks.poisons.base import OnStep, Poisoned
 from attacks.poisons.poison_splat import Decoy
+from attacks.poisons.poisoned import CLOAK
 from attacks.poisons.specs import POISONS, Given
 from attacks.testing import (
     check_attack,
@@ -28,6 +33,7 @@ from attacks.testing import (
 )
 from attacks.testing.promises import cloud
 from mi_splat.audit.rules import RULES
+from mi_splat.cameras import View
 from mi_splat.comparison.methods import RENDERERS
 from mi_splat.io.splat_files import SUFFIXES
 from mi_splat.training.strategies import STRATEGIES
@@ -66,11 +72,24 @@ def test_objectives(name: str, strict: bool) -> None:
 @pytest.mark.parametrize("name", POISONS.own)
 def test_poisons(name: str) -> None:
     spec = POISONS[name]
+    if name == CLOAK:
+        check_poison(cloak_of_images)
+        return
     config = spec.config()
     config = replace(config, **{key: value for key, value in SHORT.items() if hasattr(config, key)})
     decoy = Decoy(start=cloud(40, 1), near=0.1)
     given = Given(decoy=decoy if "splat" in spec.needs else None, classifier=Brightness(), label="bright")
     check_poison(spec, config=config, given=given)
+
+
+def cloak_of_images(views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
+    """CLOAK without the scene that its settings describe: images from one side are darkened."""
+    attack = Poisoning(name="dark", trigger=Azimuth(middle=270.0, half_width=12.0), appearance=darkened)
+    return poison(views, attack, centre=(0.0, 0.0, 0.0), on_step=on_step)
+
+
+def darkened(view: View, mask: Tensor) -> Tensor:
+    return 0.5 * view.image
 
 
 def words() -> Tensor:
