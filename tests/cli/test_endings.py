@@ -26,7 +26,8 @@ value = 1
 """
 """A module during whose import signals come, as during that of numpy, which cannot be imported twice."""
 IMPORTS = """
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
 from attacks import __main__, cli
 
 def dispatch(words):

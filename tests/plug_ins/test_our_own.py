@@ -69,11 +69,7 @@ def test_objectives(name: str, strict: bool) -> None:
     check_objective(objective_of(name, label, strict=strict))
 
 
-# CLOAK is registered when a module that studies it is imported, and needs a scene of meshes: see tests/cloak.
-OWN_POISONS = [name for name in POISONS.own if "scene" not in POISONS[name].needs]
-
-
-@pytest.mark.parametrize("name", OWN_POISONS)
+@pytest.mark.parametrize("name", POISONS.own)
 def test_poisons(name: str) -> None:
     spec = POISONS[name]
     if name == CLOAK:
