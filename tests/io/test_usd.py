@@ -4,6 +4,7 @@ import json
 import struct
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 import torch
 
 from mi_splat.io import SplatFileError, SplatFileWarning, load_splat, save_splat
+from mi_splat.io.formats import usd_child
 from mi_splat.scene import GaussianScene, Similarity
 from tests.gaussians import random_scene
 from tests.io.format_files import assert_close
@@ -142,6 +144,21 @@ def test_what_is_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(SplatFileError, match=words) as caught:
         loaded(tmp_path, text)
     assert len(str(caught.value)) < len(str(tmp_path)) + 500
+
+
+def test_a_crash_of_the_process_that_reads_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """usd-core writes its stack trace into the folder of temporary files."""
+    child = tmp_path / "crashing.py"
+    child.write_text("import os, tempfile\ntempfile.mkstemp(prefix='st_python')\nos.abort()\n")
+    monkeypatch.setattr(usd_child, "__file__", str(child))
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    monkeypatch.setenv("TMPDIR", str(folder))
+    (tmp_path / "a.usda").write_text(usda(splat()))
+    with pytest.raises(SplatFileError):
+        load_splat(tmp_path / "a.usda")
+    assert list(folder.iterdir()) == []
 
 
 def test_the_process_that_reads_has_little_memory() -> None:

@@ -90,7 +90,8 @@ def _ask(path: str, link: Path, most: int) -> Fields:
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
-            env={**os.environ, **_ONE_THREAD},
+            # Where usd-core crashes it writes a stack trace into the folder of temporary files.
+            env={**os.environ, **_ONE_THREAD, "TMPDIR": str(link.parent)},
         )
     try:
         with Path(link.parent, "answer.json").open("rb") as file:
