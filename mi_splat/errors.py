@@ -89,10 +89,12 @@ def counted(number: int, noun: str) -> str:
 def message(what: str, expected: object, got: object, do: str) -> str:
     """The one form of an error message: what was looked at, what was expected, what came, what to do.
 
-    What was looked at and what came may be of a file that somebody else has written: of
-    long ones the beginning and the end are shown.
+    Each part may name something of a file that somebody else has written: of long ones the
+    beginning and the end are shown. What is expected may be a list of many choices.
     """
-    return f"{shortened(what)}: expected {expected}, got {shortened(str(got), 240)}; {do}"
+    wanted = shortened(str(expected), _MOST_CHOICES)
+    remedy = shortened(do, _MOST_CHOICES)
+    return f"{shortened(what)}: expected {wanted}, got {shortened(str(got), 240)}; {remedy}"
 
 
 def shortened(text: str, most: int = 400) -> str:
@@ -103,6 +105,8 @@ def shortened(text: str, most: int = 400) -> str:
     return f"{text[: most - end - 3]}...{text[-end:]}"
 
 
+_MOST_CHOICES = 1500
+"""Characters of a list of choices: 80 classes of COCO take half of them."""
 _LONGEST_WORD = 200
 """No longer one is a slip of the hand; comparing it with others takes long."""
 

@@ -194,12 +194,15 @@ def flat(values: Mapping[str, Any]) -> dict[str, Value]:
 
 def _flat(value: Any, name: str) -> Iterator[tuple[str, Value]]:
     if isinstance(value, Mapping) and {"successes", "total"} <= set(value):
-        if not (type(value["successes"]) is type(value["total"]) is int):
-            raise InvalidValueError.of(name, "a rate of whole numbers", str(value)[:80], "get the result again")
-        yield name, (value["successes"], value["total"])
+        successes, total = value["successes"], value["total"]
+        is_rate = type(successes) is type(total) is int and 0 <= successes <= total
+        if not is_rate:
+            do = "get the result again"
+            raise InvalidValueError.of(name, "a rate of whole numbers", str(value)[:80], do)
+        yield name, (successes, total)
         further = {key: entry for key, entry in value.items() if key not in ("successes", "total")}
         # A rate without an interval is shown with Wilson's.
-        interval = wilson(value["successes"] / (value["total"] or 1), value["total"])
+        interval = wilson(successes / (total or 1), total)
         yield from _flat({"interval": interval, **further}, name)
     elif isinstance(value, Mapping):
         for key, entry in value.items():

@@ -57,3 +57,8 @@ def test_meshes_that_are_no_text(name: str, data: bytes, tmp_path: Path) -> None
     path.write_bytes(data)
     with pytest.raises(MiSplatError, match=r": expected .*; \w"):
         kind.read(path)
+
+
+def test_messages_name_members_of_any_length(tmp_path: Path) -> None:
+    error = MiSplatError.of("a.sog", f"a member {'long' * 5000}", "none", f"look at {'x' * 9000}")
+    assert len(str(error)) < 4000

@@ -162,7 +162,10 @@ def test_a_figure_that_is_off_is_seen_and_not_packed(attack: Path, tmp_path: Pat
     assert not (tmp_path / "copy").exists()
 
 
-@pytest.mark.parametrize("value", [None, 3, "x", [[]], {"x": 1}, {"successes": 0.5, "total": 1}])
+RATES_THAT_ARE_NONE = [{"successes": 0.5, "total": 1}, {"successes": 3, "total": 2}, {"successes": -1, "total": 2}]
+
+
+@pytest.mark.parametrize("value", [None, 3, "x", [[]], {"x": 1}, *RATES_THAT_ARE_NONE])
 def test_no_record_ends_in_anything_but_an_error_in_words(value: object, attacked: Path, attack: Path) -> None:
     """Whatever stands under a key, a check tells lines or raises the project's error."""
     record = json.loads((attacked / RECORD).read_text())
