@@ -22,6 +22,7 @@ from pathlib import Path
 import torch
 
 from attacks import cli
+from attacks.detectors.registry import DETECTORS
 from mi_splat import GaussianScene, load_splat, save_splat
 from mi_splat.processes import INTERRUPTED
 from mi_splat.rotation import to_matrix
@@ -248,6 +249,12 @@ def chosen(when: str) -> dict[str, list[Line]]:
     return dict(sorted(runnable.items()))
 
 
+def not_here(words: Sequence[str]) -> list[str]:
+    """Detectors that a line names and that others trained, whose weights a new machine does not have."""
+    named = [word for word in words if word in DETECTORS.own and "--weights" not in words]
+    return [name for name in named if DETECTORS[name].missing()]
+
+
 def main(when: str, folder: Path, only: Sequence[str] = ()) -> int:
     """Run the lines, and report each that fails and how long each took."""
     failed, kept = 0, {"folder": folder / "given"}
@@ -262,6 +269,9 @@ def main(when: str, folder: Path, only: Sequence[str] = ()) -> int:
         os.chdir(here)
         gc.freeze()  # so that a command that collects garbage does not look through all that others have imported
         for line in every:
+            if missing := not_here(shortened(line)):
+                sys.stdout.write(f"   left out  {line}: {', '.join(missing)} is not here\n")
+                continue
             begun = time.monotonic()
             try:
                 provide(line, kept)
