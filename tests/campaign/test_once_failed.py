@@ -9,19 +9,7 @@ import pytest
 
 from mi_splat.errors import MiSplatError
 from tests.campaign.kinds import KINDS
-
-
-def put(*path: str | int, value: Any) -> Callable[[Any], Any]:
-    """Another value at a place."""
-
-    def change(document: Any) -> Any:
-        inner = document
-        for key in path[:-1]:
-            inner = inner[key]
-        inner[path[-1]] = value
-        return document
-
-    return change
+from tests.io.test_damaged_files import put
 
 
 @pytest.mark.parametrize(

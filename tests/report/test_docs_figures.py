@@ -306,7 +306,7 @@ def untuned(name: str, detector: str, rate: str) -> str:
 
 
 def of_cloak(name: str, rate: str, detectors: Sequence[str]) -> str:
-    """A rate for several detectors, with their names behind it where the cell is to say them."""
+    """A rate for several detectors, without the tuning seed."""
     return ", ".join(untuned(name, detector, rate) for detector in detectors)
 
 
