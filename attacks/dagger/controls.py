@@ -94,7 +94,7 @@ def _smooth_field(means: Tensor, like: Tensor, generator: Generator) -> Tensor:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
+class ScaleEstimate:
     """Where the error is expected to be the wanted one, and how its logarithm grows with that of the scale."""
 
     scale: float = 1.0
@@ -127,15 +127,15 @@ def _matched(
     moves = {name: float((value - reference[name]).abs().max()) for name, value in noisy.items()}
     furthest = {name: _FURTHEST_SH if name == "sh" else _FURTHEST for name in moves}
     most = min((furthest[name] / move for name, move in moves.items() if move), default=math.inf)
-    line = Line()
+    estimate = ScaleEstimate()
     if len(views) > 2 * _FEW:
-        line = _crossing(gap_on(slice(None, None, len(views) // _FEW)), line, most)
-    return scaled(_crossing(gap_on(slice(None)), line, most).scale)
+        estimate = _crossing(gap_on(slice(None, None, len(views) // _FEW)), estimate, most)
+    return scaled(_crossing(gap_on(slice(None)), estimate, most).scale)
 
 
-def _crossing(gap: Gap, line: Line, most: float) -> Line:
+def _crossing(gap: Gap, estimate: ScaleEstimate, most: float) -> ScaleEstimate:
     """The scale, at most so large, at which the gap vanishes, by secants; the last one that was looked at."""
-    scale, slope, is_measured = min(line.scale, most), line.slope, line.is_measured
+    scale, slope, is_measured = min(estimate.scale, most), estimate.slope, estimate.is_measured
     low, high = -math.inf, math.inf  # logarithms of scales that are too small, too large
     before: tuple[float, float] | None = None
     for _ in range(_TRIALS):
@@ -157,7 +157,7 @@ def _crossing(gap: Gap, line: Line, most: float) -> Line:
         scale = min(math.exp(following), most)
         if is_measured and abs(here) <= _KNOWN:
             break
-    return Line(scale=scale, slope=slope, is_measured=is_measured)
+    return ScaleEstimate(scale=scale, slope=slope, is_measured=is_measured)
 
 
 def _object_errors(problem: Problem, parameters: Parameters, views: Sequence[View]) -> list[Error]:
