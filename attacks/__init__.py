@@ -1,7 +1,10 @@
-"""Everything adversarial: detectors, objectives, budgets, attacks, evaluation. Imports mi_splat, never the reverse.
+"""Everything adversarial: detectors, objectives, budgets, attacks, evaluation.
 
-The names below are imported when they are first used, so that importing this package is light, as `--help` needs it.
-docs/api.md shows how they fit together, docs/plug-ins.md how to bring a detector, an objective or more of your own.
+Imports mi_splat, never the reverse.
+
+The names below are imported when they are first used, so that importing this package is
+light, as `--help` needs it. docs/api.md shows how they fit together, docs/plug-ins.md
+how to bring a detector, an objective or more of your own.
 """
 
 from __future__ import annotations
@@ -64,7 +67,13 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.dagger.result": ("Result",),
         "attacks.dagger.views": ("ViewDistribution",),
         "attacks.detectors": ("Detector", "load_detector", "wrap_detector"),
-        "attacks.objectives": ("Objective", "hide", "objective", "relabel", "untargeted"),
+        "attacks.objectives": (
+            "Objective",
+            "hide",
+            "objective",
+            "relabel",
+            "untargeted",
+        ),
         "attacks.observe.comparison": ("judge",),
         "attacks.observe.rows": ("rows",),
         "attacks.search": ("Budget", "pgd"),

@@ -7,7 +7,9 @@ import sys
 
 
 def run() -> None:
-    """Run a command and exit without tearing down torch, which would take a fifth of a second."""
+    """Run a command and exit without tearing down torch, which would take a fifth of a
+    second.
+    """
     _open_closed_streams()
     from mi_splat.processes import INTERRUPTED, leave_on_signals
 
@@ -16,7 +18,8 @@ def run() -> None:
 
     def leave() -> None:
         if status:  # not after an error that is not ours
-            with contextlib.suppress(OSError, ValueError):  # the command has said so already
+            # the command has said so already
+            with contextlib.suppress(OSError, ValueError):
                 sys.stdout.flush()
             os._exit(status[0])
 
@@ -25,16 +28,18 @@ def run() -> None:
 
     try:
         status.append(main())
-    except KeyboardInterrupt:  # a second one, while the command was saying that it was interrupted
+    except KeyboardInterrupt:
+        # a second one, while the command was saying that it was interrupted
         os._exit(INTERRUPTED)
     sys.exit(status[0])
 
 
 def _open_closed_streams() -> None:
-    """Take the numbers 0 to 2 where they are free, so that no file that is opened later is written to as one of them.
+    """Take the numbers 0 to 2 where they are free, so that no file that is opened later
+    is written to as one of them.
 
-    What is written to a standard output that is closed fails, as it should; a standard error
-    that is closed is not missed.
+    What is written to a standard output that is closed fails, as it should; a standard
+    error that is closed is not missed.
     """
     for number, mode in enumerate((os.O_RDONLY, os.O_RDONLY, os.O_WRONLY)):
         try:

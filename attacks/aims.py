@@ -1,4 +1,5 @@
-"""Aims by their names, for commands and studies: those of this project, and those of other packages.
+"""Aims by their names, for commands and studies: those of this project, and those of
+other packages.
 
 Light, without torch, which comes with the first aim that is made.
 """
@@ -28,8 +29,8 @@ class ObjectiveSpec:
 
     Attributes:
         name: What `--objective` and the key `aim` of a study call it.
-        make: The aim, for a class that is wanted (None unless `targeted`) and a confidence that counts (None is its
-            own).
+        make: The aim, for a class that is wanted (None unless `targeted`) and a
+            confidence that counts (None is its own).
         targeted: Whether a class is wanted, by `--target`.
     """
 
@@ -39,20 +40,25 @@ class ObjectiveSpec:
 
 
 OBJECTIVES: Registry[ObjectiveSpec] = Registry(
-    "mi_splat.objectives", "an ObjectiveSpec", lambda value: isinstance(value, ObjectiveSpec), what="objective"
+    "mi_splat.objectives",
+    "an ObjectiveSpec",
+    lambda value: isinstance(value, ObjectiveSpec),
+    what="objective",
 )
 """Name to spec of every aim."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PluggedObjective:
-    """The aim of another package, by its name: it can be written to a file and read again.
+    """The aim of another package, by its name: it can be written to a file and read
+    again.
 
     Attributes:
         kind: Its name in `OBJECTIVES`.
         label: Class that is wanted; None if no particular one.
         confidence: That counts, in [0, 1]; None is the aim's own.
-        package: Which package brings it, with its version; filled in when it is made by `objective_of`.
+        package: Which package brings it, with its version; filled in when it is made by
+            `objective_of`.
     """
 
     kind: str
@@ -92,13 +98,21 @@ def _made(kind: str, label: str | None, confidence: float | None) -> Objective:
 
 
 def objective_of(
-    name: str, label: str | None = None, confidence: float | None = None, *, strict: bool = False
+    name: str,
+    label: str | None = None,
+    confidence: float | None = None,
+    *,
+    strict: bool = False,
 ) -> Objective:
-    """An aim by its name; `strict` holds for `relabel` only (see `attacks.objectives.relabel`)."""
+    """An aim by its name; `strict` holds for `relabel` only (see
+    `attacks.objectives.relabel`).
+    """
     spec = OBJECTIVES.chosen(name)
     if spec.targeted is (label is None):
         do = "name the class wanted" if label is None else "leave it out"
-        raise InvalidValueError.of("target", f"what the aim {name} has", label or "none", do)
+        raise InvalidValueError.of(
+            "target", f"what the aim {name} has", label or "none", do
+        )
     if strict and name == "relabel":
         from attacks.objectives import relabel
 
@@ -106,7 +120,9 @@ def objective_of(
     package = OBJECTIVES.package(name)
     if not package:
         return spec.make(label, confidence)
-    plugged = PluggedObjective(kind=name, label=label, confidence=confidence, package=package)
+    plugged = PluggedObjective(
+        kind=name, label=label, confidence=confidence, package=package
+    )
     _ = plugged.aim  # which says at once what is wrong with it
     return plugged
 
@@ -123,4 +139,6 @@ def _own(name: str) -> Callable[[str | None, float | None], Objective]:
 
 
 for _name in ("relabel", "hide", "untargeted"):
-    OBJECTIVES.add(_name, ObjectiveSpec(name=_name, make=_own(_name), targeted=_name == "relabel"))
+    OBJECTIVES.add(
+        _name, ObjectiveSpec(name=_name, make=_own(_name), targeted=_name == "relabel")
+    )

@@ -1,7 +1,9 @@
-"""One object of a scene, in the space that perturbations live in: the columns of a splat file.
+"""One object of a scene, in the space that perturbations live in: the columns of a
+splat file.
 
-SH coefficients and means are as in the scene; scales become logarithms, opacities logits, and quaternions are free of
-the unit sphere (they are normalised on the way back).
+SH coefficients and means are as in the scene; scales become logarithms, opacities
+logits, and quaternions are free of the unit sphere (they are normalised on the way
+back).
 """
 
 from __future__ import annotations
@@ -21,8 +23,17 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.scene import GaussianScene
 
-Mask: TypeAlias = Tensor | slice | Sequence[bool] | Sequence[int] | NDArray[np.bool_] | NDArray[np.integer[Any]]
-"""What selects the Gaussians of an object: (N,) bool, row numbers, or a slice; a tensor, an array or a list."""
+Mask: TypeAlias = (
+    Tensor
+    | slice
+    | Sequence[bool]
+    | Sequence[int]
+    | NDArray[np.bool_]
+    | NDArray[np.integer[Any]]
+)
+"""What selects the Gaussians of an object: (N,) bool, row numbers, or a slice; a
+tensor, an array or a list.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,16 +43,23 @@ class GaussianSubset:
     scene: GaussianScene  # the whole scene
     rows: Tensor  # (M,) int64 indices of the object's Gaussians, ascending
     clean: Parameters  # the object's rows of all five attributes, as a file holds them
-    sh_degree: int | None = None  # highest degree of the SH coefficients that may change; None for all
+    # highest degree of the SH coefficients that may change; None for all
+    sh_degree: int | None = None
 
     @classmethod
-    def of(cls, scene: GaussianScene, mask: Mask, *, sh_degree: int | None = None) -> GaussianSubset:
+    def of(
+        cls, scene: GaussianScene, mask: Mask, *, sh_degree: int | None = None
+    ) -> GaussianSubset:
         """The object that a mask (see `Mask`) selects."""
         rows = _rows_of(mask, len(scene.means)).to(scene.means.device)
-        return cls(scene, rows, to_raw_parameters(scene.select(rows).detach()), sh_degree)
+        return cls(
+            scene, rows, to_raw_parameters(scene.select(rows).detach()), sh_degree
+        )
 
     def parameters(self, attributes: Sequence[str]) -> Parameters:
-        """What may change: the object's rows of the attributes, as the file holds them."""
+        """What may change: the object's rows of the attributes, as the file holds
+        them.
+        """
         values = {name: self.clean[name] for name in attributes}
         if "sh" in values and self.sh_degree is not None:
             values["sh"] = values["sh"][:, : (self.sh_degree + 1) ** 2]
@@ -55,16 +73,24 @@ class GaussianSubset:
         return {**parameters, "sh": torch.cat([sh, clean[:, sh.shape[1] :]], 1)}
 
     def scene_with(self, parameters: Parameters) -> GaussianScene:
-        """The whole scene with the object's rows exchanged, differentiable in the parameters, other rows untouched."""
+        """The whole scene with the object's rows exchanged, differentiable in the
+        parameters, other rows untouched.
+        """
         parameters = self.complete(parameters)
-        moved: dict[str, Tensor] = dict(zip(ATTRIBUTES, activate({**self.clean, **parameters}), strict=True))
-        tensors: dict[str, Tensor] = dict(zip(ATTRIBUTES, self.scene.tensors(), strict=True))
+        moved: dict[str, Tensor] = dict(
+            zip(ATTRIBUTES, activate({**self.clean, **parameters}), strict=True)
+        )
+        tensors: dict[str, Tensor] = dict(
+            zip(ATTRIBUTES, self.scene.tensors(), strict=True)
+        )
         for name in parameters:
             tensors[name] = tensors[name].detach().index_put((self.rows,), moved[name])
         return GaussianScene.unchecked(**tensors)
 
     def applied(self, parameters: Parameters) -> GaussianScene:
-        """The attacked scene as a checked value; what did not move keeps the very bits it had."""
+        """The attacked scene as a checked value; what did not move keeps the very bits
+        it had.
+        """
         parameters = self.complete(parameters)
         attacked, tensors = self.scene_with(parameters).detach(), {}
         for name, value in parameters.items():
@@ -77,8 +103,12 @@ class GaussianSubset:
         return self.scene.replace(**tensors)
 
     def changed(self, attacked: GaussianScene) -> int:
-        """Number of Gaussians of the whole scene that are not bit for bit what they were."""
-        differs = torch.zeros(len(self.scene.means), dtype=torch.bool, device=self.scene.means.device)
+        """Number of Gaussians of the whole scene that are not bit for bit what they
+        were.
+        """
+        differs = torch.zeros(
+            len(self.scene.means), dtype=torch.bool, device=self.scene.means.device
+        )
         for name in ATTRIBUTES:
             before, after = getattr(self.scene, name), getattr(attacked, name)
             differs |= (before != after).reshape(len(before), -1).any(-1)
@@ -88,9 +118,13 @@ class GaussianSubset:
 def _rows_of(mask: Mask, count: int) -> Tensor:
     """Ascending row numbers of the Gaussians that a mask selects out of `count`."""
     everything = torch.arange(count)
-    rows: Tensor = torch.unique(everything[mask if isinstance(mask, slice) else _checked_mask(mask, count)])
+    rows: Tensor = torch.unique(
+        everything[mask if isinstance(mask, slice) else _checked_mask(mask, count)]
+    )
     if not len(rows):
-        raise InvalidValueError.of("mask", "at least one Gaussian", "none", "name an object of the scene")
+        raise InvalidValueError.of(
+            "mask", "at least one Gaussian", "none", "name an object of the scene"
+        )
     return rows
 
 
@@ -100,13 +134,26 @@ def _checked_mask(mask: object, count: int) -> Tensor:
     try:
         rows = torch.as_tensor(mask).detach().cpu()
     except (TypeError, ValueError, RuntimeError):
-        raise InvalidValueError.of("mask", expected, f"{mask!r:.80}", "pass a mask or row numbers") from None
+        raise InvalidValueError.of(
+            "mask", expected, f"{mask!r:.80}", "pass a mask or row numbers"
+        ) from None
     if not rows.numel():
         return rows.long()
     if rows.dtype == torch.bool and rows.shape != (count,):
-        raise InvalidValueError.of("mask", f"shape ({count},)", tuple(rows.shape), "pass one value per Gaussian")
+        raise InvalidValueError.of(
+            "mask",
+            f"shape ({count},)",
+            tuple(rows.shape),
+            "pass one value per Gaussian",
+        )
     if rows.dtype == torch.bool:
         return rows
-    if rows.is_floating_point() or rows.is_complex() or bool(((rows < 0) | (rows >= count)).any()):
-        raise InvalidValueError.of("mask", expected, rows.dtype, "pass a mask or row numbers")
+    if (
+        rows.is_floating_point()
+        or rows.is_complex()
+        or bool(((rows < 0) | (rows >= count)).any())
+    ):
+        raise InvalidValueError.of(
+            "mask", expected, rows.dtype, "pass a mask or row numbers"
+        )
     return rows.long()

@@ -16,7 +16,9 @@ FIXED = "\u00a0"
 
 
 def wilson(fraction: float, total: float) -> tuple[float, float]:
-    """95 % Wilson score interval of a fraction of `total` independent draws (Wilson 1927); (0, 1) of none."""
+    """95 % Wilson score interval of a fraction of `total` independent draws (Wilson
+    1927); (0, 1) of none.
+    """
     if not total:
         return 0.0, 1.0
     z, n, p = _Z, total, fraction
@@ -37,7 +39,8 @@ class Rate:
     Attributes:
         successes: Of how many it holds.
         total: How many were counted.
-        resampled: 95 % interval where those counted are not independent; None where they are.
+        resampled: 95 % interval where those counted are not independent; None where
+            they are.
     """
 
     successes: int
@@ -50,7 +53,9 @@ class Rate:
         rate = cls(successes=int(value["successes"]), total=int(value["total"]))
         low, high = map(float, value.get("interval") or rate.interval)
         if not (0 <= rate.successes <= rate.total and 0 <= low <= high <= 1):
-            raise ValueError(f"a rate of {rate.successes} of {rate.total}, {low} to {high}")
+            raise ValueError(
+                f"a rate of {rate.successes} of {rate.total}, {low} to {high}"
+            )
         is_wilson = abs(low - rate.interval[0]) + abs(high - rate.interval[1]) < 1e-9
         return rate if is_wilson else replace(rate, resampled=(low, high))
 
@@ -61,8 +66,14 @@ class Rate:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval: the resampled one, or Wilson's; (0, 1) when nothing was counted."""
-        return wilson(self.fraction, self.total) if self.resampled is None else self.resampled
+        """95 % interval: the resampled one, or Wilson's; (0, 1) when nothing was
+        counted.
+        """
+        return (
+            wilson(self.fraction, self.total)
+            if self.resampled is None
+            else self.resampled
+        )
 
     @property
     def failures(self) -> Rate:
@@ -83,15 +94,23 @@ class Rate:
     @property
     def words(self) -> str:
         """Counts, fraction and interval for people; a dash if nothing was counted."""
-        return f"{self.counts} = {percent(self.fraction)} ({self.ends})" if self.total else "-"
+        return (
+            f"{self.counts} = {percent(self.fraction)} ({self.ends})"
+            if self.total
+            else "-"
+        )
 
     def short(self, *, interval: bool = False) -> str:
         """The counts in a cell of a wide table, with the 95 % interval if so asked."""
         count, (low, high) = f"{self.successes}/{self.total}", self.interval
-        return f"{count} ({low:.2f} to {high:.2f})" if interval and self.total else count
+        return (
+            f"{count} ({low:.2f} to {high:.2f})" if interval and self.total else count
+        )
 
     def as_dict(self) -> dict[str, Any]:
-        """Rate (None when nothing was counted), successes, total and interval, as JSON can hold them."""
+        """Rate (None when nothing was counted), successes, total and interval, as JSON
+        can hold them.
+        """
         return {
             "rate": self.fraction if self.total else None,
             "successes": self.successes,
@@ -107,8 +126,15 @@ def rate_of(value: Mapping[str, Any] | None) -> Rate | None:
 
 def pooled(rates: Iterable[Rate | Mapping[str, Any] | None]) -> Rate:
     """All of them together, as they are or as JSON has them."""
-    known = [Rate.of(rate) if isinstance(rate, Mapping) else rate for rate in rates if rate is not None]
-    return Rate(successes=sum(rate.successes for rate in known), total=sum(rate.total for rate in known))
+    known = [
+        Rate.of(rate) if isinstance(rate, Mapping) else rate
+        for rate in rates
+        if rate is not None
+    ]
+    return Rate(
+        successes=sum(rate.successes for rate in known),
+        total=sum(rate.total for rate in known),
+    )
 
 
 def spread(rates: Iterable[Rate], *, intervals: bool = True) -> str:
@@ -117,7 +143,11 @@ def spread(rates: Iterable[Rate], *, intervals: bool = True) -> str:
     if not ordered:
         return "nothing counted"
     low, high = (
-        f"{percent(rate.fraction)} ({rate.ends})" if intervals else percent(rate.fraction)
+        (
+            f"{percent(rate.fraction)} ({rate.ends})"
+            if intervals
+            else percent(rate.fraction)
+        )
         for rate in (ordered[0], ordered[-1])
     )
     return f"{low} to {high}"
@@ -125,4 +155,8 @@ def spread(rates: Iterable[Rate], *, intervals: bool = True) -> str:
 
 def number(value: float | None, form: str = ".1f", unit: str = "") -> str:
     """A number in a format, or a dash for none."""
-    return "-" if value is None else format(value, form) + (f"{FIXED}{unit}" if unit else "")
+    return (
+        "-"
+        if value is None
+        else format(value, form) + (f"{FIXED}{unit}" if unit else "")
+    )

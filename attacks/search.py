@@ -1,9 +1,11 @@
-"""Projected gradient descent on a dictionary of tensors, and the ball that it may not leave.
+"""Projected gradient descent on a dictionary of tensors, and the ball that it may not
+leave.
 
-It knows nothing of splats, pictures or detectors. PGD after Madry et al., "Towards Deep Learning Models Resistant to
-Adversarial Attacks", ICLR 2018: steps along the steepest direction of the ball's norm, each followed by a projection,
-from one starting point or several. How the next point is chosen is a function that can be exchanged (`Optimiser`), so
-that every attack is this one loop.
+It knows nothing of splats, pictures or detectors. PGD after Madry et al., "Towards Deep
+Learning Models Resistant to Adversarial Attacks", ICLR 2018: steps along the steepest
+direction of the ball's norm, each followed by a projection, from one starting point or
+several. How the next point is chosen is a function that can be exchanged (`Optimiser`),
+so that every attack is this one loop.
 """
 
 from __future__ import annotations
@@ -28,13 +30,15 @@ NOT_JUDGED = -1.0
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether the aim is reached in one view or at one point of a search, judged on reports and not on the loss.
+    """Whether the aim is reached in one view or at one point of a search, judged on
+    reports and not on the loss.
 
     Attributes:
         success: The aim is reached.
         score: How near it is, in [0, 1].
-        unambiguous: The aim is reached and nothing speaks against it: no other class is reported on the object with
-            more confidence than the one wanted. An early stop waits for this.
+        unambiguous: The aim is reached and nothing speaks against it: no other class is
+            reported on the object with more confidence than the one wanted. An early
+            stop waits for this.
     """
 
     success: bool
@@ -47,8 +51,10 @@ class Evaluation:
     """What the attacker knows about one point."""
 
     loss: float  # lower is better for the attacker
-    gradients: Parameters  # derivative of the loss by each parameter; empty where nobody asks for it
-    verdict: Verdict | None = None  # of the point; None where a judge looks at some points only
+    # derivative of the loss by each parameter; empty where nobody asks for it
+    gradients: Parameters
+    # of the point; None where a judge looks at some points only
+    verdict: Verdict | None = None
     error: float = 0.0  # mean squared error of the images, where it has a price
 
 
@@ -59,10 +65,12 @@ class Step:
     Attributes:
         index: 0 is the start of a run; after n steps the index is n.
         loss: Lower is better for the attacker.
-        score: In [0, 1], higher is better for the attacker; `NOT_JUDGED` where nothing judged the point.
+        score: In [0, 1], higher is better for the attacker; `NOT_JUDGED` where nothing
+            judged the point.
         success: Whether the attack has its aim here.
         unambiguous: Whether it has its aim and nothing speaks against it.
-        zero_gradient_fraction: Fraction of the gradient's elements that are exactly zero; 0 where there is no gradient.
+        zero_gradient_fraction: Fraction of the gradient's elements that are exactly
+            zero; 0 where there is no gradient.
         restart: Number of the run, 0 for the first.
         share: Share of the radius that the change takes.
     """
@@ -89,18 +97,23 @@ class Outcome:
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class Memory:
-    """Of one run; what it keeps from step to step is the optimiser's own, by names of its own."""
+    """Of one run; what it keeps from step to step is the optimiser's own, by names of
+    its own.
+    """
 
     index: int = 0  # number of steps done
     restart: int = 0  # number of the run
-    tensors: dict[str, Parameters] = field(default_factory=dict)  # what has the shape of the parameters
+    # what has the shape of the parameters
+    tensors: dict[str, Parameters] = field(default_factory=dict)
     numbers: dict[str, float] = field(default_factory=dict)
 
 
 Optimiser = Callable[[Parameters, Evaluation, Memory], Parameters | None]
-"""From a point, what is known of it and the memory of the run, which it may change, to the next point.
+"""From a point, what is known of it and the memory of the run, which it may change, to
+the next point.
 
-The next point may be outside the ball, into which it is projected; None ends the run. See `attacks.optimisers`.
+The next point may be outside the ball, into which it is projected; None ends the run.
+See `attacks.optimisers`.
 """
 
 
@@ -109,11 +122,12 @@ class Hooks:
     """What a search calls while it runs.
 
     Attributes:
-        judge: Judges the point of every `every`-th step and of the last one, and gives back the point that may become
-            the outcome: this one or what it made of it. None leaves the judgement to each evaluation.
+        judge: Judges the point of every `every`-th step and of the last one, and gives
+            back the point that may become the outcome: this one or what it made of it.
+            None leaves the judgement to each evaluation.
         every: Steps between two judgements.
-        on_step: Called with every line of the trace as it happens. Once it says so, the search ends where something
-            was judged, with the best point so far.
+        on_step: Called with every line of the trace as it happens. Once it says so, the
+            search ends where something was judged, with the best point so far.
     """
 
     judge: Callable[[Parameters], tuple[Parameters, Verdict]] | None = None
@@ -133,16 +147,20 @@ def pgd(
     smallest: bool = False,
     hooks: Hooks | None = None,
 ) -> Outcome:
-    """Search from every start, project after every step, and keep the best point of all.
+    """Search from every start, project after every step, and keep the best point of
+    all.
 
     Args:
-        evaluate: Loss, gradients and verdict at a point; at most steps + 1 calls for each start.
+        evaluate: Loss, gradients and verdict at a point; at most steps + 1 calls for
+            each start.
         reference: Centre of the ball, one tensor for each parameter.
         ball: Projection and direction; `Budget` is one.
         steps: Number of steps from each start.
         optimiser: How the next point is chosen (`attacks.optimisers`).
-        starts: First point of each run, taken when the run begins; the reference alone if None.
-        early_stop: End everything at the first unambiguous success; otherwise take all steps from all starts.
+        starts: First point of each run, taken when the run begins; the reference alone
+            if None.
+        early_stop: End everything at the first unambiguous success; otherwise take all
+            steps from all starts.
         smallest: Whether the smaller of two successes is the better one, see `rank`.
         hooks: What is called while the search runs.
 
@@ -150,41 +168,59 @@ def pgd(
         The best point of all runs, and every point in order.
 
     Raises:
-        InvalidValueError: A gradient or the loss is not finite, steps is negative, or there is no start.
+        InvalidValueError: A gradient or the loss is not finite, steps is negative, or
+            there is no start.
         BudgetError: The best point is outside the ball (`Ball.check`).
     """
     if steps < 0:
-        raise InvalidValueError.of("steps", "a number >= 0", steps, "ask for at least one step")
+        raise InvalidValueError.of(
+            "steps", "a number >= 0", steps, "ask for at least one step"
+        )
     hooks = hooks or Hooks()
     best, best_line, trace, stopped = reference, None, list[Step](), False
     for restart, start in enumerate([reference] if starts is None else starts):
         memory, point = Memory(restart=restart), start
         for index in range(steps + 1):
-            point = ball.project({name: value.detach().clone() for name, value in point.items()}, reference)
+            point = ball.project(
+                {name: value.detach().clone() for name, value in point.items()},
+                reference,
+            )
             here = _checked(evaluate(point))
             memory.index = index
             following = None if index == steps else optimiser(point, here, memory)
             judged, verdict = point, here.verdict if hooks.judge is None else None
-            if hooks.judge is not None and (following is None or (index and not index % hooks.every)):
+            if hooks.judge is not None and (
+                following is None or (index and not index % hooks.every)
+            ):
                 judged, verdict = hooks.judge(point)
             line = _line(here, verdict, index, restart, _share(ball, judged, reference))
             trace.append(line)
             stopped = bool(hooks.on_step is not None and hooks.on_step(line)) or stopped
-            if verdict is not None and (best_line is None or rank(line, smallest) > rank(best_line, smallest)):
+            if verdict is not None and (
+                best_line is None or rank(line, smallest) > rank(best_line, smallest)
+            ):
                 best_line, best = line, judged
-            if following is None or (early_stop and _ended(line)) or (stopped and best_line is not None):
+            if (
+                following is None
+                or (early_stop and _ended(line))
+                or (stopped and best_line is not None)
+            ):
                 break
             point = following
         if best_line is not None and (stopped or (early_stop and _ended(best_line))):
             break
     if best_line is None:
-        raise InvalidValueError.of("starts", "at least one point", "none", "pass the reference, or nothing")
+        raise InvalidValueError.of(
+            "starts", "at least one point", "none", "pass the reference, or nothing"
+        )
     ball.check(best, reference)
     return Outcome(parameters=best, best=best_line, trace=tuple(trace), stopped=stopped)
 
 
 def rank(line: Step, smallest: bool = False) -> tuple[bool, bool, float, float]:
-    """Sort key of points: success, then an unambiguous one, then the score; the loss only between equals."""
+    """Sort key of points: success, then an unambiguous one, then the score; the loss
+    only between equals.
+    """
     value = 1.0 - line.share if smallest and line.success else line.score
     return line.success, line.unambiguous, value, -line.loss
 
@@ -199,19 +235,30 @@ def _checked(here: Evaluation) -> Evaluation:
     for name, gradient in here.gradients.items():
         if not bool(torch.isfinite(gradient).all()):
             do = "look at the renderer and the objective"
-            raise InvalidValueError.of(f"gradient of {name}", "finite numbers", "NaN or infinity", do)
+            raise InvalidValueError.of(
+                f"gradient of {name}", "finite numbers", "NaN or infinity", do
+            )
     if not math.isfinite(here.loss):
-        raise InvalidValueError.of("loss", "a finite number", here.loss, "look at the objective")
+        raise InvalidValueError.of(
+            "loss", "a finite number", here.loss, "look at the objective"
+        )
     return here
 
 
 def _share(ball: Budget, parameters: Parameters, reference: Parameters) -> float:
-    """Share of its radius that the change takes, of the attribute that takes most; 0 where none may move."""
+    """Share of its radius that the change takes, of the attribute that takes most; 0
+    where none may move.
+    """
     sizes = ball.measure(parameters, reference)
-    return max((size / ball.radius[name] for name, size in sizes.items() if ball.radius[name]), default=0.0)
+    return max(
+        (size / ball.radius[name] for name, size in sizes.items() if ball.radius[name]),
+        default=0.0,
+    )
 
 
-def _line(here: Evaluation, verdict: Verdict | None, index: int, restart: int, share: float) -> Step:
+def _line(
+    here: Evaluation, verdict: Verdict | None, index: int, restart: int, share: float
+) -> Step:
     zeros = sum(int((gradient == 0).sum()) for gradient in here.gradients.values())
     total = sum(gradient.numel() for gradient in here.gradients.values())
     verdict = verdict or Verdict(success=False, score=NOT_JUDGED, unambiguous=False)
@@ -229,12 +276,15 @@ def _line(here: Evaluation, verdict: Verdict | None, index: int, restart: int, s
 
 # Budgets: how far each attribute of the attacked Gaussians may move, and in which norm.
 #
-# A perturbation lives in the space of the splat file: SH coefficients, means in world units, log-scales, quaternions
-# before normalisation, logit opacities. A norm measures a perturbation, shrinks it into the ball, gives the steepest
-# direction, and draws from the ball; everything else is the same for all norms.
+# A perturbation lives in the space of the splat file: SH coefficients, means in world
+# units, log-scales, quaternions before normalisation, logit opacities. A norm measures
+# a perturbation, shrinks it into the ball, gives the steepest direction, and draws from
+# the ball; everything else is the same for all norms.
 
 _SLACK = 1e-12
-"""Projection aims this much inside, relative to the radius: float64 rounding of the norm cannot leave the ball."""
+"""Projection aims this much inside, relative to the radius: float64 rounding of the
+norm cannot leave the ball.
+"""
 
 
 class BudgetError(MiSplatError):
@@ -243,7 +293,9 @@ class BudgetError(MiSplatError):
 
 def _normal(like: Tensor, generator: Generator) -> Tensor:
     # Drawn on the CPU, so that a seed means the same noise on every device.
-    return torch.randn(like.shape, generator=generator, dtype=torch.float64).to(like.device)
+    return torch.randn(like.shape, generator=generator, dtype=torch.float64).to(
+        like.device
+    )
 
 
 def _even(shape: torch.Size, generator: Generator, like: Tensor) -> Tensor:
@@ -259,7 +311,9 @@ class Linf:
     """The largest change of any one coefficient."""
 
     def measure(self, delta: Tensor) -> float:
-        """Size of the perturbation, compared with the radius: the largest absolute value."""
+        """Size of the perturbation, compared with the radius: the largest absolute
+        value.
+        """
         return float(delta.abs().max()) if delta.numel() else 0.0
 
     def shrink(self, delta: Tensor, radius: float) -> Tensor:
@@ -275,15 +329,21 @@ class Linf:
         return (2 * _even(like.shape, generator, like) - 1) * radius
 
     def noise(self, delta: Tensor, generator: Generator) -> Tensor:
-        """Random noise of exactly the size of `delta`, the control that an attack has to beat: signs at full size."""
+        """Random noise of exactly the size of `delta`, the control that an attack has
+        to beat: signs at full size.
+        """
         return _normal(delta, generator).sign() * self.measure(delta)
 
 
 class L2:
-    """One Euclidean ball over the attribute of the whole object: the PGD of the paper's text."""
+    """One Euclidean ball over the attribute of the whole object: the PGD of the paper's
+    text.
+    """
 
     def sizes(self, delta: Tensor) -> Tensor:
-        """Euclidean norm of all that shares a ball, shaped to broadcast against `delta`."""
+        """Euclidean norm of all that shares a ball, shaped to broadcast against
+        `delta`.
+        """
         size: Tensor = delta.norm()
         return size
 
@@ -294,13 +354,16 @@ class L2:
     def shrink(self, delta: Tensor, radius: float) -> Tensor:
         """Scale down what is too long."""
         sizes = self.sizes(delta)
-        return torch.where(sizes > radius, delta * (radius / sizes.clamp(min=1e-300)), delta)
+        return torch.where(
+            sizes > radius, delta * (radius / sizes.clamp(min=1e-300)), delta
+        )
 
     def steepest(self, gradient: Tensor) -> Tensor:
         """The gradient over its norm."""
         if not gradient.numel():
             return gradient
-        # The two-step scaling keeps gradients of 1e-30 from vanishing when they are squared.
+        # The two-step scaling keeps gradients of 1e-30 from vanishing when they are
+        # squared.
         scaled = _unit(gradient, gradient.abs().amax())
         return _unit(scaled, self.sizes(scaled))
 
@@ -309,7 +372,9 @@ class L2:
         direction = _normal(like, generator)
         sizes = self.sizes(direction)
         width = max(like.numel() // max(sizes.numel(), 1), 1)
-        return _unit(direction, sizes) * (radius * _even(sizes.shape, generator, like) ** (1.0 / width))
+        return _unit(direction, sizes) * (
+            radius * _even(sizes.shape, generator, like) ** (1.0 / width)
+        )
 
     def noise(self, delta: Tensor, generator: Generator) -> Tensor:
         """A direction from the sphere, as long as `delta`."""
@@ -322,11 +387,17 @@ class L2PerGaussian(L2):
 
     def sizes(self, delta: Tensor) -> Tensor:
         """Norm of each row."""
-        flat: Tensor = (delta.flatten(1) if delta.ndim > 1 else delta[:, None]).norm(dim=1)
+        flat: Tensor = (delta.flatten(1) if delta.ndim > 1 else delta[:, None]).norm(
+            dim=1
+        )
         return flat.reshape(-1, *([1] * (delta.ndim - 1)))
 
 
-NORMS: dict[NormName, Linf | L2] = {"linf": Linf(), "l2": L2(), "l2_per_gaussian": L2PerGaussian()}
+NORMS: dict[NormName, Linf | L2] = {
+    "linf": Linf(),
+    "l2": L2(),
+    "l2_per_gaussian": L2PerGaussian(),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -334,12 +405,15 @@ class Budget:
     """How far each attribute may move.
 
     Attributes:
-        radius: Largest size of the perturbation by attribute, in the units of the splat file (SH coefficients, world
-            units, log world units, quaternion components, logits). Attributes that are not named may not move at all.
-        norm: `linf`, `l2` (one ball over the object) or `l2_per_gaussian` (a ball per row).
+        radius: Largest size of the perturbation by attribute, in the units of the splat
+            file (SH coefficients, world units, log world units, quaternion components,
+            logits). Attributes that are not named may not move at all.
+        norm: `linf`, `l2` (one ball over the object) or `l2_per_gaussian` (a ball per
+            row).
 
     Raises:
-        InvalidValueError: An attribute or the norm is unknown, nothing may move, or a radius is negative or not finite.
+        InvalidValueError: An attribute or the norm is unknown, nothing may move, or a
+            radius is negative or not finite.
     """
 
     radius: Mapping[str, float]
@@ -348,13 +422,23 @@ class Budget:
     def __post_init__(self) -> None:
         check_choice("norm", self.norm, NORM_NAMES)
         if not self.radius:
-            raise InvalidValueError.of("radius", "at least one attribute", "none", "say what may move, and how far")
+            raise InvalidValueError.of(
+                "radius",
+                "at least one attribute",
+                "none",
+                "say what may move, and how far",
+            )
         for name, value in self.radius.items():
             check_choice("attribute", name, ATTRIBUTES)
-            checked_number(f"radius of {name}", value, at_least(0, do="use a large one for 'no limit'"))
+            checked_number(
+                f"radius of {name}",
+                value,
+                at_least(0, do="use a large one for 'no limit'"),
+            )
 
     def project(self, parameters: Parameters, reference: Parameters) -> Parameters:
-        """The nearest parameters inside the budget; what is inside comes back unchanged, bit for bit.
+        """The nearest parameters inside the budget; what is inside comes back
+        unchanged, bit for bit.
 
         Args:
             parameters: Tensors by attribute, each with one row for each Gaussian.
@@ -364,9 +448,14 @@ class Budget:
             New parameters by attribute.
         """
         norm = NORMS[self.norm]
-        return {name: _inside(value, reference[name], self.radius[name], norm) for name, value in parameters.items()}
+        return {
+            name: _inside(value, reference[name], self.radius[name], norm)
+            for name, value in parameters.items()
+        }
 
-    def measure(self, parameters: Parameters, reference: Parameters) -> dict[str, float]:
+    def measure(
+        self, parameters: Parameters, reference: Parameters
+    ) -> dict[str, float]:
         """Size of the perturbation by attribute.
 
         Args:
@@ -377,7 +466,10 @@ class Budget:
             A size for each attribute, in the norm.
         """
         norm = NORMS[self.norm]
-        return {name: norm.measure(_difference(value, reference[name])) for name, value in parameters.items()}
+        return {
+            name: norm.measure(_difference(value, reference[name]))
+            for name, value in parameters.items()
+        }
 
     def check(self, parameters: Parameters, reference: Parameters) -> None:
         """Refuse parameters outside the budget.
@@ -391,11 +483,15 @@ class Budget:
         """
         for name, size in self.measure(parameters, reference).items():
             if not size <= self.radius[name]:
-                expected, do = f"<= {self.radius[name]}", "report this: the attack is wrong"
+                expected, do = (
+                    f"<= {self.radius[name]}",
+                    "report this: the attack is wrong",
+                )
                 raise BudgetError.of(f"{self.norm} of {name}", expected, size, do)
 
     def steepest(self, gradients: Parameters) -> Parameters:
-        """Direction of steepest ascent by attribute, size 1 each, in the dtype of the gradients.
+        """Direction of steepest ascent by attribute, size 1 each, in the dtype of the
+        gradients.
 
         Args:
             gradients: Of the loss, by attribute, in the shapes of the parameters.
@@ -404,7 +500,10 @@ class Budget:
             A direction for each attribute.
         """
         norm = NORMS[self.norm]
-        return {name: norm.steepest(value.double()).to(value.dtype) for name, value in gradients.items()}
+        return {
+            name: norm.steepest(value.double()).to(value.dtype)
+            for name, value in gradients.items()
+        }
 
     def uniform(self, reference: Parameters, generator: Generator) -> Parameters:
         """Parameters drawn uniformly from the ball around the reference.
@@ -418,16 +517,24 @@ class Budget:
         """
         norm = NORMS[self.norm]
         moved = {
-            name: (value.double() + norm.uniform(value.double(), self.radius[name], generator)).to(value.dtype)
+            name: (
+                (
+                    value.double()
+                    + norm.uniform(value.double(), self.radius[name], generator)
+                ).to(value.dtype)
+            )
             for name, value in reference.items()
         }
         return self.project(moved, reference)
 
-    def noise(self, parameters: Parameters, reference: Parameters, generator: Generator) -> Parameters:
+    def noise(
+        self, parameters: Parameters, reference: Parameters, generator: Generator
+    ) -> Parameters:
         """The reference plus random noise as large as the perturbation of `parameters`.
 
         Args:
-            parameters: The attacked tensors by attribute, whose distance from the reference the noise has.
+            parameters: The attacked tensors by attribute, whose distance from the
+                reference the noise has.
             reference: The clean tensors, of the same shapes.
             generator: Random numbers on the device of the tensors.
 
@@ -446,11 +553,15 @@ def _difference(value: Tensor, reference: Tensor) -> Tensor:
 
 
 def _inside(value: Tensor, reference: Tensor, radius: float, norm: Linf | L2) -> Tensor:
-    """Project one attribute; rounding to the tensor's dtype goes towards the reference, never out of the ball."""
+    """Project one attribute; rounding to the tensor's dtype goes towards the reference,
+    never out of the ball.
+    """
     delta = _difference(value, reference)
     if norm.measure(delta) <= radius:
         return value
     delta = norm.shrink(delta, radius * (1 - _SLACK))
     rounded = (reference.double() + delta).to(value.dtype)
     too_far = _difference(rounded, reference).abs() > delta.abs()
-    return torch.where(too_far, torch.nextafter(rounded, reference.to(value.dtype)), rounded)
+    return torch.where(
+        too_far, torch.nextafter(rounded, reference.to(value.dtype)), rounded
+    )

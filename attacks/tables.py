@@ -1,4 +1,6 @@
-"""Tables of figures: columns of cells over lines, as values for a page and as Markdown."""
+"""Tables of figures: columns of cells over lines, as values for a page and as
+Markdown.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +13,15 @@ from attacks.rate import Rate, number
 
 Line = TypeVar("Line")
 Column = str | Callable[[Line], object]
-"""What a column shows of a line: what stands there under a key, or what a function makes of it."""
+"""What a column shows of a line: what stands there under a key, or what a function
+makes of it.
+"""
 
 
 def cell(value: Any) -> str:
-    """A value as a cell: a rate, or what `Rate.as_dict` makes of it, with its interval; a dash for none."""
+    """A value as a cell: a rate, or what `Rate.as_dict` makes of it, with its interval;
+    a dash for none.
+    """
     if isinstance(value, Mapping) and {"successes", "total"} <= set(value):
         value = Rate.of(value)
     if value is None:
@@ -28,13 +34,21 @@ def cell(value: Any) -> str:
 
 
 def number_at(*path: str, form: str = ".2f") -> Column[Any]:
-    """A column of numbers in one format, at the end of a path of keys; a dash where there is none."""
-    return lambda line: number(functools.reduce(lambda value, key: value and value.get(key), path, line), form)
+    """A column of numbers in one format, at the end of a path of keys; a dash where
+    there is none.
+    """
+    return lambda line: number(
+        functools.reduce(lambda value, key: value and value.get(key), path, line), form
+    )
 
 
 def short_rate(*path: str, interval: bool = False) -> Column[Any]:
-    """A column of rates at the end of a path of keys, as short as `Rate.short` writes them."""
-    return lambda line: Rate.of(functools.reduce(lambda value, key: value[key], path, line)).short(interval=interval)
+    """A column of rates at the end of a path of keys, as short as `Rate.short` writes
+    them.
+    """
+    return lambda line: Rate.of(
+        functools.reduce(lambda value, key: value[key], path, line)
+    ).short(interval=interval)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,9 +60,14 @@ class Table:
     rows: tuple[tuple[str, ...], ...]  # the cells
 
     @classmethod
-    def of(cls, caption: str, columns: Mapping[str, Column[Line]], lines: Iterable[Line]) -> Table:
+    def of(
+        cls, caption: str, columns: Mapping[str, Column[Line]], lines: Iterable[Line]
+    ) -> Table:
         """A table with a row for each line."""
-        rows = (tuple(_cell_of(line, column) for column in columns.values()) for line in lines)
+        rows = (
+            tuple(_cell_of(line, column) for column in columns.values())
+            for line in lines
+        )
         return cls(caption=caption, head=tuple(columns), rows=tuple(rows))
 
     @property
@@ -69,17 +88,26 @@ def sections(tables: Iterable[Table]) -> str:
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Cells as a table in Markdown, without an end of the last line."""
     lines = (head, ("---",) * len(head), *rows)
-    return "\n".join(f"| {' | '.join(text.replace('|', chr(92) + '|') for text in line)} |" for line in lines)
+    return "\n".join(
+        f"| {' | '.join(text.replace('|', chr(92) + '|') for text in line)} |"
+        for line in lines
+    )
 
 
 def named_settings(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Nested settings as names with dots and values; tables of a list are numbered."""
     for key, value in values.items():
         tables = {key: value}
-        if isinstance(value, (list, tuple)) and value and all(isinstance(entry, Mapping) for entry in value):
+        if (
+            isinstance(value, (list, tuple))
+            and value
+            and all(isinstance(entry, Mapping) for entry in value)
+        ):
             tables = {f"{key}.{number}": entry for number, entry in enumerate(value)}
         for name, table in tables.items():
             if isinstance(table, Mapping):
-                yield from ((f"{name}.{inner}", entry) for inner, entry in named_settings(table))
+                yield from (
+                    (f"{name}.{inner}", entry) for inner, entry in named_settings(table)
+                )
             else:
                 yield name, table

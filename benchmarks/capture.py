@@ -1,7 +1,9 @@
-"""Path-traced pictures, in CPU time of one thread: `python benchmarks/cpu_time.py benchmarks/capture.py`.
+"""Path-traced pictures, in CPU time of one thread:
+`python benchmarks/cpu_time.py benchmarks/capture.py`.
 
-A picture of a car on a road and one of a car on its street, both 256 x 256 at 32 samples, by Mitsuba's LLVM variant,
-which captures use, and by its scalar variant; and what the first picture of a scene takes, where loading comes with it.
+A picture of a car on a road and one of a car on its street, both 256 x 256 at 32
+samples, by Mitsuba's LLVM variant, which captures use, and by its scalar variant; and
+what the first picture of a scene takes, where loading comes with it.
 """
 
 from collections.abc import Callable
@@ -9,7 +11,12 @@ from collections.abc import Callable
 import mitsuba as mi
 
 from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.capture.path_tracer import FEW_PICTURES, MANY_PICTURES, PathTracer, tracing_variant
+from mi_splat.capture.path_tracer import (
+    FEW_PICTURES,
+    MANY_PICTURES,
+    PathTracer,
+    tracing_variant,
+)
 from mi_splat.capture.sources import open_source
 
 SIZE, SAMPLES = 256, 32
@@ -34,7 +41,12 @@ def _of(name: str, variant: str) -> dict[str, Callable[[], object]]:
         tracer = PathTracer(source.scene, samples=SAMPLES)
     cameras = [
         Camera(
-            to_world=orbit_pose(source.centre, azimuth=azimuth, elevation=25.0, distance=3 * source.radius),
+            to_world=orbit_pose(
+                source.centre,
+                azimuth=azimuth,
+                elevation=25.0,
+                distance=3 * source.radius,
+            ),
             focal=float(SIZE),
             width=SIZE,
             height=SIZE,
@@ -45,7 +57,8 @@ def _of(name: str, variant: str) -> dict[str, Callable[[], object]]:
 
     def picture() -> None:
         nonlocal taken
-        mi.set_variant(variant)  # switching takes 0.2 s; here it is part of the runs that are not timed
+        # switching takes 0.2 s; here it is part of the runs that are not timed
+        mi.set_variant(variant)
         tracer.picture(cameras[taken % len(cameras)], seed=taken)
         taken += 1
 

@@ -1,11 +1,14 @@
-"""How much faster is a step of a `FrozenView` than one of `Renderer`? A step is a picture and the gradient of its SH.
+"""How much faster is a step of a `FrozenView` than one of `Renderer`?
+
+A step is a picture and the gradient of its SH.
 
     python benchmarks/frozen_view.py [--rounds 15] [--json]
 
-The same splat, camera and process for both; each runs four times before it is timed, and the runs are interleaved,
-since a shared machine changes its speed within minutes. Reported are the medians over the rounds of the times, of the
-ratio within a round, and of that of the processor's time of all threads, which other programs disturb less. `make` is
-what making the view takes once it is compiled, in steps of `Renderer`.
+The same splat, camera and process for both; each runs four times before it is timed,
+and the runs are interleaved, since a shared machine changes its speed within minutes.
+Reported are the medians over the rounds of the times, of the ratio within a round, and
+of that of the processor's time of all threads, which other programs disturb less.
+`make` is what making the view takes once it is compiled, in steps of `Renderer`.
 """
 
 import argparse
@@ -29,12 +32,21 @@ from mi_splat.frozen_view import FrozenView
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
 
-SETTINGS = ((10_000, 256, 1.0), (100_000, 256, 1.0), (100_000, 640, 1.0), (100_000, 640, 0.2))
+SETTINGS = (
+    (10_000, 256, 1.0),
+    (100_000, 256, 1.0),
+    (100_000, 640, 1.0),
+    (100_000, 640, 0.2),
+)
 
 
-def step(render: Callable[[torch.Tensor], torch.Tensor], sh: torch.Tensor, camera: Camera) -> Callable[[], None]:
+def step(
+    render: Callable[[torch.Tensor], torch.Tensor], sh: torch.Tensor, camera: Camera
+) -> Callable[[], None]:
     """A picture and its gradient of SH, for a random linear function of the picture."""
-    weights = torch.randn(camera.height, camera.width, 3, generator=torch.Generator().manual_seed(1))
+    weights = torch.randn(
+        camera.height, camera.width, 3, generator=torch.Generator().manual_seed(1)
+    )
     leaf = sh.clone().requires_grad_(True)
 
     def run() -> None:
@@ -52,16 +64,26 @@ def seconds(run: Callable[[], object]) -> tuple[float, float]:
 
 
 def measure(count: int, size: int, share: float, rounds: int) -> dict[str, Any]:
-    """Median times in ms and the median of their ratios, with this share of the Gaussians free: the highest ones."""
+    """Median times in ms and the median of their ratios, with this share of the
+    Gaussians free: the highest ones.
+    """
     scene = shell(count)
     pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=3.0)
     camera = Camera(to_world=pose, focal=float(size), width=size, height=size)
-    rows = None if share == 1 else scene.means[:, 2] >= scene.means[:, 2].quantile(1 - share)
+    rows = (
+        None
+        if share == 1
+        else scene.means[:, 2] >= scene.means[:, 2].quantile(1 - share)
+    )
     render = Renderer()
     view = FrozenView(scene, camera, rows=rows)
     fixed = scene.tensors()[:4]
     runs = (
-        step(lambda sh: render(GaussianScene.unchecked(*fixed, sh), camera), scene.sh, camera),
+        step(
+            lambda sh: render(GaussianScene.unchecked(*fixed, sh), camera),
+            scene.sh,
+            camera,
+        ),
         step(view, scene.sh[view.rows], camera),
         lambda: FrozenView(scene, camera, rows=rows),
     )
@@ -70,9 +92,13 @@ def measure(count: int, size: int, share: float, rounds: int) -> dict[str, Any]:
             run()
     times = [[seconds(run) for run in runs] for _ in range(rounds)]
     renderer, frozen, _ = (
-        round(1e3 * statistics.median(t[0] for t in column), 2) for column in zip(*times, strict=True)
+        round(1e3 * statistics.median(t[0] for t in column), 2)
+        for column in zip(*times, strict=True)
     )
-    ratios = [round(statistics.median(whole[k] / part[k] for whole, part, _ in times), 2) for k in range(2)]
+    ratios = [
+        round(statistics.median(whole[k] / part[k] for whole, part, _ in times), 2)
+        for k in range(2)
+    ]
     return {
         "gaussians": count,
         "size": size,
@@ -81,7 +107,9 @@ def measure(count: int, size: int, share: float, rounds: int) -> dict[str, Any]:
         "FrozenView": frozen,
         "ratio": ratios[0],
         "processor ratio": ratios[1],
-        "make": round(statistics.median(make[0] / whole[0] for whole, _, make in times), 2),
+        "make": round(
+            statistics.median(make[0] / whole[0] for whole, _, make in times), 2
+        ),
         "megabytes": round(view.megabytes, 1),
     }
 
@@ -89,7 +117,9 @@ def measure(count: int, size: int, share: float, rounds: int) -> dict[str, Any]:
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description="Time FrozenView beside Renderer.")
-    parser.add_argument("--rounds", type=int, default=15, help="interleaved runs of everything")
+    parser.add_argument(
+        "--rounds", type=int, default=15, help="interleaved runs of everything"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     arguments = parser.parse_args()
     torch.set_num_threads(1)  # torch's threads and Dr.Jit's would fight over the cores
@@ -100,10 +130,10 @@ def main() -> None:
         return
     for row in rows:
         print(  # noqa: T201
-            f"{row['gaussians']:>7,} at {row['size']}, {row['free']:.0%} free: Renderer {row['Renderer']:.1f} ms, "
-            f"FrozenView {row['FrozenView']:.1f} ms, {row['ratio']:.1f}x "
-            f"(processor {row['processor ratio']:.1f}x); make {row['make']:.1f} steps, "
-            f"{row['megabytes']:.1f} MB"
+            f"{row['gaussians']:>7,} at {row['size']}, {row['free']:.0%} free: Renderer"
+            f" {row['Renderer']:.1f} ms, FrozenView {row['FrozenView']:.1f} ms,"
+            f" {row['ratio']:.1f}x (processor {row['processor ratio']:.1f}x); make"
+            f" {row['make']:.1f} steps, {row['megabytes']:.1f} MB"
         )
 
 

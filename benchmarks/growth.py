@@ -1,11 +1,16 @@
-"""How does work grow with the number of points? CPU seconds, peak memory and exponent of every operation on points.
+"""How does work grow with the number of points?
 
-    python benchmarks/growth.py [--counts 1000 10000 100000 1000000] [--only NAME ...] [--limit 60] [--json]
+CPU seconds, peak memory and exponent of every operation on points.
 
-Each operation of `OPERATIONS` runs on each number of points in a process of its own with one thread. The points lie on
-a ground and on balls above it, and a tenth of them at one place, where a search by a tree may become quadratic. The
-exponent is that of the last two counts: 1 is linear, 2 is all points with all. An operation that takes longer than
-`--limit` seconds, or 1.6 as an exponent, is not run on more points. Exponents above 1.6 end with status 1.
+    python benchmarks/growth.py [--counts 1000 10000 100000 1000000] [--only NAME ...]
+    [--limit 60] [--json]
+
+Each operation of `OPERATIONS` runs on each number of points in a process of its own
+with one thread. The points lie on a ground and on balls above it, and a tenth of them
+at one place, where a search by a tree may become quadratic. The exponent is that of the
+last two counts: 1 is linear, 2 is all points with all. An operation that takes longer
+than `--limit` seconds, or 1.6 as an exponent, is not run on more points. Exponents
+above 1.6 end with status 1.
 """
 
 import argparse
@@ -24,7 +29,9 @@ sys.path.insert(0, str(ROOT))
 
 COUNTS = (1_000, 10_000, 100_000, 1_000_000)
 STEEP = 1.6
-"""Exponent from which growth counts as that of all points with all; sorting and trees stay below 1.4."""
+"""Exponent from which growth counts as that of all points with all; sorting and trees
+stay below 1.4.
+"""
 TIMEOUT = 900
 _OWN = "--one"
 
@@ -69,7 +76,14 @@ def cameras_around(scene: Any, count: int = 2) -> Any:
 
     centre, radius = bounds(scene)
     distance, focal = framing(radius, fov=45.0, size=(128, 128))
-    return orbit(centre, count=count, elevation=20.0, distance=distance, focal=focal, size=(128, 128))
+    return orbit(
+        centre,
+        count=count,
+        elevation=20.0,
+        distance=distance,
+        focal=focal,
+        size=(128, 128),
+    )
 
 
 # Operations: of a number of points, the function that is timed.
@@ -216,22 +230,42 @@ OPERATIONS: dict[str, Callable[[int], Callable[[], object]]] = {
 
 def main() -> int:
     """Run and print; 1 where something grows as all points with all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--counts", nargs="+", type=int, default=COUNTS)
     parser.add_argument("--only", nargs="+", choices=tuple(OPERATIONS), metavar="NAME")
-    parser.add_argument("--limit", type=float, default=60.0, help="CPU seconds beyond which no more points are tried")
+    parser.add_argument(
+        "--limit",
+        type=float,
+        default=60.0,
+        help="CPU seconds beyond which no more points are tried",
+    )
     parser.add_argument("--json", action="store_true")
-    parser.add_argument(_OWN, nargs=2, metavar=("NAME", "COUNT"), help=argparse.SUPPRESS)
+    parser.add_argument(
+        _OWN, nargs=2, metavar=("NAME", "COUNT"), help=argparse.SUPPRESS
+    )
     options = parser.parse_args()
     if options.one:
         return _measure(options.one[0], int(options.one[1]))
-    rows = list(_grown(options.only or OPERATIONS, sorted(options.counts), options.limit, options.json))
+    rows = list(
+        _grown(
+            options.only or OPERATIONS,
+            sorted(options.counts),
+            options.limit,
+            options.json,
+        )
+    )
     if options.json:
         sys.stdout.write(json.dumps(rows, indent=2) + "\n")
-    return int(any(row["exponent"] is not None and row["exponent"] > STEEP for row in rows))
+    return int(
+        any(row["exponent"] is not None and row["exponent"] > STEEP for row in rows)
+    )
 
 
-def _grown(names: Any, counts: list[int], limit: float, quiet: bool) -> Iterator[dict[str, Any]]:
+def _grown(
+    names: Any, counts: list[int], limit: float, quiet: bool
+) -> Iterator[dict[str, Any]]:
     for name in names:
         row: dict[str, Any] = {"name": name, "exponent": None, "runs": []}
         for count in counts:
@@ -250,22 +284,27 @@ def _grown(names: Any, counts: list[int], limit: float, quiet: bool) -> Iterator
 
 
 def _exponent(runs: list[dict[str, Any]]) -> float | None:
-    """How the time grows over the last two counts; None where it is too short to tell."""
+    """How the time grows over the last two counts; None where it is too short to
+    tell.
+    """
     if len(runs) < 2:
         return None
     before, after = runs[-2:]
     if after["seconds"] < 0.02:
         return None
-    # What any call costs, and noise, count for little: a hundredth of a second is added to both.
+    # What any call costs, and noise, count for little: a hundredth of a second is added
+    # to both.
     grown = (after["seconds"] + 0.01) / (before["seconds"] + 0.01)
     return round(math.log(grown) / math.log(after["count"] / before["count"]), 2)
 
 
 def _line(row: dict[str, Any]) -> str:
     runs = [
-        f"{run['count']:,}: {run['seconds']:.3g} s, {run['megabytes']:,} MB"
-        if "seconds" in run
-        else f"{run['count']:,}: {run['failed']}"
+        (
+            f"{run['count']:,}: {run['seconds']:.3g} s, {run['megabytes']:,} MB"
+            if "seconds" in run
+            else f"{run['count']:,}: {run['failed']}"
+        )
         for run in row["runs"]
     ]
     exponent = "-" if row["exponent"] is None else f"{row['exponent']:.2f}"
@@ -276,11 +315,21 @@ def _in_process(name: str, count: int) -> dict[str, Any]:
     command = [sys.executable, __file__, _OWN, name, str(count)]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     try:
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+        done = subprocess.run(
+            command,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT,
+            check=False,
+        )
     except subprocess.TimeoutExpired:
         return {"count": count, "failed": f"more than {TIMEOUT} s"}
     if done.returncode:
-        return {"count": count, "failed": (done.stderr.strip().splitlines() or ["ended"])[-1][:100]}
+        return {
+            "count": count,
+            "failed": (done.stderr.strip().splitlines() or ["ended"])[-1][:100],
+        }
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
@@ -301,7 +350,9 @@ def _measure(name: str, count: int) -> int:
     seconds = time.process_time() - begun
     taken = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) >> 10
     _path().unlink(missing_ok=True)
-    sys.stdout.write(json.dumps({"count": count, "seconds": round(seconds, 4), "megabytes": taken}))
+    sys.stdout.write(
+        json.dumps({"count": count, "seconds": round(seconds, 4), "megabytes": taken})
+    )
     return 0
 
 

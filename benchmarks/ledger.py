@@ -1,10 +1,14 @@
-"""What does the ledger cost? For one job, for a plan of 10,000, and for the status and the rows of 100,000.
+"""What does the ledger cost?
+
+For one job, for a plan of 10,000, and for the status and the rows of 100,000.
 
     python benchmarks/ledger.py [--folder out/ledger] [--jobs 100000] [--json]
 
-The jobs add two numbers, so that all is overhead: what a job costs in one process with every byte brought to the disk,
-what it costs in two child processes, a plan in which nothing is done, and the status and the rows of a store in which
-all is done. (The folders of the large store are written without the ledger, as fast as the disk takes them.)
+The jobs add two numbers, so that all is overhead: what a job costs in one process with
+every byte brought to the disk, what it costs in two child processes, a plan in which
+nothing is done, and the status and the rows of a store in which all is done. (The
+folders of the large store are written without the ledger, as fast as the disk takes
+them.)
 """
 
 import argparse
@@ -35,7 +39,10 @@ FEW, MANY = 200, 10_000
 def numbers(count: int) -> dict[str, Job]:
     """Jobs that add two numbers."""
     return {
-        f"sum-{number}": Job(kind=NUMBERS, config=NumbersConfig(values=(1.0, float(number)))) for number in range(count)
+        f"sum-{number}": Job(
+            kind=NUMBERS, config=NumbersConfig(values=(1.0, float(number)))
+        )
+        for number in range(count)
     }
 
 
@@ -52,20 +59,42 @@ def fill(store: Store, jobs: dict[str, Job]) -> None:
         task = task_for(job, store, {})
         folder = store.folder_of(task.key)
         folder.mkdir(parents=True)
-        rows = [{"sum": sum(job.config.values), "first": job.config.values[0], "name": label}]
-        record = {"kind": task.kind, "config": task.config, "inputs": {}, "code": task.code, "seconds": 0.0}
-        (folder / "job.json").write_text(record_text({**record, "varies": [], "rows": rows}, {}))
+        rows = [
+            {
+                "sum": sum(job.config.values),
+                "first": job.config.values[0],
+                "name": label,
+            }
+        ]
+        record = {
+            "kind": task.kind,
+            "config": task.config,
+            "inputs": {},
+            "code": task.code,
+            "seconds": 0.0,
+        }
+        (folder / "job.json").write_text(
+            record_text({**record, "varies": [], "rows": rows}, {})
+        )
 
 
 def table(store: Store, jobs: dict[str, Job]) -> polars.DataFrame:
     """The rows of a plan with their labels."""
     labels = {entry.key: entry.labels[0] for entry in status(store, jobs)}
-    return polars.DataFrame([{"label": labels[key], **row} for key in labels for row in store.record(key)["rows"]])
+    return polars.DataFrame(
+        [
+            {"label": labels[key], **row}
+            for key in labels
+            for row in store.record(key)["rows"]
+        ]
+    )
 
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--folder", type=Path, default=Path("out/ledger"))
     parser.add_argument("--jobs", type=int, default=100_000)
     parser.add_argument("--json", action="store_true")
@@ -74,7 +103,9 @@ def main() -> None:
     results: dict[str, float] = {}
     ledger, few = Ledger(options.folder / "one"), list(numbers(2 * FEW).values())
     timed(lambda: [ledger.do(job) for job in few[:10]])
-    results["ms a job in one process"] = timed(lambda: [ledger.do(job) for job in few[10 : 10 + FEW]]) / FEW * 1e3
+    results["ms a job in one process"] = (
+        timed(lambda: [ledger.do(job) for job in few[10 : 10 + FEW]]) / FEW * 1e3
+    )
     engine = Processes(options.folder / "two", workers=2)
     driver = Driver(options.folder / "two", engine)
     results["ms a job in two child processes, their start with it"] = (
@@ -84,7 +115,9 @@ def main() -> None:
     results[f"s to plan {MANY:,}"] = timed(lambda: plan(store, "few", numbers(MANY)))
     many = numbers(options.jobs)
     fill(store, many)
-    results[f"s for the status of {options.jobs:,}"] = timed(lambda: status(store, many))
+    results[f"s for the status of {options.jobs:,}"] = timed(
+        lambda: status(store, many)
+    )
     results[f"s for the rows of {options.jobs:,}"] = timed(lambda: table(store, many))
     shutil.rmtree(options.folder)
     if options.json:

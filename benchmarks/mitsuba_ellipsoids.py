@@ -1,11 +1,14 @@
-"""Does Mitsuba's `ellipsoids` shape meet the rays that it should, and does its picture depend on the unit of length?
+"""Does Mitsuba's `ellipsoids` shape meet the rays that it should, and does its picture
+depend on the unit of length?
 
     python benchmarks/mitsuba_ellipsoids.py [--count 100] [--picture FILE] [--json]
 
-The benchmark's splat and camera, with all lengths times 0.1 to 1,000: geometry that is the same in another unit. First
-one Gaussian at a time: a grid of rays around it, and whether the shape of three standard deviations is met, beside the
-discriminant of the same quadratic equation in float64. Then pictures: `volprim_rf_basic` and `splat_ray` in each unit,
-as PSNR to the picture of `splat_ray` in the first. `--picture` draws the rays around the Gaussian with most errors.
+The benchmark's splat and camera, with all lengths times 0.1 to 1,000: geometry that is
+the same in another unit. First one Gaussian at a time: a grid of rays around it, and
+whether the shape of three standard deviations is met, beside the discriminant of the
+same quadratic equation in float64. Then pictures: `volprim_rf_basic` and `splat_ray` in
+each unit, as PSNR to the picture of `splat_ray` in the first. `--picture` draws the
+rays around the Gaussian with most errors.
 """
 
 import argparse
@@ -42,41 +45,64 @@ EXTENT = 3.0
 """Standard deviations at which the shape ends."""
 
 
-def in_unit(scene: GaussianScene, camera: Camera, unit: float) -> tuple[GaussianScene, Camera]:
+def in_unit(
+    scene: GaussianScene, camera: Camera, unit: float
+) -> tuple[GaussianScene, Camera]:
     """The same with all lengths times `unit`."""
     pose = camera.to_world.clone()
     pose[:3, 3] *= unit
-    seen = Camera(to_world=pose, focal=camera.focal, width=camera.width, height=camera.height)
+    seen = Camera(
+        to_world=pose, focal=camera.focal, width=camera.width, height=camera.height
+    )
     return scene.replace(means=scene.means * unit, scales=scene.scales * unit), seen
 
 
-def hits(splat: GaussianScene, origin: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which rays of a grid around a Gaussian meet its shape, and which of them Mitsuba says do: (SIDE, SIDE) each."""
+def hits(
+    splat: GaussianScene, origin: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which rays of a grid around a Gaussian meet its shape, and which of them Mitsuba
+    says do: (SIDE, SIDE) each.
+    """
     import mitsuba as mi
 
     from mi_splat.plugins.shape import ellipsoid_arrays
 
-    mean, scale = splat.means[0].double().numpy(), EXTENT * splat.scales[0].double().numpy()
+    mean, scale = (
+        splat.means[0].double().numpy(),
+        EXTENT * splat.scales[0].double().numpy(),
+    )
     ahead = (mean - origin) / np.linalg.norm(mean - origin)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     down = np.cross(ahead, right)
     steps = np.linspace(-1.1, 1.1, SIDE) * scale.max()
     x, y = np.meshgrid(steps, steps)
-    towards = (mean + x[..., None] * right + y[..., None] * down - origin).reshape(-1, 3)
+    towards = (mean + x[..., None] * right + y[..., None] * down - origin).reshape(
+        -1, 3
+    )
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     to_unit_sphere = (to_matrix(splat.rotations)[0].double().numpy() / scale).T
     start, step = to_unit_sphere @ (origin - mean), towards @ to_unit_sphere.T
     along, length = step @ start, np.square(step).sum(1)
     expected = along**2 - length * (np.square(start).sum() - 1) > 0
-    loaded = mi.load_dict({"type": "scene", "splat": {"type": "ellipsoids", **ellipsoid_arrays(splat)}})
-    directions = mi.Vector3f(*(mi.Float(towards[:, axis].astype(np.float32)) for axis in range(3)))
-    valid = loaded.ray_intersect(mi.Ray3f(mi.Point3f(*origin.tolist()), directions)).is_valid().numpy()
+    loaded = mi.load_dict(
+        {"type": "scene", "splat": {"type": "ellipsoids", **ellipsoid_arrays(splat)}}
+    )
+    directions = mi.Vector3f(
+        *(mi.Float(towards[:, axis].astype(np.float32)) for axis in range(3))
+    )
+    valid = (
+        loaded.ray_intersect(mi.Ray3f(mi.Point3f(*origin.tolist()), directions))
+        .is_valid()
+        .numpy()
+    )
     return expected.reshape(SIDE, SIDE), valid.reshape(SIDE, SIDE)
 
 
 def measure(count: int) -> tuple[list[dict[str, Any]], int]:
-    """What is found in each unit, and the Gaussian with most errors where the unit is 1."""
+    """What is found in each unit, and the Gaussian with most errors where the unit is
+    1.
+    """
     scene, camera, worst = shell(10_000), camera_of(SIZE), (0, 0)
     chosen = np.random.default_rng(0).choice(len(scene), count, replace=False)
     rows = []
@@ -86,18 +112,34 @@ def measure(count: int) -> tuple[list[dict[str, Any]], int]:
             splat, view = in_unit(scene, camera, unit)
             missed, extra, inside, outside = 0, 0, 0, 0
             for number in chosen:
-                expected, hit = hits(splat.select(torch.tensor([int(number)])), view.position.numpy())
-                missed, extra = missed + int((expected & ~hit).sum()), extra + int((hit & ~expected).sum())
-                inside, outside = inside + int(expected.sum()), outside + int((~expected).sum())
-                worst = max(worst, (int((expected != hit).sum()), int(number))) if unit == 1 else worst
+                expected, hit = hits(
+                    splat.select(torch.tensor([int(number)])), view.position.numpy()
+                )
+                missed, extra = (
+                    missed + int((expected & ~hit).sum()),
+                    extra + int((hit & ~expected).sum()),
+                )
+                inside, outside = (
+                    inside + int(expected.sum()),
+                    outside + int((~expected).sum()),
+                )
+                worst = (
+                    max(worst, (int((expected != hit).sum()), int(number)))
+                    if unit == 1
+                    else worst
+                )
             near = 0.2 * unit
             rows.append(
                 {
                     "unit": unit,
                     "missed": missed / inside,
                     "met_in_error": extra / outside,
-                    "volprim_psnr": float(psnr(Volprim(RenderSettings(near=near))(splat, view), reference)),
-                    "ray_psnr": min(float(psnr(_ray(near)(splat, view), reference)), SAME),
+                    "volprim_psnr": float(
+                        psnr(Volprim(RenderSettings(near=near))(splat, view), reference)
+                    ),
+                    "ray_psnr": min(
+                        float(psnr(_ray(near)(splat, view), reference)), SAME
+                    ),
                 }
             )
     return rows, worst[1]
@@ -108,7 +150,9 @@ def _ray(near: float) -> Renderer:
 
 
 def draw(number: int, path: Path) -> None:
-    """The rays around a Gaussian in three units: white where both say that it is met, red and blue in case of error."""
+    """The rays around a Gaussian in three units: white where both say that it is met,
+    red and blue in case of error.
+    """
     import matplotlib.pyplot as plt
 
     scene = shell(10_000).select(torch.tensor([number]))
@@ -129,9 +173,15 @@ def draw(number: int, path: Path) -> None:
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=100, help="Gaussians that rays are sent to")
-    parser.add_argument("--picture", type=Path, help="draw the rays around the worst of them")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--count", type=int, default=100, help="Gaussians that rays are sent to"
+    )
+    parser.add_argument(
+        "--picture", type=Path, help="draw the rays around the worst of them"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     arguments = parser.parse_args()
     variant.use()
@@ -144,8 +194,9 @@ def main() -> None:
     for row in rows:
         ray = "the same" if row["ray_psnr"] == SAME else f"{row['ray_psnr']:.1f} dB"
         print(  # noqa: T201
-            f"lengths times {row['unit']:<6g} missed {row['missed']:6.1%}, met in error {row['met_in_error']:6.1%}; "
-            f"volprim_rf_basic {row['volprim_psnr']:.1f} dB, splat_ray {ray}"
+            f"lengths times {row['unit']:<6g} missed {row['missed']:6.1%}, met in error"
+            f" {row['met_in_error']:6.1%}; volprim_rf_basic {row['volprim_psnr']:.1f}"
+            f" dB, splat_ray {ray}"
         )
 
 

@@ -1,14 +1,19 @@
-"""How fast are `splat_tile` and `splat_ray`? Side by side with Mitsuba's own `volprim_rf_basic`, as ratios.
+"""How fast are `splat_tile` and `splat_ray`?
 
-    python benchmarks/render.py [--rounds 15] [--cpu] [--json]
-    python benchmarks/cpu_time.py benchmarks/render.py --against REVISION     # ours alone, beside older code
+Side by side with Mitsuba's own `volprim_rf_basic`, as ratios.
 
-The same splat, camera and process for both; each is run three times before it is timed, so that compilation stays
-apart, and the runs are interleaved, since a shared machine changes its speed within minutes. Reported is the median
-over the rounds of the ratio within a round. `volprim_rf_basic` takes one sample a pixel through a box filter; backward
-means the gradient of a random linear function of the picture with respect to every parameter of the splat. `splat_ray`
-takes one sample a pixel, too, through the same random points of pixels. Its tree is built before, as the one of
-`volprim_rf_basic` is, and not in the times.
+    python benchmarks/render.py [--rounds 15] [--cpu] [--json] python
+    benchmarks/cpu_time.py benchmarks/render.py --against REVISION     # ours alone,
+    beside older code
+
+The same splat, camera and process for both; each is run three times before it is timed,
+so that compilation stays apart, and the runs are interleaved, since a shared machine
+changes its speed within minutes. Reported is the median over the rounds of the ratio
+within a round. `volprim_rf_basic` takes one sample a pixel through a box filter;
+backward means the gradient of a random linear function of the picture with respect to
+every parameter of the splat. `splat_ray` takes one sample a pixel, too, through the
+same random points of pixels. Its tree is built before, as the one of `volprim_rf_basic`
+is, and not in the times.
 """
 
 import argparse
@@ -35,18 +40,28 @@ Runs = tuple[Callable[[], None], Callable[[], None]]
 
 
 def shell(count: int, *, seed: int = 0) -> GaussianScene:
-    """`count` Gaussians of SH degree 3 on a noisy unit sphere, about as large as their distance from each other.
+    """`count` Gaussians of SH degree 3 on a noisy unit sphere, about as large as their
+    distance from each other.
 
-    In torch's own memory: NumPy's may not be aligned as Dr.Jit wants it, and is then copied for every picture.
+    In torch's own memory: NumPy's may not be aligned as Dr.Jit wants it, and is then
+    copied for every picture.
     """
     rng = np.random.default_rng(seed)
     means = rng.normal(size=(count, 3))
-    means = means / np.linalg.norm(means, axis=1, keepdims=True) + rng.normal(size=(count, 3)) * 0.02
+    means = (
+        means / np.linalg.norm(means, axis=1, keepdims=True)
+        + rng.normal(size=(count, 3)) * 0.02
+    )
     scales = np.exp(rng.normal(size=(count, 3)) * 0.3) * 1.2 / np.sqrt(count)
     rotations = rng.normal(size=(count, 4))
     rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
     opacities, sh = rng.uniform(0.1, 1.0, count), rng.normal(size=(count, 16, 3)) * 0.2
-    return GaussianScene(*(torch.tensor(a, dtype=torch.float32) for a in (means, scales, rotations, opacities, sh)))
+    return GaussianScene(
+        *(
+            torch.tensor(a, dtype=torch.float32)
+            for a in (means, scales, rotations, opacities, sh)
+        )
+    )
 
 
 def through_mitsuba(scene: GaussianScene, camera: Camera, integrator: str) -> Runs:
@@ -58,14 +73,23 @@ def through_mitsuba(scene: GaussianScene, camera: Camera, integrator: str) -> Ru
     from mi_splat.plugins.shape import ellipsoid_arrays
 
     shape = {"type": "ellipsoids", "id": "splat", **ellipsoid_arrays(scene)}
-    parts = {"integrator": {"type": integrator}, "splat": shape, "sensor": sensor_dict(camera)}
+    parts = {
+        "integrator": {"type": integrator},
+        "splat": shape,
+        "sensor": sensor_dict(camera),
+    }
     loaded = mi.load_dict({"type": "scene", **parts})
     params = mi.traverse(loaded)
     keys = [f"splat.{name}" for name in ("data", "opacities", "sh_coeffs")]
     rng = np.random.default_rng(1)
-    # splat_tile keeps its last pictures for their gradients; a timed forward pass must not find one.
-    clear_cache = loaded.integrator().clear_cache if integrator == "splat_tile" else lambda: None
-    weights = mi.TensorXf(rng.normal(size=(camera.height, camera.width, 3)).astype(np.float32))
+    # splat_tile keeps its last pictures for their gradients; a timed forward pass must
+    # not find one.
+    clear_cache = (
+        loaded.integrator().clear_cache if integrator == "splat_tile" else lambda: None
+    )
+    weights = mi.TensorXf(
+        rng.normal(size=(camera.height, camera.width, 3)).astype(np.float32)
+    )
 
     def forward() -> None:
         clear_cache()
@@ -91,7 +115,9 @@ def through_renderer(scene: GaussianScene, camera: Camera) -> Runs:
     render = Renderer()
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
     learnt = GaussianScene(*leaves)
-    weights = torch.randn(camera.height, camera.width, 3, generator=torch.Generator().manual_seed(1))
+    weights = torch.randn(
+        camera.height, camera.width, 3, generator=torch.Generator().manual_seed(1)
+    )
 
     def forward() -> None:
         with torch.no_grad():
@@ -116,7 +142,10 @@ def runs() -> dict[str, Callable[[], None]]:
     named: dict[str, Callable[[], None]] = {}
     for count, size in (*SETTINGS, (1_000_000, 640)):
         pair = through_renderer(shell(count), camera_of(size))
-        named |= {f"{count:,} at {size}, {label}": run for label, run in zip(("forward", "both"), pair, strict=True)}
+        named |= {
+            f"{count:,} at {size}, {label}": run
+            for label, run in zip(("forward", "both"), pair, strict=True)
+        }
     return named
 
 
@@ -130,7 +159,11 @@ def measure(count: int, size: int, rounds: int, now: Clock) -> dict[str, Any]:
         "Renderer": through_renderer(scene, camera),
     }
     labels = ("forward", "forward + backward")
-    runs = {f"{name}, {label}": run for name, pair in ways.items() for label, run in zip(labels, pair, strict=True)}
+    runs = {
+        f"{name}, {label}": run
+        for name, pair in ways.items()
+        for label, run in zip(labels, pair, strict=True)
+    }
     times = interleaved(runs, rounds=rounds, now=now)
     row: dict[str, Any] = {"gaussians": count, "size": size}
     for label in labels:
@@ -147,8 +180,12 @@ def measure(count: int, size: int, rounds: int, now: Clock) -> dict[str, Any]:
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description="Time splat_tile beside volprim_rf_basic.")
-    parser.add_argument("--rounds", type=int, default=15, help="interleaved runs of everything")
+    parser = argparse.ArgumentParser(
+        description="Time splat_tile beside volprim_rf_basic."
+    )
+    parser.add_argument(
+        "--rounds", type=int, default=15, help="interleaved runs of everything"
+    )
     add_cpu_flag(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     arguments = parser.parse_args()
@@ -161,7 +198,10 @@ def main() -> None:
         return
     for row in rows:
         for label in ("forward", "forward + backward"):
-            cells = "   ".join(f"{name} {v['ms']:8.1f} ms {v['ratio']:5.1f}x" for name, v in row[label].items())
+            cells = "   ".join(
+                f"{name} {v['ms']:8.1f} ms {v['ratio']:5.1f}x"
+                for name, v in row[label].items()
+            )
             print(f"{row['gaussians']:>7,} at {row['size']}: {label:<18} {cells}")  # noqa: T201
 
 

@@ -1,12 +1,15 @@
-"""Where does the time of a picture of `splat_tile` go, stage by stage? And how long does the first picture take?
+"""Where does the time of a picture of `splat_tile` go, stage by stage?
+
+And how long does the first picture take?
 
     python benchmarks/stages.py [--rounds 9] [--large] [--splat FILE] [--json]
 
-Each stage ends with a wait for its kernels, and so does the work between two stages, so that the sum is a little more
-than the time of a picture that is not held up. Everything runs three times before it is timed; medians over the rounds.
-`--large` adds one million Gaussians and a picture of 2560 x 1440. The first picture is timed in two processes of their
-own: with an empty cache of Dr.Jit's kernels (cold), and with the one that the first process has filled (warm); imports
-are not in it.
+Each stage ends with a wait for its kernels, and so does the work between two stages, so
+that the sum is a little more than the time of a picture that is not held up. Everything
+runs three times before it is timed; medians over the rounds. `--large` adds one million
+Gaussians and a picture of 2560 x 1440. The first picture is timed in two processes of
+their own: with an empty cache of Dr.Jit's kernels (cold), and with the one that the
+first process has filled (warm); imports are not in it.
 """
 
 import argparse
@@ -98,7 +101,9 @@ def watched(clock: Clock) -> Iterator[None]:
         return run
 
     def run(stage: Callable[..., Any], *arguments: Any) -> Any:
-        return timed(stage.__name__.replace("_", " "), functools.partial(frozen.run, stage))(*arguments)
+        return timed(
+            stage.__name__.replace("_", " "), functools.partial(frozen.run, stage)
+        )(*arguments)
 
     sorts = [
         (dr, "argsort", "sort by depth"),
@@ -108,7 +113,11 @@ def watched(clock: Clock) -> Iterator[None]:
     with contextlib.ExitStack() as patches:
         patches.enter_context(mock.patch.object(pipeline, "run", run))
         for module, function, name in sorts:
-            patches.enter_context(mock.patch.object(module, function, timed(name, getattr(module, function))))
+            patches.enter_context(
+                mock.patch.object(
+                    module, function, timed(name, getattr(module, function))
+                )
+            )
         yield
 
 
@@ -119,11 +128,15 @@ def camera_of(size: tuple[int, int]) -> Camera:
 
 
 def measure(scene: GaussianScene, camera: Camera, rounds: int) -> dict[str, Any]:
-    """Median times in ms: of a picture with its gradient as it is, and of its stages."""
+    """Median times in ms: of a picture with its gradient as it is, and of its
+    stages.
+    """
     render = Renderer()
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
     learnt, clock = GaussianScene(*leaves), Clock()
-    weights = torch.randn(camera.height, camera.width, 3, generator=torch.Generator().manual_seed(1))
+    weights = torch.randn(
+        camera.height, camera.width, 3, generator=torch.Generator().manual_seed(1)
+    )
 
     def picture() -> None:
         for leaf in leaves:
@@ -159,7 +172,9 @@ def measure(scene: GaussianScene, camera: Camera, rounds: int) -> dict[str, Any]
         "forward_ms": _median_ms(forward),
         "both_ms": _median_ms(both),
         "stages_ms": {name: _median_ms(values) for name, values in stages.items()},
-        "peak_memory_gib": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2),
+        "peak_memory_gib": round(
+            resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2
+        ),
     }
 
 
@@ -168,14 +183,19 @@ def _median_ms(values: list[float]) -> float:
 
 
 def first_pictures() -> dict[str, dict[str, float]]:
-    """Seconds from the first call to the first picture, and to its gradient: cold and warm."""
+    """Seconds from the first call to the first picture, and to its gradient: cold and
+    warm.
+    """
     here = Path(__file__).resolve().parent
     program = FIRST.format(root=str(here.parent), here=str(here))
     pictures = {}
     with tempfile.TemporaryDirectory() as home:
         for name in ("cold", "warm"):
             done = subprocess.run(
-                [sys.executable, "-c", program], env={**os.environ, "HOME": home}, capture_output=True, text=True
+                [sys.executable, "-c", program],
+                env={**os.environ, "HOME": home},
+                capture_output=True,
+                text=True,
             )
             done.check_returncode()
             forward, both = map(float, done.stdout.split())
@@ -187,16 +207,31 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description="Time the stages of splat_tile.")
     parser.add_argument("--rounds", type=int, default=9, help="runs of everything")
-    parser.add_argument("--large", action="store_true", help="one million Gaussians, and a large picture, too")
-    parser.add_argument("--splat", type=Path, help="a trained splat, seen from the benchmark's camera, too")
+    parser.add_argument(
+        "--large",
+        action="store_true",
+        help="one million Gaussians, and a large picture, too",
+    )
+    parser.add_argument(
+        "--splat",
+        type=Path,
+        help="a trained splat, seen from the benchmark's camera, too",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     arguments = parser.parse_args()
     torch.set_num_threads(1)  # torch's threads and Dr.Jit's would fight over the cores
     variant.use()
     settings = [*SETTINGS, *(LARGE if arguments.large else ())]
-    rows = [measure(shell(count), camera_of(size), arguments.rounds) for count, size in settings]
+    rows = [
+        measure(shell(count), camera_of(size), arguments.rounds)
+        for count, size in settings
+    ]
     if arguments.splat:
-        rows.append(measure(load_splat(arguments.splat), camera_of((640, 640)), arguments.rounds))
+        rows.append(
+            measure(
+                load_splat(arguments.splat), camera_of((640, 640)), arguments.rounds
+            )
+        )
     document = {"settings": rows, "first_picture": first_pictures()}
     if arguments.json:
         print(json.dumps(document, indent=2))  # noqa: T201
@@ -204,13 +239,17 @@ def main() -> None:
     for row in rows:
         width, height = row["size"]
         print(  # noqa: T201
-            f"{row['gaussians']:,} at {width} x {height}: forward {row['forward_ms']} ms, with the gradient "
-            f"{row['both_ms']} ms, memory of the process so far {row['peak_memory_gib']} GiB"
+            f"{row['gaussians']:,} at {width} x {height}: forward {row['forward_ms']}"
+            f" ms, with the gradient {row['both_ms']} ms, memory of the process so far"
+            f" {row['peak_memory_gib']} GiB"
         )
         for name, spent in row["stages_ms"].items():
             print(f"  {name:<22} {spent:8.2f} ms")  # noqa: T201
     for name, spent in document["first_picture"].items():  # type: ignore[attr-defined]
-        print(f"first picture, {name}: {spent['forward_s']} s, with its gradient {spent['both_s']} s")  # noqa: T201
+        print(  # noqa: T201
+            f"first picture, {name}: {spent['forward_s']} s, with its gradient"
+            f" {spent['both_s']} s"
+        )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,13 @@
-"""Training, step by step: `python benchmarks/train.py SET`, where SET is a folder as `mi-splat capture` writes it.
+"""Training, step by step: `python benchmarks/train.py SET`, where SET is a folder as
+`mi-splat capture` writes it.
 
-Reports iterations a second, the share of time outside of the renderer, peak memory, the number of Gaussians, and the
-held-out PSNR and SSIM. Compilation is timed apart: the first steps are not counted. `--cpu` reports CPU time of one
-thread. `--until 34` stops at that PSNR, looked at every 250 steps, and `--published` trains with the SH schedule of
-3DGS. Without a set, and beside other code: `python benchmarks/cpu_time.py benchmarks/train.py [--against REVISION]`
-times a step of 20,000 Gaussians at 256 x 256, its parts, and the loss as published, in plain torch.
+Reports iterations a second, the share of time outside of the renderer, peak memory, the
+number of Gaussians, and the held-out PSNR and SSIM. Compilation is timed apart: the
+first steps are not counted. `--cpu` reports CPU time of one thread. `--until 34` stops
+at that PSNR, looked at every 250 steps, and `--published` trains with the SH schedule
+of 3DGS. Without a set, and beside other code: `python benchmarks/cpu_time.py
+benchmarks/train.py [--against REVISION]` times a step of 20,000 Gaussians at 256 x 256,
+its parts, and the loss as published, in plain torch.
 """
 
 import argparse
@@ -41,28 +44,45 @@ CAR = Path(__file__).resolve().parent.parent / "scenes" / "car_street_car.ply"
 
 
 def published_loss(image: Tensor, reference: Tensor) -> Tensor:
-    """The loss of the code of 3DGS, operation by operation: windows of 11 x 11 and autograd."""
+    """The loss of the code of 3DGS, operation by operation: windows of 11 x 11 and
+    autograd.
+    """
     taps = torch.exp(-0.5 * (torch.arange(-5, 6) / 1.5) ** 2)
-    window = (torch.outer(taps, taps) / taps.sum() ** 2).expand(3, 1, 11, 11).contiguous()
+    window = (
+        (torch.outer(taps, taps) / taps.sum() ** 2).expand(3, 1, 11, 11).contiguous()
+    )
     x, y = (picture.permute(2, 0, 1) for picture in (image, reference))
-    blur = functools.partial(torch.nn.functional.conv2d, weight=window, padding=5, groups=3)
+    blur = functools.partial(
+        torch.nn.functional.conv2d, weight=window, padding=5, groups=3
+    )
     mx, my, xx, yy, xy = blur(x), blur(y), blur(x * x), blur(y * y), blur(x * y)
     luminance = (2 * mx * my + 0.01**2) / (mx**2 + my**2 + 0.01**2)
     structure = (2 * (xy - mx * my) + 0.03**2) / (xx - mx**2 + yy - my**2 + 0.03**2)
-    return 0.8 * (image - reference).abs().mean() + 0.2 * (1 - (luminance * structure).mean())
+    return 0.8 * (image - reference).abs().mean() + 0.2 * (
+        1 - (luminance * structure).mean()
+    )
 
 
 def runs() -> dict[str, Run]:
-    """A step at 20,150 Gaussians and 256 x 256, and what it consists of; for cpu_time.py."""
+    """A step at 20,150 Gaussians and 256 x 256, and what it consists of; for
+    cpu_time.py.
+    """
     car = load_splat(CAR)
     pose = orbit_pose(car.means.mean(0).tolist(), azimuth=40, elevation=20, distance=6)
     camera = Camera(to_world=pose, focal=300.0, width=256, height=256)
     render = Renderer()
     view = View(camera, render(car, camera).detach())
     noise = 0.02 * torch.randn(len(car), 3, generator=torch.Generator().manual_seed(0))
-    twice = zip(car.tensors(), car.replace(means=car.means + noise).tensors(), strict=True)
+    twice = zip(
+        car.tensors(), car.replace(means=car.means + noise).tensors(), strict=True
+    )
     scene = GaussianScene(*(torch.cat(pair) for pair in twice))
-    config = FitConfig(iterations=1_000_000, strategy=FixedConfig(), sh_degree_interval=0, eval_interval=0)
+    config = FitConfig(
+        iterations=1_000_000,
+        strategy=FixedConfig(),
+        sh_degree_interval=0,
+        eval_interval=0,
+    )
     state = TrainState(scene, config, scene_extent=5.0, seed=0)
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
     image, upstream = render(scene, camera), torch.full((256, 256, 3), 1e-6)
@@ -92,20 +112,28 @@ def _stop(line: Progress) -> None:
 
 def main() -> None:
     """Train once and print what it took."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("set")
     parser.add_argument("--iterations", type=int, default=7000)
     parser.add_argument("--strategy", choices=STRATEGIES, default="classic")
     parser.add_argument("--max-gaussians", type=int, default=40_000)
     parser.add_argument("--background", type=float, nargs=3, default=(0.0, 0.0, 0.0))
     parser.add_argument("--until", type=float, help="stop at this held-out PSNR, dB")
-    parser.add_argument("--published", action="store_true", help="SH degrees every 1,000 steps, at a twentieth")
+    parser.add_argument(
+        "--published",
+        action="store_true",
+        help="SH degrees every 1,000 steps, at a twentieth",
+    )
     parser.add_argument("--seed", type=int, default=0)
     add_cpu_flag(parser)
     options = parser.parse_args()
     now = clock(options.cpu)
     if options.iterations < 2 * WARM_UP:
-        parser.error(f"--iterations: at least {2 * WARM_UP}, of which {WARM_UP} are not counted")
+        parser.error(
+            f"--iterations: at least {2 * WARM_UP}, of which {WARM_UP} are not counted"
+        )
     torch.set_num_threads(1)
     background = tuple(options.background)
     views = load_dataset(options.set, split="train", background=background)
@@ -113,13 +141,20 @@ def main() -> None:
     if views.points is None:
         raise SystemExit("the set has no point cloud; capture it with --points")
     strategy = strategy_config(options.strategy, max_gaussians=options.max_gaussians)
-    config = FitConfig(iterations=options.iterations, strategy=strategy, eval_interval=0)
+    config = FitConfig(
+        iterations=options.iterations, strategy=strategy, eval_interval=0
+    )
     if options.published:
         config = replace(config, sh_degree_interval=1000, lr_sh_divisor=20)
     settings = RenderSettings(background=background)
-    render = Renderer(settings, screen_gradients=ScreenGradients() if strategy.needs_screen_gradients else None)
+    render = Renderer(
+        settings,
+        screen_gradients=ScreenGradients() if strategy.needs_screen_gradients else None,
+    )
     start = from_points(views.points.points, views.points.colours)
-    state = TrainState(start, config, scene_extent=scene_extent(views), seed=options.seed)
+    state = TrainState(
+        start, config, scene_extent=scene_extent(views), seed=options.seed
+    )
     steps: list[float] = []
     last = now()
 
@@ -147,7 +182,9 @@ def main() -> None:
         "iterations_per_second": 1 / statistics.mean(steps),
         "milliseconds_median": 1000 * statistics.median(steps),
         "milliseconds_at_the_end": parts,
-        "share_outside_renderer": 1 - (parts["forward"] + parts["backward"]) / parts["step"],
+        "share_outside_renderer": (
+            1 - (parts["forward"] + parts["backward"]) / parts["step"]
+        ),
         "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "gaussians": len(trained),
         "psnr": scores and scores.psnr,
@@ -157,16 +194,26 @@ def main() -> None:
     sys.stdout.write("\n")
 
 
-def _parts(scene: GaussianScene, view: View, render: Renderer, now: Clock, *, rounds: int = 30) -> dict[str, float]:
-    """Milliseconds (medians) of a step's parts with the finished splat: renderer, loss, optimiser."""
+def _parts(
+    scene: GaussianScene, view: View, render: Renderer, now: Clock, *, rounds: int = 30
+) -> dict[str, float]:
+    """Milliseconds (medians) of a step's parts with the finished splat: renderer, loss,
+    optimiser.
+    """
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
     optimiser = torch.optim.Adam(leaves, lr=0.0, fused=True)
-    rows: dict[str, list[float]] = {"forward": [], "loss": [], "backward": [], "optimiser": []}
+    rows: dict[str, list[float]] = {
+        "forward": [],
+        "loss": [],
+        "backward": [],
+        "optimiser": [],
+    }
     for _ in range(rounds):
         times = [now()]
         image = render(GaussianScene.unchecked(*leaves), view.camera)
         times.append(now())
-        # The loss on a leaf of its own, so that its backward pass can be told from the renderer's.
+        # The loss on a leaf of its own, so that its backward pass can be told from the
+        # renderer's.
         leaf = image.detach().requires_grad_(True)
         photometric_loss(leaf, view.image).backward()  # type: ignore[no-untyped-call]
         times.append(now())

@@ -1,15 +1,20 @@
-"""How many pictures a second does `mi-splat view` make while the camera moves, and how soon does it react at rest?
+"""How many pictures a second does `mi-splat view` make while the camera moves, and how
+soon does it react at rest?
 
-    python benchmarks/view.py [--gaussians 100000] [--canvas 1000 700] [--pictures 120] [--json]
+    python benchmarks/view.py [--gaussians 100000] [--canvas 1000 700] [--pictures 120]
+    [--json]
 
-A camera goes around a shell of Gaussians. Timed is what the server does for each picture: rendering, putting together,
-and encoding as JPEG, at the resolution that the pace settles on; once with one splat, once with two side by side. The
-browser's own work and the network are not in it. `cpu_ms` is the processor time of a picture, which other programs on
-the machine change less than the clock's. The first quarter of the pictures, in which kernels are compiled and
-the pace settles, does not count; the very first one is timed apart, without the time that kernels take to compile.
+A camera goes around a shell of Gaussians. Timed is what the server does for each
+picture: rendering, putting together, and encoding as JPEG, at the resolution that the
+pace settles on; once with one splat, once with two side by side. The browser's own work
+and the network are not in it. `cpu_ms` is the processor time of a picture, which other
+programs on the machine change less than the clock's. The first quarter of the pictures,
+in which kernels are compiled and the pace settles, does not count; the very first one
+is timed apart, without the time that kernels take to compile.
 
-A reaction is what a user waits for who moves the camera while a full picture is made: until that is interrupted, and
-the coarse picture is made. It is the slowest of movements at several moments of a full picture.
+A reaction is what a user waits for who moves the camera while a full picture is made:
+until that is interrupted, and the coarse picture is made. It is the slowest of
+movements at several moments of a full picture.
 """
 
 import argparse
@@ -39,12 +44,22 @@ from mi_splat.viewer.session import Pace, Step, ViewState, display_modes
 MOMENTS = 12  # of a full picture, at which the camera moves
 
 
-def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures: int) -> dict[str, float]:
+def measure(
+    scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures: int
+) -> dict[str, float]:
     """Pictures a second while the camera moves, and what a full picture takes."""
     settings = RenderSettings()
     names = ("clean", "attacked")[:splats]
-    shown = tuple(ShownSplat(name=name, scene=scene, path=Path(f"{name}.ply")) for name in names)
-    content = Content(title="benchmark", splats=shown, settings=settings, start=whole(scene), size=(640, 480))
+    shown = tuple(
+        ShownSplat(name=name, scene=scene, path=Path(f"{name}.ply")) for name in names
+    )
+    content = Content(
+        title="benchmark",
+        splats=shown,
+        settings=settings,
+        start=whole(scene),
+        size=(640, 480),
+    )
     state = ViewState(orbit=content.start, mode=display_modes(names)[0], canvas=canvas)
     firsts = []
     for _ in range(2):  # the second one finds the kernels compiled
@@ -61,9 +76,13 @@ def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures
         pace = pace.after(seconds)
     busy, settled = time.process_time() - busy, times[pictures // 4 :]
     half, full = (
-        statistics.median(_timed(painter, state, step, pace)[0] for _ in range(5)) for step in (Step.HALF, Step.FULL)
+        statistics.median(_timed(painter, state, step, pace)[0] for _ in range(5))
+        for step in (Step.HALF, Step.FULL)
     )
-    reactions = [_reaction(painter, state, pace, full * part / MOMENTS) for part in range(1, MOMENTS)]
+    reactions = [
+        _reaction(painter, state, pace, full * part / MOMENTS)
+        for part in range(1, MOMENTS)
+    ]
     return {
         "splats": splats,
         "pictures_a_second": round(len(settled) / sum(settled), 1),
@@ -79,25 +98,36 @@ def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures
 
 
 def _reaction(painter: Painter, state: ViewState, pace: Pace, after: float) -> float:
-    """Seconds from a movement, so long after a full picture was begun, to the coarse picture."""
+    """Seconds from a movement, so long after a full picture was begun, to the coarse
+    picture.
+    """
     moved = time.perf_counter() + after
-    with contextlib.suppress(PictureInterruptedError), interrupted_by(lambda: time.perf_counter() > moved):
+    with (
+        contextlib.suppress(PictureInterruptedError),
+        interrupted_by(lambda: time.perf_counter() > moved),
+    ):
         _timed(painter, state, Step.FULL, pace)
     _timed(painter, state, Step.COARSE, pace)
     return time.perf_counter() - moved
 
 
-def _timed(painter: Painter, state: ViewState, step: Step, pace: Pace) -> tuple[float, int]:
+def _timed(
+    painter: Painter, state: ViewState, step: Step, pace: Pace
+) -> tuple[float, int]:
     """Seconds for a picture, and of how many Gaussians it shows one."""
     started = time.perf_counter()
     painting = painter.paint(state, step, pace)
-    Image.fromarray(painting.pixels).save(io.BytesIO(), format="JPEG", quality=JPEG_QUALITY[step])
+    Image.fromarray(painting.pixels).save(
+        io.BytesIO(), format="JPEG", quality=JPEG_QUALITY[step]
+    )
     return time.perf_counter() - started, painting.every
 
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0] if __doc__ else None
+    )
     parser.add_argument("--gaussians", type=int, default=100_000)
     parser.add_argument("--canvas", type=int, nargs=2, default=(1000, 700))
     parser.add_argument("--pictures", type=int, default=120)
@@ -110,12 +140,13 @@ def main() -> None:
         return
     for line in lines:
         sys.stdout.write(
-            f"{line['splats']} x {options.gaussians:,} Gaussians at {canvas[0]} x {canvas[1]}: "
-            f"{line['pictures_a_second']} pictures a second at {line['scale']:.0%} of the width, "
-            f"one of {line['every']} Gaussians, "
-            f"processor {line['cpu_ms']} ms, slowest {line['slowest_ms']} ms, the first {line['first_ms']} ms; "
-            f"half the width {line['half_ms']} ms, a full picture {line['full_ms']} ms; "
-            f"a movement meanwhile is seen after {line['reaction_ms']} ms\n"
+            f"{line['splats']} x {options.gaussians:,} Gaussians at {canvas[0]} x"
+            f" {canvas[1]}: {line['pictures_a_second']} pictures a second at"
+            f" {line['scale']:.0%} of the width, one of {line['every']} Gaussians,"
+            f" processor {line['cpu_ms']} ms, slowest {line['slowest_ms']} ms, the"
+            f" first {line['first_ms']} ms; half the width {line['half_ms']} ms, a full"
+            f" picture {line['full_ms']} ms; a movement meanwhile is seen after"
+            f" {line['reaction_ms']} ms\n"
         )
 
 

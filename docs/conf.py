@@ -1,4 +1,6 @@
-"""The documentation site: `make docs` builds it into out/docs, without a network and without a GPU."""
+"""The documentation site: `make docs` builds it into out/docs, without a network and
+without a GPU.
+"""
 
 import os
 import sys
@@ -8,10 +10,17 @@ from importlib.metadata import version as installed
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE.parent), str(HERE / "sphinx_extensions"), str(HERE / "figures")]
+sys.path[:0] = [
+    str(HERE.parent),
+    str(HERE / "sphinx_extensions"),
+    str(HERE / "figures"),
+]
 
-# The modules of the project are imported for their docstrings. Mitsuba loads its Python integrators at import.
-warnings.filterwarnings("ignore", category=RuntimeWarning, message="The AST-transforming decorator")
+# The modules of the project are imported for their docstrings. Mitsuba loads its Python
+# integrators at import.
+warnings.filterwarnings(
+    "ignore", category=RuntimeWarning, message="The AST-transforming decorator"
+)
 
 project = "mi-splat"
 author = "The mi-splat authors"
@@ -41,24 +50,30 @@ myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 myst_fence_as_directive = ["mermaid"]
 
-# Every build runs the notebooks. A cell that fails is a warning with its traceback, and an error with -W, which all our
-# builds have. `make NOTEBOOKS=off docs` shows them without outputs.
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # torch and Dr.Jit each start a thread a core
-# Kernels have a profile of their own: nothing of the user's runs in them, and they do not warn of their local sockets.
+# Every build runs the notebooks. A cell that fails is a warning with its traceback, and
+# an error with -W, which all our builds have. `make NOTEBOOKS=off docs` shows them
+# without outputs. torch and Dr.Jit each start a thread a core
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Kernels have a profile of their own: nothing of the user's runs in them, and they do
+# not warn of their local sockets.
 _profiles = tempfile.TemporaryDirectory(prefix="mi-splat-docs-")
 os.environ["IPYTHONDIR"] = _profiles.name
 (Path(_profiles.name) / "profile_default").mkdir()
-(Path(_profiles.name) / "profile_default" / "ipython_kernel_config.py").write_text('c.IPKernelApp.log_level = "ERROR"')
+(Path(_profiles.name) / "profile_default" / "ipython_kernel_config.py").write_text(
+    'c.IPKernelApp.log_level = "ERROR"'
+)
 nb_execution_mode = "force"
 nb_execution_show_tb = True
 nb_execution_timeout = 900
 if os.environ.get("NOTEBOOKS") == "off":
     nb_execution_mode = "off"
-    suppress_warnings += ["myst-nb.lexer"]  # no kernel has said that the cells are Python
+    # no kernel has said that the cells are Python
+    suppress_warnings += ["myst-nb.lexer"]
 nb_merge_streams = True
 nb_output_stderr = "remove"  # progress bars
 
-default_role = "py:obj"  # `name` in a docstring is a link where there is such a name, and code elsewhere
+# `name` in a docstring is a link where there is such a name, and code elsewhere
+default_role = "py:obj"
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
@@ -87,7 +102,8 @@ html_show_sphinx = False
 html_theme_options = {
     "logo": {"text": html_title},
     "navbar_persistent": [],  # one search field is enough
-    "show_navbar_depth": 0,  # the parts of the site can be folded; that of the page is open
+    # the parts of the site can be folded; that of the page is open
+    "show_navbar_depth": 0,
     "collapse_navbar": True,
     "show_toc_level": 2,
     "use_download_button": False,

@@ -1,6 +1,7 @@
 """3D Gaussian splats in Mitsuba: scenes, files, rendering, capture, training.
 
-The names below are imported when they are first used, so that importing this package is light.
+The names below are imported when they are first used, so that importing this package is
+light.
 """
 
 from __future__ import annotations

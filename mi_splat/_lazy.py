@@ -1,4 +1,6 @@
-"""Package attributes that are imported when they are first used, so that importing a package costs nothing."""
+"""Package attributes that are imported when they are first used, so that importing a
+package costs nothing.
+"""
 
 import importlib
 import sys

@@ -1,4 +1,6 @@
-"""Where a scene's Gaussians are, which cameras see them, and how near a camera they may be to be drawn."""
+"""Where a scene's Gaussians are, which cameras see them, and how near a camera they may
+be to be drawn.
+"""
 
 from collections.abc import Sequence
 
@@ -22,12 +24,15 @@ _SAMPLE = 1000
 def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
     """Middle and radius, world units, of what there is to look at.
 
-    They are those of the box around the middle 98 % of the means along each axis: the rest are often floaters. Where
-    that is more than three times as large as the ball that holds half of the means, there is a sky or a background,
-    too; then it is that ball about the median of the means, three times as large.
+    They are those of the box around the middle 98 % of the means along each axis: the
+    rest are often floaters. Where that is more than three times as large as the ball
+    that holds half of the means, there is a sky or a background, too; then it is that
+    ball about the median of the means, three times as large.
     """
     if not len(scene):
-        raise InvalidValueError.of("scene", "Gaussians to look at", "none", "pass another file")
+        raise InvalidValueError.of(
+            "scene", "Gaussians to look at", "none", "pass another file"
+        )
     means = scene.means.detach().double().cpu()
     ordered = means.sort(dim=0).values
     last = len(ordered) - 1
@@ -42,11 +47,15 @@ def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
 
 
 def near_plane(scene: GaussianScene, cameras: Sequence[Camera] = ()) -> float:
-    """The near plane that suits a scene, in world units: the 0.2 of 3DGS, or less where scene or cameras are small."""
+    """The near plane that suits a scene, in world units: the 0.2 of 3DGS, or less where
+    scene or cameras are small.
+    """
     return near_plane_of(*bounds(scene), cameras) if len(scene) else REFERENCE_NEAR
 
 
-def near_plane_of(middle: Sequence[float], radius: float, cameras: Sequence[Camera] = ()) -> float:
+def near_plane_of(
+    middle: Sequence[float], radius: float, cameras: Sequence[Camera] = ()
+) -> float:
     """The near plane that suits a ball, world units, as `near_plane` of a scene."""
     reach = radius
     if cameras:
@@ -57,32 +66,55 @@ def near_plane_of(middle: Sequence[float], radius: float, cameras: Sequence[Came
 
 
 def culled_in_view(scene: GaussianScene, camera: Camera, near: float) -> int:
-    """How many Gaussians a picture lacks because they are nearer than `near`, though inside the view of the camera."""
+    """How many Gaussians a picture lacks because they are nearer than `near`, though
+    inside the view of the camera.
+    """
     pose, means = camera.to_camera, scene.means.detach().double().cpu()
     depth = means @ pose[2, :3] + pose[2, 3]
-    near_by = (depth > 0) & (depth < near)  # few, mostly none: a training asks for every one of its cameras
+    # few, mostly none: a training asks for every one of its cameras
+    near_by = (depth > 0) & (depth < near)
     pixels, _ = project_points(means[near_by], camera)
-    inside = (pixels >= 0) & (pixels <= pixels.new_tensor([camera.width, camera.height]))
+    inside = (pixels >= 0) & (
+        pixels <= pixels.new_tensor([camera.width, camera.height])
+    )
     return int(inside.all(1).sum())
 
 
 def nothing_in_view(scene: GaussianScene, cameras: Sequence[Camera]) -> str | None:
-    """The warning that no Gaussian reaches the images of some cameras; None if all see one."""
+    """The warning that no Gaussian reaches the images of some cameras; None if all see
+    one.
+    """
     if not len(scene):
         return "the splat has no Gaussians, so that its images are empty"
     middle, radius = bounds(scene)
-    means, reach = scene.means.detach().double().cpu(), _SIGMAS * scene.scales.detach().double().cpu().amax(1)
-    step = max(1, len(means) // _SAMPLE)  # a few of a large splat are enough for most cameras
+    means, reach = (
+        scene.means.detach().double().cpu(),
+        _SIGMAS * scene.scales.detach().double().cpu().amax(1),
+    )
+    # a few of a large splat are enough for most cameras
+    step = max(1, len(means) // _SAMPLE)
     blind = [
-        camera for camera in cameras if not (_sees(camera, means[::step], reach[::step]) or _sees(camera, means, reach))
+        camera
+        for camera in cameras
+        if not (
+            _sees(camera, means[::step], reach[::step]) or _sees(camera, means, reach)
+        )
     ]
     return _warning("Gaussian", blind, len(cameras), means.new_tensor(middle), radius)
 
 
-def no_surface_in_view(centre: Sequence[float], radius: float, cameras: Sequence[Camera]) -> str | None:
-    """The warning that a mesh scene within a sphere is outside the images of some cameras; None if all see it."""
+def no_surface_in_view(
+    centre: Sequence[float], radius: float, cameras: Sequence[Camera]
+) -> str | None:
+    """The warning that a mesh scene within a sphere is outside the images of some
+    cameras; None if all see it.
+    """
     middle = torch.tensor([list(centre)], dtype=torch.float64)
-    blind = [camera for camera in cameras if not _sees(camera, middle, middle.new_tensor([radius]))]
+    blind = [
+        camera
+        for camera in cameras
+        if not _sees(camera, middle, middle.new_tensor([radius]))
+    ]
     return _warning("surface", blind, len(cameras), middle[0], radius)
 
 
@@ -97,12 +129,17 @@ def _sees(camera: Camera, centres: Tensor, radii: Tensor) -> bool:
     return bool((distances > -radii[:, None]).all(1).any())
 
 
-def _warning(what: str, blind: Sequence[Camera], count: int, middle: Tensor, radius: float) -> str | None:
+def _warning(
+    what: str, blind: Sequence[Camera], count: int, middle: Tensor, radius: float
+) -> str | None:
     if not blind:
         return None
-    away = sorted(float((camera.position - middle).norm()) for camera in blind)[len(blind) // 2]
+    away = sorted(float((camera.position - middle).norm()) for camera in blind)[
+        len(blind) // 2
+    ]
     return (
-        f"no {what} is in view of {len(blind)} of {count} cameras, which are {away:.3g} world units away from the "
-        f"middle of a scene of radius {radius:.3g}; their coordinate frame may be another one: try --up, check "
-        "--centre, or check whether their axes follow another convention"
+        f"no {what} is in view of {len(blind)} of {count} cameras, which are {away:.3g}"
+        f" world units away from the middle of a scene of radius {radius:.3g}; their"
+        " coordinate frame may be another one: try --up, check --centre, or check"
+        " whether their axes follow another convention"
     )

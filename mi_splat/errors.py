@@ -1,4 +1,6 @@
-"""The two error types that mi-splat raises for bad input, and the form of their messages."""
+"""The two error types that mi-splat raises for bad input, and the form of their
+messages.
+"""
 
 import difflib
 import unicodedata
@@ -10,18 +12,23 @@ _Error = TypeVar("_Error", bound="MiSplatError")
 
 
 class MiSplatError(Exception):
-    """Base of every error that mi-splat raises on purpose; the command line prints it and exits with status 1.
+    """Base of every error that mi-splat raises on purpose; the command line prints it
+    and exits with status 1.
 
     Attributes:
-        what: What the message begins with: the name of the argument, file or option at fault.
-        hint: What the command line adds: the flags or the command that do what the message says. Empty for none.
+        what: What the message begins with: the name of the argument, file or option at
+            fault.
+        hint: What the command line adds: the flags or the command that do what the
+            message says. Empty for none.
     """
 
     what: str = ""
     hint: str = ""
 
     @classmethod
-    def of(cls: type[_Error], what: str, expected: object, got: object, do: str) -> _Error:
+    def of(
+        cls: type[_Error], what: str, expected: object, got: object, do: str
+    ) -> _Error:
         """The error with a `message`.
 
         Args:
@@ -55,30 +62,46 @@ class InvalidValueError(MiSplatError, ValueError):
 
 
 _UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
-"""Kinds of characters that a terminal obeys instead of showing: controls, directions of writing, ends of lines."""
+"""Kinds of characters that a terminal obeys instead of showing: controls, directions of
+writing, ends of lines.
+"""
 
 
 def printable(text: str) -> str:
-    """A text as a terminal may be given it: what a terminal would obey is written as Python writes it in a string."""
+    """A text as a terminal may be given it: what a terminal would obey is written as
+    Python writes it in a string.
+    """
     return "\n".join(
-        line
-        if line.isascii() and line.isprintable()
-        else "".join(repr(c)[1:-1] if unicodedata.category(c) in _UNSEEN and c != "\t" else c for c in line)
+        (
+            line
+            if line.isascii() and line.isprintable()
+            else "".join(
+                repr(c)[1:-1] if unicodedata.category(c) in _UNSEEN and c != "\t" else c
+                for c in line
+            )
+        )
         for line in text.split("\n")
     )
 
 
 def one_line(text: str, most: int = 400) -> str:
-    """A text as one line of so many signs at most, without what a terminal would obey."""
+    """A text as one line of so many signs at most, without what a terminal would
+    obey.
+    """
     line = " ".join(printable(text[: 2 * most]).split())
     return line if len(line) <= most else f"{line[: most - 3]}..."
 
 
 def listed(names: Iterable[str], most: int = 6, *, width: int = 40) -> str:
-    """The first of some names in one line, each of at most so many signs, and how many are left."""
+    """The first of some names in one line, each of at most so many signs, and how many
+    are left.
+    """
     every = list(names)
     told = [one_line(name, width) for name in every[:most]]
-    return ", ".join([*told, f"{len(every) - most} more"] if len(every) > most else told) or "none"
+    return (
+        ", ".join([*told, f"{len(every) - most} more"] if len(every) > most else told)
+        or "none"
+    )
 
 
 def counted(number: int, noun: str) -> str:
@@ -87,14 +110,18 @@ def counted(number: int, noun: str) -> str:
 
 
 def message(what: str, expected: object, got: object, do: str) -> str:
-    """The one form of an error message: what was looked at, what was expected, what came, what to do.
+    """The one form of an error message: what was looked at, what was expected, what
+    came, what to do.
 
-    Each part may name something of a file that somebody else has written: of long ones the
-    beginning and the end are shown. What is expected may be a list of many choices.
+    Each part may name something of a file that somebody else has written: of long ones
+    the beginning and the end are shown. What is expected may be a list of many choices.
     """
     wanted = shortened(str(expected), _MOST_CHOICES)
     remedy = shortened(do, _MOST_CHOICES)
-    return f"{shortened(what)}: expected {wanted}, got {shortened(str(got), 240)}; {remedy}"
+    return (
+        f"{shortened(what)}: expected {wanted}, got {shortened(str(got), 240)};"
+        f" {remedy}"
+    )
 
 
 def shortened(text: str, most: int = 400) -> str:
@@ -112,7 +139,9 @@ _LONGEST_WORD = 200
 
 
 def nearest(word: str, known: Iterable[str], otherwise: str) -> str:
-    """What to do about a word that is not known: "did you mean X?", for the one that is most like it."""
+    """What to do about a word that is not known: "did you mean X?", for the one that is
+    most like it.
+    """
     by_small = {name.lower(): name for name in known if len(word) <= _LONGEST_WORD}
     near = difflib.get_close_matches(word.lower(), by_small, n=1, cutoff=0.5)
     return f"did you mean {by_small[near[0]]}?" if near else otherwise

@@ -1,9 +1,12 @@
-"""A field of a configuration says once what it takes: its range, its unit, what its values are called, what to do.
+"""A field of a configuration says once what it takes: its range, its unit, what its
+values are called, what to do.
 
-    eps: Annotated[float, at_least(0, "units of the splat file", "5 is the paper's")] = 5.0
+    eps: Annotated[float, at_least(0, "units of the splat file", "5 is the paper's")] =
+    5.0
 
-The constructor reads it (`check`), the command line (`mi_splat.cli.flags`), and files of studies (`decode`); all of
-them refuse a value in the same words. Light, without torch.
+The constructor reads it (`check`), the command line (`mi_splat.cli.flags`), and files
+of studies (`decode`); all of them refuse a value in the same words. Light, without
+torch.
 """
 
 from __future__ import annotations
@@ -27,7 +30,9 @@ _Value = TypeVar("_Value")
 
 
 class FieldError(InvalidValueError):
-    """A value that a field does not take; `what` is the field's name, or where it stands in a file."""
+    """A value that a field does not take; `what` is the field's name, or where it
+    stands in a file.
+    """
 
     def at(self, name: str) -> FieldError:
         """The error with another name for the field, a flag for instance."""
@@ -41,7 +46,8 @@ class Range:
     """The numbers that a field takes, each number of it if it takes several."""
 
     low: float = -math.inf  # the least, -inf for none
-    high: float = math.inf  # the greatest, inf for none; infinite numbers are never taken
+    # the greatest, inf for none; infinite numbers are never taken
+    high: float = math.inf
     open_low: bool = False  # whether `low` itself is left out
     open_high: bool = False  # whether `high` itself is left out
     unit: str = ""  # what is counted or measured, in words
@@ -56,10 +62,20 @@ class Range:
     @property
     def bounds(self) -> str:
         """The numbers in signs: ">= 1" or "in (0, 1]"; empty for all."""
-        low, high = (f"{bound:.0f}" if float(bound).is_integer() else f"{bound:g}" for bound in (self.low, self.high))
+        low, high = (
+            f"{bound:.0f}" if float(bound).is_integer() else f"{bound:g}"
+            for bound in (self.low, self.high)
+        )
         if math.isinf(self.high):
-            return "" if math.isinf(self.low) else f"{'>' if self.open_low else '>='} {low}"
-        return f"in {'(' if self.open_low else '['}{low}, {high}{')' if self.open_high else ']'}"
+            return (
+                ""
+                if math.isinf(self.low)
+                else f"{'>' if self.open_low else '>='} {low}"
+            )
+        return (
+            f"in {'(' if self.open_low else '['}{low},"
+            f" {high}{')' if self.open_high else ']'}"
+        )
 
     def __str__(self) -> str:
         text = f"a number {self.bounds}".strip()
@@ -70,14 +86,19 @@ class Range:
 class Metavar:
     """What `--help` calls the values of a field, one word for each of them."""
 
-    name: str  # for instance "X Y Z". A field without it takes the unit of its range, or what its type says
+    # for instance "X Y Z". A field without it takes the unit of its range, or what its
+    # type says
+    name: str
 
 
 @dataclass(frozen=True, slots=True)
 class Converter:
-    """How a tuple, or a table, is read from and written as one word of the command line."""
+    """How a tuple, or a table, is read from and written as one word of the command
+    line.
+    """
 
-    read: Callable[[str], Any]  # the value of a word; raises ValueError, which says what was expected
+    # the value of a word; raises ValueError, which says what was expected
+    read: Callable[[str], Any]
     write: Callable[[Any], str]  # the word for a value
 
 
@@ -102,7 +123,9 @@ def between(low: float, high: float, unit: str = "", do: str = "change it") -> R
 
 
 Fraction = Annotated[float, between(0, 1), Metavar("FRACTION")]
-PositiveFraction = Annotated[float, Range(low=0, high=1, open_low=True), Metavar("FRACTION")]
+PositiveFraction = Annotated[
+    float, Range(low=0, high=1, open_low=True), Metavar("FRACTION")
+]
 Share = Annotated[float, Range(low=0, high=1, open_high=True), Metavar("SHARE")]
 Seed = Annotated[int, between(0, 2**31 - 1, do="0 is usual"), Metavar("SEED")]
 Length = Annotated[float, above(0, "world units"), Metavar("LENGTH")]
@@ -113,7 +136,9 @@ Folder = Annotated[Path, Metavar("FOLDER")]
 OutFile = Annotated[Path, Output()]
 OutFolder = Annotated[Folder, Output()]
 Box = Annotated[
-    tuple[float, float, float, float, float, float], Range(unit="world units"), Metavar("X0 Y0 Z0 X1 Y1 Z1")
+    tuple[float, float, float, float, float, float],
+    Range(unit="world units"),
+    Metavar("X0 Y0 Z0 X1 Y1 Z1"),
 ]
 """Lower and upper corner."""
 
@@ -123,7 +148,9 @@ EXAMPLES = Path(__file__).with_name("examples")
 
 
 def named_path(name: str | os.PathLike[str]) -> Path:
-    """The path that a name stands for: itself, or that of a scene of the package for `example:SCENE`."""
+    """The path that a name stands for: itself, or that of a scene of the package for
+    `example:SCENE`.
+    """
     kind, _, scene = os.fspath(name).partition(":")
     if kind != "example":
         return Path(name)
@@ -132,9 +159,11 @@ def named_path(name: str | os.PathLike[str]) -> Path:
 
 
 def check(config: object) -> None:
-    """Raise unless every field of a configuration is of the type and in the range that it says.
+    """Raise unless every field of a configuration is of the type and in the range that
+    it says.
 
-    Values of NumPy become Python's, and lists tuples; one value stands for a tuple of it. Other types are left alone.
+    Values of NumPy become Python's, and lists tuples; one value stands for a tuple of
+    it. Other types are left alone.
     """
     hints = type_hints(type(config))
     for field in dataclasses.fields(config):  # type: ignore[arg-type]  # a dataclass, as said above
@@ -158,11 +187,17 @@ def decode(kind: type[_Value], table: Mapping[str, Any], where: str) -> _Value:
     for key in table:
         check_choice(f"key in {where}", key, fields)
     for name, field in fields.items():
-        has_default = field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
+        has_default = (
+            field.default is not dataclasses.MISSING
+            or field.default_factory is not dataclasses.MISSING
+        )
         if name not in table and not has_default:
             raise FieldError.of(where, f"the key {name}", "none", "add it")
     hints = type_hints(kind)
-    values = {key: taken(hints[key], value, f"{where}, {key}", read=True) for key, value in table.items()}
+    values = {
+        key: taken(hints[key], value, f"{where}, {key}", read=True)
+        for key, value in table.items()
+    }
     try:
         return kind(**values)
     except FieldError as error:
@@ -200,9 +235,18 @@ def field_type(hint: Any) -> FieldType:
             hint = hint.__origin__
             continue
         kinds = [kind for kind in typing.get_args(hint) if kind is not types.NoneType]
-        if typing.get_origin(hint) not in (typing.Union, types.UnionType) or len(kinds) > 1:
+        if (
+            typing.get_origin(hint) not in (typing.Union, types.UnionType)
+            or len(kinds) > 1
+        ):
             args = typing.get_args(hint)
-            return FieldType(hint, marks, optional or types.NoneType in args, typing.get_origin(hint), args)
+            return FieldType(
+                hint,
+                marks,
+                optional or types.NoneType in args,
+                typing.get_origin(hint),
+                args,
+            )
         hint, optional = kinds[0], True
 
 
@@ -215,7 +259,12 @@ def check_choice(what: str, value: object, known: Collection[Any]) -> None:
 def _unknown(what: str, value: object, known: Iterable[Any]) -> FieldError:
     names = [str(choice) for choice in known]
     got = value if isinstance(value, str) and value else repr(value)
-    return FieldError.of(what, f"one of {', '.join(names)}", got, nearest(str(value), names, "choose one of them"))
+    return FieldError.of(
+        what,
+        f"one of {', '.join(names)}",
+        got,
+        nearest(str(value), names, "choose one of them"),
+    )
 
 
 def several(value: Any) -> tuple[Any, ...]:
@@ -224,7 +273,11 @@ def several(value: Any) -> tuple[Any, ...]:
         return value
     if hasattr(value, "tolist"):  # of NumPy or torch
         value = value.tolist()
-    return tuple(value) if isinstance(value, Iterable) and not isinstance(value, (str, Mapping)) else (value,)
+    return (
+        tuple(value)
+        if isinstance(value, Iterable) and not isinstance(value, (str, Mapping))
+        else (value,)
+    )
 
 
 def several_of(kind: type[_Value], what: str, value: object) -> tuple[_Value, ...]:
@@ -233,21 +286,36 @@ def several_of(kind: type[_Value], what: str, value: object) -> tuple[_Value, ..
     for item in values:
         if not isinstance(item, kind):
             name = kind.__name__
-            raise InvalidValueError.of(what, f"values of {name}", type(item).__name__, f"make a {name} of it")
+            raise InvalidValueError.of(
+                what, f"values of {name}", type(item).__name__, f"make a {name} of it"
+            )
     return values
 
 
-def checked_number(name: str, value: Any, allowed: Range | None = None, *, whole: bool = False) -> Any:
+def checked_number(
+    name: str, value: Any, allowed: Range | None = None, *, whole: bool = False
+) -> Any:
     """A number in a range."""
     if hasattr(value, "item") and getattr(value, "ndim", 0) == 0:  # of NumPy or torch
         value = value.item()
-    is_number = type(value) in (int, float) or (isinstance(value, Real) and not isinstance(value, bool))
+    is_number = type(value) in (int, float) or (
+        isinstance(value, Real) and not isinstance(value, bool)
+    )
     if not is_number or (whole and not hasattr(value, "__index__")):
         expected = str(allowed or Range())
         raise FieldError.of(
-            name, expected.replace("a number", "a whole number") if whole else expected, repr(value), "change it"
+            name,
+            expected.replace("a number", "a whole number") if whole else expected,
+            repr(value),
+            "change it",
         )
-    number: Any = operator.index(value) if whole else value if isinstance(value, (int, float)) else float(value)
+    number: Any = (
+        operator.index(value)
+        if whole
+        else value
+        if isinstance(value, (int, float))
+        else float(value)
+    )
     allowed = allowed or Range()
     if not allowed.holds(number):
         expected = str(allowed)
@@ -257,7 +325,9 @@ def checked_number(name: str, value: Any, allowed: Range | None = None, *, whole
     return number
 
 
-def taken(hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, read: bool = False) -> Any:
+def taken(
+    hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, read: bool = False
+) -> Any:
     """A value as its field has it."""
     kind, own_marks, optional, origin, parts = field_type(hint)
     marks = own_marks or marks
@@ -272,29 +342,46 @@ def taken(hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, read
             raise _unknown(name, value, parts)
         return value
     if origin is Mapping and read and isinstance(value, Mapping):
-        return {key: taken(parts[1], item, f"{name}, {key}", read=True) for key, item in value.items()}
+        return {
+            key: taken(parts[1], item, f"{name}, {key}", read=True)
+            for key, item in value.items()
+        }
     if origin is tuple:
         return _tuple(parts, value, name, marks, read=read)
     if dataclasses.is_dataclass(kind) and read:
         if not isinstance(value, Mapping):
-            raise FieldError.of(name, "a table", repr(value), "write [section] above its keys")
+            raise FieldError.of(
+                name, "a table", repr(value), "write [section] above its keys"
+            )
         return decode(typing.cast(type, kind), value, name)
     return _single(kind, value, name, marks)
 
 
-def _tuple(parts: tuple[Any, ...], value: Any, name: str, marks: tuple[Any, ...], *, read: bool) -> tuple[Any, ...]:
+def _tuple(
+    parts: tuple[Any, ...], value: Any, name: str, marks: tuple[Any, ...], *, read: bool
+) -> tuple[Any, ...]:
     """The values of a tuple, of so many or of any number."""
     count = None if parts[-1] is Ellipsis else len(parts)
     alone = count is None and not isinstance(value, Mapping)
-    values = several(value) if alone or not read or isinstance(value, (list, tuple)) else None
+    values = (
+        several(value)
+        if alone or not read or isinstance(value, (list, tuple))
+        else None
+    )
     if values is None or (count is not None and len(values) != count):
         if read:
-            expected, do = "a list" if count is None else f"a list of {count}", "write it in brackets"
+            expected, do = (
+                "a list" if count is None else f"a list of {count}",
+                "write it in brackets",
+            )
         else:
             expected, do = f"{count} values", "pass a tuple of them"
         raise FieldError.of(name, expected, repr(value), do)
     kinds = parts[:1] * len(values) if count is None else parts
-    names = [f"{name} {item['name']!r}" if type(item) is dict and "name" in item else name for item in values]
+    names = [
+        f"{name} {item['name']!r}" if type(item) is dict and "name" in item else name
+        for item in values
+    ]
     return tuple(
         taken(kind, item, item_name, marks, read=read)
         for kind, item, item_name in zip(kinds, values, names, strict=True)
@@ -302,10 +389,14 @@ def _tuple(parts: tuple[Any, ...], value: Any, name: str, marks: tuple[Any, ...]
 
 
 def _member(parts: tuple[Any, ...], value: Any) -> Any:
-    """The one of several types of a field that a value is checked by; None for a value that is left alone."""
+    """The one of several types of a field that a value is checked by; None for a value
+    that is left alone.
+    """
     kinds = [part for part in parts if part is not types.NoneType]
     is_list = isinstance(value, (list, tuple)) or getattr(value, "ndim", 0) > 0
-    listed = [kind for kind in kinds if typing.get_origin(field_type(kind).kind) is tuple]
+    listed = [
+        kind for kind in kinds if typing.get_origin(field_type(kind).kind) is tuple
+    ]
     if is_list and listed:
         return listed[0]
     plain = [kind for kind in kinds if field_type(kind).kind in (int, float)]
@@ -319,8 +410,15 @@ def _single(kind: Any, value: Any, name: str, marks: tuple[Any, ...]) -> Any:
         number = checked_number(name, value, allowed, whole=kind is int)
         return float(number) if kind is float else number
     if kind is Path and isinstance(value, (str, os.PathLike)):
-        if any(isinstance(mark, Output) for mark in marks) and os.fspath(value).startswith("example:"):
-            raise FieldError.of(name, "a path to write", f"the scene {value}", "name a file or folder of your own")
+        if any(isinstance(mark, Output) for mark in marks) and os.fspath(
+            value
+        ).startswith("example:"):
+            raise FieldError.of(
+                name,
+                "a path to write",
+                f"the scene {value}",
+                "name a file or folder of your own",
+            )
         return named_path(value)
     if kind in (str, bool, Path) and not isinstance(value, kind):
         expected = {str: "a text", bool: "true or false", Path: "a path"}[kind]

@@ -17,16 +17,28 @@ def mse(image: Tensor, reference: Tensor) -> Tensor:
 
 
 def psnr(image: Tensor, reference: Tensor) -> Tensor:
-    """Peak signal-to-noise ratio in dB for values in [0, 1], a scalar; infinite for equal pictures."""
+    """Peak signal-to-noise ratio in dB for values in [0, 1], a scalar; infinite for
+    equal pictures.
+    """
     return -10 * torch.log10(mse(image, reference))
 
 
 def ssim(image: Tensor, reference: Tensor) -> Tensor:
-    """Structural similarity (Wang et al. 2004; Gaussian window with sigma 1.5) for values in [0, 1]; differentiable."""
+    """Structural similarity (Wang et al. 2004; Gaussian window with sigma 1.5) for
+    values in [0, 1]; differentiable.
+    """
     _check_shapes(image, reference)
     if image.ndim not in (3, 4):
-        raise InvalidValueError.of("image", "shape (H, W, 3) or (B, H, W, 3)", tuple(image.shape), "pass pictures")
-    a, b = (picture.reshape(-1, *picture.shape[-3:]).movedim(-1, 1) for picture in (image, reference))
+        raise InvalidValueError.of(
+            "image",
+            "shape (H, W, 3) or (B, H, W, 3)",
+            tuple(image.shape),
+            "pass pictures",
+        )
+    a, b = (
+        picture.reshape(-1, *picture.shape[-3:]).movedim(-1, 1)
+        for picture in (image, reference)
+    )
     mean_a, mean_b = _windowed(a), _windowed(b)
     variance_a = (_windowed(a * a) - mean_a**2).clamp(min=0)
     variance_b = (_windowed(b * b) - mean_b**2).clamp(min=0)
@@ -37,8 +49,12 @@ def ssim(image: Tensor, reference: Tensor) -> Tensor:
 
 
 def _windowed(planes: Tensor) -> Tensor:
-    """(B, C, H, W) means over a Gaussian window around each pixel; the picture is mirrored at its rim."""
-    offsets = torch.arange(_WINDOW, device=planes.device, dtype=planes.dtype) - _WINDOW // 2
+    """(B, C, H, W) means over a Gaussian window around each pixel; the picture is
+    mirrored at its rim.
+    """
+    offsets = (
+        torch.arange(_WINDOW, device=planes.device, dtype=planes.dtype) - _WINDOW // 2
+    )
     weights = torch.exp(-((offsets / 1.5) ** 2) / 2)
     row = (weights / weights.sum()).expand(planes.shape[1], 1, 1, _WINDOW)
     padded = F.pad(planes, 4 * [_WINDOW // 2], mode="reflect")

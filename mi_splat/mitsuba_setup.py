@@ -1,4 +1,6 @@
-"""What a process does with Mitsuba first: its log goes to stderr, and its own folder is searched for plugins first."""
+"""What a process does with Mitsuba first: its log goes to stderr, and its own folder is
+searched for plugins first.
+"""
 
 import os
 import platform
@@ -24,7 +26,9 @@ _FOLDERS = (
     "/opt/homebrew/opt/llvm*/lib",
     "/usr/local/opt/llvm*/lib",
 )
-_NAME = re.compile(r"^libLLVM(?:-(?P<dash>\d+)[\d.]*)?\.(?:so(?:\.(?P<dot>\d+)[\d.]*)?|dylib)$")
+_NAME = re.compile(
+    r"^libLLVM(?:-(?P<dash>\d+)[\d.]*)?\.(?:so(?:\.(?P<dot>\d+)[\d.]*)?|dylib)$"
+)
 
 
 class LLVMError(MiSplatError):
@@ -32,16 +36,21 @@ class LLVMError(MiSplatError):
 
 
 def llvm_hint() -> str:
-    """One line that says how to install a libLLVM that Dr.Jit can use, for the systems we know."""
+    """One line that says how to install a libLLVM that Dr.Jit can use, for the systems
+    we know.
+    """
     return (
-        f"install libLLVM >= {MINIMUM_LLVM} (Debian/Ubuntu: apt install libllvm19; Fedora: dnf install llvm-libs; "
-        "Arch: pacman -S llvm-libs; macOS: brew install llvm; conda: conda install -c conda-forge libllvm19) "
-        "or point DRJIT_LIBLLVM_PATH at one"
+        f"install libLLVM >= {MINIMUM_LLVM} (Debian/Ubuntu: apt install libllvm19;"
+        " Fedora: dnf install llvm-libs; Arch: pacman -S llvm-libs; macOS: brew"
+        " install llvm; conda: conda install -c conda-forge libllvm19) or point"
+        " DRJIT_LIBLLVM_PATH at one"
     )
 
 
 def llvm_version(path: Path) -> int | None:
-    """Major version of a libLLVM shared library, read off its file name, its link's target or its folder."""
+    """Major version of a libLLVM shared library, read off its file name, its link's
+    target or its folder.
+    """
     for candidate in (path, Path(os.path.realpath(path))):
         match = _NAME.match(candidate.name)
         if match and (match["dash"] or match["dot"]):
@@ -56,7 +65,9 @@ def llvm_version(path: Path) -> int | None:
 def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
     """The newest libLLVM of version 17 or later on this machine, or None."""
     if folders is None:
-        folders = [match for pattern in _FOLDERS for match in Path("/").glob(pattern[1:])]
+        folders = [
+            match for pattern in _FOLDERS for match in Path("/").glob(pattern[1:])
+        ]
         if "CONDA_PREFIX" in os.environ:
             folders = [*folders, Path(os.environ["CONDA_PREFIX"]) / "lib"]
     libraries: list[tuple[int, str]] = []
@@ -69,26 +80,45 @@ def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
 
 
 def prepare_llvm() -> Path | None:
-    """Point Dr.Jit at a usable libLLVM unless the environment already names one; call it before the first array."""
+    """Point Dr.Jit at a usable libLLVM unless the environment already names one; call
+    it before the first array.
+    """
     named = os.environ.get("DRJIT_LIBLLVM_PATH")
     if named:
         path = Path(named)
         version = llvm_version(path)
         if not path.exists():
-            raise LLVMError.of("DRJIT_LIBLLVM_PATH", "a libLLVM shared library", f"missing {named}", llvm_hint())
+            raise LLVMError.of(
+                "DRJIT_LIBLLVM_PATH",
+                "a libLLVM shared library",
+                f"missing {named}",
+                llvm_hint(),
+            )
         if version is not None and version < MINIMUM_LLVM:
-            raise LLVMError.of("DRJIT_LIBLLVM_PATH", f"LLVM >= {MINIMUM_LLVM}", f"LLVM {version}", llvm_hint())
+            raise LLVMError.of(
+                "DRJIT_LIBLLVM_PATH",
+                f"LLVM >= {MINIMUM_LLVM}",
+                f"LLVM {version}",
+                llvm_hint(),
+            )
         return path
     library = find_llvm()
     if library is not None:
         os.environ["DRJIT_LIBLLVM_PATH"] = str(library)
     elif platform.system() == "Linux":
-        raise LLVMError.of("libLLVM", f"version {MINIMUM_LLVM} or later", "none on this machine", llvm_hint())
+        raise LLVMError.of(
+            "libLLVM",
+            f"version {MINIMUM_LLVM} or later",
+            "none on this machine",
+            llvm_hint(),
+        )
     return library
 
 
 def set_up_mitsuba() -> None:
-    """Send what Mitsuba logs to stderr, and take its plugins from its own folder, not from the working directory."""
+    """Send what Mitsuba logs to stderr, and take its plugins from its own folder, not
+    from the working directory.
+    """
     import mitsuba as mi
 
     _search_own_folder_first()
@@ -102,7 +132,9 @@ def set_up_mitsuba() -> None:
 
 @cache
 def _search_own_folder_first() -> None:
-    """Mitsuba looks for `plugins/NAME.so` in the working directory otherwise, and runs what it finds there."""
+    """Mitsuba looks for `plugins/NAME.so` in the working directory otherwise, and runs
+    what it finds there.
+    """
     import mitsuba as mi
 
     mi.file_resolver().prepend(str(Path(str(mi.__file__)).parent))

@@ -1,4 +1,6 @@
-"""Which points are nearest to each of many, by a k-d tree: the work grows as N log N, the memory as N."""
+"""Which points are nearest to each of many, by a k-d tree: the work grows as N log N,
+the memory as N.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,15 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 _ASKED, _ASKED_IF_TIED = 8, 64
-"""Neighbours that the tree is asked for: more than are needed, since float32 orders near ties otherwise than float64.
+"""Neighbours that the tree is asked for: more than are needed, since float32 orders
+near ties otherwise than float64.
 
 A regular grid has 6 at one distance, 26 with its diagonals.
 """
 _TIE = 1e-5
-"""Relative difference of two distances above which float32 orders them as float64 does."""
+"""Relative difference of two distances above which float32 orders them as float64
+does.
+"""
 
 
 def nearest_neighbours(points: Tensor, count: int) -> tuple[Tensor, Tensor]:
@@ -29,12 +34,15 @@ def nearest_neighbours(points: Tensor, count: int) -> tuple[Tensor, Tensor]:
         count: How many; at most N - 1 are found.
 
     Returns:
-        (N, count) float64 distances, world units, and (N, count) int64 rows of these points.
+        (N, count) float64 distances, world units, and (N, count) int64 rows of these
+        points.
     """
     size = len(points)
     count = min(count, size - 1)
     if count < 1:
-        return torch.zeros(size, 0, dtype=torch.float64), torch.zeros(size, 0, dtype=torch.int64)
+        return torch.zeros(size, 0, dtype=torch.float64), torch.zeros(
+            size, 0, dtype=torch.int64
+        )
     positions = points.detach().cpu().double().numpy()
     kept = _few_in_one_place(positions, count + 1)
     distances, found = _tree(positions[kept]).query(positions, count + 1)
@@ -49,7 +57,9 @@ def nearest_neighbours(points: Tensor, count: int) -> tuple[Tensor, Tensor]:
 
 
 def nearest_of(points: Tensor, every: int) -> Tensor:
-    """(N,) int64 row of the nearest of every so many-th point to each of (N, 3) points."""
+    """(N,) int64 row of the nearest of every so many-th point to each of (N, 3)
+    points.
+    """
     positions = points.detach().cpu().double().numpy()
     some = positions[::every]
     kept = _few_in_one_place(some, 1)
@@ -65,7 +75,8 @@ def nearest_distances(points: Tensor, count: int) -> Tensor:
         count: How many, at most N - 1.
 
     Returns:
-        (N, count) float32, world units: what `torch.cdist` of all points with all would give, to the bit.
+        (N, count) float32, world units: what `torch.cdist` of all points with all would
+        give, to the bit.
     """
     positions = points.double().numpy()
     kept = _few_in_one_place(positions, count + 1)
@@ -75,7 +86,8 @@ def nearest_distances(points: Tensor, count: int) -> Tensor:
     distances = _exact(points, others, rows)
     if asked >= len(kept):
         return distances[:, 1 : count + 1]
-    # A point beyond those that were asked for may be as near as the last that is needed.
+    # A point beyond those that were asked for may be as near as the last that is
+    # needed.
     tied = rough[:, -1] <= (1 + _TIE) * rough[:, count]
     if tied.any():
         _, rows = tree.query(positions[tied], min(_ASKED_IF_TIED, len(kept)))
@@ -92,14 +104,19 @@ def _tree(positions: NDArray[np.float64]) -> cKDTree:
 
 def _exact(points: Tensor, others: Tensor, rows: NDArray[np.int64]) -> Tensor:
     """(N, K) distances of (N, 3) points to K of some others each, sorted."""
-    # Not by the matrix product: it would lose the small distances of points far from the origin.
+    # Not by the matrix product: it would lose the small distances of points far from
+    # the origin.
     mode = "donot_use_mm_for_euclid_dist"
-    pairs = torch.cdist(points[:, None], others[torch.from_numpy(rows)], compute_mode=mode)
+    pairs = torch.cdist(
+        points[:, None], others[torch.from_numpy(rows)], compute_mode=mode
+    )
     return pairs[:, 0].sort(1).values
 
 
 def _few_in_one_place(positions: NDArray[np.float64], most: int) -> NDArray[np.int64]:
-    """(M,) rows of (N, 3) points, of which at most so many lie in one place: a tree goes through these one by one."""
+    """(M,) rows of (N, 3) points, of which at most so many lie in one place: a tree
+    goes through these one by one.
+    """
     order = np.lexsort(positions.T)
     ordered = positions[order]
     surplus = np.zeros(len(order), np.bool_)

@@ -1,14 +1,17 @@
-"""The image of a 3D Gaussian splat by its definition: float64, NumPy alone, one loop over Gaussians.
+"""The image of a 3D Gaussian splat by its definition: float64, NumPy alone, one loop
+over Gaussians.
 
-It is slow and obvious, a reference for tests of renderers: `render` is the rasterised image of 3D Gaussian Splatting
-(Kerbl et al. 2023, with the projection of Zwicker et al. 2001), `render_rays` the one that evaluates each Gaussian
-where it is densest along a ray, `gradients` the derivatives of the first. `Convention` names the choices on which
+It is slow and obvious, a reference for tests of renderers: `render` is the rasterised
+image of 3D Gaussian Splatting (Kerbl et al. 2023, with the projection of Zwicker et al.
+2001), `render_rays` the one that evaluates each Gaussian where it is densest along a
+ray, `gradients` the derivatives of the first. `Convention` names the choices on which
 renderers differ; its defaults are those of the 3DGS code.
 
-Splats are any objects with `means` (N, 3), `scales` (N, 3), `rotations` (N, 4) as w, x, y, z, `opacities` (N,) and
-`sh` (N, K, 3), arrays or CPU tensors, as values and not as logarithms or logits; `Splat` is one, and so is
-`GaussianScene`. Cameras have `to_world` (4, 4) from x right, y down, z forward, `fx`, `fy`, `cx`, `cy` in pixels,
-`width` and `height`; `PinholeCamera` is one, and so is `mi_splat.Camera`.
+Splats are any objects with `means` (N, 3), `scales` (N, 3), `rotations` (N, 4) as w, x,
+y, z, `opacities` (N,) and `sh` (N, K, 3), arrays or CPU tensors, as values and not as
+logarithms or logits; `Splat` is one, and so is `GaussianScene`. Cameras have `to_world`
+(4, 4) from x right, y down, z forward, `fx`, `fy`, `cx`, `cy` in pixels, `width` and
+`height`; `PinholeCamera` is one, and so is `mi_splat.Camera`.
 """
 
 from __future__ import annotations
@@ -24,7 +27,9 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[Any]
 _NAMES = ("means", "scales", "rotations", "opacities", "sh")
 _STEP = 1e-30
-"""Step of a derivative in the imaginary direction, which loses no digits (Squire and Trapp 1998)."""
+"""Step of a derivative in the imaginary direction, which loses no digits (Squire and
+Trapp 1998).
+"""
 
 
 class Splat(NamedTuple):
@@ -55,10 +60,13 @@ class Convention:
     """What renderers do differently; the defaults define the image of 3DGS."""
 
     near: float = 0.2  # Gaussians at a smaller depth are left out
-    order: Literal["depth", "distance", "file"] = "depth"  # equal depths keep the order of the file
+    # equal depths keep the order of the file
+    order: Literal["depth", "distance", "file"] = "depth"
     low_pass: float = 0.3  # pixels^2, added to the variances of the projected Gaussian
-    compensated: bool = False  # opacity lowered by what the low-pass filter adds to the area (antialiased, "mip")
-    tangent_limit: float = 1.3  # of the half field of view, for the Jacobian alone; inf is none
+    # opacity lowered by what the low-pass filter adds to the area (antialiased, "mip")
+    compensated: bool = False
+    # of the half field of view, for the Jacobian alone; inf is none
+    tangent_limit: float = 1.3
     min_alpha: float = 1 / 255  # smaller ones are left out
     cutoff: float = math.inf  # standard deviations at which a Gaussian ends
     max_alpha: float = 0.99
@@ -66,7 +74,9 @@ class Convention:
     pixel_centre: float = 0.5  # where the first pixel is sampled
     unit_rotations: bool = True  # quaternions are divided by their length
     sh_degree: int = 3  # higher bands are left out
-    towards: Literal["gaussian", "camera", "camera's frame", "optical axis"] = "gaussian"
+    towards: Literal["gaussian", "camera", "camera's frame", "optical axis"] = (
+        "gaussian"
+    )
     clamp: Literal["below 0", "outside 0 to 1", "none"] = "below 0"  # of colours
 
 
@@ -79,7 +89,8 @@ class Image(NamedTuple):
     image: Array  # (H, W, 3) in the colour space of the file, sRGB
     alpha: Array  # (H, W)
     depth: Array  # (H, W) mean of the blended depths; 0 where there is none
-    median_depth: Array  # (H, W) depth at which half of the light is taken; 0 where it is not
+    # (H, W) depth at which half of the light is taken; 0 where it is not
+    median_depth: Array
 
 
 class Projected(NamedTuple):
@@ -95,7 +106,9 @@ class Projected(NamedTuple):
 
 
 def sh_basis(directions: Array, count: int) -> Array:
-    """(N, count) real spherical harmonics at unit vectors (N, 3), in the order and with the signs of 3DGS."""
+    """(N, count) real spherical harmonics at unit vectors (N, 3), in the order and with
+    the signs of 3DGS.
+    """
     x, y, z = directions.T
     terms = [np.full_like(x, 0.28209479177387814)]
     terms += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
@@ -130,7 +143,9 @@ def rotation_matrices(quaternions: Array, *, unit: bool = False) -> Array:
 
 
 def project(splat: Any, camera: Any, convention: Convention = DEFAULT) -> Projected:
-    """Every Gaussian in the image, also those behind the camera; complex values are taken as they are."""
+    """Every Gaussian in the image, also those behind the camera; complex values are
+    taken as they are.
+    """
     means, scales, rotations, opacity, sh = _arrays(splat)
     pose = _pose(camera)
     offset = means - pose[:3, 3]
@@ -139,11 +154,16 @@ def project(splat: Any, camera: Any, convention: Convention = DEFAULT) -> Projec
     tangents = local[:, :2] / z[:, None]
     extent = np.array([camera.width / camera.fx, camera.height / camera.fy])
     limit = np.minimum(0.5 * convention.tangent_limit * extent, 1e30)
-    near_axis = np.where(np.abs(tangents.real) <= limit, tangents, np.sign(tangents.real) * limit)
-    jacobian = np.zeros((len(means), 2, 3), dtype=local.dtype)  # Zwicker et al. 2001, equation 29
+    near_axis = np.where(
+        np.abs(tangents.real) <= limit, tangents, np.sign(tangents.real) * limit
+    )
+    # Zwicker et al. 2001, equation 29
+    jacobian = np.zeros((len(means), 2, 3), dtype=local.dtype)
     jacobian[:, 0, 0], jacobian[:, 1, 1] = camera.fx / z, camera.fy / z
     jacobian[:, :, 2] = -np.array([camera.fx, camera.fy]) * near_axis / z[:, None]
-    turned = pose[:3, :3].T @ rotation_matrices(rotations, unit=not convention.unit_rotations)
+    turned = pose[:3, :3].T @ rotation_matrices(
+        rotations, unit=not convention.unit_rotations
+    )
     factor = jacobian @ turned * scales[:, None, :]
     covariance = factor @ factor.transpose(0, 2, 1)
     blurred = covariance + convention.low_pass * np.eye(2)
@@ -154,7 +174,9 @@ def project(splat: Any, camera: Any, convention: Convention = DEFAULT) -> Projec
         (p, q), (_, r) = covariance.transpose(1, 2, 0)
         ratio = (p * r - q * q) / area
         opacity = opacity * np.sqrt(np.where(ratio.real > 0, ratio, 0))
-    centre = tangents * np.array([camera.fx, camera.fy]) + np.array([camera.cx, camera.cy])
+    centre = tangents * np.array([camera.fx, camera.fy]) + np.array(
+        [camera.cx, camera.cy]
+    )
     count = min(sh.shape[1], (convention.sh_degree + 1) ** 2)
     basis = sh_basis(_sh_directions(offset, camera, convention), count)
     colour = _clamped(0.5 + np.einsum("nk,nkc->nc", basis, sh[:, :count]), convention)
@@ -164,19 +186,34 @@ def project(splat: Any, camera: Any, convention: Convention = DEFAULT) -> Projec
 def blend(
     projected: Projected, camera: Any, convention: Convention = DEFAULT
 ) -> Iterator[tuple[int, Array, Array, Array]]:
-    """Gaussians front to back: number, alpha (H, W), weight (H, W) and the transmittance behind it (H, W)."""
+    """Gaussians front to back: number, alpha (H, W), weight (H, W) and the
+    transmittance behind it (H, W).
+    """
     ys, xs = np.mgrid[0 : camera.height, 0 : camera.width] + convention.pixel_centre
     left, stopped = np.ones(xs.shape), np.zeros(xs.shape, dtype=bool)
-    # A renderer of float32 splats has float32 depths, so these decide which of two Gaussians is in front.
-    keys = {"depth": projected.depth, "distance": projected.distance, "file": np.zeros(len(projected.depth))}
+    # A renderer of float32 splats has float32 depths, so these decide which of two
+    # Gaussians is in front.
+    keys = {
+        "depth": projected.depth,
+        "distance": projected.distance,
+        "file": np.zeros(len(projected.depth)),
+    }
     for i in np.argsort(keys[convention.order].astype(np.float32), kind="stable"):
         if projected.depth[i] < convention.near:
             continue
-        offset = np.stack([xs - projected.centre[i, 0], ys - projected.centre[i, 1]], axis=-1)
+        offset = np.stack(
+            [xs - projected.centre[i, 0], ys - projected.centre[i, 1]], axis=-1
+        )
         squared = np.einsum("hwi,ij,hwj->hw", offset, projected.conic[i], offset)
-        alpha = np.minimum(convention.max_alpha, projected.opacity[i] * np.exp(-0.5 * squared))
+        alpha = np.minimum(
+            convention.max_alpha, projected.opacity[i] * np.exp(-0.5 * squared)
+        )
         behind = left * (1 - alpha)
-        drawn = (alpha >= convention.min_alpha) & (squared <= convention.cutoff**2) & ~stopped
+        drawn = (
+            (alpha >= convention.min_alpha)
+            & (squared <= convention.cutoff**2)
+            & ~stopped
+        )
         stopped |= drawn & (behind < convention.stop)
         drawn &= ~stopped
         weight = np.where(drawn, alpha * left, 0.0)
@@ -185,7 +222,11 @@ def blend(
 
 
 def render(
-    splat: Any, camera: Any, *, background: ArrayLike = (0.0, 0.0, 0.0), convention: Convention = DEFAULT
+    splat: Any,
+    camera: Any,
+    *,
+    background: ArrayLike = (0.0, 0.0, 0.0),
+    convention: Convention = DEFAULT,
 ) -> Image:
     """The rasterised image.
 
@@ -196,14 +237,23 @@ def render(
         convention: Choices of the renderer.
     """
     projected, shape = project(splat, camera, convention), (camera.height, camera.width)
-    image, left, total, summed, median = np.zeros((*shape, 3)), np.ones(shape), *np.zeros((3, *shape))
+    image, left, total, summed, median = (
+        np.zeros((*shape, 3)),
+        np.ones(shape),
+        *np.zeros((3, *shape)),
+    )
     for i, _, weight, behind in blend(projected, camera, convention):
         z, left = projected.depth[i], behind
         image += weight[..., None] * projected.colour[i]
         total, summed = total + weight, summed + z * weight
         median = np.where((median == 0) & (left <= 0.5), z, median)
     depth = np.where(total > 0, summed / np.where(total > 0, total, 1), 0)
-    return Image(image + left[..., None] * np.asarray(background, dtype=np.float64), 1 - left, depth, median)
+    return Image(
+        image + left[..., None] * np.asarray(background, dtype=np.float64),
+        1 - left,
+        depth,
+        median,
+    )
 
 
 def gradients(
@@ -216,13 +266,17 @@ def gradients(
     background: ArrayLike = (0.0, 0.0, 0.0),
     convention: Convention = DEFAULT,
 ) -> Splat:
-    """Derivatives of sum(on_image * image) + sum(on_alpha * alpha) + sum(on_depth * depth) by every attribute.
+    """Derivatives of sum(on_image * image) + sum(on_alpha * alpha) + sum(on_depth *
+    depth) by every attribute.
 
-    These are the derivatives of a loss by what `render` gives: on_image (H, W, 3), on_alpha (H, W), and on_depth
-    (H, W) by the mean depth. The other arguments are those of `render`.
+    These are the derivatives of a loss by what `render` gives: on_image (H, W, 3),
+    on_alpha (H, W), and on_depth (H, W) by the mean depth. The other arguments are
+    those of `render`.
     """
     projected, values = project(splat, camera, convention), Splat(*_arrays(splat))
-    depth, centre, conic, opacity, colour = (np.zeros(array.shape) for array in projected[:5])
+    depth, centre, conic, opacity, colour = (
+        np.zeros(array.shape) for array in projected[:5]
+    )
     drawn = list(blend(projected, camera, convention))
     total, summed = np.zeros((2, *on_image.shape[:2]))
     for i, _, weight, _ in drawn:
@@ -230,15 +284,23 @@ def gradients(
     total = np.where(total > 0, total, 1.0)
     on_depth = np.asarray(on_depth) / total
     left = drawn[-1][3] if drawn else np.ones(on_image.shape[:2])
-    behind = left * (on_image @ np.asarray(background, dtype=np.float64) - on_alpha)  # what lies behind a Gaussian
+    # what lies behind a Gaussian
+    behind = left * (on_image @ np.asarray(background, dtype=np.float64) - on_alpha)
     ys, xs = np.mgrid[0 : camera.height, 0 : camera.width] + convention.pixel_centre
     for i, alpha, weight, left in reversed(drawn):
-        colour[i], depth[i] = np.einsum("hw,hwc->c", weight, on_image), (weight * on_depth).sum()
-        shown = on_image @ projected.colour[i] + on_depth * (projected.depth[i] - summed / total)
+        colour[i], depth[i] = (
+            np.einsum("hw,hwc->c", weight, on_image),
+            (weight * on_depth).sum(),
+        )
+        shown = on_image @ projected.colour[i] + on_depth * (
+            projected.depth[i] - summed / total
+        )
         on = np.where(alpha > 0, (left * shown - behind) / (1 - alpha), 0.0)
         behind = behind + weight * shown
         on = np.where(alpha < convention.max_alpha, on, 0.0) * alpha  # by the exponent
-        offset = np.stack([xs - projected.centre[i, 0], ys - projected.centre[i, 1]], axis=-1)
+        offset = np.stack(
+            [xs - projected.centre[i, 0], ys - projected.centre[i, 1]], axis=-1
+        )
         opacity[i] = on.sum() / projected.opacity[i] if projected.opacity[i] else 0.0
         conic[i] = -0.5 * np.einsum("hw,hwi,hwj->ij", on, offset, offset)
         centre[i] = projected.conic[i] @ np.einsum("hw,hwi->i", on, offset)
@@ -247,7 +309,9 @@ def gradients(
         free &= projected.colour < 1
     by_colour = colour * free
     by_sh = np.zeros(values.sh.shape)
-    by_sh[:, : projected.basis.shape[1]] = projected.basis[..., None] * by_colour[:, None]
+    by_sh[:, : projected.basis.shape[1]] = (
+        projected.basis[..., None] * by_colour[:, None]
+    )
     found = [by_sh]
     for name in ("opacities", "rotations", "scales", "means"):
         value = getattr(values, name)
@@ -256,15 +320,21 @@ def gradients(
             moved = value.astype(np.complex128)
             moved.reshape(len(value), -1)[:, entry] += 1j * _STEP
             turned = project(values._replace(**{name: moved}), camera, convention)
-            parts = zip((depth, centre, conic, opacity, colour), turned[:5], strict=True)
-            changes = [(on * part.imag).reshape(len(value), -1).sum(1) for on, part in parts]
+            parts = zip(
+                (depth, centre, conic, opacity, colour), turned[:5], strict=True
+            )
+            changes = [
+                (on * part.imag).reshape(len(value), -1).sum(1) for on, part in parts
+            ]
             by.reshape(len(value), -1)[:, entry] = np.sum(changes, axis=0) / _STEP
         found.insert(0, by)
     return Splat(*found)
 
 
 def densest(splat: Any, origin: Array, directions: Array) -> tuple[Array, Array]:
-    """(N, D) distances at which N Gaussians are densest along D rays, and their alphas there."""
+    """(N, D) distances at which N Gaussians are densest along D rays, and their alphas
+    there.
+    """
     means, scales, rotations, opacities, _ = _arrays(splat)
     whitening = rotation_matrices(rotations).transpose(0, 2, 1) / scales[:, :, None]
     g = np.einsum("nij,dj->ndi", whitening, directions)
@@ -274,21 +344,33 @@ def densest(splat: Any, origin: Array, directions: Array) -> tuple[Array, Array]
 
 
 def pixel_rays(camera: Any) -> tuple[Array, Array, Array]:
-    """Origin (3,), unit directions (H W, 3) through pixel centres, and their lengths for each unit of depth (H W,)."""
+    """Origin (3,), unit directions (H W, 3) through pixel centres, and their lengths
+    for each unit of depth (H W,).
+    """
     ys, xs = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
-    local = np.stack([(xs - camera.cx) / camera.fx, (ys - camera.cy) / camera.fy, np.ones_like(xs)], -1).reshape(-1, 3)
+    local = np.stack(
+        [(xs - camera.cx) / camera.fx, (ys - camera.cy) / camera.fy, np.ones_like(xs)],
+        -1,
+    ).reshape(-1, 3)
     lengths = np.linalg.norm(local, axis=1)
     pose = _pose(camera)
     return pose[:3, 3], (local / lengths[:, None]) @ pose[:3, :3].T, lengths
 
 
 def render_rays(
-    splat: Any, camera: Any, *, background: ArrayLike = (0.0, 0.0, 0.0), near: float = 0.2, to_mean: bool = False
+    splat: Any,
+    camera: Any,
+    *,
+    background: ArrayLike = (0.0, 0.0, 0.0),
+    near: float = 0.2,
+    to_mean: bool = False,
 ) -> tuple[Array, Array]:
-    """The image (H, W, 3) of Gaussians evaluated and sorted where each is densest along a ray, and its alpha (H, W).
+    """The image (H, W, 3) of Gaussians evaluated and sorted where each is densest along
+    a ray, and its alpha (H, W).
 
-    Nothing is drawn before the depth `near`. With `to_mean` SH are evaluated in the direction of the mean, as when
-    rasterising, and not of the ray. The other arguments are those of `render`.
+    Nothing is drawn before the depth `near`. With `to_mean` SH are evaluated in the
+    direction of the mean, as when rasterising, and not of the ray. The other arguments
+    are those of `render`.
     """
     origin, directions, lengths = pixel_rays(camera)
     means, *_, sh = _arrays(splat)
@@ -298,8 +380,12 @@ def render_rays(
     offset = means - origin
     towards = offset / _norm(offset) if to_mean else directions
     basis = sh_basis(towards, sh.shape[1])
-    colours = np.maximum(0.0, 0.5 + np.einsum("nk,nkc->nc" if to_mean else "dk,nkc->ndc", basis, sh))
-    colours = np.broadcast_to(colours[:, None] if to_mean else colours, (*alphas.shape, 3))
+    colours = np.maximum(
+        0.0, 0.5 + np.einsum("nk,nkc->nc" if to_mean else "dk,nkc->ndc", basis, sh)
+    )
+    colours = np.broadcast_to(
+        colours[:, None] if to_mean else colours, (*alphas.shape, 3)
+    )
     order = np.argsort(distances, axis=0, kind="stable")
     alphas = np.take_along_axis(alphas, order, 0)
     colours = np.take_along_axis(colours, order[..., None], 0)
@@ -309,13 +395,21 @@ def render_rays(
         left = left * (1 - alpha)
         left[left < DEFAULT.stop] = 0.0
     image += left[:, None] * np.asarray(background, dtype=np.float64)
-    return image.reshape(camera.height, camera.width, 3), 1 - left.reshape(camera.height, camera.width)
+    return image.reshape(camera.height, camera.width, 3), 1 - left.reshape(
+        camera.height, camera.width
+    )
 
 
 def _arrays(splat: Any) -> list[Array]:
     values = (getattr(splat, name) for name in _NAMES)
-    arrays = (np.asarray(value.detach() if hasattr(value, "detach") else value) for value in values)
-    return [array if np.iscomplexobj(array) else array.astype(np.float64) for array in arrays]
+    arrays = (
+        np.asarray(value.detach() if hasattr(value, "detach") else value)
+        for value in values
+    )
+    return [
+        array if np.iscomplexobj(array) else array.astype(np.float64)
+        for array in arrays
+    ]
 
 
 def _pose(camera: Any) -> Array:
@@ -341,4 +435,6 @@ def _clamped(colour: Array, convention: Convention) -> Array:
     if convention.clamp == "none":
         return colour
     above = np.where(colour.real > 0, colour, 0)
-    return above if convention.clamp == "below 0" else np.where(above.real < 1, above, 1)
+    return (
+        above if convention.clamp == "below 0" else np.where(above.real < 1, above, 1)
+    )

@@ -1,7 +1,9 @@
-"""How many Gaussians each tile of a picture has to walk through, without making its lists: the memory stays flat.
+"""How many Gaussians each tile of a picture has to walk through, without making its
+lists: the memory stays flat.
 
-A Gaussian touches an interval of tiles in each row of tiles. Only its two ends are counted, so a Gaussian that covers
-the picture costs one step for each row and not one for each tile.
+A Gaussian touches an interval of tiles in each row of tiles. Only its two ends are
+counted, so a Gaussian that covers the picture costs one step for each row and not one
+for each tile.
 """
 
 import math
@@ -25,21 +27,32 @@ from mi_splat.rasterization.stages import projected
 from mi_splat.scene import GaussianScene, check_scene
 
 Layers = NDArray[np.int32]
-"""(rows, columns) numbers of Gaussians on the lists of the tiles of a picture, `TILE` x `TILE` pixels each."""
+"""(rows, columns) numbers of Gaussians on the lists of the tiles of a picture, `TILE` x
+`TILE` pixels each.
+"""
 _ROUNDING = 1.0001  # in float32 a Gaussian may reach a little beyond its box
 
 
 def most_layers(
-    scene: GaussianScene, cameras: Sequence[Camera], *, near: float, stop: float = math.inf
+    scene: GaussianScene,
+    cameras: Sequence[Camera],
+    *,
+    near: float,
+    stop: float = math.inf,
 ) -> tuple[int, Layers, int]:
-    """Which of some cameras, of one size, has the most layers in the mean; its layers; and how many were tried.
+    """Which of some cameras, of one size, has the most layers in the mean; its layers;
+    and how many were tried.
 
-    Layers are exactly the lists that `rasterize` would make. The first camera with a mean from `stop` is the last.
+    Layers are exactly the lists that `rasterize` would make. The first camera with a
+    mean from `stop` is the last.
     """
     check_scene("scene", scene)
     variant.use()
-    geometry = [value.detach().float().contiguous().flatten() for value in scene.tensors()[:4]]
-    grey = scene.sh.detach().new_zeros(3 * len(scene)).float()  # colours cost time, and hide nothing from a list
+    geometry = [
+        value.detach().float().contiguous().flatten() for value in scene.tensors()[:4]
+    ]
+    # colours cost time, and hide nothing from a list
+    grey = scene.sh.detach().new_zeros(3 * len(scene)).float()
     arrays = tuple(aligned(mi.Float(value)) for value in (*geometry, grey))
     index = numbers(mi.variant(), len(scene))
     width, height = cameras[0].width, cameras[0].height
@@ -47,12 +60,21 @@ def most_layers(
 
     def counted(stage: Callable[..., Any], number: int, *into: Any) -> Any:
         size = dr.opaque(mi.Int32, width), dr.opaque(mi.Int32, height)
-        return run(stage, arrays, index, size, Pinhole(camera=cameras[number], near=near).for_kernels(), *into)
+        return run(
+            stage,
+            arrays,
+            index,
+            size,
+            Pinhole(camera=cameras[number], near=near).for_kernels(),
+            *into,
+        )
 
     tried, counts = len(cameras), [-1] * len(cameras)
     most = [_ROUNDING * counted(count_boxes, number)[0] for number in range(tried)]
     in_order = max(most) >= stop * rows * columns
-    for number in sorted(range(tried), key=lambda number: number if in_order else -most[number]):
+    for number in sorted(
+        range(tried), key=lambda number: number if in_order else -most[number]
+    ):
         if most[number] >= max(counts):
             counts[number] = counted(count, number)[0]
         if counts[number] >= stop * rows * columns:
@@ -61,17 +83,27 @@ def most_layers(
     worst = counts.index(max(counts))
     edges = buffer((columns + 1) * rows, mi.Int32, 0)
     counted(count_edges, worst, edges)
-    return worst, edges.numpy().reshape(rows, columns + 1).cumsum(axis=1, dtype=np.int32)[:, :-1], tried
+    return (
+        worst,
+        edges.numpy().reshape(rows, columns + 1).cumsum(axis=1, dtype=np.int32)[:, :-1],
+        tried,
+    )
 
 
-def count(arrays: tuple[Any, ...], index: Any, size: tuple[Any, Any], camera: KernelCamera) -> Any:
+def count(
+    arrays: tuple[Any, ...], index: Any, size: tuple[Any, Any], camera: KernelCamera
+) -> Any:
     """UInt64, how many tiles all Gaussians touch."""
     splat, extent, _, visible = projected(TENSORS.read(arrays, index, 1), camera)
     return dr.sum(mi.UInt64(binning.count_tiles(splat, extent, visible, *size)))
 
 
-def count_boxes(arrays: tuple[Any, ...], index: Any, size: tuple[Any, Any], camera: KernelCamera) -> Any:
-    """UInt64, how many tiles the boxes around them touch: no fewer, in a fraction of the time."""
+def count_boxes(
+    arrays: tuple[Any, ...], index: Any, size: tuple[Any, Any], camera: KernelCamera
+) -> Any:
+    """UInt64, how many tiles the boxes around them touch: no fewer, in a fraction of
+    the time.
+    """
     splat, extent, _, visible = projected(TENSORS.read(arrays, index, 1), camera)
     top, bottom = binning.tile_rows(splat, extent, size[1])
     left, right = binning.pixel_span(splat.centre.x, -extent.x, extent.x, size[0])
@@ -79,7 +111,13 @@ def count_boxes(arrays: tuple[Any, ...], index: Any, size: tuple[Any, Any], came
     return dr.sum(mi.UInt64(dr.select(visible, box, 0)))
 
 
-def count_edges(arrays: tuple[Any, ...], index: Any, size: tuple[Any, Any], camera: KernelCamera, edges: Any) -> None:
+def count_edges(
+    arrays: tuple[Any, ...],
+    index: Any,
+    size: tuple[Any, Any],
+    camera: KernelCamera,
+    edges: Any,
+) -> None:
     """Add 1 where the tiles of a Gaussian begin in a row, and -1 after they end."""
     splat, extent, _, visible = projected(TENSORS.read(arrays, index, 1), camera)
     width, height = size
@@ -93,5 +131,7 @@ def count_edges(arrays: tuple[Any, ...], index: Any, size: tuple[Any, Any], came
         dr.scatter_add(edges, mi.Int32(-1), mi.UInt32(row * stride + right + 1), met)
         return (row + 1,)
 
-    dr.while_loop((mi.Int32(first),), lambda row: visible & (row <= last), body, label="layers")
+    dr.while_loop(
+        (mi.Int32(first),), lambda row: visible & (row <= last), body, label="layers"
+    )
     dr.eval(edges)

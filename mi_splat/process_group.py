@@ -1,4 +1,5 @@
-"""A process that is watched together with all that it starts: they share limits, and they end together.
+"""A process that is watched together with all that it starts: they share limits, and
+they end together.
 
 The process leads a session of its own, so that one signal reaches its whole group. Its
 temporary files lie in a folder that is removed with it, and when the process that
@@ -28,9 +29,11 @@ from mi_splat.processes import python_command
 _Message = TypeVar("_Message")
 
 _LOOK = 0.1  # seconds between two looks at the memory of a group
-_LAST_BREATH = 2.0  # seconds in which a process that has closed its pipe may end by itself
+# seconds in which a process that has closed its pipe may end by itself
+_LAST_BREATH = 2.0
 _SHOWN = 2000  # characters of what a process said last
-_FOLDER = "MI_SPLAT_GROUP_FOLDER"  # and not TMPDIR: what it names is deleted, and must be ours
+# and not TMPDIR: what it names is deleted, and must be ours
+_FOLDER = "MI_SPLAT_GROUP_FOLDER"
 
 
 class GroupEndedError(Exception):
@@ -39,7 +42,9 @@ class GroupEndedError(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a process and all that it starts may use together; None is without a limit."""
+    """What a process and all that it starts may use together; None is without a
+    limit.
+    """
 
     seconds: float | None = None
     megabytes: float | None = None  # resident, 1e6 bytes each
@@ -56,7 +61,9 @@ class ProcessGroup:
         folder: Folder for the temporary files of the group.
     """
 
-    def __init__(self, module: str, *words: str, environment: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self, module: str, *words: str, environment: Mapping[str, str] | None = None
+    ) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="mi-splat-"))
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the group
         self._looked = 0.0
@@ -67,7 +74,12 @@ class ProcessGroup:
         with end:
             self._process = subprocess.Popen(
                 python_command(module, *words, str(end.fileno())),
-                env={**os.environ, **(environment or {}), "TMPDIR": folder, _FOLDER: folder},
+                env={
+                    **os.environ,
+                    **(environment or {}),
+                    "TMPDIR": folder,
+                    _FOLDER: folder,
+                },
                 stdin=subprocess.DEVNULL,
                 stdout=self._output,
                 stderr=self._output,
@@ -107,7 +119,9 @@ class ProcessGroup:
         self._looked = now
         used = self.megabytes()
         if used > limits.megabytes:
-            raise GroupEndedError(f"used {used:,.0f} MB of memory, more than {limits.megabytes:,.0f}")
+            raise GroupEndedError(
+                f"used {used:,.0f} MB of memory, more than {limits.megabytes:,.0f}"
+            )
 
     def megabytes(self) -> float:
         """Resident memory of all processes of the group together, in 1e6 bytes."""
@@ -125,7 +139,11 @@ class ProcessGroup:
         status = self._process.returncode
         if status is None:
             return GroupEndedError("does not end, not even by SIGKILL")
-        how = f"ended with status {status}" if status >= 0 else f"ended by {signal.Signals(-status).name}"
+        how = (
+            f"ended with status {status}"
+            if status >= 0
+            else f"ended by {signal.Signals(-status).name}"
+        )
         self._output.seek(max(0, self._output.seek(0, os.SEEK_END) - _SHOWN))
         said = self._output.read().decode("utf-8", "replace").strip()
         return GroupEndedError(f"{how}: {said}" if said else how)
@@ -142,7 +160,9 @@ class ProcessGroup:
             os.killpg(self._process.pid, signal.SIGKILL)
 
     def _wait(self) -> None:
-        """Give the first process time to end: one that waits for a disk that hangs cannot be killed at once."""
+        """Give the first process time to end: one that waits for a disk that hangs
+        cannot be killed at once.
+        """
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_LAST_BREATH)
 
@@ -181,11 +201,15 @@ def _members_by_ps(group: int) -> dict[int, int]:
     command = ["ps", "-axo", "pid=,pgid=,rss="]
     shown = subprocess.run(command, capture_output=True, text=True, check=False).stdout
     rows = [[int(word) for word in line.split()] for line in shown.splitlines()]
-    return {process: 1024 * size for process, its_group, size in rows if its_group == group}
+    return {
+        process: 1024 * size for process, its_group, size in rows if its_group == group
+    }
 
 
 def inbox(receive: Callable[[], _Message]) -> queue.SimpleQueue[_Message]:
-    """What comes through the pipe of this process; it ends with its group when nobody watches any more."""
+    """What comes through the pipe of this process; it ends with its group when nobody
+    watches any more.
+    """
     messages: queue.SimpleQueue[_Message] = queue.SimpleQueue()
 
     def listen() -> None:
@@ -208,12 +232,16 @@ def end_own_group() -> None:
 
 
 def limit_file_size(megabytes: float) -> None:
-    """Let this process, and those that it will start, write no file longer than so many 1e6 bytes."""
+    """Let this process, and those that it will start, write no file longer than so many
+    1e6 bytes.
+    """
     limit("RLIMIT_FSIZE", round(megabytes * 1e6))
 
 
 def limit(name: str, most: int) -> None:
-    """Set a limit of this process by its name in `resource`, where the system knows it."""
+    """Set a limit of this process by its name in `resource`, where the system knows
+    it.
+    """
     import resource
 
     kind: Any = getattr(resource, name, None)

@@ -1,4 +1,6 @@
-"""How this library starts another Python, and what a process does on Ctrl-C and SIGTERM."""
+"""How this library starts another Python, and what a process does on Ctrl-C and
+SIGTERM.
+"""
 
 import os
 import signal
@@ -17,9 +19,10 @@ _IMPORTING = 0.02  # seconds between two looks at whether an import is over
 def sigterm_as_interrupt() -> Iterator[Callable[[], int | None]]:
     """SIGTERM inside the block does what Ctrl-C would do.
 
-    Neither of them breaks off the import of a module: half of a package cannot be imported
-    a second time, and Python only prints what is raised in its own import locks. What came
-    is raised when the import is over; a second signal before that ends the process.
+    Neither of them breaks off the import of a module: half of a package cannot be
+    imported a second time, and Python only prints what is raised in its own import
+    locks. What came is raised when the import is over; a second signal before that ends
+    the process.
 
     Yields:
         The exit status that the last signal asks for; None if none came.
@@ -33,21 +36,25 @@ def sigterm_as_interrupt() -> Iterator[Callable[[], int | None]]:
     def note_termination(number: int, frame: FrameType | None) -> None:
         came.append(TERMINATED)
         handler = signal.getsignal(signal.SIGINT)
-        # It is ignored in a command that a script has put into the background, and it is
-        # another one where a step is finished before the process ends.
+        # It is ignored in a command that a script has put into the background, and it
+        # is another one where a step is finished before the process ends.
         if callable(handler) and handler is not note_interrupt:
             handler(signal.SIGINT, frame)
         else:
             _interrupt(frame, came)
 
     is_ignored = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
-    interrupts = nullcontext() if is_ignored else _handling(signal.SIGINT, note_interrupt)
+    interrupts = (
+        nullcontext() if is_ignored else _handling(signal.SIGINT, note_interrupt)
+    )
     with interrupts, _handling(signal.SIGTERM, note_termination):
         yield lambda: came[-1] if came else None
 
 
 def _interrupt(frame: FrameType | None, came: Sequence[int]) -> None:
-    """Raise KeyboardInterrupt, or see to it that this is done once no module is being imported."""
+    """Raise KeyboardInterrupt, or see to it that this is done once no module is being
+    imported.
+    """
     if not _is_importing(frame):
         raise KeyboardInterrupt
     if len(came) > 1:
@@ -72,16 +79,22 @@ def _is_importing(frame: FrameType | None) -> bool:
 
 
 def leave_on_signals() -> None:
-    """End this process at once by Ctrl-C or SIGTERM, with their exit statuses and without a word."""
+    """End this process at once by Ctrl-C or SIGTERM, with their exit statuses and
+    without a word.
+    """
     statuses = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED}
     for number in statuses:
         if signal.getsignal(number) != signal.SIG_IGN:
-            signal.signal(number, lambda number, frame: os._exit(statuses[signal.Signals(number)]))
+            signal.signal(
+                number, lambda number, frame: os._exit(statuses[signal.Signals(number)])
+            )
 
 
 @contextmanager
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C inside the block is only noted, so that a step is never left half done; a second one stops at once."""
+    """Ctrl-C inside the block is only noted, so that a step is never left half done; a
+    second one stops at once.
+    """
     pressed: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -94,7 +107,9 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
 
 
 @contextmanager
-def _handling(number: signal.Signals, handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+def _handling(
+    number: signal.Signals, handler: Callable[[int, FrameType | None], None]
+) -> Iterator[None]:
     """Handle a signal inside the block; only the main thread gets signals."""
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -113,10 +128,12 @@ _START = (
 
 
 def python_command(module: str, *words: str) -> list[str]:
-    """A command that runs a module as `python -m` does, with the import path of this process.
+    """A command that runs a module as `python -m` does, with the import path of this
+    process.
 
-    `python -m` and `python -c` put the working directory first, where a downloaded `queue.py` may lie. `-P` does not,
-    but Python 3.10 does not know it, and `-I` ignores the user's PYTHONPATH.
+    `python -m` and `python -c` put the working directory first, where a downloaded
+    `queue.py` may lie. `-P` does not, but Python 3.10 does not know it, and `-I`
+    ignores the user's PYTHONPATH.
     """
     path = os.pathsep.join(folder for folder in sys.path if folder)
     return [sys.executable, "-c", _START, path, os.pathsep, module, *words]

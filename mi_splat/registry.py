@@ -1,12 +1,14 @@
-"""Things by their names: those of this project, those that a script registers, and those of other installed packages.
+"""Things by their names: those of this project, those that a script registers, and
+those of other installed packages.
 
 Another package names what it brings in its pyproject.toml, in the group of a registry:
 
     [project.entry-points."mi_splat.detectors"]
     my_detector = "my_package.detector:SPEC"
 
-Looking at names imports nothing. Such a value is imported when it is asked for, so that a package that is broken breaks
-nothing but itself, and the error names it. docs/plug-ins.md has a section for each group.
+Looking at names imports nothing. Such a value is imported when it is asked for, so that
+a package that is broken breaks nothing but itself, and the error names it.
+docs/plug-ins.md has a section for each group.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ _OURS = "mi_splat."
 
 
 class Registry(Mapping[str, _Value]):
-    """Values of one kind by their names: first the project's own and those registered, then those of other packages."""
+    """Values of one kind by their names: first the project's own and those registered,
+    then those of other packages.
+    """
 
     def __init__(
         self,
@@ -42,7 +46,11 @@ class Registry(Mapping[str, _Value]):
 
     def __getitem__(self, name: str) -> _Value:
         """A value by its name."""
-        return self.own[name] if name in self.own else self._brought(_points(self.group)[name])
+        return (
+            self.own[name]
+            if name in self.own
+            else self._brought(_points(self.group)[name])
+        )
 
     def __iter__(self) -> Iterator[str]:
         yield from self.own
@@ -62,7 +70,9 @@ class Registry(Mapping[str, _Value]):
     def add(self, name: str, value: _Value) -> None:
         """Register a value for this process."""
         if name in self.own:
-            raise self._error.of(self.what, "a name that is free", repr(name), "choose another name")
+            raise self._error.of(
+                self.what, "a name that is free", repr(name), "choose another name"
+            )
         self.own[name] = value
 
     def chosen(self, name: object) -> _Value:
@@ -73,33 +83,59 @@ class Registry(Mapping[str, _Value]):
         return self[name]
 
     def package(self, name: str) -> str:
-        """Which package brings a value, as "my-package 1.0"; empty for the project's own and registered ones."""
+        """Which package brings a value, as "my-package 1.0"; empty for the project's
+        own and registered ones.
+        """
         return "" if name in self.own else _package(_points(self.group)[name][0])
 
     def _brought(self, points: tuple[EntryPoint, ...]) -> _Value:
         point = points[0]
-        what = f"entry point {point.name} = {point.value} of {_package(point)} ({self.group})"
+        what = (
+            f"entry point {point.name} = {point.value} of {_package(point)}"
+            f" ({self.group})"
+        )
         if len(points) > 1:
             others = " and ".join(_package(point) for point in points)
-            raise self._error.of(what, "one package that brings it", others, "uninstall one of them")
+            raise self._error.of(
+                what, "one package that brings it", others, "uninstall one of them"
+            )
         try:
             value = point.load()
         except Exception as error:  # what another package raises has no common base
-            got, do = f"{type(error).__name__}: {error}", f"repair or uninstall {_package(point)}"
-            raise self._error.of(what, "something that can be imported", got, do) from error
+            got, do = (
+                f"{type(error).__name__}: {error}",
+                f"repair or uninstall {_package(point)}",
+            )
+            raise self._error.of(
+                what, "something that can be imported", got, do
+            ) from error
         named = getattr(value, "name", point.name)
         if not self._fits(value) or named != point.name:
-            got = f"one of the name {named}" if self._fits(value) else type(value).__name__
-            raise self._error.of(what, f"{self._expected} of the name {point.name}", got, "correct it there")
+            got = (
+                f"one of the name {named}"
+                if self._fits(value)
+                else type(value).__name__
+            )
+            raise self._error.of(
+                what,
+                f"{self._expected} of the name {point.name}",
+                got,
+                "correct it there",
+            )
         kept: _Value = value
         return kept
 
 
 def brought_by_packages() -> list[tuple[str, str, str]]:
-    """Everything that other packages bring, in whatever group of ours; nothing is imported."""
+    """Everything that other packages bring, in whatever group of ours; nothing is
+    imported.
+    """
     groups = sorted(group for group in entry_points().groups if group.startswith(_OURS))
     points = (point for group in groups for point in entry_points(group=group))
-    return [(point.group, point.name, f"{point.value} of {_package(point)}") for point in points]
+    return [
+        (point.group, point.name, f"{point.value} of {_package(point)}")
+        for point in points
+    ]
 
 
 def _points(group: str) -> dict[str, tuple[EntryPoint, ...]]:
@@ -108,7 +144,9 @@ def _points(group: str) -> dict[str, tuple[EntryPoint, ...]]:
 
 @functools.lru_cache(maxsize=32)
 def _points_on(group: str, path: tuple[str, ...]) -> dict[str, tuple[EntryPoint, ...]]:
-    """Entry points by their names; folders are looked through once, for that takes as long as a picture."""
+    """Entry points by their names; folders are looked through once, for that takes as
+    long as a picture.
+    """
     points: dict[str, tuple[EntryPoint, ...]] = {}
     for point in entry_points(group=group):
         points[point.name] = (*points.get(point.name, ()), point)
@@ -117,4 +155,8 @@ def _points_on(group: str, path: tuple[str, ...]) -> dict[str, tuple[EntryPoint,
 
 def _package(point: EntryPoint) -> str:
     distribution = point.dist
-    return "an unknown package" if distribution is None else f"{distribution.name} {distribution.version}"
+    return (
+        "an unknown package"
+        if distribution is None
+        else f"{distribution.name} {distribution.version}"
+    )

@@ -1,6 +1,7 @@
 """Renderer: the rasteriser and the ray tracer of splats as torch functions.
 
-Of the callers of `dr.wrap` there are two: this module, and `mi_splat.volprim` for Mitsuba's own integrator.
+Of the callers of `dr.wrap` there are two: this module, and `mi_splat.volprim` for
+Mitsuba's own integrator.
 """
 
 from __future__ import annotations
@@ -39,10 +40,12 @@ from mi_splat.scene import GaussianScene, check_scene
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SideOutputs:
-    """A picture with opacity and depths; w_i = alpha_i T_i is the weight of Gaussian i, z_i its mean's depth.
+    """A picture with opacity and depths; w_i = alpha_i T_i is the weight of Gaussian i,
+    z_i its mean's depth.
 
-    The median depth is that of the Gaussian at which the transmittance falls to one half or below. It is a step
-    function of the scene, and a constant to autograd. Depths are in world units, and 0 where there is none.
+    The median depth is that of the Gaussian at which the transmittance falls to one
+    half or below. It is a step function of the scene, and a constant to autograd.
+    Depths are in world units, and 0 where there is none.
     """
 
     image: Tensor  # (H, W, 3) as `Renderer.__call__` gives it, to the bit
@@ -52,10 +55,14 @@ class SideOutputs:
 
 
 def save_floats(channels: Mapping[str, NDArray[np.float32]], path: Path) -> None:
-    """Write (H, W) channels by their names as OpenEXR with 32-bit floats, without loss."""
+    """Write (H, W) channels by their names as OpenEXR with 32-bit floats, without
+    loss.
+    """
     variant.use()
     stream, planes = mi.MemoryStream(), np.stack(list(channels.values()), -1)
-    mi.Bitmap(planes, mi.Bitmap.PixelFormat.MultiChannel, list(channels)).write(stream, mi.Bitmap.FileFormat.OpenEXR)
+    mi.Bitmap(planes, mi.Bitmap.PixelFormat.MultiChannel, list(channels)).write(
+        stream, mi.Bitmap.FileFormat.OpenEXR
+    )
     save_bytes(bytes(stream.raw_buffer()), path)
 
 
@@ -67,8 +74,12 @@ def load_floats(path: Path) -> dict[str, NDArray[np.float32]]:
         bitmap = mi.Bitmap(str(path))
         pixels = np.asarray(bitmap, dtype=np.float32)
     except (RuntimeError, ValueError, MemoryError) as error:
-        got = one_line(str(error).splitlines()[-1] if str(error) else type(error).__name__, 160)
-        raise PictureFileError.of(str(path), "an OpenEXR image", got, "write it again") from error
+        got = one_line(
+            str(error).splitlines()[-1] if str(error) else type(error).__name__, 160
+        )
+        raise PictureFileError.of(
+            str(path), "an OpenEXR image", got, "write it again"
+        ) from error
     planes = np.moveaxis(pixels.reshape(*pixels.shape[:2], -1), 2, 0)
     return dict(zip((part.name for part in bitmap.struct_()), planes, strict=True))
 
@@ -77,11 +88,13 @@ __all__ = ["Method", "RenderSettings", "Renderer", "ScreenGradients"]
 
 
 class ScreenGradients:
-    """What the backward pass of a renderer saw of each Gaussian: the statistics that densification goes by.
+    """What the backward pass of a renderer saw of each Gaussian: the statistics that
+    densification goes by.
 
     Attributes:
-        lengths: (N,) length of the gradient of the centre on the screen, in normalised device coordinates (half
-            pictures), summed over the pictures of the last backward pass.
+        lengths: (N,) length of the gradient of the centre on the screen, in normalised
+            device coordinates (half pictures), summed over the pictures of the last
+            backward pass.
         visible: (N,) in how many of them the Gaussian touched a tile.
     """
 
@@ -93,14 +106,24 @@ class ScreenGradients:
         self.lengths, self.visible = torch.zeros(2, count, device=device)
 
     def _add(self, screen: Tensor, camera: Camera) -> None:
-        self.lengths += (screen[:, :2] * screen.new_tensor([camera.width / 2, camera.height / 2])).norm(dim=1)
+        self.lengths += (
+            screen[:, :2] * screen.new_tensor([camera.width / 2, camera.height / 2])
+        ).norm(dim=1)
         self.visible += screen[:, 2]
 
 
 class _Job:
-    """What a render call needs besides tensors; an opaque leaf to `dr.wrap`, which would walk through a dataclass."""
+    """What a render call needs besides tensors; an opaque leaf to `dr.wrap`, which
+    would walk through a dataclass.
+    """
 
-    def __init__(self, cameras: Sequence[Camera], renderer: Renderer, *, side_outputs: bool = False) -> None:
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        renderer: Renderer,
+        *,
+        side_outputs: bool = False,
+    ) -> None:
         self.cameras = tuple(cameras)
         self.settings = renderer.settings
         self.screen_gradients = renderer.screen_gradients
@@ -109,27 +132,35 @@ class _Job:
 
 
 class Renderer:
-    """Renders splats with the rasteriser of `splat_tile` or the ray tracer of `splat_ray`; a `RenderFn`.
+    """Renders splats with the rasteriser of `splat_tile` or the ray tracer of
+    `splat_ray`; a `RenderFn`.
 
-    Differentiable in the five tensors of the scene (reverse mode) and free of random numbers: a picture depends on the
-    scene, the camera and the settings only, to the bit. So do the gradients of "tile"; the last bits of those of "ray"
-    depend on the order in which threads come.
+    Differentiable in the five tensors of the scene (reverse mode) and free of random
+    numbers: a picture depends on the scene, the camera and the settings only, to the
+    bit. So do the gradients of "tile"; the last bits of those of "ray" depend on the
+    order in which threads come.
 
     Args:
         settings: How to render.
         screen_gradients: Filled in every backward pass, if given.
 
     Raises:
-        InvalidValueError: Screen gradients are asked for with "ray", which has no Gaussians on a screen.
+        InvalidValueError: Screen gradients are asked for with "ray", which has no
+            Gaussians on a screen.
     """
 
     def __init__(
-        self, settings: RenderSettings | None = None, *, screen_gradients: ScreenGradients | None = None
+        self,
+        settings: RenderSettings | None = None,
+        *,
+        screen_gradients: ScreenGradients | None = None,
     ) -> None:
         self.settings = settings or RenderSettings()
         if screen_gradients is not None and self.settings.method == "ray":
             do = 'use the method "tile", or a strategy without them (fixed, mcmc)'
-            raise InvalidValueError.of("screen_gradients", 'the method "tile"', '"ray"', do)
+            raise InvalidValueError.of(
+                "screen_gradients", 'the method "tile"', '"ray"', do
+            )
         self.screen_gradients = screen_gradients
         self.variant = variant.use(self.settings.variant)
 
@@ -141,15 +172,18 @@ class Renderer:
             camera: The camera.
 
         Returns:
-            (H, W, 3) float32 tensor, or (H, W, 4) with `settings.alpha`. Values above 1 are not clipped.
+            (H, W, 3) float32 tensor, or (H, W, 4) with `settings.alpha`. Values above 1
+            are not clipped.
 
         Raises:
-            InvalidValueError: The scene's tensors are not on the device of the variant or not finite, or something else
-                was passed.
+            InvalidValueError: The scene's tensors are not on the device of the variant
+                or not finite, or something else was passed.
         """
         return self.batch(scene, [_one_camera(camera)])[0]
 
-    def batch(self, scene: GaussianScene, cameras: Camera | Sequence[Camera]) -> list[Tensor]:
+    def batch(
+        self, scene: GaussianScene, cameras: Camera | Sequence[Camera]
+    ) -> list[Tensor]:
         """Render one picture per camera in one differentiable call; sizes may differ.
 
         Args:
@@ -163,7 +197,8 @@ class Renderer:
         return self._run(scene, _Job(cameras, self)) if cameras else []
 
     def outputs(self, scene: GaussianScene, camera: Camera) -> SideOutputs:
-        """Render one picture with its depths; differentiable like `__call__`, the median apart.
+        """Render one picture with its depths; differentiable like `__call__`, the
+        median apart.
 
         Args:
             scene: N Gaussians; N may be 0.
@@ -173,13 +208,23 @@ class Renderer:
             The picture, its opacity, and its expected and median depths.
 
         Raises:
-            InvalidValueError: As in `__call__`, or the method is "ray", whose Gaussians have no one depth.
+            InvalidValueError: As in `__call__`, or the method is "ray", whose Gaussians
+                have no one depth.
         """
         if self.settings.method != "tile":
             do = 'use a Renderer(RenderSettings(method="tile"))'
-            raise InvalidValueError.of("outputs", 'the method "tile"', f'"{self.settings.method}"', do)
-        image, depth, median = self._run(scene, _Job([_one_camera(camera)], self, side_outputs=True))
-        return SideOutputs(image=image[..., :3], alpha=image[..., 3], depth=depth, median_depth=median.detach())
+            raise InvalidValueError.of(
+                "outputs", 'the method "tile"', f'"{self.settings.method}"', do
+            )
+        image, depth, median = self._run(
+            scene, _Job([_one_camera(camera)], self, side_outputs=True)
+        )
+        return SideOutputs(
+            image=image[..., :3],
+            alpha=image[..., 3],
+            depth=depth,
+            median_depth=median.detach(),
+        )
 
     def _run(self, scene: GaussianScene, job: _Job) -> list[Tensor]:
         """What the bridge makes of a checked scene."""
@@ -187,7 +232,10 @@ class Renderer:
         variant.use(self.variant)
         device = variant.device_of(self.variant)
         if scene.means.device.type != device:
-            expected, do = f"tensors on {device} for {self.variant}", f'call scene.to("{device}")'
+            expected, do = (
+                f"tensors on {device} for {self.variant}",
+                f'call scene.to("{device}")',
+            )
             raise InvalidValueError.of("scene", expected, scene.means.device, do)
         tensors = [t.to(torch.float32).contiguous() for t in scene.tensors()]
         if not torch.is_grad_enabled():
@@ -196,7 +244,8 @@ class Renderer:
             results = list(_bridge(self.variant)(*tensors, job))
             if len(scene):
                 return results
-            nothing = torch.cat([t.flatten() for t in tensors]).sum()  # Dr.Jit has no gradient of size 0, torch has
+            # Dr.Jit has no gradient of size 0, torch has
+            nothing = torch.cat([t.flatten() for t in tensors]).sum()
             return [result.detach() + nothing for result in results]
         except RuntimeError as error:
             known = _own(error)
@@ -226,22 +275,46 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
 
     def make_pictures(arrays: tuple[Any, ...], job: _Job) -> list[Picture | RayPicture]:
         settings, depths = job.settings, job.side_outputs
-        near, filtered, behind = settings.near, settings.antialiased, settings.background
-        cameras = [Pinhole(camera=camera, near=near, antialiased=filtered) for camera in job.cameras]
+        near, filtered, behind = (
+            settings.near,
+            settings.antialiased,
+            settings.background,
+        )
+        cameras = [
+            Pinhole(camera=camera, near=near, antialiased=filtered)
+            for camera in job.cameras
+        ]
         if settings.method == "tile":
-            return [rasterize(layouts.TENSORS, arrays, camera, behind, depths=depths) for camera in cameras]
+            return [
+                rasterize(layouts.TENSORS, arrays, camera, behind, depths=depths)
+                for camera in cameras
+            ]
         layouts.check_finite(layouts.TENSORS, arrays)
         splats = prepare(layouts.TENSORS, arrays)
-        return [raytrace(splats, camera, behind, to_mean=settings.colour_to_mean) for camera in cameras]
+        return [
+            raytrace(splats, camera, behind, to_mean=settings.colour_to_mean)
+            for camera in cameras
+        ]
 
     class Render(dr.CustomOp):  # type: ignore[misc]
         """A renderer as one node of Dr.Jit's AD graph."""
 
-        def eval(self, means: Any, scales: Any, rotations: Any, opacities: Any, sh: Any, job: _Job) -> Any:
-            """One image per camera, followed by its two depths if the job has side outputs."""
+        def eval(
+            self,
+            means: Any,
+            scales: Any,
+            rotations: Any,
+            opacities: Any,
+            sh: Any,
+            job: _Job,
+        ) -> Any:
+            """One image per camera, followed by its two depths if the job has side
+            outputs.
+            """
             tensors = (means, scales, rotations, opacities, sh)
             self.shapes = [t.shape for t in tensors]
-            # Here and not only in `rasterize`, so that memory that is not aligned is copied once and not once a camera.
+            # Here and not only in `rasterize`, so that memory that is not aligned is
+            # copied once and not once a camera.
             arrays = tuple(aligned(mi.Float(dr.detach(t.array))) for t in tensors)
             self.job = job
             self.pictures = make_pictures(arrays, job)
@@ -249,45 +322,79 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
             for camera, picture in zip(job.cameras, self.pictures, strict=True):
                 size = camera.width, camera.height
                 opacity = picture.opacity if job.alpha else None
-                results.append(develop(picture.colour, opacity, size, linear=job.settings.linear))
+                results.append(
+                    develop(picture.colour, opacity, size, linear=job.settings.linear)
+                )
                 if isinstance(picture, Picture):
-                    results += [mi.TensorXf(depth, size[::-1]) for depth in picture.depths[:2]]
+                    results += [
+                        mi.TensorXf(depth, size[::-1]) for depth in picture.depths[:2]
+                    ]
             return results
 
         def backward(self) -> None:
             totals: list[Any] | None = None
-            job, screen_gradients, count = self.job, self.job.screen_gradients, self.shapes[0][0]
+            job, screen_gradients, count = (
+                self.job,
+                self.job.screen_gradients,
+                self.shapes[0][0],
+            )
             outputs = self.grad_out()
             outputs_of_each = len(outputs) // len(self.pictures)
             if screen_gradients is not None:
                 screen_gradients._begin(count, variant.device_of(name))
-            for number, (camera, picture) in enumerate(zip(job.cameras, self.pictures, strict=True)):
-                grad_image, *grad_depths = outputs[number * outputs_of_each :][:outputs_of_each]
-                grad_picture = develop_backward(picture.colour, grad_image, alpha=job.alpha, linear=job.settings.linear)
-                grad_picture += tuple(mi.Float(dr.detach(grad.array)) for grad in grad_depths[:1])  # not the median's
-                screen = None if screen_gradients is None else buffer(3 * count, value=0.0)
+            for number, (camera, picture) in enumerate(
+                zip(job.cameras, self.pictures, strict=True)
+            ):
+                grad_image, *grad_depths = outputs[number * outputs_of_each :][
+                    :outputs_of_each
+                ]
+                grad_picture = develop_backward(
+                    picture.colour,
+                    grad_image,
+                    alpha=job.alpha,
+                    linear=job.settings.linear,
+                )
+                # not the median's
+                grad_picture += tuple(
+                    mi.Float(dr.detach(grad.array)) for grad in grad_depths[:1]
+                )
+                screen = (
+                    None if screen_gradients is None else buffer(3 * count, value=0.0)
+                )
                 if isinstance(picture, RayPicture):
                     gradients = raytrace_backward(picture, *grad_picture)
                 else:
-                    gradients = rasterize_backward(picture, *grad_picture, screen=screen)
+                    gradients = rasterize_backward(
+                        picture, *grad_picture, screen=screen
+                    )
                 if gradients is None:
                     continue
                 if screen_gradients is not None and screen is not None:
                     screen_gradients._add(screen.torch().reshape(-1, 3), camera)
-                totals = list(gradients) if totals is None else [a + b for a, b in zip(totals, gradients, strict=True)]
-            totals = totals or [dr.zeros(mi.Float, math.prod(shape)) for shape in self.shapes]
+                totals = (
+                    list(gradients)
+                    if totals is None
+                    else [a + b for a, b in zip(totals, gradients, strict=True)]
+                )
+            totals = totals or [
+                dr.zeros(mi.Float, math.prod(shape)) for shape in self.shapes
+            ]
             for key, shape, total in zip(ATTRIBUTES, self.shapes, totals, strict=True):
                 self.set_grad_in(key, mi.TensorXf(total, shape))
 
         def forward(self) -> None:
             do = "use backward(), or jvp by two of them"
-            raise InvalidValueError.of("Renderer", "reverse-mode differentiation", "forward mode", do)
+            raise InvalidValueError.of(
+                "Renderer", "reverse-mode differentiation", "forward mode", do
+            )
 
         def name(self) -> str:
             return "mi_splat.Render"
 
     @dr.wrap(source="torch", target="drjit")  # type: ignore[untyped-decorator]
-    def bridge(means: Any, scales: Any, rotations: Any, opacities: Any, sh: Any, job: _Job) -> Any:
+    def bridge(
+        means: Any, scales: Any, rotations: Any, opacities: Any, sh: Any, job: _Job
+    ) -> Any:
         return tuple(dr.custom(Render, means, scales, rotations, opacities, sh, job))
 
     return bridge  # type: ignore[no-any-return]

@@ -1,4 +1,6 @@
-"""Unit quaternions (w, x, y, z) and rotation matrices: pure torch functions, differentiable, any leading dimensions."""
+"""Unit quaternions (w, x, y, z) and rotation matrices: pure torch functions,
+differentiable, any leading dimensions.
+"""
 
 import math
 
@@ -9,14 +11,17 @@ from torch import Tensor
 from mi_splat.errors import InvalidValueError
 
 UNIT_SLACK = 1e-6
-"""A quaternion whose norm is this close to one keeps its bits, so that normalising twice changes nothing."""
+"""A quaternion whose norm is this close to one keeps its bits, so that normalising
+twice changes nothing.
+"""
 
 
 def normalise(quaternions: Tensor) -> Tensor:
     """Quaternions scaled to unit length.
 
-    The norm is taken in float64. A quaternion that is already a unit one (norm within 1e-6 of one) keeps its bits,
-    which makes the function idempotent; its gradient is that of the normalisation all the same.
+    The norm is taken in float64. A quaternion that is already a unit one (norm within
+    1e-6 of one) keeps its bits, which makes the function idempotent; its gradient is
+    that of the normalisation all the same.
     """
     wide = quaternions.double()
     factor: Tensor = torch.linalg.vector_norm(wide, dim=-1, keepdim=True).reciprocal()
@@ -61,11 +66,16 @@ def to_matrix(quaternions: Tensor) -> Tensor:
 def from_matrix(matrices: Tensor) -> Tensor:
     """Unit quaternions of rotation matrices, with w >= 0.
 
-    All four of the equivalent formulas are evaluated and the one with the largest divisor is taken (Shepperd 1978), so
-    that half turns lose no precision.
+    All four of the equivalent formulas are evaluated and the one with the largest
+    divisor is taken (Shepperd 1978), so that half turns lose no precision.
     """
     if matrices.shape[-2:] != (3, 3):
-        raise InvalidValueError.of("matrices", "shape (..., 3, 3)", tuple(matrices.shape), "pass rotation matrices")
+        raise InvalidValueError.of(
+            "matrices",
+            "shape (..., 3, 3)",
+            tuple(matrices.shape),
+            "pass rotation matrices",
+        )
     (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in matrices.unbind(-2))
     candidates = torch.stack(
         [
@@ -77,24 +87,36 @@ def from_matrix(matrices: Tensor) -> Tensor:
         dim=-2,
     )
     best = candidates.diagonal(dim1=-2, dim2=-1).argmax(-1)
-    chosen = candidates.gather(-2, best[..., None, None].expand(*best.shape, 1, 4)).squeeze(-2)
+    chosen = candidates.gather(
+        -2, best[..., None, None].expand(*best.shape, 1, 4)
+    ).squeeze(-2)
     chosen = normalise(chosen)
     return torch.where(chosen[..., :1] < 0, -chosen, chosen)
 
 
 def is_rotation(matrix: Tensor, tolerance: float = 1e-4) -> bool:
-    """Whether `matrix` (3, 3) is finite, orthonormal within `tolerance`, and no reflection."""
-    value = matrix.detach().cpu().double().numpy()  # whose small matrices take a fraction of torch's time
+    """Whether `matrix` (3, 3) is finite, orthonormal within `tolerance`, and no
+    reflection.
+    """
+    # whose small matrices take a fraction of torch's time
+    value = matrix.detach().cpu().double().numpy()
     if value.shape != (3, 3) or not np.isfinite(value).all():
         return False
-    return bool(np.abs(value @ value.T - np.eye(3)).max() <= tolerance and np.linalg.det(value) > 0)
+    return bool(
+        np.abs(value @ value.T - np.eye(3)).max() <= tolerance
+        and np.linalg.det(value) > 0
+    )
 
 
 def from_z(direction: Tensor) -> Tensor:
-    """(3, 3) float64, shortest rotation from z to a direction; about x where it is straight down (Rodrigues)."""
+    """(3, 3) float64, shortest rotation from z to a direction; about x where it is
+    straight down (Rodrigues).
+    """
     length = float(direction.norm())
     if not (math.isfinite(length) and length > 0):
-        raise InvalidValueError.of("up", "a direction", direction.tolist(), "for instance 0 0 1")
+        raise InvalidValueError.of(
+            "up", "a direction", direction.tolist(), "for instance 0 0 1"
+        )
     x, y, z = (direction.double() / length).tolist()
     if z < -1 + 1e-12:
         return torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))

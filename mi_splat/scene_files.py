@@ -1,4 +1,6 @@
-"""Scene files as values: an XML scene of splats or a bare splat file, and cameras for it."""
+"""Scene files as values: an XML scene of splats or a bare splat file, and cameras for
+it.
+"""
 
 import warnings
 from dataclasses import dataclass, replace
@@ -34,9 +36,11 @@ class SplatScene:
         scene: All its Gaussians, shape after shape in file order.
         objects: Rows of each `gaussians` shape, by its id.
         cameras: One per sensor, by its id.
-        settings: Those of its `splat_tile` or `splat_ray` integrator, or the defaults where it has another one. Where
-            the file states no near plane, it is that of `near_plane` for the scene and its cameras.
-        up: What is taken for up in a splat file, and why; None of a scene file, whose up is z.
+        settings: Those of its `splat_tile` or `splat_ray` integrator, or the defaults
+            where it has another one. Where the file states no near plane, it is that of
+            `near_plane` for the scene and its cameras.
+        up: What is taken for up in a splat file, and why; None of a scene file, whose
+            up is z.
     """
 
     scene: GaussianScene
@@ -47,7 +51,10 @@ class SplatScene:
 
     def __repr__(self) -> str:
         objects, cameras = (listed(names) for names in (self.objects, self.cameras))
-        return f"SplatScene({len(self.scene):,} Gaussians, objects: {objects}, cameras: {cameras})"
+        return (
+            f"SplatScene({len(self.scene):,} Gaussians, objects: {objects}, cameras:"
+            f" {cameras})"
+        )
 
 
 def read_scene(path: str | Path) -> SplatScene:
@@ -60,8 +67,8 @@ def read_scene(path: str | Path) -> SplatScene:
         The splat, its objects and cameras by name, and the settings of its renderer.
 
     Raises:
-        InvalidValueError: The file is missing, is not a Mitsuba scene, or holds no `gaussians` shape or no sensor, or
-            other shapes.
+        InvalidValueError: The file is missing, is not a Mitsuba scene, or holds no
+            `gaussians` shape or no sensor, or other shapes.
         SplatFileError: A splat that it names cannot be read.
     """
     variant.use()
@@ -69,12 +76,16 @@ def read_scene(path: str | Path) -> SplatScene:
 
 
 def load_mitsuba_scene(path: str | Path, **parameters: Any) -> Any:
-    """A Mitsuba scene from a file; `parameters` take the place of its default values."""
+    """A Mitsuba scene from a file; `parameters` take the place of its default
+    values.
+    """
     import mitsuba as mi
 
     path = named_path(path_name(path))
     if not path.is_file():
-        raise InvalidValueError.of("scene", "a Mitsuba XML file", f"no file {path}", "check the path")
+        raise InvalidValueError.of(
+            "scene", "a Mitsuba XML file", f"no file {path}", "check the path"
+        )
     SceneParts(path, parameters).check()
     try:
         # Not parallel: rare failures were seen with threads; their cause is not known.
@@ -82,11 +93,15 @@ def load_mitsuba_scene(path: str | Path, **parameters: Any) -> Any:
     except (RuntimeError, UnicodeDecodeError) as error:
         raise _reason(error, path) from None
     if not isinstance(loaded, mi.Scene):
-        raise InvalidValueError.of(str(path), "a <scene>", type(loaded).__name__, "wrap it in <scene>")
+        raise InvalidValueError.of(
+            str(path), "a <scene>", type(loaded).__name__, "wrap it in <scene>"
+        )
     return loaded
 
 
-def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfaces"] = "nothing") -> SplatScene:
+def values_of(
+    loaded: Any, path: str | Path, *, among: Literal["nothing", "surfaces"] = "nothing"
+) -> SplatScene:
     """The splats, cameras and settings of a Mitsuba scene as values."""
     from mi_splat.plugins import sensor as sensors
     from mi_splat.plugins.gaussian_shapes import GaussianShapes
@@ -94,7 +109,9 @@ def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfa
     shapes = GaussianShapes(loaded, among=among)
     if not shapes.arrays or not loaded.sensors():
         expected, do = "a gaussians shape and a sensor", "add it to the file"
-        raise InvalidValueError.of(str(path), expected, "a scene without one of them", do)
+        raise InvalidValueError.of(
+            str(path), expected, "a scene without one of them", do
+        )
     scenes = shapes.scenes()
     ends = torch.tensor([0] + [len(scene) for scene in scenes]).cumsum(0).tolist()
     scene = merge(*scenes)
@@ -103,12 +120,19 @@ def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfa
         try:
             cameras[sensor.id()] = sensors.camera(sensor)
         except InvalidValueError as error:
-            raise InvalidValueError(f'{path}, sensor "{sensor.id()}": {error}') from error
+            raise InvalidValueError(
+                f'{path}, sensor "{sensor.id()}": {error}'
+            ) from error
     return SplatScene(
         scene=scene,
-        objects={name: slice(start, end) for name, start, end in zip(shapes.names, ends[:-1], ends[1:], strict=True)},
+        objects={
+            name: slice(start, end)
+            for name, start, end in zip(shapes.names, ends[:-1], ends[1:], strict=True)
+        },
         cameras=cameras,
-        settings=_settings_of(loaded.integrator(), near_plane(scene, tuple(cameras.values())), path),
+        settings=_settings_of(
+            loaded.integrator(), near_plane(scene, tuple(cameras.values())), path
+        ),
     )
 
 
@@ -118,38 +142,70 @@ def _settings_of(integrator: Any, near: float, path: str | Path) -> RenderSettin
 
     settings = getattr(integrator, "settings", None)
     if isinstance(settings, IntegratorSettings):
-        return settings.values if "near" in settings.given else replace(settings.values, near=near)
+        return (
+            settings.values
+            if "near" in settings.given
+            else replace(settings.values, near=near)
+        )
     if type(integrator).__name__ != "BasicVolumetricPrimitiveRadianceFieldIntegrator":
         got = f"{integrator.class_name()}, which shows splats as grey lumps in Mitsuba"
-        do = 'they are drawn with splat_tile here: write <integrator type="splat_tile"/>'
+        do = (
+            'they are drawn with splat_tile here: write <integrator type="splat_tile"/>'
+        )
         text = message(str(path), "the integrator splat_tile or splat_ray", got, do)
         warnings.warn(text, SplatFileWarning, stacklevel=4)
     return RenderSettings(near=near)
 
 
 def _reason(error: RuntimeError | UnicodeDecodeError, path: Path) -> MiSplatError:
-    """Mitsuba wraps what a plugin raises in text; give back the last line of it, which is ours if we raised it."""
+    """Mitsuba wraps what a plugin raises in text; give back the last line of it, which
+    is ours if we raised it.
+    """
     text = str(error)
-    if isinstance(error, UnicodeDecodeError):  # Mitsuba quotes bytes of a file that are no text
+    # Mitsuba quotes bytes of a file that are no text
+    if isinstance(error, UnicodeDecodeError):
         text = error.object.decode("utf-8", "replace")
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    ours = [line for line in lines if line.startswith(("SplatFileError:", "InvalidValueError:"))]
+    ours = [
+        line
+        for line in lines
+        if line.startswith(("SplatFileError:", "InvalidValueError:"))
+    ]
     if ours:
         return SplatFileError(ours[-1].split(": ", 1)[1])
-    return InvalidValueError.of(str(path), "a Mitsuba scene", lines[-1] if lines else "an error", "mend the file")
+    return InvalidValueError.of(
+        str(path),
+        "a Mitsuba scene",
+        lines[-1] if lines else "an error",
+        "mend the file",
+    )
 
 
-def open_scene(path: Path, device: str = "cpu", *, stored: Loaded | None = None) -> SplatScene:
-    """The scene in `path`, to be rendered as detectors and PNG files want it: three channels, sRGB."""
+def open_scene(
+    path: Path, device: str = "cpu", *, stored: Loaded | None = None
+) -> SplatScene:
+    """The scene in `path`, to be rendered as detectors and PNG files want it: three
+    channels, sRGB.
+    """
     if path.suffix.lower() == ".xml":
         loaded = read_scene(path)
-        loaded = replace(loaded, settings=replace(loaded.settings, alpha=False, linear=False))
+        loaded = replace(
+            loaded, settings=replace(loaded.settings, alpha=False, linear=False)
+        )
     else:
         stored = (stored or load_stored(path)).settle(str(path), "raise", stacklevel=2)
         scene = stored.scene
-        settings = RenderSettings(near=near_plane(scene), antialiased=stored.is_antialiased)
+        settings = RenderSettings(
+            near=near_plane(scene), antialiased=stored.is_antialiased
+        )
         objects = {path.stem: slice(0, len(scene))}
-        loaded = SplatScene(scene=scene, objects=objects, cameras={}, settings=settings, up=up_axis(path, stored))
+        loaded = SplatScene(
+            scene=scene,
+            objects=objects,
+            cameras={},
+            settings=settings,
+            up=up_axis(path, stored),
+        )
     if device == "cpu":
         return loaded
     variant.check_device(device)
@@ -158,28 +214,47 @@ def open_scene(path: Path, device: str = "cpu", *, stored: Loaded | None = None)
 
 
 def resized(camera: Camera, size: tuple[int, int]) -> Camera:
-    """The same camera with another picture size; what it saw from left to right, it still sees."""
+    """The same camera with another picture size; what it saw from left to right, it
+    still sees.
+    """
     if size == (camera.width, camera.height):
         return camera
     width, height = size
     factor = width / camera.width
-    x, y = (camera.cx - camera.width / 2) * factor, (camera.cy - camera.height / 2) * factor
-    focal, principal = (camera.fx * factor, camera.fy * factor), (width / 2 + x, height / 2 + y)
+    x, y = (
+        (camera.cx - camera.width / 2) * factor,
+        (camera.cy - camera.height / 2) * factor,
+    )
+    focal, principal = (
+        (camera.fx * factor, camera.fy * factor),
+        (width / 2 + x, height / 2 + y),
+    )
     return replace(camera, focal=focal, width=width, height=height, principal=principal)
 
 
 def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Path]:
-    """Write a changed scene with the parts, cameras and settings that it was read with."""
+    """Write a changed scene with the parts, cameras and settings that it was read
+    with.
+    """
     if len(scene) != len(loaded.scene):
         do = "pass the scene whose parts these are"
-        raise InvalidValueError.of("scene", f"{len(loaded.scene):,} Gaussians", f"{len(scene):,}", do)
+        raise InvalidValueError.of(
+            "scene", f"{len(loaded.scene):,} Gaussians", f"{len(scene):,}", do
+        )
     from mi_splat.plugins.sensor import mitsuba_pose, sensor_dict
 
     variant.use()
     root = ElementTree.Element("scene", version="3.0.0")
     settings = loaded.settings
-    names = ["near", "background"] if settings.method == "tile" else ["background", "colour_to_mean", "linear"]
-    given = {name: getattr(settings, name) for name in [*names, *(["antialiased"] if settings.antialiased else [])]}
+    names = (
+        ["near", "background"]
+        if settings.method == "tile"
+        else ["background", "colour_to_mean", "linear"]
+    )
+    given = {
+        name: getattr(settings, name)
+        for name in [*names, *(["antialiased"] if settings.antialiased else [])]
+    }
     _element(root, "integrator", {"type": f"splat_{settings.method}", **given})
     files: list[Path] = []
     for name, rows in loaded.objects.items():
@@ -191,25 +266,40 @@ def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Pa
         ElementTree.SubElement(shape, "string", name="filename", value=file.name)
         files.append(file)
     for name, camera in loaded.cameras.items():
-        sensor = {**sensor_dict(camera, f"camera {name}"), "to_world": mitsuba_pose(camera)}
+        sensor = {
+            **sensor_dict(camera, f"camera {name}"),
+            "to_world": mitsuba_pose(camera),
+        }
         _element(root, "sensor", sensor, id=name)
     ElementTree.indent(root, "    ")
     save_text(ElementTree.tostring(root, encoding="unicode") + "\n", path)
     return [*files, path]
 
 
-def _element(parent: ElementTree.Element, tag: str, values: dict[str, Any], **attributes: str) -> None:
+def _element(
+    parent: ElementTree.Element, tag: str, values: dict[str, Any], **attributes: str
+) -> None:
     """What `mi.load_dict` takes, as XML; matrices of NumPy are transforms."""
     node = ElementTree.SubElement(parent, tag, {"type": values["type"], **attributes})
-    kinds = {bool: "boolean", int: "integer", float: "float", str: "string", tuple: "rgb"}
+    kinds = {
+        bool: "boolean",
+        int: "integer",
+        float: "float",
+        str: "string",
+        tuple: "rgb",
+    }
     for name, value in values.items():
         if isinstance(value, dict):
             _element(node, name, value)
         elif isinstance(value, np.ndarray):
             transform = ElementTree.SubElement(node, "transform", name=name)
-            ElementTree.SubElement(transform, "matrix", value=" ".join(map(repr, value.ravel().tolist())))
+            ElementTree.SubElement(
+                transform, "matrix", value=" ".join(map(repr, value.ravel().tolist()))
+            )
         elif name != "type":
-            text = ", ".join(map(repr, value)) if isinstance(value, tuple) else str(value)
+            text = (
+                ", ".join(map(repr, value)) if isinstance(value, tuple) else str(value)
+            )
             text = text.lower() if isinstance(value, bool) else text
             ElementTree.SubElement(node, kinds[type(value)], name=name, value=text)
 
@@ -222,30 +312,47 @@ SAMPLES = 64
 
 
 def holds_surfaces(path: Path) -> bool:
-    """Whether a scene file names shapes that are no splats; False where it cannot be read."""
+    """Whether a scene file names shapes that are no splats; False where it cannot be
+    read.
+    """
     try:
         elements = SceneParts(path).elements
     except InvalidValueError:
         return False
-    return any(element.get("type") not in SPLATS for element in elements if element.tag == "shape")
+    return any(
+        element.get("type") not in SPLATS
+        for element in elements
+        if element.tag == "shape"
+    )
 
 
 class MixedScene:
-    """A Mitsuba scene of splats among surfaces, with the integrator `splat_ray`; its pictures have no gradient.
+    """A Mitsuba scene of splats among surfaces, with the integrator `splat_ray`; its
+    pictures have no gradient.
 
     `parameters` take the place of the file's default values, for instance `sun_z=0.25`.
     """
 
     def __init__(
-        self, path: Path, *, samples: int = SAMPLES, seed: int = 0, linear: bool = False, **parameters: Any
+        self,
+        path: Path,
+        *,
+        samples: int = SAMPLES,
+        seed: int = 0,
+        linear: bool = False,
+        **parameters: Any,
     ) -> None:
         if samples < 1:
-            raise InvalidValueError.of("samples", "at least 1", samples, "64 are little noise")
+            raise InvalidValueError.of(
+                "samples", "at least 1", samples, "64 are little noise"
+            )
         variant.use()
         self._loaded = load_mitsuba_scene(path, **parameters)
         if type(self._loaded.integrator()).__name__ != "SplatRay":
             do = 'write <integrator type="splat_ray"/>'
-            raise InvalidValueError.of(str(path), "the integrator splat_ray", "another one", do)
+            raise InvalidValueError.of(
+                str(path), "the integrator splat_ray", "another one", do
+            )
         self.splats: SplatScene = values_of(self._loaded, path, among="surfaces")
         self.samples, self.seed, self.linear = samples, seed, linear
 
@@ -257,23 +364,39 @@ class MixedScene:
         from mi_splat.rasterization.colour import srgb_value
 
         self._put(scene)
-        film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "pixel_format": "rgb"}
+        film = {
+            "type": "hdrfilm",
+            "width": camera.width,
+            "height": camera.height,
+            "pixel_format": "rgb",
+        }
         sensor = mi.load_dict({**sensor_dict(camera), "film": film})
-        picture = self._loaded.integrator().render(self._loaded, sensor, seed=self.seed, spp=self.samples)
+        picture = self._loaded.integrator().render(
+            self._loaded, sensor, seed=self.seed, spp=self.samples
+        )
         flat = picture.array if self.linear else srgb_value(picture.array)
-        values = torch.from_numpy(flat.numpy().copy()).reshape(camera.height, camera.width, 3)
+        values = torch.from_numpy(flat.numpy().copy()).reshape(
+            camera.height, camera.width, 3
+        )
         return values if self.linear else values.clamp(0.0, 1.0)
 
     def depths(self, camera: Camera) -> Tensor:
-        """(H, W) depth of the nearest surface at the centre of each pixel, world units; infinite if none."""
+        """(H, W) depth of the nearest surface at the centre of each pixel, world units;
+        infinite if none.
+        """
         import mitsuba as mi
 
         from mi_splat.oracle import pixel_rays
 
         surfaces = self._loaded.integrator()._mixed(self._loaded).surfaces
         origin, directions, lengths = pixel_rays(camera)
-        ray = mi.Ray3f(mi.Point3f(*map(float, origin)), mi.Vector3f(*directions.T.astype("float32")))
-        distances = torch.from_numpy(surfaces.ray_intersect_preliminary(ray).t.numpy() / lengths)
+        ray = mi.Ray3f(
+            mi.Point3f(*map(float, origin)),
+            mi.Vector3f(*directions.T.astype("float32")),
+        )
+        distances = torch.from_numpy(
+            surfaces.ray_intersect_preliminary(ray).t.numpy() / lengths
+        )
         return distances.reshape(camera.height, camera.width)
 
     def _put(self, scene: GaussianScene) -> None:
@@ -284,10 +407,15 @@ class MixedScene:
 
         check_scene("scene", scene)
         if len(scene) != len(self.splats.scene):
-            expected, do = f"{len(self.splats.scene):,} Gaussians", "take a changed copy of the file's own"
+            expected, do = (
+                f"{len(self.splats.scene):,} Gaussians",
+                "take a changed copy of the file's own",
+            )
             raise InvalidValueError.of("scene", expected, f"{len(scene):,}", do)
         params = mi.traverse(self._loaded)
         for name, rows in self.splats.objects.items():
-            for key, value in ellipsoid_arrays(scene.select(torch.arange(len(scene))[rows])).items():
+            for key, value in ellipsoid_arrays(
+                scene.select(torch.arange(len(scene))[rows])
+            ).items():
                 params[f"{name}.{key}"] = mi.Float(value.array)
         params.update()

@@ -1,8 +1,9 @@
-"""Real spherical harmonics of degree 0 to 3 in the order and signs of 3D Gaussian Splatting (Kerbl et al. 2023).
+"""Real spherical harmonics of degree 0 to 3 in the order and signs of 3D Gaussian
+Splatting (Kerbl et al. 2023).
 
-The basis is the real one with the Condon-Shortley phase, each band ordered m = -l .. l. Against complex harmonics Y:
-m > 0 is sqrt(2) Re Y_l^m, m = 0 is Y_l^0, m < 0 is sqrt(2) Im Y_l^|m| (Sloan 2008, appendix A2).
-A colour is max(0, 0.5 + sum_k sh_k basis_k).
+The basis is the real one with the Condon-Shortley phase, each band ordered m = -l .. l.
+Against complex harmonics Y: m > 0 is sqrt(2) Re Y_l^m, m = 0 is Y_l^0, m < 0 is sqrt(2)
+Im Y_l^|m| (Sloan 2008, appendix A2). A colour is max(0, 0.5 + sum_k sh_k basis_k).
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ _C3_ZZZ = 0.25 * math.sqrt(7 / math.pi)
 def coefficient_count(degree: int) -> int:
     """Number of coefficients K = (degree + 1)^2 of one colour channel."""
     if degree not in range(MAX_DEGREE + 1):
-        raise InvalidValueError.of("degree", "0, 1, 2 or 3", degree, "use a supported SH degree")
+        raise InvalidValueError.of(
+            "degree", "0, 1, 2 or 3", degree, "use a supported SH degree"
+        )
     return (degree + 1) ** 2
 
 
@@ -46,12 +49,16 @@ def degree_of(count: int) -> int:
     """SH degree that has `count` coefficients a channel."""
     degree = math.isqrt(count) - 1 if count > 0 else -1
     if degree not in range(MAX_DEGREE + 1) or (degree + 1) ** 2 != count:
-        raise InvalidValueError.of("sh", "1, 4, 9 or 16 coefficients", count, "pass SH of degree 0 to 3")
+        raise InvalidValueError.of(
+            "sh", "1, 4, 9 or 16 coefficients", count, "pass SH of degree 0 to 3"
+        )
     return degree
 
 
 def band(directions: tuple[_Values, _Values, _Values], degree: int) -> list[_Values]:
-    """The 2 * degree + 1 basis functions of one band at unit vectors x, y, z, which are tensors or arrays."""
+    """The 2 * degree + 1 basis functions of one band at unit vectors x, y, z, which are
+    tensors or arrays.
+    """
     x: Any
     y: Any
     z: Any
@@ -63,7 +70,13 @@ def band(directions: tuple[_Values, _Values, _Values], degree: int) -> list[_Val
         return [-_C1 * y, _C1 * z, -_C1 * x]
     if degree == 2:
         zonal = _C2_ZZ * (2 * zz - xx - yy)
-        return [_C2_XY * x * y, -_C2_XY * y * z, zonal, -_C2_XY * x * z, 0.5 * _C2_XY * (xx - yy)]
+        return [
+            _C2_XY * x * y,
+            -_C2_XY * y * z,
+            zonal,
+            -_C2_XY * x * z,
+            0.5 * _C2_XY * (xx - yy),
+        ]
     return [
         -_C3_XXX * y * (3 * xx - yy),
         _C3_XYZ * x * y * z,
@@ -80,11 +93,16 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
     coefficient_count(degree)
     if directions.ndim == 0 or directions.shape[-1] != 3:
         do = "pass unit vectors in the last dimension"
-        raise InvalidValueError.of("directions", "shape (..., 3)", tuple(directions.shape), do)
+        raise InvalidValueError.of(
+            "directions", "shape (..., 3)", tuple(directions.shape), do
+        )
     import torch  # not for those who only count coefficients
 
     x, y, z = directions.unbind(-1)
-    return torch.stack([value for number in range(degree + 1) for value in band((x, y, z), number)], dim=-1)
+    return torch.stack(
+        [value for number in range(degree + 1) for value in band((x, y, z), number)],
+        dim=-1,
+    )
 
 
 def sh_to_colour(sh: Tensor, directions: Tensor) -> Tensor:
@@ -94,23 +112,34 @@ def sh_to_colour(sh: Tensor, directions: Tensor) -> Tensor:
 
 
 def colour_to_dc(colour: _Values) -> _Values:
-    """(..., 3) first SH coefficient of a Gaussian that has the sRGB `colour` (..., 3) from everywhere."""
+    """(..., 3) first SH coefficient of a Gaussian that has the sRGB `colour` (..., 3)
+    from everywhere.
+    """
     result: _Values = (colour - 0.5) / _C0
     return result
 
 
 def dc_to_colour(dc: _Values) -> _Values:
-    """(..., 3) sRGB colour of the first SH coefficient `dc` (..., 3), the inverse of `colour_to_dc`; not clamped."""
+    """(..., 3) sRGB colour of the first SH coefficient `dc` (..., 3), the inverse of
+    `colour_to_dc`; not clamped.
+    """
     result: _Values = dc * _C0 + 0.5
     return result
 
 
 def colours_by_direction(
-    sh: NDArray[np.floating[Any]], directions: NDArray[np.float64], *, rows: int = 1 << 14
+    sh: NDArray[np.floating[Any]],
+    directions: NDArray[np.float64],
+    *,
+    rows: int = 1 << 14,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean colour of all Gaussians in each direction, and the largest; an honest splat has nearly the same in all."""
+    """Mean colour of all Gaussians in each direction, and the largest; an honest splat
+    has nearly the same in all.
+    """
     degree, (x, y, z) = degree_of(sh.shape[-2]), directions.T
-    values = [value for number in range(degree + 1) for value in band((x, y, z), number)]
+    values = [
+        value for number in range(degree + 1) for value in band((x, y, z), number)
+    ]
     basis = np.stack(values, axis=1).astype(sh.dtype)
     means, most = np.zeros(len(directions)), np.zeros(len(directions))
     for first in range(0, len(sh), rows):
@@ -122,7 +151,9 @@ def colours_by_direction(
 
 
 def even_directions(count: int = 64) -> NDArray[np.float64]:
-    """(count, 3) directions spread evenly over the sphere (Fibonacci lattice, Swinbank and Purser 2006)."""
+    """(count, 3) directions spread evenly over the sphere (Fibonacci lattice, Swinbank
+    and Purser 2006).
+    """
     index = np.arange(count) + 0.5
     z = 1 - 2 * index / count
     angle = index * math.pi * (3 - math.sqrt(5))
@@ -133,8 +164,9 @@ def even_directions(count: int = 64) -> NDArray[np.float64]:
 def sh_rotation(rotation: Tensor, degree: int) -> Tensor:
     """Matrix that rotates SH coefficients: the field turned by R has coefficients D c.
 
-    Each band is closed under rotation, so the least-squares fit of the basis at R^T d to the basis at d, over
-    well-spread directions d, is exact; no recursion for the Wigner matrices is needed.
+    Each band is closed under rotation, so the least-squares fit of the basis at R^T d
+    to the basis at d, over well-spread directions d, is exact; no recursion for the
+    Wigner matrices is needed.
     """
     import torch
 
@@ -145,12 +177,16 @@ def sh_rotation(rotation: Tensor, degree: int) -> Tensor:
     result = torch.zeros(before.shape[1], before.shape[1], dtype=torch.float64)
     for number in range(degree + 1):
         rows = slice(number**2, (number + 1) ** 2)
-        result[rows, rows] = torch.linalg.lstsq(before[:, rows], after[:, rows]).solution
+        result[rows, rows] = torch.linalg.lstsq(
+            before[:, rows], after[:, rows]
+        ).solution
     return result
 
 
 def rotate_sh(sh: Tensor, rotation: Tensor) -> Tensor:
-    """Coefficients of the same colours after the Gaussians have turned by a rotation."""
+    """Coefficients of the same colours after the Gaussians have turned by a
+    rotation.
+    """
     import torch
 
     degree = degree_of(sh.shape[-2])

@@ -8,7 +8,9 @@ DEFAULT_VARIANT = "llvm_ad_rgb"
 
 
 class VariantError(MiSplatError):
-    """No Mitsuba variant of this machine can render splats; the message says what to install."""
+    """No Mitsuba variant of this machine can render splats; the message says what to
+    install.
+    """
 
 
 def use(variant: str = "") -> str:
@@ -19,12 +21,19 @@ def use(variant: str = "") -> str:
         current = mi.variant()
         variant = current if current in SUPPORTED_VARIANTS else DEFAULT_VARIANT
     if variant not in SUPPORTED_VARIANTS or variant not in mi.variants():
-        raise VariantError.of("variant", f"one of {SUPPORTED_VARIANTS}", repr(variant), "choose a *_ad_rgb variant")
+        raise VariantError.of(
+            "variant",
+            f"one of {SUPPORTED_VARIANTS}",
+            repr(variant),
+            "choose a *_ad_rgb variant",
+        )
     if variant.startswith("llvm"):
         prepare_llvm()
     elif not has_cuda():
         do = f"use {DEFAULT_VARIANT}, or install the GPU's driver"
-        raise VariantError.of(f"variant {variant}", "an NVIDIA GPU that Dr.Jit can use", "none", do)
+        raise VariantError.of(
+            f"variant {variant}", "an NVIDIA GPU that Dr.Jit can use", "none", do
+        )
     set_up_mitsuba()
     if mi.variant() != variant:
         mi.set_variant(variant)
@@ -41,7 +50,12 @@ def check_device(device: str) -> None:
     import torch
 
     if device == "cuda" and not (has_cuda() and torch.cuda.is_available()):
-        raise VariantError.of("--device cuda", "an NVIDIA GPU that Dr.Jit and torch can use", "none", "leave it out")
+        raise VariantError.of(
+            "--device cuda",
+            "an NVIDIA GPU that Dr.Jit and torch can use",
+            "none",
+            "leave it out",
+        )
 
 
 def has_cuda() -> bool:

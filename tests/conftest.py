@@ -15,13 +15,15 @@ from tests.browser import CHROMIUM, SWITCHES, patient
 from tests.rewriting import rewrite_once
 from tests.warm import Warm
 
-# Dr.Jit and torch each bring a pool of threads, and with several test processes on few cores they fight.
+# Dr.Jit and torch each bring a pool of threads, and with several test processes on few
+# cores they fight.
 torch.set_num_threads(1)
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes that tests start
 
 rewrite_once()
 
-# Until all tests are there nothing is garbage, and to look for it in a million objects takes half of that time.
+# Until all tests are there nothing is garbage, and to look for it in a million objects
+# takes half of that time.
 gc.disable()
 
 hypothesis.settings.register_profile(
@@ -35,7 +37,9 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("mi-splat")
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> None:
     """Leave out what runs by night, unless it is asked for by its mark."""
     if "nightly" not in config.option.markexpr:
         nightly = [item for item in items if item.get_closest_marker("nightly")]
@@ -44,14 +48,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish() -> None:
-    """Garbage is looked for in what tests make, and not in all that they have imported."""
+    """Garbage is looked for in what tests make, and not in all that they have
+    imported.
+    """
     gc.freeze()
     gc.enable()
 
 
 @pytest.fixture(scope="session")
 def variant() -> str:
-    """The Mitsuba variant that can render splats, current for the rest of the session."""
+    """The Mitsuba variant that can render splats, current for the rest of the
+    session.
+    """
     from mi_splat.variant import use
 
     return use()
@@ -71,14 +79,19 @@ def chromium() -> Iterator[Any]:
     api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
     with api.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=SWITCHES)
-        browser.new_page, browser.new_context = patient(browser.new_page), patient(browser.new_context)
+        browser.new_page, browser.new_context = (
+            patient(browser.new_page),
+            patient(browser.new_context),
+        )
         yield browser
         browser.close()
 
 
 @pytest.fixture
 def scalar() -> Iterator[None]:
-    """Mitsuba's scalar variant for a whole test of few pictures, which compiles nothing."""
+    """Mitsuba's scalar variant for a whole test of few pictures, which compiles
+    nothing.
+    """
     from mi_splat.capture.path_tracer import FEW_PICTURES, tracing_variant
 
     with tracing_variant(FEW_PICTURES):
@@ -103,12 +116,16 @@ def frozen(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
 
 @pytest.fixture(autouse=True)
 def _seeded() -> None:
-    """A test that forgets to seed torch is reproducible nevertheless, and one that changed threads changed its own."""
+    """A test that forgets to seed torch is reproducible nevertheless, and one that
+    changed threads changed its own.
+    """
     torch.manual_seed(0)
     torch.set_num_threads(1)
 
 
 @pytest.fixture(autouse=True)
 def _no_lines_of_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a busy machine any command may take so long that it says how far it is; tests look at what else it says."""
+    """On a busy machine any command may take so long that it says how far it is; tests
+    look at what else it says.
+    """
     monkeypatch.setattr(console, "LINE_SECONDS", float("inf"))

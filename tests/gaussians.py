@@ -15,7 +15,9 @@ from mi_splat.scene import GaussianScene
 REST = {0: 0, 1: 9, 2: 24, 3: 45}
 
 
-def random_scene(count: int, degree: int = 3, *, seed: int = 0, dtype: torch.dtype = torch.float32) -> GaussianScene:
+def random_scene(
+    count: int, degree: int = 3, *, seed: int = 0, dtype: torch.dtype = torch.float32
+) -> GaussianScene:
     """A scene of ordinary values."""
     generator = torch.Generator().manual_seed(seed)
 
@@ -31,7 +33,9 @@ def random_scene(count: int, degree: int = 3, *, seed: int = 0, dtype: torch.dty
     )
 
 
-def varied_scene(count: int, *, degree: int, seed: int, dtype: torch.dtype = torch.float32) -> GaussianScene:
+def varied_scene(
+    count: int, *, degree: int, seed: int, dtype: torch.dtype = torch.float32
+) -> GaussianScene:
     """Needles, discs, huge and tiny Gaussians on a sphere."""
     splat = random_splat(count, degree=degree, seed=seed)
     return GaussianScene(*(torch.from_numpy(values).to(dtype) for values in splat))
@@ -39,12 +43,32 @@ def varied_scene(count: int, *, degree: int, seed: int, dtype: torch.dtype = tor
 
 def splat_names(degree: int, *, normals: bool = True) -> list[str]:
     """The properties of a 3DGS file, written out apart from the code under test."""
-    names = ["x", "y", "z", *(["nx", "ny", "nz"] if normals else []), "f_dc_0", "f_dc_1", "f_dc_2"]
+    names = [
+        "x",
+        "y",
+        "z",
+        *(["nx", "ny", "nz"] if normals else []),
+        "f_dc_0",
+        "f_dc_1",
+        "f_dc_2",
+    ]
     names += [f"f_rest_{i}" for i in range(REST[degree])]
-    return [*names, "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    return [
+        *names,
+        "opacity",
+        "scale_0",
+        "scale_1",
+        "scale_2",
+        "rot_0",
+        "rot_1",
+        "rot_2",
+        "rot_3",
+    ]
 
 
-def splat_rows(count: int, degree: int = 0, *, seed: int = 0, names: Sequence[str] | None = None) -> NDArray[np.void]:
+def splat_rows(
+    count: int, degree: int = 0, *, seed: int = 0, names: Sequence[str] | None = None
+) -> NDArray[np.void]:
     """Structured float32 rows as a file holds them, with random values."""
     names = splat_names(degree) if names is None else names
     values = np.random.default_rng(seed).normal(size=(count, len(names))).astype("<f4")
@@ -54,10 +78,22 @@ def splat_rows(count: int, degree: int = 0, *, seed: int = 0, names: Sequence[st
 PLY_KINDS = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int", "i2": "short"}
 
 
-def ply_header(rows: NDArray[np.void], encoding: str = "binary_little_endian", *, count: int | None = None) -> bytes:
+def ply_header(
+    rows: NDArray[np.void],
+    encoding: str = "binary_little_endian",
+    *,
+    count: int | None = None,
+) -> bytes:
     """The header for structured rows, with any count."""
-    lines = ["ply", f"format {encoding} 1.0", f"element vertex {len(rows) if count is None else count}"]
-    lines += [f"property {PLY_KINDS[rows.dtype[name].str[1:]]} {name}" for name in rows.dtype.names or ()]
+    lines = [
+        "ply",
+        f"format {encoding} 1.0",
+        f"element vertex {len(rows) if count is None else count}",
+    ]
+    lines += [
+        f"property {PLY_KINDS[rows.dtype[name].str[1:]]} {name}"
+        for name in rows.dtype.names or ()
+    ]
     return ("\n".join([*lines, "end_header"]) + "\n").encode()
 
 

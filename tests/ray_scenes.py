@@ -1,4 +1,6 @@
-"""Small scenes for `splat_ray` in which a pixel is one ray, so that its value can be written down."""
+"""Small scenes for `splat_ray` in which a pixel is one ray, so that its value can be
+written down.
+"""
 
 from typing import Any
 
@@ -20,7 +22,11 @@ GREEN = (0.25, 0.5, 0.125)
 
 
 def gaussian(
-    mean: tuple[float, float, float], *, scale: float = 0.5, opacity: float = 0.6, colour: Any = GREEN
+    mean: tuple[float, float, float],
+    *,
+    scale: float = 0.5,
+    opacity: float = 0.6,
+    colour: Any = GREEN,
 ) -> GaussianScene:
     """One round Gaussian."""
     return GaussianScene(
@@ -38,18 +44,35 @@ def linear(value: Any) -> Any:
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
-def looking(*, origin: Any = (0, 0, -5), target: Any = (0, 0, 0), size: int = 1) -> dict[str, Any]:
+def looking(
+    *, origin: Any = (0, 0, -5), target: Any = (0, 0, 0), size: int = 1
+) -> dict[str, Any]:
     """A sensor with a narrow field, so that one pixel is one ray."""
-    film = {"type": "hdrfilm", "width": size, "height": size, "pixel_format": "rgb", "rfilter": {"type": "box"}}
+    film = {
+        "type": "hdrfilm",
+        "width": size,
+        "height": size,
+        "pixel_format": "rgb",
+        "rfilter": {"type": "box"},
+    }
     up = [0, 1, 0]
     pose = T().look_at(origin=list(origin), target=list(target), up=up)
-    return {"type": "perspective", "fov": 1e-3 if size == 1 else 40.0, "to_world": pose, "film": film}
+    return {
+        "type": "perspective",
+        "fov": 1e-3 if size == 1 else 40.0,
+        "to_world": pose,
+        "film": film,
+    }
 
 
-def scene_of(*splats: GaussianScene, integrator: dict[str, Any] | None = None, **parts: Any) -> Any:
+def scene_of(
+    *splats: GaussianScene, integrator: dict[str, Any] | None = None, **parts: Any
+) -> Any:
     shapes = {f"splat{n}": shape_dict(splat) for n, splat in enumerate(splats)}
     main = {"type": "splat_ray", **(integrator or {})}
-    return mi.load_dict({"type": "scene", "integrator": main, "sensor": looking(), **shapes, **parts})
+    return mi.load_dict(
+        {"type": "scene", "integrator": main, "sensor": looking(), **shapes, **parts}
+    )
 
 
 def pixel(loaded: Any, spp: int = 16) -> Any:

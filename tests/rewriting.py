@@ -1,4 +1,6 @@
-"""Integrators of Mitsuba are rewritten once in a process, and not at each change of the variant."""
+"""Integrators of Mitsuba are rewritten once in a process, and not at each change of the
+variant.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,9 +9,11 @@ import drjit
 
 
 def rewrite_once() -> None:
-    """At each change to an LLVM variant Mitsuba loads its integrators again, and Dr.Jit rewrites them, for 0.1 s.
+    """At each change to an LLVM variant Mitsuba loads its integrators again, and Dr.Jit
+    rewrites them, for 0.1 s.
 
-    A module that is loaded again keeps its names, so what was rewritten at first does as well.
+    A module that is loaded again keeps its names, so what was rewritten at first does
+    as well.
     """
     rewrite = drjit.syntax
     done: dict[tuple[str, str], Callable[..., Any]] = {}

@@ -1,7 +1,9 @@
-"""Processes that have torch imported already: a test starts a program without waiting for that.
+"""Processes that have torch imported already: a test starts a program without waiting
+for that.
 
-One process imports torch and torchvision, which takes seconds of every program here, and nothing else that is not in
-the standard library. For each program it forks: what the program imports, writes or breaks stays in its own process.
+One process imports torch and torchvision, which takes seconds of every program here,
+and nothing else that is not in the standard library. For each program it forks: what
+the program imports, writes or breaks stays in its own process.
 """
 
 import atexit
@@ -49,26 +51,43 @@ class Warm:
             cwd: Its working folder.
             missing: Modules that it does not find.
             check: Whether another status than 0 is an error.
-            kill: After how many seconds it gets which signal, unless it has ended; None for no signal.
-            mark: A variable of its environment, and of that of all that it starts, with its value.
+            kill: After how many seconds it gets which signal, unless it has ended; None
+                for no signal.
+            mark: A variable of its environment, and of that of all that it starts, with
+                its value.
         """
         if self._server is None:
             command = [sys.executable, "-m", "tests.warm"]
             root = Path(__file__).resolve().parents[1]
-            self._server = subprocess.Popen(command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+            self._server = subprocess.Popen(
+                command,
+                cwd=root,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+            )
         server = self._server
         assert server.stdin is not None
         assert server.stdout is not None
         with TemporaryDirectory() as folder:
-            request: dict[str, Any] = {"words": words, "cwd": str(cwd), "missing": list(missing), "folder": folder}
+            request: dict[str, Any] = {
+                "words": words,
+                "cwd": str(cwd),
+                "missing": list(missing),
+                "folder": folder,
+            }
             request |= {"kill": kill, "mark": mark}
             server.stdin.write(json.dumps(request) + "\n")
             server.stdin.flush()
             status = int(server.stdout.readline())
-            output, told = (Path(folder, name).read_text() for name in ("stdout", "stderr"))
+            output, told = (
+                Path(folder, name).read_text() for name in ("stdout", "stderr")
+            )
         if not FORKS:
             self.close()
-        done = subprocess.CompletedProcess([sys.executable, *words], status, output, told)
+        done = subprocess.CompletedProcess(
+            [sys.executable, *words], status, output, told
+        )
         if check:
             done.check_returncode()
         return done
@@ -95,7 +114,11 @@ def serve() -> None:
         import torchvision  # noqa: F401
 
         torch.set_num_threads(1)
-        ours = [name for name in sys.modules if name.split(".")[0] in ("attacks", "mi_splat")]
+        ours = [
+            name
+            for name in sys.modules
+            if name.split(".")[0] in ("attacks", "mi_splat")
+        ]
         for module in (*modules, *ours):
             del sys.modules[module]
         assert threading.active_count() == 1
@@ -117,15 +140,21 @@ def _ended(child: int, kill: tuple[float, int] | None) -> int:
         seconds, number = kill
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            if os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+            if (
+                os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+                is not None
+            ):
                 break
             time.sleep(0.002)
-        os.kill(child, number)  # it is not waited for yet, so that its number is still its own
+        # it is not waited for yet, so that its number is still its own
+        os.kill(child, number)
     return os.waitpid(child, 0)[1]
 
 
 def _end(status: int) -> NoReturn:
-    """End this process as Python does, but do not take torch apart before, which takes a second."""
+    """End this process as Python does, but do not take torch apart before, which takes
+    a second.
+    """
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(BrokenPipeError):
@@ -140,7 +169,9 @@ def _status(request: dict[str, Any]) -> int:
     except SystemExit as stop:
         if isinstance(stop.code, str):
             sys.stderr.write(f"{stop.code}\n")
-        return stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 1
+        return (
+            stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 1
+        )
     except BaseException:  # noqa: BLE001  # as Python does at the end of a program
         traceback.print_exc()
         return 1
@@ -151,7 +182,10 @@ def _begin(request: dict[str, Any]) -> None:
     """Become the program of a request."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         path = os.devnull if number == 0 else os.path.join(request["folder"], name)
-        os.dup2(os.open(path, os.O_RDONLY if number == 0 else os.O_WRONLY | os.O_CREAT), number)
+        os.dup2(
+            os.open(path, os.O_RDONLY if number == 0 else os.O_WRONLY | os.O_CREAT),
+            number,
+        )
     os.chdir(request["cwd"])
     if request["mark"]:
         os.environ.update([request["mark"]])
@@ -181,7 +215,9 @@ def _hide(missing: list[str]) -> None:
         return original(name)
 
     Distribution.from_name = from_name  # type: ignore[method-assign]
-    assert not set(missing) & set(sys.modules), "a module that is to be missing is there already"
+    assert not set(missing) & set(sys.modules), (
+        "a module that is to be missing is there already"
+    )
     sys.modules.update(dict.fromkeys(missing))  # type: ignore[arg-type]  # None: not to be imported
 
 

@@ -1,10 +1,10 @@
 """What the gate finds in a splat file, claim by claim: the process that reads the file.
 
-`python -m attacks.audits.gated DESCRIPTOR` answers requests that come through a pipe (see
-`attacks.audits.judging`), one JSON object each: first the SHA-256 of the files, then, if
-it is told to go on, findings as they are found. Nothing else reads what strangers send,
-and whatever reads it here shares the limits of this process. It writes into its
-temporary folder alone.
+`python -m attacks.audits.gated DESCRIPTOR` answers requests that come through a pipe
+(see `attacks.audits.judging`), one JSON object each: first the SHA-256 of the files,
+then, if it is told to go on, findings as they are found. Nothing else reads what
+strangers send, and whatever reads it here shares the limits of this process. It writes
+into its temporary folder alone.
 """
 
 from __future__ import annotations
@@ -35,12 +35,18 @@ from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import open_scene
 
 _CLAIM_OF: Mapping[str, Claim] = {
-    **dict.fromkeys(("hidden-look", "suspicious-look", "fog", "occluder"), "hidden appearance"),
+    **dict.fromkeys(
+        ("hidden-look", "suspicious-look", "fog", "occluder"), "hidden appearance"
+    ),
     **{"edited": "edits", "overdraw": "cost"},
 }
-"""The claim that a rule is about; rules of glTF are about what is readable, all others about the numbers."""
+"""The claim that a rule is about; rules of glTF are about what is readable, all others
+about the numbers.
+"""
 _MADE_UP = ("/proc", "/sys")
-"""Folders whose files are no files of a disk: their sizes mean nothing, and reading them may never end."""
+"""Folders whose files are no files of a disk: their sizes mean nothing, and reading
+them may never end.
+"""
 _PART = 1 << 20
 
 Message = dict[str, Any]
@@ -49,11 +55,12 @@ _State = tuple[int, int, int, int, int]
 
 
 def answer(request: Mapping[str, Any], say: Say, goes_on: Callable[[], bool]) -> None:
-    """Answer one request: the contents of its files, then, if the judge has not seen them before, what is found.
+    """Answer one request: the contents of its files, then, if the judge has not seen
+    them before, what is found.
 
     Args:
-        request: `files` by their roles (`splat`, and `clean` where an older copy is known), `config`, and
-            `file_megabytes`.
+        request: `files` by their roles (`splat`, and `clean` where an older copy is
+            known), `config`, and `file_megabytes`.
         say: Sends a message to the judge.
         goes_on: Receives whether the contents are to be judged.
     """
@@ -61,11 +68,21 @@ def answer(request: Mapping[str, Any], say: Say, goes_on: Callable[[], bool]) ->
     hidden: list[str] = []
     with TemporaryDirectory() as folder:
         try:
-            links = {role: _link(Path(folder), role, name, config) for role, name in request["files"].items()}
-            hidden += [str(link) for link in links.values()] + [os.path.realpath(link) for link in links.values()]
+            links = {
+                role: _link(Path(folder), role, name, config)
+                for role, name in request["files"].items()
+            }
+            hidden += [str(link) for link in links.values()] + [
+                os.path.realpath(link) for link in links.values()
+            ]
             most = request["file_megabytes"] * 1e6
             read = {role: _read(link, most) for role, link in links.items()}
-            say({"state": "read", "contents": {role: content for role, (content, _) in read.items()}})
+            say(
+                {
+                    "state": "read",
+                    "contents": {role: content for role, (content, _) in read.items()},
+                }
+            )
             if not goes_on():
                 return
             for message in _found_in(config, links):
@@ -75,12 +92,17 @@ def answer(request: Mapping[str, Any], say: Say, goes_on: Callable[[], bool]) ->
                     raise _changed(link)
             end: Message = {"state": "done"}
         except (MiSplatError, OSError, ValueError, MemoryError) as error:
-            end = {"state": "failed", "error": " ".join(str(error).split()) or type(error).__name__}
+            end = {
+                "state": "failed",
+                "error": " ".join(str(error).split()) or type(error).__name__,
+            }
         say(_without(hidden, end))
 
 
 def _link(folder: Path, role: str, name: str, config: GateConfig) -> Path:
-    """A name for a file that says nothing but its format; nothing lies beside it that it could refer to."""
+    """A name for a file that says nothing but its format; nothing lies beside it that
+    it could refer to.
+    """
     link = folder / f"{role}{config.ending}"
     link.symlink_to(os.path.abspath(name))
     return link
@@ -94,25 +116,45 @@ def _without(hidden: Iterable[str], value: Any) -> Any:
         return value
     if isinstance(value, Mapping):
         return {key: _without(hidden, item) for key, item in value.items()}
-    return [_without(hidden, item) for item in value] if isinstance(value, list | tuple) else value
+    return (
+        [_without(hidden, item) for item in value]
+        if isinstance(value, list | tuple)
+        else value
+    )
 
 
 def _read(path: Path, most: float) -> tuple[str, _State]:
     """SHA-256 of a regular file of a disk, and the state in which it was read."""
     try:
         target = os.path.realpath(path, strict=True)
-        if not stat.S_ISREG(os.stat(target).st_mode) or target.startswith(tuple(f"{name}/" for name in _MADE_UP)):
-            expected, got = "a regular file on a disk", "a folder, a device, a pipe or a file of the system"
-            raise InvalidValueError.of(str(path), expected, got, "pass the path of a splat file")
-        # Without O_NONBLOCK, opening a pipe that was put there meanwhile would wait for ever.
+        if not stat.S_ISREG(os.stat(target).st_mode) or target.startswith(
+            tuple(f"{name}/" for name in _MADE_UP)
+        ):
+            expected, got = (
+                "a regular file on a disk",
+                "a folder, a device, a pipe or a file of the system",
+            )
+            raise InvalidValueError.of(
+                str(path), expected, got, "pass the path of a splat file"
+            )
+        # Without O_NONBLOCK, opening a pipe that was put there meanwhile would wait for
+        # ever.
         descriptor = os.open(target, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
         raise from_os_error(str(path), "a file that can be read", error) from error
     with open(descriptor, "rb", buffering=0) as file:
         status = os.fstat(descriptor)
         if status.st_size > most:
-            expected, got = f"a file of at most {most / 1e6:,.0f} MB", f"{status.st_size / 1e6:,.0f} MB"
-            raise InvalidValueError.of(str(path), expected, got, "raise file_megabytes in --policy if you trust it")
+            expected, got = (
+                f"a file of at most {most / 1e6:,.0f} MB",
+                f"{status.st_size / 1e6:,.0f} MB",
+            )
+            raise InvalidValueError.of(
+                str(path),
+                expected,
+                got,
+                "raise file_megabytes in --policy if you trust it",
+            )
         total, size = hashlib.sha256(), 0
         while size <= status.st_size and (part := file.read(_PART)):
             total.update(part)
@@ -123,12 +165,20 @@ def _read(path: Path, most: float) -> tuple[str, _State]:
 
 
 def _state(status: os.stat_result) -> _State:
-    return (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+    return (
+        status.st_dev,
+        status.st_ino,
+        status.st_size,
+        status.st_mtime_ns,
+        status.st_ctime_ns,
+    )
 
 
 def _changed(path: Path) -> InvalidValueError:
     do = "judge it again once it is written"
-    return InvalidValueError.of(str(path), "a file that stays the same", "one that changes while it is read", do)
+    return InvalidValueError.of(
+        str(path), "a file that stays the same", "one that changes while it is read", do
+    )
 
 
 def _found_in(config: GateConfig, inputs: Mapping[str, Path]) -> Iterator[Message]:
@@ -137,12 +187,21 @@ def _found_in(config: GateConfig, inputs: Mapping[str, Path]) -> Iterator[Messag
         if "claim" not in found:
             yield {"state": "account", "account": found}
             continue
-        row = {"claim": "", "rule": "", "severity": "", "reason": "", "judged": True, **found}
+        row = {
+            "claim": "",
+            "rule": "",
+            "severity": "",
+            "reason": "",
+            "judged": True,
+            **found,
+        }
         yield {"state": "row", "row": row}
 
 
 def _rows(config: GateConfig, inputs: Mapping[str, Path]) -> Iterator[Row]:
-    """Findings of one claim after the other, each ended by a row without a rule; and an account, without a claim."""
+    """Findings of one claim after the other, each ended by a row without a rule; and an
+    account, without a claim.
+    """
     path, stored, unread = inputs["splat"], None, ""
     try:
         stored = load_stored(path)
@@ -151,12 +210,21 @@ def _rows(config: GateConfig, inputs: Mapping[str, Path]) -> Iterator[Row]:
     try:
         lint = lint_file(path, stored)
     except SplatFileError as error:
-        yield {"claim": "readable", "rule": "unreadable", "severity": "error", "reason": unread or str(error)}
+        yield {
+            "claim": "readable",
+            "rule": "unreadable",
+            "severity": "error",
+            "reason": unread or str(error),
+        }
         yield {"claim": "readable"}
         return
     account = document(None, lint)
     yield from _found(account, ())
-    known = {"fingerprint": fingerprint(stored.arrays), "gaussians": lint.gaussians} if stored is not None else {}
+    known = (
+        {"fingerprint": fingerprint(stored.arrays), "gaussians": lint.gaussians}
+        if stored is not None
+        else {}
+    )
     yield {"claim": "readable", **known}
     if stored is None:
         return
@@ -170,12 +238,16 @@ def _found(document: Mapping[str, Any], known: Iterable[str]) -> Iterator[Row]:
     """The findings of an account."""
     for name, severity, reason, _ in findings(document):
         rule = name.removeprefix("lint/")
-        claim = "readable" if rule.startswith("gltf-") else _CLAIM_OF.get(rule, "numbers")
+        claim = (
+            "readable" if rule.startswith("gltf-") else _CLAIM_OF.get(rule, "numbers")
+        )
         if claim not in known:
             yield {"claim": claim, "rule": rule, "severity": severity, "reason": reason}
 
 
-def _appearances(config: GateConfig, scene: GaussianScene, lint: Lint, account: dict[str, Any]) -> Iterator[Row]:
+def _appearances(
+    config: GateConfig, scene: GaussianScene, lint: Lint, account: dict[str, Any]
+) -> Iterator[Row]:
     """What the audit finds in a splat that can be rendered."""
     unjudged, judged = "", None
     errors = [item.rule for item in lint.findings if item.severity == "error"]
@@ -190,12 +262,19 @@ def _appearances(config: GateConfig, scene: GaussianScene, lint: Lint, account: 
         account = document(judged, lint, unjudged=unjudged)
     yield account
     if judged is None:
-        yield from ({"claim": claim, "judged": False, "reason": unjudged} for claim in ("hidden appearance", "edits"))
+        yield from (
+            {"claim": claim, "judged": False, "reason": unjudged}
+            for claim in ("hidden appearance", "edits")
+        )
         return
     yield from _found(account, ("readable", "numbers", "cost"))
     yield {"claim": "hidden appearance"}
     few = all(item.edit is None for item in judged.objects)
-    yield {"claim": "edits", "judged": not few, "reason": "no object has enough Gaussians" if few else ""}
+    yield {
+        "claim": "edits",
+        "judged": not few,
+        "reason": "no object has enough Gaussians" if few else "",
+    }
 
 
 def _provenance(scene: GaussianScene, clean: Path) -> Iterator[Row]:
@@ -203,11 +282,20 @@ def _provenance(scene: GaussianScene, clean: Path) -> Iterator[Row]:
     try:
         changed = changes(scene, open_scene(clean).scene)
     except MiSplatError as error:
-        yield {"claim": "provenance", "judged": False, "reason": " ".join(str(error).split())}
+        yield {
+            "claim": "provenance",
+            "judged": False,
+            "reason": " ".join(str(error).split()),
+        }
         return
     if bool(changed.changed.any()) or changed.removed:
         reason = "; ".join(changed.in_words())
-        yield {"claim": "provenance", "rule": "changed", "severity": "warning", "reason": reason}
+        yield {
+            "claim": "provenance",
+            "rule": "changed",
+            "severity": "warning",
+            "reason": reason,
+        }
     yield {"claim": "provenance"}
 
 
@@ -218,7 +306,8 @@ def main() -> int:
     messages = inbox(pipe.recv_bytes)
     keep_to([int(core) for core in cores.split(",") if core])
     limit_file_size(float(megabytes))
-    with contextlib.suppress(OSError):  # where memory runs out, the system ends this process first
+    # where memory runs out, the system ends this process first
+    with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000")
 
     def say(message: Message) -> None:

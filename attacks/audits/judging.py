@@ -1,7 +1,8 @@
-"""The judge of the gate: has a process read a file, and makes a verdict of what it finds, whatever becomes of it.
+"""The judge of the gate: has a process read a file, and makes a verdict of what it
+finds, whatever becomes of it.
 
-Nothing of a stranger's file is read here. What the process says is JSON of bounded size,
-and a verdict holds even where it cannot be kept.
+Nothing of a stranger's file is read here. What the process says is JSON of bounded
+size, and a verdict holds even where it cannot be kept.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from mi_splat.process_group import GroupEndedError, Limits, ProcessGroup
 READER = "attacks.audits.gated"
 """The module that reads files, as a process."""
 _STARTING = Limits(seconds=120.0)  # what a process may take to import its packages
-_MESSAGES = DocumentReader(expected="a message of the process that reads", do="report this", most=1 << 26)
+_MESSAGES = DocumentReader(
+    expected="a message of the process that reads", do="report this", most=1 << 26
+)
 _LONGEST = 600  # signs of why a file was not judged
 _ENDING = re.compile(r"\.[a-z0-9]{1,10}")
 
@@ -47,22 +50,36 @@ class Reader(Protocol):
         ...
 
     def answer(self) -> Message:
-        """The next message; `GroupEndedError` if there is none because of what the file did."""
+        """The next message; `GroupEndedError` if there is none because of what the file
+        did.
+        """
         ...
 
     def end(self, *, for_good: bool) -> None:
-        """A file is judged; `for_good` if nothing more is to be read by the same process."""
+        """A file is judged; `for_good` if nothing more is to be read by the same
+        process.
+        """
         ...
 
     def close(self) -> None:
-        """End what is being read at once, also from another thread; nothing is read any more."""
+        """End what is being read at once, also from another thread; nothing is read any
+        more.
+        """
         ...
 
 
 class ReaderProcess:
-    """A process group that reads files one after the other; a new one where a file has ended it."""
+    """A process group that reads files one after the other; a new one where a file has
+    ended it.
+    """
 
-    def __init__(self, limits: Limits, *, environment: Mapping[str, str], cores: Sequence[int] = ()) -> None:
+    def __init__(
+        self,
+        limits: Limits,
+        *,
+        environment: Mapping[str, str],
+        cores: Sequence[int] = (),
+    ) -> None:
         self._limits, self._environment = limits, environment
         self._words = [",".join(map(str, cores)), str(limits.megabytes)]
         self._group: ProcessGroup | None = None
@@ -104,7 +121,9 @@ class ReaderProcess:
         return _MESSAGES.json_object(data, "reader")
 
     def end(self, *, for_good: bool) -> None:
-        """Keep the process for the next file, unless it holds on to memory or has left others behind."""
+        """Keep the process for the next file, unless it holds on to memory or has left
+        others behind.
+        """
         group = self._group
         if group is None:
             return
@@ -133,7 +152,9 @@ class ReaderProcess:
         with self._starting:
             if self._is_closed:
                 raise GroupEndedError("the gate was closed")
-            self._group = ProcessGroup(READER, *self._words, environment=self._environment)
+            self._group = ProcessGroup(
+                READER, *self._words, environment=self._environment
+            )
         self._since = time.monotonic()
         self._next(self._group, _STARTING)
         return self._group
@@ -151,7 +172,9 @@ class Judged:
 
 
 class Judge:
-    """Judges one file after the other by a policy; verdicts are kept in a store by what the files hold."""
+    """Judges one file after the other by a policy; verdicts are kept in a store by what
+    the files hold.
+    """
 
     def __init__(self, reader: Reader, policy: Policy, store: Store) -> None:
         self._reader, self._policy, self._store = reader, policy, store
@@ -160,7 +183,8 @@ class Judge:
         """What is found in a file; nothing that a file does is raised.
 
         Args:
-            request: The path `file`, and where an older copy is known to be clean, `against`.
+            request: The path `file`, and where an older copy is known to be clean,
+                `against`.
 
         Returns:
             What was found, with `FILE` in place of the file's name.
@@ -173,7 +197,10 @@ class Judge:
             self._read(request, judged)
             is_whole = True
         except Exception as error:  # noqa: BLE001  # whatever it is, it concerns this file alone
-            judged.error = shortened(" ".join(str(error).split()), _LONGEST) or type(error).__name__
+            judged.error = (
+                shortened(" ".join(str(error).split()), _LONGEST)
+                or type(error).__name__
+            )
         self._reader.end(for_good=not is_whole)
         return judged
 
@@ -196,7 +223,9 @@ class Judge:
         while True:
             message = self._reader.answer()
             if message["state"] == "read":
-                judged.contents = {role: str(message["contents"][role]) for role in files}
+                judged.contents = {
+                    role: str(message["contents"][role]) for role in files
+                }
                 is_known = self._find(config, judged)
                 self._reader.go_on(not is_known)
                 if is_known:
@@ -240,9 +269,13 @@ class Judge:
 
 
 def _checked_row(row: Any) -> dict[str, Any]:
-    """A row of the process that reads, which may say anything once a file has taken it over."""
+    """A row of the process that reads, which may say anything once a file has taken it
+    over.
+    """
     texts = [row[name] for name in ("claim", "rule", "severity", "reason")]
-    others = [value for name, value in row.items() if name in ("fingerprint", "gaussians")]
+    others = [
+        value for name, value in row.items() if name in ("fingerprint", "gaussians")
+    ]
     is_good = (
         row["claim"] in CLAIMS
         and all(type(text) is str for text in texts)
@@ -255,9 +288,13 @@ def _checked_row(row: Any) -> dict[str, Any]:
 
 
 def task_of(config: GateConfig, judged: Judged) -> Task:
-    """What the store knows a judged file by: its content, how it is judged, and the code that does it."""
+    """What the store knows a judged file by: its content, how it is judged, and the
+    code that does it.
+    """
     inputs = {role: {"content": content} for role, content in judged.contents.items()}
-    return Task(kind=READER, config=encoded(config), inputs=inputs, code=code_digest(READER))
+    return Task(
+        kind=READER, config=encoded(config), inputs=inputs, code=code_digest(READER)
+    )
 
 
 def ending_of(name: str) -> str:

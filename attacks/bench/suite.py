@@ -1,7 +1,9 @@
-"""A suite: a folder of study files in which the detector is left out, so that it is the same for every detector.
+"""A suite: a folder of study files in which the detector is left out, so that it is the
+same for every detector.
 
-suite.toml says what is asked, and which detectors are surrogates. Each column is a study file of the column's name. A
-file whose `base` names another one of the folder begins with what stands there.
+suite.toml says what is asked, and which detectors are surrogates. Each column is a
+study file of the column's name. A file whose `base` names another one of the folder
+begins with what stands there.
 """
 
 from __future__ import annotations
@@ -46,7 +48,9 @@ from mi_splat.ledger import Done, Job
 from mi_splat.ledger.plans import Result
 
 SUITES, HEAD = Path("scenes/suites"), "suite.toml"
-_READER = DocumentReader(expected="a TOML file", do="correct it, or get the suite again")
+_READER = DocumentReader(
+    expected="a TOML file", do="correct it, or get the suite again"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,22 +59,34 @@ class Suite:
 
     name: str  # of the suite
     question: str  # what it asks, one sentence
-    surrogates: tuple[str, ...]  # detectors that the attacks of the column transfer are made on
-    studies: Mapping[str, Settings] = field(repr=False)  # tables of the study files, by column
-    digest: str  # 32 hex digits that stand for its files, and for the scenes that they name
+    # detectors that the attacks of the column transfer are made on
+    surrogates: tuple[str, ...]
+    # tables of the study files, by column
+    studies: Mapping[str, Settings] = field(repr=False)
+    # 32 hex digits that stand for its files, and for the scenes that they name
+    digest: str
 
 
 def read_suite(name: str) -> Suite:
     """A suite by its name."""
-    folder = next((known for known in (SUITES / name, Path(name)) if (known / HEAD).is_file()), Path(name))
+    folder = next(
+        (known for known in (SUITES / name, Path(name)) if (known / HEAD).is_file()),
+        Path(name),
+    )
     if not (folder / HEAD).is_file():
         known = sorted(path.parent.name for path in SUITES.glob(f"*/{HEAD}"))
         do = nearest(name, known, "run it in a checkout, or pass a folder of a suite")
-        raise InvalidValueError.of("suite", " or ".join(known) or f"a folder with {HEAD}", name, do)
+        raise InvalidValueError.of(
+            "suite", " or ".join(known) or f"a folder with {HEAD}", name, do
+        )
     head = _READER.read_toml(folder / HEAD)
     files = {path.name: path for path in sorted(folder.glob("*.toml"))}
     tables = {path.stem: _whole(folder, path) for path in files.values()}
-    scenes = {Path(scene).as_posix(): Path(scene) for table in tables.values() for scene in _scenes(table)}
+    scenes = {
+        Path(scene).as_posix(): Path(scene)
+        for table in tables.values()
+        for scene in _scenes(table)
+    }
     return Suite(
         name=folder.name,
         question=str(head.get("question", "")),
@@ -84,9 +100,15 @@ def _whole(folder: Path, path: Path) -> Settings:
     table = _READER.read_toml(path)
     if "base" not in table:
         return table
-    check_choice(f"base of {path}", table["base"], sorted(file.name for file in folder.glob("*.toml")))
+    check_choice(
+        f"base of {path}",
+        table["base"],
+        sorted(file.name for file in folder.glob("*.toml")),
+    )
     base = _READER.read_toml(folder / str(table["base"]))
-    whole: Settings = merged(base, {key: value for key, value in table.items() if key != "base"})
+    whole: Settings = merged(
+        base, {key: value for key, value in table.items() if key != "base"}
+    )
     return whole
 
 
@@ -104,7 +126,11 @@ def _scenes(table: Any) -> Iterator[str]:
 def _files_of(scenes: Mapping[str, Path]) -> dict[str, Path]:
     from attacks.studies.attack import scene_files
 
-    return {path.name: path for scene in scenes.values() for path in scene_files(scene).values()}
+    return {
+        path.name: path
+        for scene in scenes.values()
+        for path in scene_files(scene).values()
+    }
 
 
 def _digest(files: Mapping[str, Path]) -> str:
@@ -121,7 +147,9 @@ CELLS = ("view", "azimuth", "elevation", "original", "score", "original_score")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Entry(Attempt):
-    """One attack of a suite, or the splats of one that hide the object beside their clean ones."""
+    """One attack of a suite, or the splats of one that hide the object beside their
+    clean ones.
+    """
 
     column: str  # that it counts for
     made: Mapping[str, Job]  # the jobs that make the splats, by their labels
@@ -131,12 +159,21 @@ class Entry(Attempt):
     @classmethod
     def of(cls, made: Mapping[str, Job], looks: Sequence[Look], **more: Any) -> Entry:
         """An entry of some jobs."""
-        return cls(made=made, looks=looks, jobs={**made, **{look.label: look.job for look in looks}}, **more)
+        return cls(
+            made=made,
+            looks=looks,
+            jobs={**made, **{look.label: look.job for look in looks}},
+            **more,
+        )
 
     def rows(self, done: Mapping[str, Done]) -> Iterator[dict[str, Any]]:
         """The rows of its looks, by the identity of their jobs."""
         for look in self.looks:
-            named = {"attack": self.title, "seed": look.seed, "detector": look.job.config.detector}
+            named = {
+                "attack": self.title,
+                "seed": look.seed,
+                "detector": look.job.config.detector,
+            }
             named["condition"] = OWN if look.condition == OWN else DEFENDED
             for row in _rows_of(look, done[look.job.identity]):
                 splat = NOISE if row["splat"] == NORM_NOISE else row["splat"]
@@ -144,7 +181,9 @@ class Entry(Attempt):
 
 
 def _rows_of(look: Look, done: Done) -> Iterable[Mapping[str, Any]]:
-    """The rows of a look; of a splat that hides the object those from well inside its trigger."""
+    """The rows of a look; of a splat that hides the object those from well inside its
+    trigger.
+    """
     if done.rows:
         return done.rows
     config = look.job.config
@@ -155,16 +194,23 @@ def _rows_of(look: Look, done: Done) -> Iterable[Mapping[str, Any]]:
 class BenchWork(Work[Entry]):
     """The jobs of a suite for a detector, with its usual weights or those of a file.
 
-    A defender may put a `defence`, which is a condition, before the detector. Columns are all if none is named.
+    A defender may put a `defence`, which is a condition, before the detector. Columns
+    are all if none is named.
 
     Raises:
-        MiSplatError: There is no such detector or defence, or a setting cannot be; before any job is done.
+        MiSplatError: There is no such detector or defence, or a setting cannot be;
+            before any job is done.
     """
 
     story = STORY
 
     def __init__(
-        self, suite: Suite, detector: str, weights: Path | None = None, defence: str = "", columns: Sequence[str] = ()
+        self,
+        suite: Suite,
+        detector: str,
+        weights: Path | None = None,
+        defence: str = "",
+        columns: Sequence[str] = (),
     ) -> None:
         detector_spec(detector)
         if weights is not None:
@@ -172,8 +218,15 @@ class BenchWork(Work[Entry]):
         check_condition(defence, None)
         for column in columns:
             check_choice("column", column, COLUMNS)
-        super().__init__(Study(name=f"bench-{suite.name}-{detector}", kind="dagger", parts={}), ())
-        self.suite, self.detector, self.weights, self.defence = suite, load_detector(detector), weights, defence
+        super().__init__(
+            Study(name=f"bench-{suite.name}-{detector}", kind="dagger", parts={}), ()
+        )
+        self.suite, self.detector, self.weights, self.defence = (
+            suite,
+            load_detector(detector),
+            weights,
+            defence,
+        )
         self.conditions = ["", defence] if defence else [""]
         self.missing: dict[str, str] = {}
         for column in COLUMNS:
@@ -186,27 +239,56 @@ class BenchWork(Work[Entry]):
 
     def _add(self, column: str, table: Settings) -> None:
         try:
-            self.attempts += [*(self._hidden(table) if column == CLOAK else self._attacked(column, table))]
+            self.attempts += [
+                *(
+                    self._hidden(table)
+                    if column == CLOAK
+                    else self._attacked(column, table)
+                )
+            ]
         except MiSplatError as error:
             if column != TRANSFER:
                 raise
             self.missing[column] = str(error)
 
     def _attacked(self, column: str, table: Settings) -> Iterator[Entry]:
-        """The attacks of a column; where the attacker can know the defence, these, too."""
+        """The attacks of a column; where the attacker can know the defence, these,
+        too.
+        """
         name = self.detector.name
         surrogates = [other for other in self.suite.surrogates if other != name]
-        judge = {**table.get("judge", {}), "detector": name, "matrix": {"condition": self.conditions}}
-        judge["controls"] = [NORM_NOISE]  # as in the first rows of suite v1, which call it noise
-        settings = {"": {**table, "detectors": surrogates if column == TRANSFER else [name], "judge": judge}}
-        if (known := KNOWS.get(self.defence)) is not None and column in (ONE_VIEW, ALL_VIEWS):
+        judge = {
+            **table.get("judge", {}),
+            "detector": name,
+            "matrix": {"condition": self.conditions},
+        }
+        # as in the first rows of suite v1, which call it noise
+        judge["controls"] = [NORM_NOISE]
+        settings = {
+            "": {
+                **table,
+                "detectors": surrogates if column == TRANSFER else [name],
+                "judge": judge,
+            }
+        }
+        if (known := KNOWS.get(self.defence)) is not None and column in (
+            ONE_VIEW,
+            ALL_VIEWS,
+        ):
             settings[", who knows the defence"] = merged(settings[""], known)
         for who, whole in settings.items():
             for attempt in DaggerWork(study_of(whole, column)).attempts:
-                title, seed = f"{column}: {attempt.title}{who}", attempt.job.config.attack.seed
+                title, seed = (
+                    f"{column}: {attempt.title}{who}",
+                    attempt.job.config.attack.seed,
+                )
                 looks = [
                     Look(
-                        label=f"{title} / {label}", job=job, splat="", seed=seed, condition=job.config.condition or OWN
+                        label=f"{title} / {label}",
+                        job=job,
+                        splat="",
+                        seed=seed,
+                        condition=job.config.condition or OWN,
                     )
                     for label, job in attempt.looks.items()
                 ]
@@ -216,29 +298,53 @@ class BenchWork(Work[Entry]):
     def _hidden(self, table: Settings) -> Iterator[Entry]:
         """The splats of the column of CLOAK, which no detector has a part in."""
         weights = {} if self.weights is None else {self.detector.name: self.weights}
-        judges = [CloakJudge(condition=condition, every=1) for condition in self.conditions]
-        for point in study_of(merged(table, {"evaluation": {"detectors": [self.detector.name]}}), CLOAK).points:
+        judges = [
+            CloakJudge(condition=condition, every=1) for condition in self.conditions
+        ]
+        for point in study_of(
+            merged(table, {"evaluation": {"detectors": [self.detector.name]}}), CLOAK
+        ).points:
             steps = StudySteps(study=config_of(point.settings, CLOAK), weights=weights)
             title = f"{CLOAK}: {', '.join(map(str, point.labels.values()))}"
-            seen = [look for judge in judges for look in judge.looks(steps, [self.detector])]
+            seen = [
+                look for judge in judges for look in judge.looks(steps, [self.detector])
+            ]
             looks = [replace(look, label=f"{title} / {look.label}") for look in seen]
             looks.sort(key=lambda look: look.seed or 0)
             made = {f"{title} / {label}": job for label, job in steps.made()}
             yield Entry.of(made, looks, title=title, point=point, column=CLOAK)
 
     def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
-        """What attacks leave; those of which a job has failed are left out, and the column with them is told so."""
+        """What attacks leave; those of which a job has failed are left out, and the
+        column with them is told so.
+        """
         jobs = self.jobs()
-        done = {jobs[label].identity: result for label, result in results.items() if isinstance(result, Done)}
+        done = {
+            jobs[label].identity: result
+            for label, result in results.items()
+            if isinstance(result, Done)
+        }
         rows, attacks = list[dict[str, Any]](), dict[str, Any]()
         for entry in self.attempts:
             if not entry.is_done(done):
                 self.missing[entry.column] = "a job has failed"
                 continue
             rows += entry.rows(done)
-            labels = {axis: label for axis, label in entry.point.labels.items() if axis != "seed"}
-            attacks[entry.title] = {"column": entry.column, "labels": labels, "knows": entry.knows}
-        suite, spec, seconds = self.suite, detector_spec(self.detector.name), self._seconds(done)
+            labels = {
+                axis: label
+                for axis, label in entry.point.labels.items()
+                if axis != "seed"
+            }
+            attacks[entry.title] = {
+                "column": entry.column,
+                "labels": labels,
+                "knows": entry.knows,
+            }
+        suite, spec, seconds = (
+            self.suite,
+            detector_spec(self.detector.name),
+            self._seconds(done),
+        )
         facts = {
             "suite": {"name": suite.name, "digest": suite.digest},
             "detector": {
@@ -254,7 +360,9 @@ class BenchWork(Work[Entry]):
         }
         return facts, {ROWS: frame_of(rows)}, []
 
-    def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+    def with_figures(
+        self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]
+    ) -> dict[str, Any]:
         """A record with its columns and score."""
         return record | figures(record, rows)
 
@@ -269,11 +377,17 @@ class BenchWork(Work[Entry]):
         return [*paths, out / ROW]
 
     def _seconds(self, done: Mapping[str, Done]) -> dict[str, float]:
-        """CPU seconds of the jobs of each column, and of those that every detector shares."""
+        """CPU seconds of the jobs of each column, and of those that every detector
+        shares.
+        """
         seconds = dict.fromkeys((*self.suite.studies, "shared"), 0.0)
         counted = set[str]()
         for entry in self.attempts:
-            shared = {job.identity for job in entry.made.values()} if entry.column in (CLOAK, TRANSFER) else set()
+            shared = (
+                {job.identity for job in entry.made.values()}
+                if entry.column in (CLOAK, TRANSFER)
+                else set()
+            )
             for job in entry.jobs.values():
                 if job.identity in done and job.identity not in counted:
                     counted.add(job.identity)

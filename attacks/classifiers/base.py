@@ -1,6 +1,7 @@
 """What an attack sees of a classifier: scores by class, differentiable in the pictures.
 
-Images are channels-last sRGB, as the renderer makes them, of any size; a classifier brings them to its own.
+Images are channels-last sRGB, as the renderer makes them, of any size; a classifier
+brings them to its own.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ class Classifier(Protocol):
 
     @property
     def classes(self) -> tuple[str, ...]:
-        """The classes that it tells apart, in the order of the second axis of `scores`."""
+        """The classes that it tells apart, in the order of the second axis of
+        `scores`.
+        """
         ...
 
     @property
@@ -38,12 +41,14 @@ class Classifier(Protocol):
         ...
 
     def scores(self, images: Tensor) -> Tensor:
-        """(B, C) logits, whose softmax is the confidence in each class; differentiable in the images.
+        """(B, C) logits, whose softmax is the confidence in each class; differentiable
+        in the images.
 
         Args:
             images: (B, H, W, 3) sRGB in [0, 1].
 
         Raises:
-            InvalidValueError: The images have another shape, or values outside [0, 1] (`check_images`).
+            InvalidValueError: The images have another shape, or values outside [0, 1]
+                (`check_images`).
         """
         ...

@@ -1,4 +1,6 @@
-"""What all adapters to classifiers share: a frozen network, pictures brought to it, and rows of what it says."""
+"""What all adapters to classifiers share: a frozen network, pictures brought to it, and
+rows of what it says.
+"""
 
 from __future__ import annotations
 
@@ -21,27 +23,41 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preparation:
-    """How pictures are brought to a network: scaled, cut, and normalised, by torchvision's differentiable functions."""
+    """How pictures are brought to a network: scaled, cut, and normalised, by
+    torchvision's differentiable functions.
+    """
 
-    size: int = 224  # width and height of what the network gets, pixels: the middle is cut out
-    shorter: int | None = None  # pixels to which the shorter side is scaled before, with antialiasing; None is `size`
+    # width and height of what the network gets, pixels: the middle is cut out
+    size: int = 224
+    # pixels to which the shorter side is scaled before, with antialiasing; None is
+    # `size`
+    shorter: int | None = None
     mean: Triple = (0.485, 0.456, 0.406)  # of each channel, sRGB in [0, 1]; subtracted
     deviation: Triple = (0.229, 0.224, 0.225)  # of each channel; divided by
     mode: str = "bilinear"  # "bilinear" or "bicubic"
 
     def __call__(self, images: Tensor) -> Tensor:
         """(B, H, W, 3) sRGB in [0, 1] to (B, 3, size, size)."""
-        planes, mode = images.permute(0, 3, 1, 2), torchvision.transforms.InterpolationMode(self.mode)
+        planes, mode = (
+            images.permute(0, 3, 1, 2),
+            torchvision.transforms.InterpolationMode(self.mode),
+        )
         functional = torchvision.transforms.functional
-        scaled = functional.resize(planes, [self.shorter or self.size], mode, antialias=True)
-        cut: Tensor = functional.normalize(functional.center_crop(scaled, [self.size]), self.mean, self.deviation)
+        scaled = functional.resize(
+            planes, [self.shorter or self.size], mode, antialias=True
+        )
+        cut: Tensor = functional.normalize(
+            functional.center_crop(scaled, [self.size]), self.mean, self.deviation
+        )
         return cut
 
 
 class FrozenClassifier(FrozenModel):
     """A frozen network behind the `Classifier` interface."""
 
-    def __init__(self, name: str, model: nn.Module, classes: Sequence[str], prepare: Preparation) -> None:
+    def __init__(
+        self, name: str, model: nn.Module, classes: Sequence[str], prepare: Preparation
+    ) -> None:
         """Freeze a model, in place."""
         super().__init__(name, model, check_classes(classes))
         self.prepare, self.settings = prepare, json.dumps([self.classes, repr(prepare)])
@@ -60,9 +76,18 @@ class FrozenClassifier(FrozenModel):
 
 
 class ZeroShot(nn.Module):
-    """Features of a picture less their centre, compared with those of each class: their cosine, times a temperature."""
+    """Features of a picture less their centre, compared with those of each class: their
+    cosine, times a temperature.
+    """
 
-    def __init__(self, encoder: nn.Module, directions: Tensor, *, temperature: float, centre: Tensor) -> None:
+    def __init__(
+        self,
+        encoder: nn.Module,
+        directions: Tensor,
+        *,
+        temperature: float,
+        centre: Tensor,
+    ) -> None:
         super().__init__()
         self.encoder = encoder
         self.directions: Tensor
@@ -83,7 +108,9 @@ def check_classes(classes: Sequence[str]) -> tuple[str, ...]:
     """The classes, each named once."""
     if isinstance(classes, str) or not classes or len(set(classes)) < len(classes):
         do = 'give a list such as ["car", "person"]'
-        raise InvalidValueError.of("classes", "names, each once", repr(classes)[:160], do)
+        raise InvalidValueError.of(
+            "classes", "names, each once", repr(classes)[:160], do
+        )
     return tuple(classes)
 
 
@@ -91,19 +118,29 @@ def class_number(classifier: Any, name: str, what: str = "class") -> int:
     """Position of a class among those of a classifier."""
     classes: tuple[str, ...] = classifier.classes
     if name not in classes:
-        shown = ", ".join(classes[:12]) + (f" and {len(classes) - 12} more" if len(classes) > 12 else "")
+        shown = ", ".join(classes[:12]) + (
+            f" and {len(classes) - 12} more" if len(classes) > 12 else ""
+        )
         do = nearest(name, classes, "choose one of them")
-        raise InvalidValueError.of(f"{what} of {classifier.name}", f"one of {shown}", repr(name), do)
+        raise InvalidValueError.of(
+            f"{what} of {classifier.name}", f"one of {shown}", repr(name), do
+        )
     return classes.index(name)
 
 
-def classified(classifier: Classifier, pictures: Iterable[Tensor], label: str) -> list[dict[str, Any]]:
-    """A row for each picture: `view`, its position; `classifier`; `top1`; `right`; `confidence` in the true class."""
+def classified(
+    classifier: Classifier, pictures: Iterable[Tensor], label: str
+) -> list[dict[str, Any]]:
+    """A row for each picture: `view`, its position; `classifier`; `top1`; `right`;
+    `confidence` in the true class.
+    """
     true, rows = class_number(classifier, label, "label"), list[dict[str, Any]]()
     for view, picture in enumerate(pictures):
         with torch.no_grad():
             confidence = torch.softmax(classifier.scores(picture[None])[0].double(), 0)
         top1 = classifier.classes[int(confidence.argmax())]
         row = {"view": view, "classifier": classifier.name, "top1": top1}
-        rows.append({**row, "right": top1 == label, "confidence": float(confidence[true])})
+        rows.append(
+            {**row, "right": top1 == label, "confidence": float(confidence[true])}
+        )
     return rows

@@ -1,4 +1,6 @@
-"""`mi-splat artifact` and `artifact-check`: a finished result as a folder that others can check, and the check."""
+"""`mi-splat artifact` and `artifact-check`: a finished result as a folder that others
+can check, and the check.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +27,12 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class ArtifactOptions(ResultOptions):
-    """Copy a finished result into a folder that others can check: its record, raw rows, cameras, and manifest.
+    """Copy a finished result into a folder that others can check: its record, raw rows,
+    cameras, and manifest.
 
-    Splats and pictures are left out unless --whole is given. Nothing is packed whose files were changed, or whose rows
-    do not give its figures. The manifest is copied as it is, so that the copy has the same name: the SHA-256 of it.
+    Splats and pictures are left out unless --whole is given. Nothing is packed whose
+    files were changed, or whose rows do not give its figures. The manifest is copied as
+    it is, so that the copy has the same name: the SHA-256 of it.
     """
 
     result: Positional[Annotated[Path, Metavar("RESULT")]]
@@ -53,14 +57,28 @@ def run(options: ArtifactOptions) -> None:
     with progress("packing", total=None):
         kind = kind_of(read_result(options.result))
         figures = kind.figures
-        result = pack(options.result, options.out, figures, kind.given, whole=options.whole, force=options.force)
+        result = pack(
+            options.result,
+            options.out,
+            figures,
+            kind.given,
+            whole=options.whole,
+            force=options.force,
+        )
     rows = sum(map(len, result.tables.values()))
-    count = sum(check.passed is True for check in check_figures(result, figures, kind.given))
-    document = {"out": str(options.out), "story": result.kind, "manifest": result.manifest.sha256}
+    count = sum(
+        check.passed is True for check in check_figures(result, figures, kind.given)
+    )
+    document = {
+        "out": str(options.out),
+        "story": result.kind,
+        "manifest": result.manifest.sha256,
+    }
     size = sum(path.stat().st_size for path in options.out.rglob("*") if path.is_file())
     show_result(
         {**document, "rows": rows, "figures": count},
-        f"{options.out}: {rows:,} rows, {count} figures that follow from them, {size / 1e3:,.0f} kB.",
+        f"{options.out}: {rows:,} rows, {count} figures that follow from them,"
+        f" {size / 1e3:,.0f} kB.",
         "Others check it, and that it is this one, with",
         f"mi-splat artifact-check {options.out} --manifest {result.manifest.sha256}",
         as_json=options.json,
@@ -69,9 +87,11 @@ def run(options: ArtifactOptions) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class ArtifactCheckOptions(JsonOptions):
-    """Check results: the bytes of every file, and every figure, derived again from the raw rows alone.
+    """Check results: the bytes of every file, and every figure, derived again from the
+    raw rows alone.
 
-    Each file and each figure is a line, green, red, or grey where it was left out. The exit status is 1 if one is red.
+    Each file and each figure is a line, green, red, or grey where it was left out. The
+    exit status is 1 if one is red.
     """
 
     folders: Positional[tuple[Folder, ...]] = ()
@@ -86,22 +106,37 @@ def run_check(options: ArtifactCheckOptions) -> int:
         raise UsageError.of("folders", "folders of results", "none", "name one")
     if options.manifest and len(options.manifest) != len(options.folders):
         expected = f"one for each of the {len(options.folders)} folders"
-        raise UsageError.of("--manifest", expected, len(options.manifest), "name one for each")
+        raise UsageError.of(
+            "--manifest", expected, len(options.manifest), "name one for each"
+        )
     checks: dict[str, list[Check]] = {}
     for number, folder in enumerate(options.folders):
-        checks[str(folder)] = _checked(folder, options.manifest[number] if options.manifest else None)
+        checks[str(folder)] = _checked(
+            folder, options.manifest[number] if options.manifest else None
+        )
         if not options.json:
             for line in checks[str(folder)]:
                 show(f"{line.colour:5}  {line.name}: {line.words}")
             red = sum(line.passed is False for line in checks[str(folder)])
             show(f"{folder}: {red} of {len(checks[str(folder)])} lines are red.")
     if options.json:
-        show_json({folder: [line.as_dict() for line in lines] for folder, lines in checks.items()})
-    return 1 if any(line.passed is False for lines in checks.values() for line in lines) else 0
+        show_json(
+            {
+                folder: [line.as_dict() for line in lines]
+                for folder, lines in checks.items()
+            }
+        )
+    return (
+        1
+        if any(line.passed is False for lines in checks.values() for line in lines)
+        else 0
+    )
 
 
 def _checked(folder: Path, manifest: str | None) -> list[Check]:
-    """Every line of one result; one that cannot be read is one red line, so that the others are still checked."""
+    """Every line of one result; one that cannot be read is one red line, so that the
+    others are still checked.
+    """
     from attacks.report.checking import Check, check_result, read_result
     from attacks.report.results import kind_of
 
@@ -111,4 +146,8 @@ def _checked(folder: Path, manifest: str | None) -> list[Check]:
         return check_result(result, kind.figures, kind.given, manifest=manifest)
     except MiSplatError as error:
         hint = f" ({error.hint})" if error.hint else ""
-        return [Check(name=str(folder), words=" ".join(f"{error}{hint}".split()), passed=False)]
+        return [
+            Check(
+                name=str(folder), words=" ".join(f"{error}{hint}".split()), passed=False
+            )
+        ]

@@ -1,4 +1,6 @@
-"""`mi-splat bench`: one row of the scoreboard: how robust a detector is, or what a defence is worth."""
+"""`mi-splat bench`: one row of the scoreboard: how robust a detector is, or what a
+defence is worth.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,13 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class BenchOptions(JobOptions):
-    """Do a suite of attacks, the same for everybody, and write one row: how often a detector still names the object.
+    """Do a suite of attacks, the same for everybody, and write one row: how often a
+    detector still names the object.
 
-    Columns: DAGGER from one view, DAGGER for all views, CLOAK, and attacks that were made on other detectors. Only
-    views count in which the detector names the clean object. Higher is more robust. A run that was killed goes on where
-    it stopped. Run it in a checkout, where scenes/suites is.
+    Columns: DAGGER from one view, DAGGER for all views, CLOAK, and attacks that were
+    made on other detectors. Only views count in which the detector names the clean
+    object. Higher is more robust. A run that was killed goes on where it stopped. Run
+    it in a checkout, where scenes/suites is.
     """
 
     detector: Positional[str] = "fasterrcnn_small"
@@ -34,14 +38,19 @@ class BenchOptions(JobOptions):
     weights: Path | None = None
     """File with weights of the detector; None takes the shipped or published ones."""
     defence: Annotated[str, Metavar("CONDITION")] | None = None
-    """What comes before the detector: a condition, as "SH of degree 1", "JPEG 60" or that of a plug-in."""
+    """What comes before the detector: a condition, as "SH of degree 1", "JPEG 60" or
+    that of a plug-in.
+    """
     columns: tuple[str, ...] = ()
     """Columns to do now; none does all. The row has those that are done."""
     store: OutFolder = Path("out/store")
-    """Folder of finished jobs; what no detector has a part in is made there once for all."""
+    """Folder of finished jobs; what no detector has a part in is made there once for
+    all.
+    """
     out: OutFolder | None = None
-    """Folder for the row and its raw rows; None is out/bench/SUITE/NAME, and another one beside it with
-    --weights or --defence."""
+    """Folder for the row and its raw rows; None is out/bench/SUITE/NAME, and another
+    one beside it with --weights or --defence.
+    """
 
 
 def run(options: BenchOptions) -> int:
@@ -54,20 +63,35 @@ def run(options: BenchOptions) -> int:
     limit_threads(1)
     suite = read_suite(options.suite)
     work = BenchWork(
-        suite, options.detector, weights=options.weights, defence=options.defence or "", columns=options.columns
+        suite,
+        options.detector,
+        weights=options.weights,
+        defence=options.defence or "",
+        columns=options.columns,
     )
     out = options.out or usual_folder(options)
     done = run_in(out, ROW, work, options)
     if options.json:
-        show_json({"failed": done.failed, "out": str(out), "row": read_json(out / ROW) if done.files else None})
+        show_json(
+            {
+                "failed": done.failed,
+                "out": str(out),
+                "row": read_json(out / ROW) if done.files else None,
+            }
+        )
     elif done.files:
         show((out / TABLE).read_text())
-        show(f"{out}: {ROW} is the row, rows.csv.xz has every look; mi-splat artifact-check {out} counts them again.")
+        show(
+            f"{out}: {ROW} is the row, rows.csv.xz has every look; mi-splat"
+            f" artifact-check {out} counts them again."
+        )
     return 1 if done.failed else 0
 
 
 def usual_folder(options: BenchOptions) -> Path:
-    """Where a row goes if nothing is said: each detector, weights and defence has a folder of its own."""
+    """Where a row goes if nothing is said: each detector, weights and defence has a
+    folder of its own.
+    """
     from mi_splat.io.documents import file_name
 
     weights = options.weights.stem if options.weights else ""

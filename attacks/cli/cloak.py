@@ -21,10 +21,12 @@ STUDY_FILE = "study.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class CloakOptions(JsonOptions):
-    """Do a study of CLOAK: capture, poison, train a clean and a cloaked splat, look at both, report.
+    """Do a study of CLOAK: capture, poison, train a clean and a cloaked splat, look at
+    both, report.
 
-    Says what it will take before it starts. A study that was interrupted goes on where it stopped when the same command
-    is given again. Writes result.json, the rows, contact.png and both splats into --out.
+    Says what it will take before it starts. A study that was interrupted goes on where
+    it stopped when the same command is given again. Writes result.json, the rows,
+    contact.png and both splats into --out.
     """
 
     study: Positional[Path]
@@ -32,15 +34,21 @@ class CloakOptions(JsonOptions):
     out: OutFolder = Path("out/cloak")
     """Folder for the results: a new one, or that of the same study."""
     stages: OutFolder | None = None
-    """Folder of the stages, which several studies may share; None is a folder in --out."""
+    """Folder of the stages, which several studies may share; None is a folder in
+    --out.
+    """
     seeds: tuple[Seed, ...] = ()
     """Seeds in the place of those of the study."""
     detectors: Detectors = ()
     """Names of detectors in the place of those of the study."""
     weights: tuple[Path, ...] = ()
-    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    """Files with their weights, as many as there are detectors; none takes the shipped
+    or published ones.
+    """
     workers: Workers | None = None
-    """Processes that do steps side by side; None is one for each core if memory allows; 0 does all in this one."""
+    """Processes that do steps side by side; None is one for each core if memory allows;
+    0 does all in this one.
+    """
     forecast: bool = False
     """Check everything, say what the study would take, and do nothing."""
 
@@ -48,7 +56,9 @@ class CloakOptions(JsonOptions):
 def check_inputs(options: CloakOptions) -> None:
     """Raise unless the study exists."""
     if not options.study.is_file():
-        raise InvalidValueError.of("study", "a TOML file", f"no file {options.study}", "check the path")
+        raise InvalidValueError.of(
+            "study", "a TOML file", f"no file {options.study}", "check the path"
+        )
 
 
 def run(options: CloakOptions) -> int:
@@ -65,15 +75,22 @@ def run(options: CloakOptions) -> int:
     file = read_study(options.study)
     if file.kind != "cloak" or len(file.points) != 1:
         expected, do = "one study of CLOAK", "run it with mi-splat study"
-        raise InvalidValueError.of(str(options.study), expected, f"{len(file.points)} of kind {file.kind}", do)
+        raise InvalidValueError.of(
+            str(options.study), expected, f"{len(file.points)} of kind {file.kind}", do
+        )
     changes: dict[str, Any] = {"seeds": list(options.seeds)} if options.seeds else {}
     if options.detectors:
         changes["evaluation"] = {"detectors": list(options.detectors)}
     point = replace(file.points[0], settings=merged(file.points[0].settings, changes))
     with progress("loading the detectors"):
-        weights = weights_of(config_of(point.settings, file.name).evaluation.detectors, options.weights)
+        weights = weights_of(
+            config_of(point.settings, file.name).evaluation.detectors, options.weights
+        )
         work = CloakReport(replace(file, parts={"": [point]}), weights)
-    study, store = work.attempts[0].steps.study, options.stages or options.out / "stages"
+    study, store = (
+        work.attempts[0].steps.study,
+        options.stages or options.out / "stages",
+    )
     text = study_toml(asdict(study))
     _check_folder(options.out, text)
     takes = forecast(study)
@@ -82,7 +99,13 @@ def run(options: CloakOptions) -> int:
         if options.json:
             show_json({study.name: asdict(takes)})
         return 0
-    run_options = StudyOptions(action="run", study=options.study, store=store, out=options.out, workers=options.workers)
+    run_options = StudyOptions(
+        action="run",
+        study=options.study,
+        store=store,
+        out=options.out,
+        workers=options.workers,
+    )
     begin = partial(save_text, text, options.out / STUDY_FILE)
     done = run_work(run_options, work, begin=begin)
     if done.files:
@@ -96,5 +119,10 @@ def _check_folder(out: Path, text: str) -> None:
 
     check_own_folder(out, STUDY_FILE)
     if (out / STUDY_FILE).is_file() and (out / STUDY_FILE).read_text("utf-8") != text:
-        do = "choose another folder; stages that both need are not done again with the same folder of stages"
-        raise InvalidValueError.of(str(out), "results of this study", "those of another", do).hinted("--out, --stages")
+        do = (
+            "choose another folder; stages that both need are not done again with the"
+            " same folder of stages"
+        )
+        raise InvalidValueError.of(
+            str(out), "results of this study", "those of another", do
+        ).hinted("--out, --stages")

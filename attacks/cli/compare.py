@@ -13,8 +13,14 @@ from mi_splat.cli.options import CameraOptions, ResultOptions
 from mi_splat.fields import Metavar, OutFolder, between
 
 EXAMPLES = (
-    "compare scenes/car_street.xml --methods tile,ray,volprim --cameras all --out out/compare",
-    "compare YOUR.ply --methods tile,folder:pictures --cameras cameras.json --out out/theirs",
+    (
+        "compare scenes/car_street.xml --methods tile,ray,volprim --cameras all --out"
+        " out/compare"
+    ),
+    (
+        "compare YOUR.ply --methods tile,folder:pictures --cameras cameras.json --out"
+        " out/theirs"
+    ),
 )
 
 
@@ -22,13 +28,16 @@ EXAMPLES = (
 class CompareOptions(ResultOptions):
     """Compare renderers on one splat: pictures, gradients and time.
 
-    Writes result.json, table.md, the pictures of each method and a sheet for each camera (the pictures side by side,
-    and where each two differ). Study files with study = "compare" vary a setting.
+    Writes result.json, table.md, the pictures of each method and a sheet for each
+    camera (the pictures side by side, and where each two differ). Study files with
+    study = "compare" vary a setting.
 
-    Methods: tile is the picture of the reference 3DGS rasteriser, tile-antialiased the same with the filter of
-    Mip-Splatting; ray meets each Gaussian at its peak along the ray, ray-to-mean is the same with the colours of tile;
-    volprim is Mitsuba's volprim_rf_basic; folder:PATH is a folder of pictures of any other program, called as the
-    cameras. With meshes, path-traced-N traces all with N samples a pixel; other methods are composited over them.
+    Methods: tile is the picture of the reference 3DGS rasteriser, tile-antialiased the
+    same with the filter of Mip-Splatting; ray meets each Gaussian at its peak along the
+    ray, ray-to-mean is the same with the colours of tile; volprim is Mitsuba's
+    volprim_rf_basic; folder:PATH is a folder of pictures of any other program, called
+    as the cameras. With meshes, path-traced-N traces all with N samples a pixel; other
+    methods are composited over them.
     """
 
     scene: Positional[Path]
@@ -55,7 +64,12 @@ def run(options: CompareOptions) -> None:
 
     check_new_folder(options.out, force=options.force)
     measure = CompareConfig(gradients=options.gradients, rounds=options.rounds)
-    config = Comparing(scene=str(options.scene), methods=options.methods, view=options.view, config=measure)
+    config = Comparing(
+        scene=str(options.scene),
+        methods=options.methods,
+        view=options.view,
+        config=measure,
+    )
     with progress("comparing") as advance:
         comparison, record = measured(config, advance)
         record = {"story": "compare", **record, **provenance.origin()}
@@ -63,5 +77,14 @@ def run(options: CompareOptions) -> None:
         with new_folder(options.out, force=options.force) as folder:
             sheets = save_sheets(comparison.pictures, folder)
             save_json(record, folder / RECORD)
-            save_text(text + "".join(f"\n![{sheet.stem}]({sheet.name})\n" for sheet in sheets), folder / TABLE)
-    show_result({**record, "out": str(options.out)}, text, f"{options.out}: images and {TABLE}", as_json=options.json)
+            save_text(
+                text
+                + "".join(f"\n![{sheet.stem}]({sheet.name})\n" for sheet in sheets),
+                folder / TABLE,
+            )
+    show_result(
+        {**record, "out": str(options.out)},
+        text,
+        f"{options.out}: images and {TABLE}",
+        as_json=options.json,
+    )

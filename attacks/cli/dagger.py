@@ -1,4 +1,6 @@
-"""`mi-splat dagger`: attack one object of a scene, from chosen cameras or all of a region."""
+"""`mi-splat dagger`: attack one object of a scene, from chosen cameras or all of a
+region.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from attacks.aims import OBJECTIVES, objective_of
-from attacks.cli.options import DEFAULT_OBJECT, DEFAULT_TARGET, ClassName, Confidence, DetectorOptions
+from attacks.cli.options import (
+    DEFAULT_OBJECT,
+    DEFAULT_TARGET,
+    ClassName,
+    Confidence,
+    DetectorOptions,
+)
 from attacks.dagger.config import DaggerConfig
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.cli.console import Advance, limit_threads, progress, warn
@@ -35,9 +43,18 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "dagger scenes/car_street.xml --object car --target person --out out/dagger",
     "dagger scenes/car_street.xml --objective hide --eps 2 --out out/hidden",
-    "dagger YOUR.ply --mask mask.npy --cameras orbit:4@25 --target person --out out/desk",
-    "dagger --region scenes/car_street.xml --object car --target person --out out/dagger-eot",
-    "dagger --region scenes/car_street.xml --object car --elevations 10 30 --jpeg 50 --blur 1 --out out/photographed",
+    (
+        "dagger YOUR.ply --mask mask.npy --cameras orbit:4@25 --target person --out"
+        " out/desk"
+    ),
+    (
+        "dagger --region scenes/car_street.xml --object car --target person --out"
+        " out/dagger-eot"
+    ),
+    (
+        "dagger --region scenes/car_street.xml --object car --elevations 10 30 --jpeg"
+        " 50 --blur 1 --out out/photographed"
+    ),
     "demo",
     "demo --out out/first --force",
 )
@@ -48,37 +65,54 @@ class AttackOptions(DetectorOptions, ResultOptions):
     """What an attack on one object takes, from chosen cameras or from a region."""
 
     scene: Positional[Path]
-    """Scene XML made of splats, a splat file, or example:car_street or example:stop_sign."""
+    """Scene XML made of splats, a splat file, or example:car_street or
+    example:stop_sign.
+    """
     selection: Selection = field(default_factory=Selection)
-    """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
+    """The object whose Gaussians are attacked; all others stay as they are.
+
+    If nothing is said, the part called car.
+    """
     view: CameraOptions = field(default_factory=CameraOptions)
     """Where the object is looked at from."""
     objective: Annotated[str, Metavar("relabel|hide|untargeted")] = "relabel"
-    """The aim: another class (--target), no detection at all, any but the right class, or that of another package."""
+    """The aim: another class (--target), no detection at all, any but the right class,
+    or that of another package.
+    """
     target: ClassName | None = None
     """Class that the detectors shall see there (relabel); None is person."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where splat and detectors are: on the CPU, or on an NVIDIA GPU, where no two attacks have the same bits."""
+    """Where splat and detectors are: on the CPU, or on an NVIDIA GPU, where no two
+    attacks have the same bits.
+    """
     confidence: Confidence | None = None
-    """Confidence that counts as success: at least so much of the target class (None: 0.5, or 0.7 with --no-strict), or
-    less of what is to vanish (None: 0.3)."""
+    """Confidence that counts as success: at least so much of the target class (None:
+    0.5, or 0.7 with --no-strict), or less of what is to vanish (None: 0.3).
+    """
     strict: bool = True
-    """Count a relabelled object only if its original class is reported with less than 0.5. --no-strict --step-factor 2
-    --momentum 0 --schedule constant is the search of the paper."""
+    """Count a relabelled object only if its original class is reported with less than
+    0.5. --no-strict --step-factor 2 --momentum 0 --schedule constant is the search of
+    the paper.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)
 class DaggerOptions(AttackOptions):
-    """Change the Gaussians of one object within a budget, until a detector takes it for something else (DAGGER).
+    """Change the Gaussians of one object within a budget, until a detector takes it for
+    something else (DAGGER).
 
-    Writes before.png, after.png, difference.png, detections.png, attacked.ply, mask.npy (the object), cameras.json,
-    the rows and result.json into --out; of a scene XML also attacked.xml with its parts, which can be rendered and
-    attacked again. The exit status is 0 also when the attack fails: that is a result.
+    Writes before.png, after.png, difference.png, detections.png, attacked.ply, mask.npy
+    (the object), cameras.json, the rows and result.json into --out; of a scene XML also
+    attacked.xml with its parts, which can be rendered and attacked again. The exit
+    status is 0 also when the attack fails: that is a result.
     """
 
     view: CameraOptions = field(default_factory=CameraOptions)
-    """The cameras attacked at once; without any flag it is one. Of the folder of a set it is those of the pictures for
-    training that show the object, so that the others can judge."""
+    """The cameras attacked at once; without any flag it is one.
+
+    Of the folder of a set it is those of the pictures for training that show the
+    object, so that the others can judge.
+    """
     config: DaggerConfig = field(default_factory=DaggerConfig.for_views)
     """How to attack."""
     out: OutFolder = Path("out/dagger")
@@ -86,19 +120,25 @@ class DaggerOptions(AttackOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class DaggerRegionOptions(AttackOptions):
-    """Attack one object so that detectors misread it from all cameras of a region, not from one (DAGGER with EOT).
+    """Attack one object so that detectors misread it from all cameras of a region, not
+    from one (DAGGER with EOT).
 
-    Views are drawn at random, new ones at each step or from a pool; others judge the result. Writes held_out.png,
-    attacked.ply, mask.npy (the object), cameras.json, the rows and result.json into --out; of a scene XML also
-    attacked.xml with its parts. The exit status is 0 also when the attack fails: that is a result.
+    Views are drawn at random, new ones at each step or from a pool; others judge the
+    result. Writes held_out.png, attacked.ply, mask.npy (the object), cameras.json, the
+    rows and result.json into --out; of a scene XML also attacked.xml with its parts.
+    The exit status is 0 also when the attack fails: that is a result.
     """
 
     view: CameraOptions = field(default_factory=CameraOptions)
-    """The reference camera, the first if there are several: size of the pictures, field of view, unit of distances."""
+    """The reference camera, the first if there are several: size of the pictures, field
+    of view, unit of distances.
+    """
     region: CameraRegion = field(default_factory=CameraRegion)
     """Where the object is looked at from."""
     pictures: PictureChanges = field(default_factory=PictureChanges)
-    """What happens to the pictures between renderer and detector; by default nothing."""
+    """What happens to the pictures between renderer and detector; by default
+    nothing.
+    """
     config: DaggerConfig = field(default_factory=DaggerConfig.for_region)
     """How to attack."""
     out: OutFolder = Path("out/dagger-eot")
@@ -106,11 +146,13 @@ class DaggerRegionOptions(AttackOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions(ResultOptions):
-    """Attack the car of the scene example:car_street, so that a small Faster R-CNN reports a person in its place.
+    """Attack the car of the scene example:car_street, so that a small Faster R-CNN
+    reports a person in its place.
 
-    The same as `mi-splat dagger example:car_street --object car --target person --cameras rear`. It needs neither a
-    GPU nor a network, and takes about 20 seconds on two CPU cores. Writes what `mi-splat dagger` writes into --out;
-    look at detections.png first.
+    The same as `mi-splat dagger example:car_street --object car --target person
+    --cameras rear`. It needs neither a GPU nor a network, and takes about 20 seconds on
+    two CPU cores. Writes what `mi-splat dagger` writes into --out; look at
+    detections.png first.
     """
 
     out: OutFolder = Path("out/demo")
@@ -122,14 +164,18 @@ def run(options: DaggerOptions) -> None:
     from mi_splat.selection.select import doubts, require_visible
 
     config = options.config
-    with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
+    with progress(
+        "loading the scene and the detector", total=config.restarts * (config.steps + 1)
+    ) as advance:
         loaded, selection, chosen = _opened(options, split="train")
         weights = chosen.weights(loaded)
         if any(Path(text).is_dir() for text in options.view.cameras):
             chosen, weights = _showing(chosen, weights)
         require_visible(weights)
         cameras = list(chosen.cameras.values())
-        views = FixedViews(loaded.scene, chosen.mask, cameras, render=chosen.render, up=chosen.up)
+        views = FixedViews(
+            loaded.scene, chosen.mask, cameras, render=chosen.render, up=chosen.up
+        )
         origin = {"selection": selection.as_dict(), "cameras": list(chosen.cameras)}
         told = tuple(doubts(chosen.mask, weights))
         interrupted = _attack(options, loaded, chosen, views, origin, advance, told)
@@ -137,16 +183,26 @@ def run(options: DaggerOptions) -> None:
 
 
 def run_region(options: DaggerRegionOptions) -> None:
-    """Attack from all cameras of a region; Ctrl-C ends the search with the best so far."""
+    """Attack from all cameras of a region; Ctrl-C ends the search with the best so
+    far.
+    """
     from attacks.dagger.views import DrawnViews
     from mi_splat.io.camera_records import describe
 
-    with progress("loading the scene and the detectors", total=options.config.steps + 1) as advance:
+    with progress(
+        "loading the scene and the detectors", total=options.config.steps + 1
+    ) as advance:
         loaded, selection, chosen = _opened(options)
         name, camera = next(iter(chosen.cameras.items()))
         drawn = Transformations(cameras=options.region, pictures=options.pictures)
-        views = DrawnViews(loaded.scene, chosen.mask, camera, drawn, render=chosen.render, up=chosen.up)
-        origin = {"selection": selection.as_dict(), "cameras": [name], "reference": describe(name, camera)}
+        views = DrawnViews(
+            loaded.scene, chosen.mask, camera, drawn, render=chosen.render, up=chosen.up
+        )
+        origin = {
+            "selection": selection.as_dict(),
+            "cameras": [name],
+            "reference": describe(name, camera),
+        }
         interrupted = _attack(options, loaded, chosen, views, origin, advance)
     _end(options, interrupted)
 
@@ -155,13 +211,26 @@ def run_demo(options: DemoOptions) -> None:
     """Attack with the options of the demo."""
     from attacks.cli import parse
 
-    words = ["example:car_street", "--object", "car", "--target", "person", "--cameras", "rear", "--out"]
+    words = [
+        "example:car_street",
+        "--object",
+        "car",
+        "--target",
+        "person",
+        "--cameras",
+        "rear",
+        "--out",
+    ]
     flags = [f"--{name}" for name in ("force", "json") if getattr(options, name)]
     run(parse("dagger", [*words, str(options.out), *flags]))
 
 
-def _opened(options: AttackOptions, *, split: Split | None = None) -> tuple[SplatScene, Selection, Chosen]:
-    """The scene, what is selected in it, and the object with its cameras, if --out can be written."""
+def _opened(
+    options: AttackOptions, *, split: Split | None = None
+) -> tuple[SplatScene, Selection, Chosen]:
+    """The scene, what is selected in it, and the object with its cameras, if --out can
+    be written.
+    """
     from mi_splat.cli.cameras import choose
     from mi_splat.io.folders import check_new_folder
     from mi_splat.scene_files import open_scene
@@ -176,13 +245,17 @@ def _opened(options: AttackOptions, *, split: Split | None = None) -> tuple[Spla
     return loaded, selection, choose(loaded, selection, options.view, split=split)
 
 
-def _detectors_and_objective(options: AttackOptions) -> tuple[Sequence[Detector], Objective]:
+def _detectors_and_objective(
+    options: AttackOptions,
+) -> tuple[Sequence[Detector], Objective]:
     from attacks.cli.options import load_detectors
 
     targeted = OBJECTIVES.chosen(options.objective).targeted
     target = (options.target or DEFAULT_TARGET) if targeted else None
     detectors = load_detectors(options.detectors, options.weights, options.device)
-    return detectors, objective_of(options.objective, target, options.confidence, strict=options.strict)
+    return detectors, objective_of(
+        options.objective, target, options.confidence, strict=options.strict
+    )
 
 
 def _attack(
@@ -194,7 +267,9 @@ def _attack(
     advance: Advance,
     doubts: tuple[str, ...] = (),
 ) -> bool:
-    """Attack and write the result, the mask, and of a scene file its parts; whether Ctrl-C ended the search."""
+    """Attack and write the result, the mask, and of a scene file its parts; whether
+    Ctrl-C ended the search.
+    """
     from attacks.dagger.attack import attack_views
     from attacks.dagger.report import write_files
     from mi_splat.io.folders import new_folder
@@ -205,7 +280,9 @@ def _attack(
     advance("attacking", 0)
     with deferred_interrupt() as interrupted:
         on_step = _follow(advance, objective.label, options.config, interrupted)
-        result = attack_views(views, detectors, objective, config=options.config, on_step=on_step)
+        result = attack_views(
+            views, detectors, objective, config=options.config, on_step=on_step
+        )
     origin = {**result.origin, "scene": str(options.scene), **origin}
     result = replace(result, origin=origin, doubts=doubts)
     with new_folder(options.out, force=options.force) as folder:
@@ -225,29 +302,48 @@ def _end(options: AttackOptions, interrupted: bool) -> None:
         raise KeyboardInterrupt
 
 
-def _showing(chosen: Chosen, weights: dict[str, Tensor]) -> tuple[Chosen, dict[str, Tensor]]:
+def _showing(
+    chosen: Chosen, weights: dict[str, Tensor]
+) -> tuple[Chosen, dict[str, Tensor]]:
     """The cameras from which the object shows; all if there is none."""
     from mi_splat.selection.select import SEEN
 
-    kept = {name: weight for name, weight in weights.items() if bool((weight >= SEEN).any())} or weights
+    kept = {
+        name: weight for name, weight in weights.items() if bool((weight >= SEEN).any())
+    } or weights
     if idle := len(weights) - len(kept):
-        warn(f"{idle} of {len(weights)} pictures for training do not show the object, and are left out")
+        warn(
+            f"{idle} of {len(weights)} pictures for training do not show the object,"
+            " and are left out"
+        )
     return replace(chosen, cameras={name: chosen.cameras[name] for name in kept}), kept
 
 
 def _follow(
-    advance: Advance, label: str | None, config: DaggerConfig, interrupted: Callable[[], bool]
+    advance: Advance,
+    label: str | None,
+    config: DaggerConfig,
+    interrupted: Callable[[], bool],
 ) -> Callable[[Step], bool]:
-    """Show each step with the last score, and end the attack if the clean object is taken for the class wanted."""
+    """Show each step with the last score, and end the attack if the clean object is
+    taken for the class wanted.
+    """
     from attacks.search import NOT_JUDGED
 
     score = ""
 
     def note(step: Step) -> bool:
         nonlocal score
-        if label is not None and step.index == step.restart == 0 and step.unambiguous and not config.random_start:
+        if (
+            label is not None
+            and step.index == step.restart == 0
+            and step.unambiguous
+            and not config.random_start
+        ):
             do = "name another class with --target"
-            raise InvalidValueError.of("--target", "another class than is seen before the attack", label, do)
+            raise InvalidValueError.of(
+                "--target", "another class than is seen before the attack", label, do
+            )
         score = score if step.score == NOT_JUDGED else f", score {step.score:.0%}"
         advance(f"attacking: loss {step.loss:.3f}{score}")
         return step.index + step.restart > 0 and interrupted()

@@ -1,4 +1,6 @@
-"""`mi-splat detect`: what detectors report on pictures, and on splats as cameras see them."""
+"""`mi-splat detect`: what detectors report on pictures, and on splats as cameras see
+them.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ if TYPE_CHECKING:
     from attacks.detectors.base import Detections, Detector
 
     Report = tuple[Mapping[str, object] | None, str, Tensor, Detections]
-    """Where from, by which detector; the picture, (H, W, 3) sRGB in [0, 1], and what is reported on it."""
+    """Where from, by which detector; the picture, (H, W, 3) sRGB in [0, 1], and what is
+    reported on it.
+    """
 
 
 EXAMPLES = (
@@ -30,17 +34,22 @@ EXAMPLES = (
     "detect YOUR_PHOTOS --min-confidence 0.5 --out out/photos",
 )
 _SPLATS = (".ply", ".spz", ".sog", ".splat", ".glb", ".usd", ".usda", ".usdc", ".usdz")
-"""Endings of splats: a folder with one of them is opened as a splat, whatever images lie beside it."""
+"""Endings of splats: a folder with one of them is opened as a splat, whatever images
+lie beside it.
+"""
 MOST_IMAGES = 1000
-"""Images of one folder; each is decoded, and its boxes are drawn into a file of its own."""
+"""Images of one folder; each is decoded, and its boxes are drawn into a file of its
+own.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DetectOptions(DetectorOptions, ResultOptions):
-    """Run detectors on images, or on splats and scenes from cameras; draw the boxes and list them.
+    """Run detectors on images, or on splats and scenes from cameras; draw the boxes and
+    list them.
 
-    Photographs are turned upright by their EXIF orientation. Writes an image with boxes for each image and detector,
-    and result.json, into --out.
+    Photographs are turned upright by their EXIF orientation. Writes an image with boxes
+    for each image and detector, and result.json, into --out.
     """
 
     inputs: Positional[tuple[Path, ...]] = ()
@@ -62,26 +71,50 @@ def run(options: DetectOptions) -> None:
     _check_inputs(options)
     check_new_folder(options.out, force=options.force)
     rows: dict[str, dict[str, Any]] = {}
-    with progress("loading") as advance, new_folder(options.out, force=options.force) as folder:
-        # Not before the first file is read and its cameras are found: a wrong name is told at once.
-        detectors = functools.cache(lambda: load_detectors(options.detectors, options.weights))
+    with (
+        progress("loading") as advance,
+        new_folder(options.out, force=options.force) as folder,
+    ):
+        # Not before the first file is read and its cameras are found: a wrong name is
+        # told at once.
+        detectors = functools.cache(
+            lambda: load_detectors(options.detectors, options.weights)
+        )
         for source in _sources(options.inputs):
             advance(f"looking at {source}")
-            for camera, detector, image, detections in _reports(source, detectors, options.view):
+            for camera, detector, image, detections in _reports(
+                source, detectors, options.view
+            ):
                 where = "" if camera is None else f"-{camera['name']}"
                 name = file_name(f"{source.stem}{where}-{detector}")
                 while name in rows:
                     name = f"{name}-{len(rows)}"
-                items = [item for item in listed(detections) if item["score"] >= options.min_confidence]
-                rows[name] = {"source": str(source), "camera": camera, "detector": detector, "detections": items}
-                rows[name] |= {"size": [image.shape[1], image.shape[0]], "picture": f"{name}.png"}
-                drawn = annotated(image, detections, name, min_confidence=options.min_confidence)
+                items = [
+                    item
+                    for item in listed(detections)
+                    if item["score"] >= options.min_confidence
+                ]
+                rows[name] = {
+                    "source": str(source),
+                    "camera": camera,
+                    "detector": detector,
+                    "detections": items,
+                }
+                rows[name] |= {
+                    "size": [image.shape[1], image.shape[0]],
+                    "picture": f"{name}.png",
+                }
+                drawn = annotated(
+                    image, detections, name, min_confidence=options.min_confidence
+                )
                 save_png(drawn, folder / f"{name}.png")
         document = {
             "story": "detect",
             "min_confidence": options.min_confidence,
             "view": _given(options.view),
-            "fingerprints": {detector.name: detector.fingerprint for detector in detectors()},
+            "fingerprints": {
+                detector.name: detector.fingerprint for detector in detectors()
+            },
             "pictures": list(rows.values()),
             **provenance.origin(),
         }
@@ -92,10 +125,14 @@ def run(options: DetectOptions) -> None:
 
 
 def _reported(row: Mapping[str, Any]) -> str:
-    return ", ".join(f"{item['label']} {item['score']:.0%}" for item in row["detections"])
+    return ", ".join(
+        f"{item['label']} {item['score']:.0%}" for item in row["detections"]
+    )
 
 
-def _reports(source: Path, detectors: Callable[[], list[Detector]], view: CameraOptions) -> Iterator[Report]:
+def _reports(
+    source: Path, detectors: Callable[[], list[Detector]], view: CameraOptions
+) -> Iterator[Report]:
     import torch
 
     from attacks.observe.views import detect_views
@@ -106,7 +143,9 @@ def _reports(source: Path, detectors: Callable[[], list[Detector]], view: Camera
 
     if _is_picture(source):
         background = view.background or (0.0, 0.0, 0.0)
-        image, _ = read_picture(source, downscale=1, background=background, upright=True)
+        image, _ = read_picture(
+            source, downscale=1, background=background, upright=True
+        )
         for detector in detectors():
             with torch.no_grad():
                 (detections,) = detector.detect(image[None])
@@ -116,12 +155,16 @@ def _reports(source: Path, detectors: Callable[[], list[Detector]], view: Camera
     cameras = find_cameras(loaded, view)
     render = renderer_of(loaded, view, cameras)
     records = [describe(name, camera) for name, camera in cameras.items()]
-    for seen in detect_views(loaded.scene, list(cameras.values()), detectors(), render=render):
+    for seen in detect_views(
+        loaded.scene, list(cameras.values()), detectors(), render=render
+    ):
         yield records[seen.view], seen.detector, seen.image, seen.detections
 
 
 def _sources(inputs: Sequence[Path]) -> Iterator[Path]:
-    """The inputs, with the images of a folder in its place; those that cannot be read are named and left out."""
+    """The inputs, with the images of a folder in its place; those that cannot be read
+    are named and left out.
+    """
     from mi_splat.datasets import DatasetError
     from mi_splat.datasets.frames import picture_size
     from mi_splat.io.picture_files import PictureFileError
@@ -141,7 +184,8 @@ def _sources(inputs: Sequence[Path]) -> Iterator[Path]:
 
 
 def _images_in(folder: Path) -> list[Path]:
-    """The images of a folder in the order of their names; none of a file, or of a folder that holds a splat.
+    """The images of a folder in the order of their names; none of a file, or of a
+    folder that holds a splat.
 
     Raises:
         UsageError: There are more than `MOST_IMAGES`.
@@ -154,25 +198,45 @@ def _images_in(folder: Path) -> list[Path]:
     images = [path for path in files if _is_picture(path)]
     if len(images) > MOST_IMAGES:
         do = "name fewer, for instance with a pattern of the shell"
-        raise UsageError.of(str(folder), f"at most {MOST_IMAGES:,} images", f"{len(images):,}", do)
+        raise UsageError.of(
+            str(folder), f"at most {MOST_IMAGES:,} images", f"{len(images):,}", do
+        )
     return images
 
 
 def _check_inputs(options: DetectOptions) -> None:
-    """Raise if there are none, or a flag says where a scene is looked at from, and there is none among them."""
+    """Raise if there are none, or a flag says where a scene is looked at from, and
+    there is none among them.
+    """
     if not options.inputs:
-        raise UsageError.of("inputs", "pictures, splats or scenes", "none", "name one or more")
+        raise UsageError.of(
+            "inputs", "pictures, splats or scenes", "none", "name one or more"
+        )
     idle = [f"--{name}" for name in _given(options.view) if name != "background"]
-    if idle and all(_is_picture(source) or _images_in(source) for source in options.inputs):
+    if idle and all(
+        _is_picture(source) or _images_in(source) for source in options.inputs
+    ):
         got = f"pictures only, and {', '.join(idle)}"
-        raise UsageError.of("inputs", "a splat or a scene to look at from cameras", got, "leave the flag out")
+        raise UsageError.of(
+            "inputs",
+            "a splat or a scene to look at from cameras",
+            got,
+            "leave the flag out",
+        )
 
 
 def _given(view: CameraOptions) -> dict[str, Any]:
     """What was said of the cameras, by the name of the flag, as JSON can hold it."""
     usual = dataclasses.asdict(CameraOptions())
-    given = {name: value for name, value in dataclasses.asdict(view).items() if value != usual[name]}
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in given.items()}
+    given = {
+        name: value
+        for name, value in dataclasses.asdict(view).items()
+        if value != usual[name]
+    }
+    return {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in given.items()
+    }
 
 
 def _is_picture(source: Path) -> bool:

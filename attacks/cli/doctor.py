@@ -1,7 +1,9 @@
-"""`mi-splat doctor`: check what `mi-splat dagger` needs on this machine, and say what to do where it does not work.
+"""`mi-splat doctor`: check what `mi-splat dagger` needs on this machine, and say what
+to do where it does not work.
 
-A broken libLLVM, or a torch that does not fit its torchvision, can end the whole process. So each check runs in a child
-process (`python -m attacks.cli.doctor CHECK`), which prints what it says as a JSON text.
+A broken libLLVM, or a torch that does not fit its torchvision, can end the whole
+process. So each check runs in a child process (`python -m attacks.cli.doctor CHECK`),
+which prints what it says as a JSON text.
 """
 
 from __future__ import annotations
@@ -36,9 +38,11 @@ EXAMPLES = ("doctor",)
 
 @dataclass(frozen=True, kw_only=True)
 class DoctorOptions(JsonOptions):
-    """Render one Gaussian, take one gradient, load one detector; say what works and what to do about what does not.
+    """Render one Gaussian, take one gradient, load one detector; say what works and
+    what to do about what does not.
 
-    What other packages bring (plug-ins) is imported as well, and named with its package.
+    What other packages bring (plug-ins) is imported as well, and named with its
+    package.
 
     The exit status is 1 if something that `mi-splat dagger` needs does not work.
     """
@@ -57,7 +61,9 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check: `run` returns a detail, or raises; `advice` is given if it does not work."""
+    """One check: `run` returns a detail, or raises; `advice` is given if it does not
+    work.
+    """
 
     name: str
     run: Callable[[], str]
@@ -76,27 +82,48 @@ def run(options: DoctorOptions) -> int:
         lines.append(f"{finding.state:7}  {finding.name:{width}}  {finding.detail}")
         if finding.advice:
             lines.append(f"{'':7}  {'':{width}}  -> {finding.advice}")
-    fine, broken = "all that mi-splat needs works", "something that mi-splat needs does not work; see the arrows"
+    fine, broken = (
+        "all that mi-splat needs works",
+        "something that mi-splat needs does not work; see the arrows",
+    )
     lines.append(fine if healthy else broken)
-    document = {"healthy": healthy, "findings": [dataclasses.asdict(finding) for finding in findings]}
+    document = {
+        "healthy": healthy,
+        "findings": [dataclasses.asdict(finding) for finding in findings],
+    }
     show_result(document, *lines, as_json=options.json)
     return 0 if healthy else 1
 
 
 def examine(on_done: Callable[[str], None] = lambda name: None) -> list[Finding]:
     """All findings on this machine, in the order in which one thing needs the other."""
-    packages = ", ".join(f"{package} {number}" for package, number in versions().items())
+    packages = ", ".join(
+        f"{package} {number}" for package, number in versions().items()
+    )
     detail = f"{packages}; {platform.system()} {platform.machine()}"
     findings = [Finding(name="versions", state="works", detail=detail, required=True)]
     for check in CHECKS:
-        findings.append(checked(check, python_command("attacks.cli.doctor", check.name)))
+        findings.append(
+            checked(check, python_command("attacks.cli.doctor", check.name))
+        )
         on_done(check.name)
     for extra, modules in EXTRAS.items():
-        if missing := [module for module in modules if importlib.util.find_spec(module) is None]:
-            detail, advice = f"no {' and '.join(missing)}", f"optional: {install(extra)}"
-            findings.append(Finding(name=f"extra {extra}", state="absent", detail=detail, advice=advice))
+        if missing := [
+            module for module in modules if importlib.util.find_spec(module) is None
+        ]:
+            detail, advice = (
+                f"no {' and '.join(missing)}",
+                f"optional: {install(extra)}",
+            )
+            findings.append(
+                Finding(
+                    name=f"extra {extra}", state="absent", detail=detail, advice=advice
+                )
+            )
         else:
-            findings.append(Finding(name=f"extra {extra}", state="works", detail=", ".join(modules)))
+            findings.append(
+                Finding(name=f"extra {extra}", state="works", detail=", ".join(modules))
+            )
     return [*findings, *map(_plug_in, brought_by_packages())]
 
 
@@ -104,36 +131,72 @@ def checked(check: Check, command: Sequence[str]) -> Finding:
     """The finding of a check that a command makes."""
     detail, reason = _answer(command)
     if detail is not None:
-        return Finding(name=check.name, state="works", detail=detail, required=check.required)
+        return Finding(
+            name=check.name, state="works", detail=detail, required=check.required
+        )
     state: Literal["fails", "absent"] = "fails" if check.required else "absent"
-    return Finding(name=check.name, state=state, detail=reason, advice=check.advice, required=check.required)
+    return Finding(
+        name=check.name,
+        state=state,
+        detail=reason,
+        advice=check.advice,
+        required=check.required,
+    )
 
 
 def _plug_in(point: tuple[str, str, str]) -> Finding:
-    """Whether what another package brings is there; a child imports it, for it may do anything."""
+    """Whether what another package brings is there; a child imports it, for it may do
+    anything.
+    """
     group, name, origin = point
     advice = ""
     if group not in REGISTRIES:
-        advice = f"no command looks there; {nearest(group, REGISTRIES, 'see docs/plug-ins.md')}"
+        advice = (
+            "no command looks there;"
+            f" {nearest(group, REGISTRIES, 'see docs/plug-ins.md')}"
+        )
     else:
         advice = _answer(python_command("attacks.cli.doctor", f"{group}/{name}"))[1]
     state: Literal["works", "fails"] = "fails" if advice else "works"
-    return Finding(name=f"plug-in {name}", state=state, detail=f"{origin} ({group})", advice=advice)
+    return Finding(
+        name=f"plug-in {name}", state=state, detail=f"{origin} ({group})", advice=advice
+    )
 
 
 def _answer(command: Sequence[str]) -> tuple[str | None, str]:
-    """What a child said, or None and why: a signal that ended it, or the last line of its stderr."""
+    """What a child said, or None and why: a signal that ended it, or the last line of
+    its stderr.
+    """
     try:
-        child = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIME_LIMIT, check=False)
+        child = subprocess.run(
+            command,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=TIME_LIMIT,
+            check=False,
+        )
     except subprocess.TimeoutExpired:
         return None, f"no answer after {TIME_LIMIT:.0f} s"
     said = [line for line in child.stdout.splitlines() if line.startswith(b'"')]
     if said:
         return str(json.loads(said[0])), ""
-    lines = [line.strip() for line in child.stderr.decode(errors="replace").splitlines() if line.strip()]
+    lines = [
+        line.strip()
+        for line in child.stderr.decode(errors="replace").splitlines()
+        if line.strip()
+    ]
     if child.returncode < 0:
-        return None, " ".join([f"the process was ended by {signal.Signals(-child.returncode).name}", *lines[:1]])
-    return None, re.sub(r"^(mi_splat|attacks)[\w.]*: ", "", lines[-1]) if lines else f"exit status {child.returncode}"
+        return None, " ".join(
+            [
+                f"the process was ended by {signal.Signals(-child.returncode).name}",
+                *lines[:1],
+            ]
+        )
+    return None, (
+        re.sub(r"^(mi_splat|attacks)[\w.]*: ", "", lines[-1])
+        if lines
+        else f"exit status {child.returncode}"
+    )
 
 
 def _llvm() -> str:
@@ -141,12 +204,18 @@ def _llvm() -> str:
     from mi_splat.variant import use
 
     path, variant = prepare_llvm(), use()
-    where = "left to Dr.Jit" if path is None else f"version {llvm_version(path) or 'unknown'}, {path}"
+    where = (
+        "left to Dr.Jit"
+        if path is None
+        else f"version {llvm_version(path) or 'unknown'}, {path}"
+    )
     return f"{where}; {variant}"
 
 
 def _one_gaussian(variant: str = "llvm_ad_rgb") -> str:
-    """Render one bright Gaussian in front of black, and take the gradient by its colour."""
+    """Render one bright Gaussian in front of black, and take the gradient by its
+    colour.
+    """
     import_at_once("torch")
     import torch
 
@@ -162,16 +231,30 @@ def _one_gaussian(variant: str = "llvm_ad_rgb") -> str:
         opacities=torch.tensor([0.9]),
         sh=sh,
     )
-    camera = Camera(to_world=look_at((3.0, 0.0, 0.0), (0.0, 0.0, 0.0)), focal=32.0, width=32, height=32)
+    camera = Camera(
+        to_world=look_at((3.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        focal=32.0,
+        width=32,
+        height=32,
+    )
     render = Renderer(RenderSettings(background=(0.0, 0.0, 0.0), variant=variant))
     image = render(scene.to("cuda" if variant.startswith("cuda") else "cpu"), camera)
     middle, corner = float(image[16, 16].mean()), float(image[0, 0].mean())
     if not middle > corner + 0.3:
-        raise ValueError(f"a bright Gaussian should show in the middle: {middle:.2f}, and {corner:.2f} in a corner")
+        raise ValueError(
+            f"a bright Gaussian should show in the middle: {middle:.2f}, and"
+            f" {corner:.2f} in a corner"
+        )
     (gradient,) = torch.autograd.grad(image.sum(), sh)
     if not (bool(torch.isfinite(gradient).all()) and bool((gradient > 0).all())):
-        raise ValueError(f"the gradient of the image's sum by the colour should be positive: {gradient.tolist()}")
-    return f"the middle pixel is {middle:.2f}, the gradient by the colour {float(gradient.mean()):.2f}"
+        raise ValueError(
+            "the gradient of the image's sum by the colour should be positive:"
+            f" {gradient.tolist()}"
+        )
+    return (
+        f"the middle pixel is {middle:.2f}, the gradient by the colour"
+        f" {float(gradient.mean()):.2f}"
+    )
 
 
 def _torch_pair() -> str:
@@ -182,7 +265,10 @@ def _torch_pair() -> str:
     boxes = torch.tensor([[0.0, 0.0, 2.0, 2.0], [0.0, 0.0, 2.0, 2.1]])
     kept = torchvision.ops.nms(boxes, torch.tensor([0.9, 0.8]), 0.5).tolist()
     if kept != [0]:
-        raise ValueError(f"torchvision's non-maximum suppression should keep the first of two boxes: {kept}")
+        raise ValueError(
+            "torchvision's non-maximum suppression should keep the first of two boxes:"
+            f" {kept}"
+        )
     return f"torch {torch.__version__} and torchvision {torchvision.__version__}"
 
 
@@ -193,7 +279,10 @@ def _detector() -> str:
 
     detector = load_detector("fasterrcnn_small")
     (detections,) = detector.detect(torch.full((1, 64, 64, 3), 0.5))
-    return f"{detector.name}, {len(detector.classes)} classes, {len(detections)} detections in a grey image"
+    return (
+        f"{detector.name}, {len(detector.classes)} classes, {len(detections)}"
+        " detections in a grey image"
+    )
 
 
 def _cuda() -> str:
@@ -201,7 +290,10 @@ def _cuda() -> str:
 
     if not torch.cuda.is_available():
         raise MiSplatError(f"torch {torch.__version__} sees no GPU")
-    return f"{torch.cuda.get_device_name()}; of one Gaussian {_one_gaussian('cuda_ad_rgb')}"
+    return (
+        f"{torch.cuda.get_device_name()}; of one Gaussian"
+        f" {_one_gaussian('cuda_ad_rgb')}"
+    )
 
 
 CHECKS = (
@@ -210,13 +302,19 @@ CHECKS = (
     Check(
         "torch pair",
         _torch_pair,
-        "install both together, from one index: pip install --force-reinstall torch torchvision",
+        "install both together, from one index: pip install --force-reinstall torch"
+        " torchvision",
     ),
-    Check("one detector", _detector, "reinstall mi-splat; its weights are part of the package"),
+    Check(
+        "one detector",
+        _detector,
+        "reinstall mi-splat; its weights are part of the package",
+    ),
     Check(
         "CUDA",
         _cuda,
-        "optional: all runs on the CPU; for a GPU install its driver and a torch built for CUDA",
+        "optional: all runs on the CPU; for a GPU install its driver and a torch built"
+        " for CUDA",
         required=False,
     ),
 )
@@ -247,7 +345,9 @@ if __name__ == "__main__":  # in the child
     if "/" in word:
         point_group, point = word.split("/")
         module, registry = REGISTRIES[point_group]
-        answer = type(getattr(importlib.import_module(module), registry).chosen(point)).__name__
+        answer = type(
+            getattr(importlib.import_module(module), registry).chosen(point)
+        ).__name__
     else:
         answer = next(check for check in CHECKS if check.name == word).run()
     os.write(sys.stdout.fileno(), (json.dumps(answer) + "\n").encode())

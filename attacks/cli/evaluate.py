@@ -1,4 +1,6 @@
-"""`mi-splat evaluate`: a clean and an attacked splat from many cameras, and what detectors make of both."""
+"""`mi-splat evaluate`: a clean and an attacked splat from many cameras, and what
+detectors make of both.
+"""
 
 from __future__ import annotations
 
@@ -23,16 +25,23 @@ if TYPE_CHECKING:
     from mi_splat.scene import GaussianScene
 
 
-EXAMPLES = ("evaluate YOUR.ply out/desk/attacked.ply --cameras hemisphere:24 --target person --out out/judged",)
+EXAMPLES = (
+    (
+        "evaluate YOUR.ply out/desk/attacked.ply --cameras hemisphere:24 --target"
+        " person --out out/judged"
+    ),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions(DetectorOptions, ResultOptions):
-    """Look at a clean and an attacked splat from many cameras, and compare what detectors make of them.
+    """Look at a clean and an attacked splat from many cameras, and compare what
+    detectors make of them.
 
-    Says how often the object is found, missed, or taken for the target, with 95 % intervals. The cameras should be
-    others than those that were attacked. Writes a picture of both splats side by side for each detector,
-    the rows and result.json into --out.
+    Says how often the object is found, missed, or taken for the target, with 95 %
+    intervals. The cameras should be others than those that were attacked. Writes a
+    picture of both splats side by side for each detector, the rows and result.json into
+    --out.
     """
 
     clean: Positional[Path]
@@ -44,14 +53,18 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     view: CameraOptions = field(default_factory=CameraOptions)
     """Where both are looked at from."""
     original: ClassName | None = None
-    """Class that the object is; None is what each detector calls it in most views of the clean splat."""
+    """Class that the object is; None is what each detector calls it in most views of
+    the clean splat.
+    """
     target: ClassName | None = None
     """Class that the attacker wants."""
     min_confidence: Confidence = 0.5
     """Confidence from which a detection counts."""
     judges: Detectors = ()
-    """Further detectors that check the others: a view is flagged where one reports a class that a judge knows and the
-    judge does not, or the other way round. `rapidocr` reads the word on stop signs."""
+    """Further detectors that check the others: a view is flagged where one reports a
+    class that a judge knows and the judge does not, or the other way round. `rapidocr`
+    reads the word on stop signs.
+    """
     pictures: Count = 8
     """Views shown side by side; 0 writes no pictures."""
     out: OutFolder = Path("out/evaluate")
@@ -61,7 +74,13 @@ def run(options: EvaluateOptions) -> None:
     """Evaluate, and write pictures and numbers."""
     from attacks.cli.options import check_detectors
     from attacks.cli.summary import show_summary
-    from attacks.observe.comparison import changed_mask, compare, compared_rows, contradictions, side_by_side
+    from attacks.observe.comparison import (
+        changed_mask,
+        compare,
+        compared_rows,
+        contradictions,
+        side_by_side,
+    )
     from attacks.observe.rows import ATTACKED, CLEAN
     from attacks.observe.views import evaluate
     from mi_splat.cli.cameras import choose, look_at_object
@@ -75,25 +94,38 @@ def run(options: EvaluateOptions) -> None:
     with progress("loading") as advance:
         clean, attacked = open_scene(options.clean), open_scene(options.attacked)
         if options.selection.is_empty:
-            chosen = look_at_object(clean, changed_mask(clean.scene, attacked.scene), options.view)
+            chosen = look_at_object(
+                clean, changed_mask(clean.scene, attacked.scene), options.view
+            )
         else:
             chosen = choose(clean, options.selection, options.view)
         detectors, judges = _detectors(options)
         scenes = {CLEAN: clean.scene, ATTACKED: attacked.scene}
-        names, cameras, confidence = list(chosen.cameras), list(chosen.cameras.values()), options.min_confidence
+        names, cameras, confidence = (
+            list(chosen.cameras),
+            list(chosen.cameras.values()),
+            options.min_confidence,
+        )
         advance(f"looking from {len(cameras)} cameras")
         seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
         classes = {"original": options.original, "target": options.target}
-        looked = compared_rows(seen, **classes, min_confidence=confidence, judges=judges)
+        looked = compared_rows(
+            seen, **classes, min_confidence=confidence, judges=judges
+        )
         comparisons = compare(looked.rows, confidence=confidence)
         contradicted = contradictions(looked.rows, judges, names, confidence=confidence)
         with new_folder(options.out, force=options.force) as folder:
             for comparison in comparisons if options.pictures else ():
                 name, most = comparison.detector, options.pictures
-                drawn = side_by_side(seen[CLEAN], seen[ATTACKED], detector=name, most=most, names=names)
+                drawn = side_by_side(
+                    seen[CLEAN], seen[ATTACKED], detector=name, most=most, names=names
+                )
                 save_png(drawn, folder / f"{name}.png")
             told = {"judges": judges, "contradictions": contradicted} if judges else {}
-            save_json(_document(options, chosen, scenes, detectors, comparisons, told), folder / RECORD)
+            save_json(
+                _document(options, chosen, scenes, detectors, comparisons, told),
+                folder / RECORD,
+            )
             looked.write(folder)
     show_summary(options.out, as_json=options.json, tables=len(contradicted))
 
@@ -104,10 +136,14 @@ def _detectors(options: EvaluateOptions) -> tuple[list[Detector], dict[str, list
 
     detectors = load_detectors(options.detectors, options.weights)
     for detector in detectors:
-        check_class(options.original, detector.name, detector.classes, what="--original")
+        check_class(
+            options.original, detector.name, detector.classes, what="--original"
+        )
         check_class(options.target, detector.name, detector.classes, what="--target")
     judging = load_detectors(options.judges) if options.judges else []
-    return [*detectors, *judging], {judge.name: list(judge.classes) for judge in judging}
+    return [*detectors, *judging], {
+        judge.name: list(judge.classes) for judge in judging
+    }
 
 
 def _document(
@@ -137,15 +173,22 @@ def _document(
         "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
         **{f"{name}_hash": scene_hash(scene) for name, scene in scenes.items()},
         "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
-        "detectors": {comparison.detector: comparison.as_dict() for comparison in comparisons},
+        "detectors": {
+            comparison.detector: comparison.as_dict() for comparison in comparisons
+        },
         **of_judges,
-        "warnings": [*doubts(chosen.mask, {}), *_doubts(comparisons, cameras, options.attacked)],
+        "warnings": [
+            *doubts(chosen.mask, {}),
+            *_doubts(comparisons, cameras, options.attacked),
+        ],
         **provenance.rendered_with(chosen.render),
         **provenance.origin(),
     }
 
 
-def _doubts(comparisons: Sequence[Comparison], cameras: Sequence[Camera], attacked: Path) -> Iterator[str]:
+def _doubts(
+    comparisons: Sequence[Comparison], cameras: Sequence[Camera], attacked: Path
+) -> Iterator[str]:
     import torch
 
     from mi_splat.io.camera_records import recorded_cameras
@@ -153,8 +196,14 @@ def _doubts(comparisons: Sequence[Comparison], cameras: Sequence[Camera], attack
 
     recorded = recorded_cameras(attacked.parent / RECORD, reference=False) or {}
     poses = [camera.to_world for camera in recorded.values()]
-    same = sum(any(torch.allclose(camera.to_world, pose) for pose in poses) for camera in cameras)
+    same = sum(
+        any(torch.allclose(camera.to_world, pose) for pose in poses)
+        for camera in cameras
+    )
     if same:
-        yield f"{same} of {len(cameras)} cameras are those that were attacked: pass others, with --cameras"
+        yield (
+            f"{same} of {len(cameras)} cameras are those that were attacked: pass"
+            " others, with --cameras"
+        )
     for comparison in comparisons:
         yield from comparison.doubts(len(cameras))

@@ -1,4 +1,5 @@
-"""`mi-splat gate`: verdicts on many splat files, which are read by processes with limits.
+"""`mi-splat gate`: verdicts on many splat files, which are read by processes with
+limits.
 
 A verdict counts before it is shown: whether anybody can read it changes no exit status.
 """
@@ -43,7 +44,11 @@ REFUSED, UNJUDGED = 3, 1
 ENDINGS = (".sarif", ".json")
 _WAITING = 4  # files for each process that wait for it
 _LONGEST_LINE = (1 << 16) + 2
-_LINES = DocumentReader(expected='a JSON text, or an object with "file"', do="write one path a line", most=1 << 16)
+_LINES = DocumentReader(
+    expected='a JSON text, or an object with "file"',
+    do="write one path a line",
+    most=1 << 16,
+)
 
 Request = Mapping[str, str]
 Line = dict[str, Any]
@@ -51,33 +56,42 @@ Line = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class GateOptions(JsonOptions):
-    """Give a verdict on each file, claim by claim: accept, quarantine, not judged or refuse.
+    """Give a verdict on each file, claim by claim: accept, quarantine, not judged or
+    refuse.
 
-    Without files, paths are read from standard input, one JSON text a line, or an object with "file" and, where an
-    older copy is known to be clean, "against". A verdict is written as soon as its file ends; with --json it is one
-    JSON object in one line. A file that is larger, or takes more time or memory, than the policy allows, or that ends
-    the process that reads it, is not judged, and the others are. Verdicts are kept in --store by what a file holds,
-    so that no content is judged twice; its name is not kept.
+    Without files, paths are read from standard input, one JSON text a line, or an
+    object with "file" and, where an older copy is known to be clean, "against". A
+    verdict is written as soon as its file ends; with --json it is one JSON object in
+    one line. A file that is larger, or takes more time or memory, than the policy
+    allows, or that ends the process that reads it, is not judged, and the others are.
+    Verdicts are kept in --store by what a file holds, so that no content is judged
+    twice; its name is not kept.
 
-    Exit status with --strict: 3 a file is refused, 1 none is refused but one is not judged, or a verdict could not be
-    written.
+    Exit status with --strict: 3 a file is refused, 1 none is refused but one is not
+    judged, or a verdict could not be written.
     """
 
     files: Positional[tuple[Path, ...]] = ()
     """Splat files of any format that is read."""
     policy: Path | None = None
-    """TOML file: `seconds` and `megabytes` of memory for a file, `file_megabytes` on the disk, `most_gaussians` that
-    are looked at for appearances and edits, the `claims` to judge, and under [rules] what follows from a rule or a
-    severity: accept, quarantine or refuse. Without, errors and hidden appearances are refused, suspicious ones and
-    edits quarantined."""
+    """TOML file: `seconds` and `megabytes` of memory for a file, `file_megabytes` on
+    the disk, `most_gaussians` that are looked at for appearances and edits, the
+    `claims` to judge, and under [rules] what follows from a rule or a severity: accept,
+    quarantine or refuse. Without, errors and hidden appearances are refused, suspicious
+    ones and edits quarantined.
+    """
     only: Literal["lint"] | None = None
     """Only check the numbers and what rendering them costs, which is much faster."""
     workers: Annotated[int, between(1, 1024, "processes")] | None = None
-    """Processes that read files side by side; None is one for each core if memory allows."""
+    """Processes that read files side by side; None is one for each core if memory
+    allows.
+    """
     seconds: Annotated[float, at_least(1, "seconds")] | None = None
     """Most seconds that a file may take, in place of those of the policy (120)."""
     megabytes: Annotated[float, at_least(500, "MB")] | None = None
-    """Most memory that all processes that read a file may use together, in place of that of the policy (4000)."""
+    """Most memory that all processes that read a file may use together, in place of
+    that of the policy (4000).
+    """
     store: OutFolder = Path("~/.cache/mi-splat")
     """Folder of verdicts, and of the records on which they rest."""
     sarif: OutFile | None = None
@@ -98,7 +112,8 @@ def run(options: GateOptions) -> int:
         check_new_file(options.sarif, ENDINGS, force=options.force)
     requests = _requests(options.files)
     store = Store(options.store.expanduser())
-    with contextlib.suppress(MiSplatError, OSError):  # verdicts can be given where none can be kept
+    # verdicts can be given where none can be kept
+    with contextlib.suppress(MiSplatError, OSError):
         store.sweep()
     verdicts = _Verdicts(options)
     with _readers(chosen_workers(options.workers), policy, store) as readers:
@@ -107,7 +122,11 @@ def run(options: GateOptions) -> int:
 
 
 def _judge_all(
-    requests: Iterator[Request], readers: Sequence[Reader], policy: Policy, store: Store, verdicts: _Verdicts
+    requests: Iterator[Request],
+    readers: Sequence[Reader],
+    policy: Policy,
+    store: Store,
+    verdicts: _Verdicts,
 ) -> None:
     """Judge files side by side, one for each reader."""
     from attacks.audits.judging import Judge
@@ -132,7 +151,12 @@ def _judge_all(
         raise
 
 
-def _judge_from(waiting: queue.Queue[Request | None], judge: Judge, policy: Policy, verdicts: _Verdicts) -> None:
+def _judge_from(
+    waiting: queue.Queue[Request | None],
+    judge: Judge,
+    policy: Policy,
+    verdicts: _Verdicts,
+) -> None:
     """Judge one waiting file after the other; nothing that happens to one ends this."""
     while (request := waiting.get()) is not None:
         started = time.monotonic()
@@ -145,7 +169,9 @@ def _judge_from(waiting: queue.Queue[Request | None], judge: Judge, policy: Poli
 
 @contextlib.contextmanager
 def _readers(workers: int, policy: Policy, store: Store) -> Iterator[list[Reader]]:
-    """Processes that read, each with its share of the cores and its own folder of compiled kernels."""
+    """Processes that read, each with its share of the cores and its own folder of
+    compiled kernels.
+    """
     from attacks.audits.judging import ReaderProcess
     from mi_splat.ledger.engines import environment, free_cache, share_of_cores
     from mi_splat.process_group import Limits
@@ -170,7 +196,9 @@ def _readers(workers: int, policy: Policy, store: Store) -> Iterator[list[Reader
 
 
 class _Verdicts:
-    """The verdicts of a run: each counts first, and is then shown where that is possible."""
+    """The verdicts of a run: each counts first, and is then shown where that is
+    possible.
+    """
 
     def __init__(self, options: GateOptions) -> None:
         self._options = options
@@ -181,7 +209,9 @@ class _Verdicts:
         self._is_stopped = False
 
     def stop(self) -> None:
-        """Take no more: what is ended now is ended because of us, and says nothing of a file."""
+        """Take no more: what is ended now is ended because of us, and says nothing of a
+        file.
+        """
         self._is_stopped = True
 
     def add(self, file: str, judged: Judged, policy: Policy, seconds: float) -> None:
@@ -216,7 +246,10 @@ class _Verdicts:
         """Write what is written at the end; the exit status."""
         status = 0
         if self._fault is not None and not isinstance(self._fault, BrokenPipeError):
-            warn(f"verdicts could not be written: {self._fault}; the files were judged all the same")
+            warn(
+                f"verdicts could not be written: {self._fault}; the files were judged"
+                " all the same"
+            )
             status = UNJUDGED
         if self._options.sarif is not None:
             status = max(status, self._save_sarif(self._options.sarif))
@@ -244,7 +277,15 @@ def _policy(options: GateOptions) -> Policy:
     reader = DocumentReader(expected="a policy as TOML", do="see mi-splat help gate")
     table = {} if options.policy is None else reader.read_toml(options.policy)
     policy = decode(Policy, table, str(options.policy))
-    known = [*ACTIONS, "hidden-look", "overdraw", "render-mode", "unreadable", *(rule.name for rule in RULES), *ADDED]
+    known = [
+        *ACTIONS,
+        "hidden-look",
+        "overdraw",
+        "render-mode",
+        "unreadable",
+        *(rule.name for rule in RULES),
+        *ADDED,
+    ]
     for name in policy.rules:
         if not name.startswith("gltf-"):
             check_choice(f"rules in {options.policy}", name, known)
@@ -257,20 +298,33 @@ def _policy(options: GateOptions) -> Policy:
 
 
 def _requests(files: Sequence[Path]) -> Iterator[Request]:
-    """What is to be judged: the files, or what standard input names; a line that names none has its reason."""
+    """What is to be judged: the files, or what standard input names; a line that names
+    none has its reason.
+    """
     if files:
         return ({"file": str(path)} for path in files)
     if sys.stdin is None:
-        raise UsageError.of("files", "paths, or a standard input that names them", "a closed one", "pass paths")
+        raise UsageError.of(
+            "files",
+            "paths, or a standard input that names them",
+            "a closed one",
+            "pass paths",
+        )
     return map(_request, filter(str.strip, _input_lines()))
 
 
 def _request(line: str) -> Request:
     """The request in a line of standard input."""
     try:
-        value = _LINES.json_value(line.encode("utf-8", "surrogateescape"), "standard input")
+        value = _LINES.json_value(
+            line.encode("utf-8", "surrogateescape"), "standard input"
+        )
         request = {"file": value} if isinstance(value, str) else value
-        if not isinstance(request, dict) or "file" not in request or not request.keys() <= {"file", "against"}:
+        if (
+            not isinstance(request, dict)
+            or "file" not in request
+            or not request.keys() <= {"file", "against"}
+        ):
             raise _LINES.broken("standard input", one_line(line, 80))
         return {key: str(text) for key, text in request.items()}
     except MiSplatError as error:
@@ -278,8 +332,12 @@ def _request(line: str) -> Request:
 
 
 def _input_lines() -> Iterator[str]:
-    """Lines of standard input, of long ones the beginning; one that is no UTF-8 is a line, too."""
-    stream: Any = sys.stdin.buffer if isinstance(sys.stdin, io.TextIOWrapper) else sys.stdin
+    """Lines of standard input, of long ones the beginning; one that is no UTF-8 is a
+    line, too.
+    """
+    stream: Any = (
+        sys.stdin.buffer if isinstance(sys.stdin, io.TextIOWrapper) else sys.stdin
+    )
     while line := stream.readline(_LONGEST_LINE):
         yield line if isinstance(line, str) else line.decode("utf-8", "surrogateescape")
         while len(line) == _LONGEST_LINE and line[-1:] not in ("\n", b"\n"):
@@ -292,7 +350,9 @@ def _line(file: str, judged: Judged, policy: Policy, seconds: float) -> Line:
     from mi_splat.import_closure import code_digest
 
     line = policy.verdict(judged.rows)
-    if judged.error:  # also where every claim had been judged before: a file that ends its process passes nowhere
+    # also where every claim had been judged before: a file that ends its process passes
+    # nowhere
+    if judged.error:
         line["verdict"] = max(line["verdict"], "not judged", key=VERDICTS.index)
     for values in line["claims"].values():
         for reason in values["reasons"]:
@@ -315,22 +375,39 @@ def _line(file: str, judged: Judged, policy: Policy, seconds: float) -> Line:
 
 
 def _in_words(line: Line) -> str:
-    parts = [f"{line['file']}: {line['verdict']}", *([f"  {line['error']}"] if line["error"] else [])]
+    parts = [
+        f"{line['file']}: {line['verdict']}",
+        *([f"  {line['error']}"] if line["error"] else []),
+    ]
     for claim, values in line["claims"].items():
-        parts += [f"  {claim}, {item['verdict']}: {item['rule']} {item['reason']}" for item in values["reasons"]]
-    return "\n".join("\\n".join(part.splitlines()) for part in parts)  # a name must not make up lines of its own
+        parts += [
+            f"  {claim}, {item['verdict']}: {item['rule']} {item['reason']}"
+            for item in values["reasons"]
+        ]
+    # a name must not make up lines of its own
+    return "\n".join("\\n".join(part.splitlines()) for part in parts)
 
 
 def _report(line: Line, judged: Judged) -> Mapping[str, Any]:
-    """What SARIF says of a file: what the audit found, and what of the verdict does not follow from that."""
+    """What SARIF says of a file: what the audit found, and what of the verdict does not
+    follow from that.
+    """
     told = ("unreadable", "changed", "") if judged.account else None
     more = []
     for claim, values in line["claims"].items():
         for item in values["reasons"]:
             if told is None or item["rule"] in told:
                 rule = item["rule"] or "not-judged"
-                more.append((rule, item["severity"] or "warning", f"{claim}: {item['reason']}"))
+                more.append(
+                    (rule, item["severity"] or "warning", f"{claim}: {item['reason']}")
+                )
     if line["error"] or not (more or judged.account):
-        more.append(("not-judged", "error", line["error"] or "nothing was found out about the file"))
+        more.append(
+            (
+                "not-judged",
+                "error",
+                line["error"] or "nothing was found out about the file",
+            )
+        )
     account = judged.account or {"summary": []}
     return {**account, "file": line["file"], "verdict": line["verdict"], "more": more}

@@ -24,67 +24,101 @@ DEFAULT_TARGET = "person"
 
 
 def check_names(options: Any) -> None:
-    """Raise unless detectors are known, they know the classes, and the aim can be one."""
-    given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
-    if 0 in getattr(given.get("config"), "eps", ()):  # which an attack from Python may have, as a control
+    """Raise unless detectors are known, they know the classes, and the aim can be
+    one.
+    """
+    given = {
+        field.name: getattr(options, field.name)
+        for field in dataclasses.fields(options)
+    }
+    # which an attack from Python may have, as a control
+    if 0 in getattr(given.get("config"), "eps", ()):
         raise UsageError.of("--eps", "a number > 0", 0, "5 is the paper's")
-    objective, target, weights = given.get("objective", "relabel"), given.get("target"), given.get("weights")
+    objective, target, weights = (
+        given.get("objective", "relabel"),
+        given.get("target"),
+        given.get("weights"),
+    )
     if objective != "relabel":
         try:
             check_choice("--objective", objective, tuple(OBJECTIVES))
         except InvalidValueError as error:
             raise UsageError(str(error)) from None
     if target is not None and not OBJECTIVES[objective].targeted:
-        raise UsageError.of("--target", f"none beside --objective {objective}", target, "leave one out")
+        raise UsageError.of(
+            "--target", f"none beside --objective {objective}", target, "leave one out"
+        )
     named = given.get("detectors") or given.get("detector") or ()
     names = (named,) if isinstance(named, str) else named
     if isinstance(weights, tuple):
         check_detectors(names, weights)
     if not names:
         return
-    from attacks.detectors.registry import detector_spec  # not for commands that have none
+    # not for commands that have none
+    from attacks.detectors.registry import detector_spec
 
     known = {name: detector_spec(name).classes for name in names}
     for flag in ("original", "target"):
-        for name in names if not weights else ():  # a file of weights may have other classes
+        # a file of weights may have other classes
+        for name in names if not weights else ():
             check_class(given.get(flag), name, known[name], what=f"--{flag}")
     if objective == "relabel" and {"target", "selection"} <= set(given):
-        attacks, selection = "original" not in given, given["selection"]  # who judges takes nothing for granted
-        part = DEFAULT_OBJECT if selection.is_empty and attacks else selection.object or ""
+        # who judges takes nothing for granted
+        attacks, selection = "original" not in given, given["selection"]
+        part = (
+            DEFAULT_OBJECT if selection.is_empty and attacks else selection.object or ""
+        )
         name = given.get("original") or part.replace("_", " ")
         if name and name == (target or (DEFAULT_TARGET if attacks else None)):
             do = "name another class with --target"
-            raise InvalidValueError.of("--target", f"another class than the object's, {name}", name, do)
+            raise InvalidValueError.of(
+                "--target", f"another class than the object's, {name}", name, do
+            )
 
 
 def check_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> None:
     """Raise if a detector is named twice, or there are weights of some only."""
     if len(set(names)) < len(names):
-        raise InvalidValueError.of("--detectors", "different names", list(names), "see `mi-splat detectors`")
+        raise InvalidValueError.of(
+            "--detectors", "different names", list(names), "see `mi-splat detectors`"
+        )
     if weights and names and len(weights) != len(names):
         do = f"pass one for each of {', '.join(names)}"
         raise InvalidValueError.of("--weights", f"{len(names)} files", len(weights), do)
 
 
-def check_class(name: str | None, detector: str, classes: Sequence[str], *, what: str) -> None:
+def check_class(
+    name: str | None, detector: str, classes: Sequence[str], *, what: str
+) -> None:
     """Raise if a detector does not know a class."""
     if name is not None and name not in classes:
-        expected, do = f"one of {', '.join(classes)} for {detector}", "name a class that it knows"
+        expected, do = (
+            f"one of {', '.join(classes)} for {detector}",
+            "name a class that it knows",
+        )
         raise InvalidValueError.of(what, expected, name, nearest(name, classes, do))
 
 
-def load_detectors(names: Sequence[str], weights: Sequence[Path] = (), device: str = "cpu") -> list[Detector]:
+def load_detectors(
+    names: Sequence[str], weights: Sequence[Path] = (), device: str = "cpu"
+) -> list[Detector]:
     """Detectors by name, each with its file of weights if there are any."""
     from attacks.detectors import load_detector
 
     files = weights_of(names, weights)
-    return [load_detector(name, weights=files.get(name), device=device) for name in names]
+    return [
+        load_detector(name, weights=files.get(name), device=device) for name in names
+    ]
 
 
 def weights_of(names: Sequence[str], weights: Sequence[Path]) -> dict[str, Path]:
-    """The files of weights by the names of their detectors; empty for the shipped or published ones."""
+    """The files of weights by the names of their detectors; empty for the shipped or
+    published ones.
+    """
     if not names:
-        raise InvalidValueError.of("--detectors", "one name or more", "none", "see `mi-splat detectors`")
+        raise InvalidValueError.of(
+            "--detectors", "one name or more", "none", "see `mi-splat detectors`"
+        )
     check_detectors(names, weights)
     return dict(zip(names, weights, strict=True)) if weights else {}
 
@@ -98,19 +132,39 @@ _WORKER = 2e9
 
 
 def chosen_workers(asked: int | None) -> int:
-    """Number of processes that do jobs side by side: one for each core if None and the memory allows."""
+    """Number of processes that do jobs side by side: one for each core if None and the
+    memory allows.
+    """
     if asked is not None:
         return asked
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(cores, int(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / _WORKER)))
+    cores = (
+        len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count() or 1
+    )
+    return max(
+        1,
+        min(
+            cores,
+            int(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / _WORKER),
+        ),
+    )
 
 
 def check_result_folder(folder: Path) -> None:
     """Raise unless a command may have written its result there."""
     if not any(folder.glob("*.json")):
-        got = "one without a result" if folder.is_dir() else f"a file; pass {folder.parent}" if folder.is_file() else ""
+        got = (
+            "one without a result"
+            if folder.is_dir()
+            else f"a file; pass {folder.parent}"
+            if folder.is_file()
+            else ""
+        )
         expected = "a folder that a command of mi-splat has written"
-        raise InvalidValueError.of(str(folder), expected, got or "nothing there", "check the path")
+        raise InvalidValueError.of(
+            str(folder), expected, got or "nothing there", "check the path"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,4 +174,6 @@ class DetectorOptions:
     detectors: Detectors = ("fasterrcnn_small",)
     """Names of detectors (see `mi-splat detectors`)."""
     weights: tuple[Path, ...] = ()
-    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    """Files with their weights, as many as there are detectors; none takes the shipped
+    or published ones.
+    """

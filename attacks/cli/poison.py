@@ -1,4 +1,6 @@
-"""`mi-splat poison`: an attack on a set of anybody's images, and so on every splat that is trained on it."""
+"""`mi-splat poison`: an attack on a set of anybody's images, and so on every splat that
+is trained on it.
+"""
 
 from __future__ import annotations
 
@@ -28,10 +30,22 @@ if TYPE_CHECKING:
     from mi_splat.scene import GaussianScene
 
 EXAMPLES = (
-    "poison YOUR_PHOTOS out/photos/splat.ply --click 320,240 --hide-from elevation:50-90 --out out/poisoned",
-    "poison YOUR_PHOTOS out/photos/splat.ply --box -1 -1 0 1 1 1 --hide-from cone:180,30,25 --look stop.png",
-    "poison YOUR_PHOTOS out/photos/splat.ply --kind poison-splat --eps 16 --steps 2000 --out out/swollen",
-    "poison YOUR_PHOTOS out/photos/splat.ply --kind m-ifgsm --label car --click 320,240 --out out/misread",
+    (
+        "poison YOUR_PHOTOS out/photos/splat.ply --click 320,240 --hide-from"
+        " elevation:50-90 --out out/poisoned"
+    ),
+    (
+        "poison YOUR_PHOTOS out/photos/splat.ply --box -1 -1 0 1 1 1 --hide-from"
+        " cone:180,30,25 --look stop.png"
+    ),
+    (
+        "poison YOUR_PHOTOS out/photos/splat.ply --kind poison-splat --eps 16 --steps"
+        " 2000 --out out/swollen"
+    ),
+    (
+        "poison YOUR_PHOTOS out/photos/splat.ply --kind m-ifgsm --label car --click"
+        " 320,240 --out out/misread"
+    ),
     "poison YOUR_PHOTOS --kind uniform-noise --eps 16 --out out/noise",
 )
 
@@ -54,16 +68,21 @@ class HidingConfig(ObjectConfig):
     """CLOAK on a set of pictures.
 
     Attributes:
-        hide_from: Where the object is hidden, seen from its middle, in degrees: elevation:LOW-HIGH, azimuth:LOW-HIGH or
-            cone:AZIMUTH,ELEVATION,HALF_ANGLE, which is around a direction; of several, from where all of them hold.
+        hide_from: Where the object is hidden, seen from its middle, in degrees:
+            elevation:LOW-HIGH, azimuth:LOW-HIGH or cone:AZIMUTH,ELEVATION,HALF_ANGLE,
+            which is around a direction; of several, from where all of them hold.
         margin: Degrees around it in which pictures are changed, too.
-        look: What is shown in its place: remove (the picture around it goes on), or a picture file.
+        look: What is shown in its place: remove (the picture around it goes on), or a
+            picture file.
         reach: Pixels around the object that change, too.
-        up: Direction that is up in the set's world: an axis, or X,Y,Z; sets of COLMAP often have -y.
+        up: Direction that is up in the set's world: an axis, or X,Y,Z; sets of COLMAP
+            often have -y.
     """
 
     hide_from: tuple[Annotated[str, Metavar("REGION")], ...] = ("elevation:50-90",)
-    margin: Annotated[float, between(0, 90, "degrees", "7 hides more, and begins to show before")] = 0.0
+    margin: Annotated[
+        float, between(0, 90, "degrees", "7 hides more, and begins to show before")
+    ] = 0.0
     look: Annotated[str, Metavar("LOOK")] = "remove"
     reach: Annotated[int, between(0, 100, "pixels")] = 3
     up: Direction = (0.0, 0.0, 1.0)
@@ -85,7 +104,9 @@ class MisreadingConfig(ObjectConfig):
 
 
 class Outcome(NamedTuple):
-    """A poisoned set, what else its record says, and in words what the user should know."""
+    """A poisoned set, what else its record says, and in words what the user should
+    know.
+    """
 
     done: Poisoned
     record: Mapping[str, Any] = MappingProxyType({})
@@ -109,27 +130,37 @@ class Kind:
 
 
 def kind_names() -> list[str]:
-    """Names of all kinds; another package's poison is imported when its kind is asked for."""
+    """Names of all kinds; another package's poison is imported when its kind is asked
+    for.
+    """
     return list(dict.fromkeys(["cloak", *POISONS]))
 
 
 @dataclass(frozen=True, kw_only=True)
 class PoisonOptions(ResultOptions):
-    """Poison a set of pictures with cameras, so that a splat of it hides an object, costs more, or is misread.
+    """Poison a set of pictures with cameras, so that a splat of it hides an object,
+    costs more, or is misread.
 
-    Writes a set of the same cameras into --out, some of whose pictures are changed. A victim trains on it as on any
-    other. poison.json and before_and_after.png say what was changed. Pictures that are held out stay as they are,
-    so that the splat can be compared with them.
+    Writes a set of the same cameras into --out, some of whose pictures are changed. A
+    victim trains on it as on any other. poison.json and before_and_after.png say what
+    was changed. Pictures that are held out stay as they are, so that the splat can be
+    compared with them.
 
-    Kinds: cloak shows something else in the place of an object, in the pictures from --hide-from. poison-splat makes a
-    splat take more Gaussians, memory and time; uniform-noise and raised-variation are its controls, and need no splat.
-    m-ifgsm changes an object a little in each picture, so that a classifier misreads it.
+    Kinds: cloak shows something else in the place of an object, in the pictures from
+    --hide-from. poison-splat makes a splat take more Gaussians, memory and time;
+    uniform-noise and raised-variation are its controls, and need no splat. m-ifgsm
+    changes an object a little in each picture, so that a classifier misreads it.
     """
 
     dataset: Annotated[Positional[Path], Metavar("SET")]
-    """Folder of pictures with cameras (transforms.json or COLMAP), or its transforms file."""
+    """Folder of pictures with cameras (transforms.json or COLMAP), or its transforms
+    file.
+    """
     splat: Annotated[Path | None, Flag(positional=True), Metavar("SPLAT")] = None
-    """A splat that was trained on the set. By it an object is found in pictures, and poison-splat begins with it."""
+    """A splat that was trained on the set.
+
+    By it an object is found in pictures, and poison-splat begins with it.
+    """
     kind: Annotated[str, Metavar("|".join(kind_names()))] = "cloak"
     """Which attack. For the flags of one add --help."""
     poison: Any = field(default_factory=HidingConfig)
@@ -137,16 +168,24 @@ class PoisonOptions(ResultOptions):
     downscale: Annotated[int, at_least(1)] = 1
     """The pictures are made so many times smaller."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where the decoy and the classifier are: on the CPU, or on an NVIDIA GPU; poison-splat and m-ifgsm have them."""
+    """Where the decoy and the classifier are: on the CPU, or on an NVIDIA GPU;
+    poison-splat and m-ifgsm have them.
+    """
     seed: Seed = 0
     """Seed of everything random; cloak draws nothing."""
 
 
 def defaults(words: Sequence[str]) -> dict[str, Any]:
-    """The kind and its options, which say what further flags there are, and whether a splat is needed."""
+    """The kind and its options, which say what further flags there are, and whether a
+    splat is needed.
+    """
     name = choice_among(kind_names(), words, "--kind", "cloak")
     kind = kind_of(name)
-    return {"kind": name, "poison": kind.config, "splat": dataclasses.MISSING if kind.needs_splat else None}
+    return {
+        "kind": name,
+        "poison": kind.config,
+        "splat": dataclasses.MISSING if kind.needs_splat else None,
+    }
 
 
 def run(options: PoisonOptions) -> None:
@@ -163,18 +202,30 @@ def run(options: PoisonOptions) -> None:
     kind = kind_of(options.kind)
     if options.device != "cpu" and not kind.on_gpu:
         able = " or ".join(name for name in kind_names() if kind_of(name).on_gpu)
-        raise UsageError.of(f"--device {options.device}", f"--kind {able}", options.kind, "leave it out")
+        raise UsageError.of(
+            f"--device {options.device}", f"--kind {able}", options.kind, "leave it out"
+        )
     check_device(options.device)
     check_no_input_in(options.out, options.dataset, options.splat)
     check_new_folder(options.out, force=options.force, record=RECORD)
     work = kind.prepare(options.poison, options)
     with progress("reading the set"):
-        views = load_dataset(options.dataset, split="train", downscale=options.downscale)
-        held_out = load_dataset(options.dataset, split="test", downscale=options.downscale)
-        splat = load_splat(options.splat) if kind.needs_splat and options.splat is not None else None
+        views = load_dataset(
+            options.dataset, split="train", downscale=options.downscale
+        )
+        held_out = load_dataset(
+            options.dataset, split="test", downscale=options.downscale
+        )
+        splat = (
+            load_splat(options.splat)
+            if kind.needs_splat and options.splat is not None
+            else None
+        )
     with progress("poisoning", total=None) as advance:
         on_step = follow(advance)
-        done, more, lines, warnings = work(views, splat, lambda count, total: on_step("poisoning", count, total))
+        done, more, lines, warnings = work(
+            views, splat, lambda count, total: on_step("poisoning", count, total)
+        )
         done = as_files_hold(done, views)
         record: dict[str, Any] = {
             "set": str(options.dataset),
@@ -187,28 +238,55 @@ def run(options: PoisonOptions) -> None:
         }
         advance("writing")
         with new_folder(options.out, force=options.force, record=RECORD) as folder:
-            write_poisoned(folder, views, done, held_out=held_out, changes_count=kind.replaces, keeps_alpha=True)
-            save_png((before_and_after if kind.replaces else difference_sheet)(done), folder / BEFORE_AND_AFTER)
+            write_poisoned(
+                folder,
+                views,
+                done,
+                held_out=held_out,
+                changes_count=kind.replaces,
+                keeps_alpha=True,
+            )
+            save_png(
+                (before_and_after if kind.replaces else difference_sheet)(done),
+                folder / BEFORE_AND_AFTER,
+            )
             save_json(record, folder / RECORD)
     for text in warnings:
         warn(text)
     last = f"{options.out}: train on it as on any set; {RECORD} says what was changed"
-    show_result({**record, "out": str(options.out)}, _changes(done), *lines, last, as_json=options.json)
+    show_result(
+        {**record, "out": str(options.out)},
+        _changes(done),
+        *lines,
+        last,
+        as_json=options.json,
+    )
 
 
 def _changes(done: Poisoned) -> str:
     changes = [change for change in done.changes if change.pixels_changed]
     if not changes:
         return f"none of {len(done.views)} pictures is changed"
-    shares, most = sorted(change.pixels_changed / change.pixels for change in changes), max(c.largest for c in changes)
-    many = f"{len(changes)} of {len(done.views)} pictures are changed, {shares[0]:.1%} to {shares[-1]:.1%} of each"
+    shares, most = (
+        sorted(change.pixels_changed / change.pixels for change in changes),
+        max(c.largest for c in changes),
+    )
+    many = (
+        f"{len(changes)} of {len(done.views)} pictures are changed, {shares[0]:.1%} to"
+        f" {shares[-1]:.1%} of each"
+    )
     return f"{many}, a channel by at most {round(most * 255)} of 255"
 
 
 def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
     import torch
 
-    from attacks.cloak.own_pictures import appearance_of, directions_of, hide, trigger_of
+    from attacks.cloak.own_pictures import (
+        appearance_of,
+        directions_of,
+        hide,
+        trigger_of,
+    )
     from mi_splat.rotation import from_z
 
     trigger = trigger_of(config.hide_from, margin=config.margin)
@@ -218,13 +296,41 @@ def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
         assert splat is not None
         rows, near, selected = _object(config, views, splat)
         turn = from_z(torch.tensor(config.up)).T
-        done = hide(views, splat, rows, trigger, appearance, near=near, turn=turn, on_step=on_step)
-        directions = [[direction.azimuth, direction.elevation] for direction in directions_of(done)]
-        settings = {"hide_from": list(config.hide_from), "margin": config.margin, "look": config.look}
-        settings |= {"reach": config.reach, "up": list(config.up), "directions": directions}
+        done = hide(
+            views,
+            splat,
+            rows,
+            trigger,
+            appearance,
+            near=near,
+            turn=turn,
+            on_step=on_step,
+        )
+        directions = [
+            [direction.azimuth, direction.elevation]
+            for direction in directions_of(done)
+        ]
+        settings = {
+            "hide_from": list(config.hide_from),
+            "margin": config.margin,
+            "look": config.look,
+        }
+        settings |= {
+            "reach": config.reach,
+            "up": list(config.up),
+            "directions": directions,
+        }
         idle = sum(not change.pixels_changed for change in done.changes)
-        remark = f"{idle} pictures from where it is to be hidden do not show the object, and stay as they are"
-        return Outcome(done, {**selected, **settings}, [f"up is {axis_name(config.up)}"], [remark] * (idle > 0))
+        remark = (
+            f"{idle} pictures from where it is to be hidden do not show the object, and"
+            " stay as they are"
+        )
+        return Outcome(
+            done,
+            {**selected, **settings},
+            [f"up is {axis_name(config.up)}"],
+            [remark] * (idle > 0),
+        )
 
     return work
 
@@ -257,16 +363,33 @@ def _misreading(config: MisreadingConfig, options: PoisonOptions) -> Work:
         def mask(camera: Camera) -> Tensor:
             seen = object_weight(splat, rows, camera, render) >= SEEN
             if not bool(seen.any()):
-                name = next(path for path, other in zip(views.paths, views.cameras, strict=True) if other is camera)
+                name = next(
+                    path
+                    for path, other in zip(views.paths, views.cameras, strict=True)
+                    if other is camera
+                )
                 do = "select all of the object, or leave the picture out of the set"
-                raise InvalidValueError.of(str(name), "some pixels of the object", "none", do)
+                raise InvalidValueError.of(
+                    str(name), "some pixels of the object", "none", do
+                )
             return seen
 
-        decoy = _decoy(splat, views, options.device) if config.attack.decoy_steps else None
-        poison = MIFGSM(config=config.attack, classifier=classifier, label=label, masks=mask, decoy=decoy)
+        decoy = (
+            _decoy(splat, views, options.device) if config.attack.decoy_steps else None
+        )
+        poison = MIFGSM(
+            config=config.attack,
+            classifier=classifier,
+            label=label,
+            masks=mask,
+            decoy=decoy,
+        )
         done = poison(views, seed=options.seed, on_step=on_step)
         sure, skipped = config.attack.least_confidence, len(done.poison["skipped"])
-        remark = f"in {skipped} pictures {config.classifier} is less than {sure:.0%} confident of {label}; they stay"
+        remark = (
+            f"in {skipped} pictures {config.classifier} is less than {sure:.0%}"
+            f" confident of {label}; they stay"
+        )
         return Outcome(done, selected, warnings=[remark] * (skipped > 0))
 
     return work
@@ -278,7 +401,14 @@ def _without_object(config: Any, options: PoisonOptions) -> Work:
         poison = POISONS[options.kind].make(config, Given(decoy=decoy))
         done = poison(views, seed=options.seed, on_step=on_step)
         grown, start = (done.poison.get(f"{of}_gaussians") for of in ("decoy", "start"))
-        return Outcome(done, lines=[f"the decoy has {grown:,} Gaussians, the splat has {start:,}"] if grown else [])
+        return Outcome(
+            done,
+            lines=(
+                [f"the decoy has {grown:,} Gaussians, the splat has {start:,}"]
+                if grown
+                else []
+            ),
+        )
 
     return work
 
@@ -296,13 +426,25 @@ def kind_of(name: str) -> Kind:
     spec = POISONS[name]
     if more := set(spec.needs) - {"splat"}:
         got = " and ".join(more)
-        raise UsageError.of(f"--kind {name}", "one that needs no more than a splat", got, "write a study")
+        raise UsageError.of(
+            f"--kind {name}",
+            "one that needs no more than a splat",
+            got,
+            "write a study",
+        )
     needs_splat = "splat" in spec.needs  # for a decoy, which takes most of the time
-    return Kind(config=spec.config(), prepare=_without_object, needs_splat=needs_splat, on_gpu=needs_splat)
+    return Kind(
+        config=spec.config(),
+        prepare=_without_object,
+        needs_splat=needs_splat,
+        on_gpu=needs_splat,
+    )
 
 
 def _decoy(splat: GaussianScene, views: Dataset, device: str) -> Decoy:
-    """A decoy that starts as the splat, on a device; the victim is taken to train as usual."""
+    """A decoy that starts as the splat, on a device; the victim is taken to train as
+    usual.
+    """
     from attacks.poisons.poison_splat import Decoy
     from mi_splat.bounds import near_plane
 
@@ -310,8 +452,12 @@ def _decoy(splat: GaussianScene, views: Dataset, device: str) -> Decoy:
     return Decoy(start=splat.to(device), near=near, background=views.background)
 
 
-def _object(config: ObjectConfig, views: Dataset, splat: GaussianScene) -> tuple[Tensor, float, dict[str, Any]]:
-    """(N,) bool, the object's Gaussians, the near plane of the splat, and what the record says of these."""
+def _object(
+    config: ObjectConfig, views: Dataset, splat: GaussianScene
+) -> tuple[Tensor, float, dict[str, Any]]:
+    """(N,) bool, the object's Gaussians, the near plane of the splat, and what the
+    record says of these.
+    """
     from mi_splat.bounds import near_plane
     from mi_splat.rendering import Renderer, RenderSettings
     from mi_splat.scene import scene_hash
@@ -319,9 +465,15 @@ def _object(config: ObjectConfig, views: Dataset, splat: GaussianScene) -> tuple
 
     if config.picture >= len(views):
         do = "count from 0"
-        raise InvalidValueError.of("--picture", f"a number below {len(views)}", config.picture, do)
+        raise InvalidValueError.of(
+            "--picture", f"a number below {len(views)}", config.picture, do
+        )
     near = near_plane(splat, views.cameras)
     camera, render = views.cameras[config.picture], Renderer(RenderSettings(near=near))
     rows = select(splat, config.selection, camera=camera, render=render)
-    selected = {"selection": config.selection.as_dict(), "scene_hash": scene_hash(splat), "gaussians": int(rows.sum())}
+    selected = {
+        "selection": config.selection.as_dict(),
+        "scene_hash": scene_hash(splat),
+        "gaussians": int(rows.sum()),
+    }
     return rows, near, selected

@@ -1,4 +1,6 @@
-"""`mi-splat report` and `rows`: results as one page, which needs no server and no network, and as tables."""
+"""`mi-splat report` and `rows`: results as one page, which needs no server and no
+network, and as tables.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +31,12 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class ReportOptions(JsonOptions):
-    """Write one page of results: pictures, curves with intervals, controls, warnings, settings, and how to repeat it.
+    """Write one page of results: pictures, curves with intervals, controls, warnings,
+    settings, and how to repeat it.
 
-    Takes folders that mi-splat dagger, study, evaluate, compare, detect,
-    cloak, audit, train and poison have written. The page is one file without a script, and asks nothing of any network.
+    Takes folders that mi-splat dagger, study, evaluate, compare, detect, cloak, audit,
+    train and poison have written. The page is one file without a script, and asks
+    nothing of any network.
     """
 
     results: Positional[tuple[Folder, ...]] = ()
@@ -48,7 +52,9 @@ class ReportOptions(JsonOptions):
 def check_inputs(options: ReportOptions) -> None:
     """Raise unless there are folders that may be results."""
     if not options.results:
-        raise InvalidValueError.of("results", "one folder or more", "none", "name what a command has written")
+        raise InvalidValueError.of(
+            "results", "one folder or more", "none", "name what a command has written"
+        )
     for folder in options.results:
         check_result_folder(folder)
 
@@ -74,24 +80,33 @@ def run(options: ReportOptions) -> None:
         show_json({"out": str(options.out), "results": results})
     else:
         for section in sections:
-            show(f"{section.folder}: {section.headline.label}: {section.headline.value.replace(FIXED, ' ')}")
+            show(
+                f"{section.folder}: {section.headline.label}:"
+                f" {section.headline.value.replace(FIXED, ' ')}"
+            )
             if section.warnings:
-                warn(f"{section.folder}: {counted(len(section.warnings), 'warning')} on the page")
+                warn(
+                    f"{section.folder}: {counted(len(section.warnings), 'warning')} on"
+                    " the page"
+                )
         show(f"{options.out}: open it in any browser; it asks nothing of any network.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RowsOptions(JsonOptions):
-    """Show the rows of a result: a line for each splat, view and detector, from which every figure is counted.
+    """Show the rows of a result: a line for each splat, view and detector, from which
+    every figure is counted.
 
-    Without --csv or --json it says which columns there are and what they mean. Takes a folder that mi-splat dagger,
-    evaluate, cloak or study has written.
+    Without --csv or --json it says which columns there are and what they mean. Takes a
+    folder that mi-splat dagger, evaluate, cloak or study has written.
     """
 
     result: Positional[Folder]
     """Folder of a result."""
     table: Literal["rows", "detections", "fidelity", "transition"] = "rows"
-    """Which table: what is reported on the object, every single detection, or (cloak) pictures without a detector."""
+    """Which table: what is reported on the object, every single detection, or (cloak)
+    pictures without a detector.
+    """
     csv: bool = False
     """Write the table as CSV on stdout."""
 
@@ -105,7 +120,12 @@ def run_rows(options: RowsOptions) -> None:
     if options.csv:
         sys.stdout.write(rows_bytes(table).decode())
     elif options.json:
-        show_json({"columns": [column.as_dict() for column in columns], "rows": table.to_dicts()})
+        show_json(
+            {
+                "columns": [column.as_dict() for column in columns],
+                "rows": table.to_dicts(),
+            }
+        )
     else:
         show_table([(column.name, column.words) for column in columns])
         show(f"{len(table):,} rows; --csv or --json prints them.")

@@ -1,4 +1,6 @@
-"""`mi-splat study`: what a study will take, its run, how far it is, and what to do with what it keeps."""
+"""`mi-splat study`: what a study will take, its run, how far it is, and what to do with
+what it keeps.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from attacks.cli.options import Workers, chosen_workers
 from attacks.studies.study_file import Study
-from mi_splat.cli.console import Advance, limit_threads, progress, show, show_json, show_result, warn
+from mi_splat.cli.console import (
+    Advance,
+    limit_threads,
+    progress,
+    show,
+    show_json,
+    show_result,
+    warn,
+)
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.fields import OutFolder, at_least
@@ -36,9 +46,14 @@ class JobOptions(JsonOptions):
     store: OutFolder = Path("out/store")
     """Folder of finished jobs."""
     workers: Workers | None = None
-    """Processes that do jobs side by side; None is one for each core if memory allows; 0 does them in this one."""
+    """Processes that do jobs side by side; None is one for each core if memory allows;
+    0 does them in this one.
+    """
     seconds: Annotated[float, at_least(1, "seconds")] | None = None
-    """Most seconds that a job may take; it is ended then, which counts as a failure. Not with --workers 0."""
+    """Most seconds that a job may take; it is ended then, which counts as a failure.
+
+    Not with --workers 0.
+    """
     megabytes: Annotated[float, at_least(1, "MB")] | None = None
     """Most memory that a job may use, likewise."""
 
@@ -47,12 +62,14 @@ class JobOptions(JsonOptions):
 class StudyOptions(JobOptions):
     """Do a study: a TOML file that says what is attacked, and what of it varies.
 
-    plan: what is to be done, and how long it takes by what was measured. run: do what is not done yet, and write
-    result.json, rows.csv.xz and table.md into --out; jobs that have failed are tried again. status: how far it is.
-    clean: delete what the store keeps of this study alone.
+    plan: what is to be done, and how long it takes by what was measured. run: do what
+    is not done yet, and write result.json, rows.csv.xz and table.md into --out; jobs
+    that have failed are tried again. status: how far it is. clean: delete what the
+    store keeps of this study alone.
 
-    The shipped studies are in scenes/studies. Finished jobs are kept in --store, which several studies may share: what
-    one has done, no other does again, and what was interrupted goes on where it stopped.
+    The shipped studies are in scenes/studies. Finished jobs are kept in --store, which
+    several studies may share: what one has done, no other does again, and what was
+    interrupted goes on where it stopped.
     """
 
     action: Positional[Literal["plan", "run", "status", "clean"]]
@@ -73,7 +90,9 @@ def run(options: StudyOptions) -> int | None:
     """Do what is asked for."""
     from attacks.studies.study_file import read_study
 
-    return _ACTIONS[options.action](options, read_study(options.study).of(options.parts))
+    return _ACTIONS[options.action](
+        options, read_study(options.study).of(options.parts)
+    )
 
 
 def _work(study: Study) -> Work[Any]:
@@ -92,16 +111,27 @@ def _plan(options: StudyOptions, study: Study) -> None:
     entries = plan(store, study.name, work.jobs())
     done = sum(entry.state == "done" for entry in entries)
     seconds, unknown = forecast(store, entries)
-    document = {"study": study.name, "jobs": len(entries), "done": done, "seconds": round(seconds, 1)}
+    document = {
+        "study": study.name,
+        "jobs": len(entries),
+        "done": done,
+        "seconds": round(seconds, 1),
+    }
     lines = [study.question or study.name, f"{len(entries)} jobs, {done} of them done."]
     if work.searches:
-        lines.append(f"Of {len(work.searches)} searches some of the jobs: which ones, their results say.")
+        lines.append(
+            f"Of {len(work.searches)} searches some of the jobs: which ones, their"
+            " results say."
+        )
     if seconds:
         workers = max(1, chosen_workers(options.workers))
         on = "" if workers < 2 else f", on {workers} workers"
         lines.append(f"About {duration(seconds / workers)} by what was measured{on}.")
     if unknown:
-        lines.append(f"{unknown} jobs are of kinds that were never done here, so how long they take is not known.")
+        lines.append(
+            f"{unknown} jobs are of kinds that were never done here, so how long they"
+            " take is not known."
+        )
     document |= {"not_measured": unknown, "searches": len(work.searches)}
     show_result(document, *lines, as_json=options.json)
 
@@ -112,7 +142,13 @@ def _run(options: StudyOptions, study: Study) -> int:
 
     done = run_work(options, _work(study))
     if options.json:
-        show_json({"jobs": done.jobs, "failed": done.failed, "files": [str(path) for path in done.files]})
+        show_json(
+            {
+                "jobs": done.jobs,
+                "failed": done.failed,
+                "files": [str(path) for path in done.files],
+            }
+        )
     elif done.files and study.kind == "compare":
         show((options.folder(study) / TABLE).read_text())
     elif done.files:
@@ -120,8 +156,15 @@ def _run(options: StudyOptions, study: Study) -> int:
     return 1 if done.failed else 0
 
 
-def run_work(options: StudyOptions, work: Work[Any], *, begin: Callable[[], object] = lambda: None) -> Run:
-    """Do the jobs of a study, write the result, and say which have failed; `begin` comes first."""
+def run_work(
+    options: StudyOptions,
+    work: Work[Any],
+    *,
+    begin: Callable[[], object] = lambda: None,
+) -> Run:
+    """Do the jobs of a study, write the result, and say which have failed; `begin`
+    comes first.
+    """
     from attacks.studies.running import STUDY_FILE
     from mi_splat.io.folders import check_unlocked
 
@@ -129,14 +172,24 @@ def run_work(options: StudyOptions, work: Work[Any], *, begin: Callable[[], obje
     check_unlocked(out)
     done = run_in(out, STUDY_FILE, work, options, begin=begin)
     if done.failed and not options.json:
-        warn(f"{len(done.failed)} jobs have failed; mend the cause, then give the same command again")
+        warn(
+            f"{len(done.failed)} jobs have failed; mend the cause, then give the same"
+            " command again"
+        )
     return done
 
 
 def run_in(
-    out: Path, record: str, work: Work[Any], options: JobOptions, *, begin: Callable[[], object] = lambda: None
+    out: Path,
+    record: str,
+    work: Work[Any],
+    options: JobOptions,
+    *,
+    begin: Callable[[], object] = lambda: None,
 ) -> Run:
-    """Do jobs, also those that have failed earlier, and write their result into a folder known by its record."""
+    """Do jobs, also those that have failed earlier, and write their result into a
+    folder known by its record.
+    """
     from attacks.studies.running import run_with
     from mi_splat.io.folders import check_own_folder, own_folder
     from mi_splat.ledger import Store
@@ -144,11 +197,16 @@ def run_in(
 
     check_own_folder(out, record)
     forgive(work.jobs().values(), Store(options.store))
-    with own_folder(out, record), progress("preparing", total=None if work.searches else work.size) as advance:
+    with (
+        own_folder(out, record),
+        progress("preparing", total=None if work.searches else work.size) as advance,
+    ):
         begin()
         on_event = follow(advance)
         engine = engine_of(options, on_event)
-        done = run_with(engine, work.study, work, store=options.store, out=out, on_event=on_event)
+        done = run_with(
+            engine, work.study, work, store=options.store, out=out, on_event=on_event
+        )
     for label, text in done.failed.items() if not options.json else ():
         warn(f"{label}: {_last_line(text)}")
     return done
@@ -178,7 +236,14 @@ def follow(advance: Advance) -> Callable[[Event], None]:
         elif event.state == "failed":
             warn(event.text)
         elif event.text:
-            advance(f"{event.text}, {event.done} of {event.total}" if event.total else event.text, units=0)
+            advance(
+                (
+                    f"{event.text}, {event.done} of {event.total}"
+                    if event.total
+                    else event.text
+                ),
+                units=0,
+            )
 
     return told
 
@@ -190,10 +255,19 @@ def _status(options: StudyOptions, study: Study) -> None:
     store = Store(options.store)
     entries = status(store, _work(study).jobs())
     counts = Counter(entry.state for entry in entries)
-    failed = {_title(entry): store.failures(entry.key)[-1]["error"] for entry in entries if entry.state == "failed"}
+    failed = {
+        _title(entry): store.failures(entry.key)[-1]["error"]
+        for entry in entries
+        if entry.state == "failed"
+    }
     document = {**{state: counts[state] for state in STATES}, "failures": failed}
     lines = [f"{label}: {_last_line(text)}" for label, text in failed.items()]
-    show_result(document, ", ".join(f"{counts[state]} {state}" for state in STATES), *lines, as_json=options.json)
+    show_result(
+        document,
+        ", ".join(f"{counts[state]} {state}" for state in STATES),
+        *lines,
+        as_json=options.json,
+    )
 
 
 def _title(entry: Entry) -> str:
@@ -206,12 +280,23 @@ def _clean(options: StudyOptions, study: Study) -> None:
     from mi_splat.ledger.plans import planned
 
     store = Store(options.store)
-    others = [path.stem for path in (options.store / "plans").glob("*.json") if path.stem != study.name]
-    keys = sorted(planned(store, study.name).difference(*(planned(store, name) for name in others)))
+    others = [
+        path.stem
+        for path in (options.store / "plans").glob("*.json")
+        if path.stem != study.name
+    ]
+    keys = sorted(
+        planned(store, study.name).difference(
+            *(planned(store, name) for name in others)
+        )
+    )
     for key in keys:
         store.remove(key)
     store.sweep()
-    line = f"{len(keys)} jobs deleted from {options.store}; the result folder of the study stays as it is."
+    line = (
+        f"{len(keys)} jobs deleted from {options.store}; the result folder of the study"
+        " stays as it is."
+    )
     show_result({"deleted": len(keys)}, line, as_json=options.json)
 
 

@@ -1,4 +1,6 @@
-"""What a command says of the result that it has written: the figures of its page, or its record with --json."""
+"""What a command says of the result that it has written: the figures of its page, or
+its record with --json.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ if TYPE_CHECKING:
 
 
 def show_summary(result: Path, *, as_json: bool, tables: int = 0) -> None:
-    """Print the conclusion, the figures and the warnings of a finished result, and where to look."""
+    """Print the conclusion, the figures and the warnings of a finished result, and
+    where to look.
+    """
     if as_json:
         show_json({**read_json(result / RECORD), "out": str(result)})
         return
@@ -30,12 +34,17 @@ def show_summary(result: Path, *, as_json: bool, tables: int = 0) -> None:
         warn(f"warning: {plain(text)}")
     if section.pictures:
         show(f"Look at {section.pictures[0].path} first.")
-    show(f"{result}: every number is in {RECORD}; mi-splat report {result} makes a page.")
+    show(
+        f"{result}: every number is in {RECORD}; mi-splat report {result} makes a page."
+    )
 
 
 def figure_rows(section: Section) -> list[tuple[str, str]]:
     """The label of each figure, and its value with its note."""
-    texts = ((figure.label, "; ".join(filter(None, (figure.cell, figure.note)))) for figure in section.all_figures)
+    texts = (
+        (figure.label, "; ".join(filter(None, (figure.cell, figure.note))))
+        for figure in section.all_figures
+    )
     return [(plain(label), plain(text)) for label, text in texts]
 
 

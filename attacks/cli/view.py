@@ -1,4 +1,6 @@
-"""`mi-splat view`: a splat, a data set or a result on a page in the browser, and the object that is selected there."""
+"""`mi-splat view`: a splat, a data set or a result on a page in the browser, and the
+object that is selected there.
+"""
 
 from __future__ import annotations
 
@@ -31,35 +33,54 @@ EXAMPLES = (
 class ViewOptions:
     """Look at a splat, a data set or the result of an attack on a page in the browser.
 
-    Pictures are those of the renderer, spherical harmonics and all. Of a folder that `mi-splat dagger`, `evaluate` or
-    `cloak` has written, the clean and the attacked splat are shown from one camera; of one of `mi-splat audit` the
-    splat and its heat map, from the cameras that prove hidden content; of one of `mi-splat train` the splat and the
-    photographs. On the page a click selects an object, whose mask `mi-splat dagger` takes. The page is served to this
-    machine alone until Ctrl-C; open it by the address that is printed. From another machine use an SSH tunnel.
+    Pictures are those of the renderer, spherical harmonics and all. Of a folder that
+    `mi-splat dagger`, `evaluate` or `cloak` has written, the clean and the attacked
+    splat are shown from one camera; of one of `mi-splat audit` the splat and its heat
+    map, from the cameras that prove hidden content; of one of `mi-splat train` the
+    splat and the photographs. On the page a click selects an object, whose mask
+    `mi-splat dagger` takes. The page is served to this machine alone until Ctrl-C; open
+    it by the address that is printed. From another machine use an SSH tunnel.
     """
 
     path: Positional[Annotated[Path, Metavar("RESULT")]]
-    """Splat file of any format that is read, scene XML made of splats, data set (COLMAP or transforms), or folder of
-    results."""
+    """Splat file of any format that is read, scene XML made of splats, data set (COLMAP
+    or transforms), or folder of results.
+    """
     clean: Path | None = None
-    """Splat or scene to compare with; of a folder of results it is found. Of an audit, the splat if it was moved."""
+    """Splat or scene to compare with; of a folder of results it is found.
+
+    Of an audit, the splat if it was moved.
+    """
     cameras: Annotated[Path, Metavar("SET|FILE")] | None = None
-    """Data set, whose photographs are shown beside the splat, or JSON file with cameras to look from."""
+    """Data set, whose photographs are shown beside the splat, or JSON file with cameras
+    to look from.
+    """
     up: Direction | None = None
-    """Direction that is up in the files: an axis, or X,Y,Z; foreign splats and sets of COLMAP often have -y.
-    None is what the result was made with; else what the file says, or its cameras or its ground tell, else z."""
+    """Direction that is up in the files: an axis, or X,Y,Z; foreign splats and sets of
+    COLMAP often have -y. None is what the result was made with; else what the file
+    says, or its cameras or its ground tell, else z.
+    """
     detector: Annotated[str, Flag(name="detectors"), Metavar("DETECTOR")] | None = None
-    """Name of a detector (see `mi-splat detectors`) that looks at the pictures of a resting camera."""
+    """Name of a detector (see `mi-splat detectors`) that looks at the pictures of a
+    resting camera.
+    """
     weights: Path | None = None
     """File with the detector's weights; None takes the shipped ones."""
     size: Size | None = None
-    """Pixels of the picture that the detector sees, as 256 or 256x192; None is that of the scene's cameras."""
+    """Pixels of the picture that the detector sees, as 256 or 256x192; None is that of
+    the scene's cameras.
+    """
     background: Colour | None = None
-    """Colour behind the Gaussians, as white, #80b0e0 or 0.5,0.7,0.9; None is the scene's own,
-    black for a bare splat file."""
+    """Colour behind the Gaussians, as white, #80b0e0 or 0.5,0.7,0.9; None is the
+    scene's own, black for a bare splat file.
+    """
     near: Length | None = None
-    """Gaussians nearer than this (depth, world units) are left out; None is the scene's own, 0.2 for a bare splat."""
-    port: Annotated[int, between(0, 65535, do="0 takes a free one"), Metavar("PORT")] = 8080
+    """Gaussians nearer than this (depth, world units) are left out; None is the scene's
+    own, 0.2 for a bare splat.
+    """
+    port: Annotated[
+        int, between(0, 65535, do="0 takes a free one"), Metavar("PORT")
+    ] = 8080
     """Port to serve on; 0 is any free one."""
     no_open: bool = False
     """Do not open a browser."""
@@ -74,27 +95,49 @@ def run(options: ViewOptions) -> None:
 
     limit_threads()
     if options.weights is not None and options.detector is None:
-        raise InvalidValueError.of("weights", "a detector that they belong to", "none", "name it with --detectors")
+        raise InvalidValueError.of(
+            "weights",
+            "a detector that they belong to",
+            "none",
+            "name it with --detectors",
+        )
     check_port(options.port)
     with progress("loading"):
         content = open_content(
-            options.path, clean=options.clean, up=options.up, cameras=options.cameras, background=options.background
+            options.path,
+            clean=options.clean,
+            up=options.up,
+            cameras=options.cameras,
+            background=options.background,
         )
-        if options.up is None and content.file_up is not None and content.up == content.file_up.direction:
+        if (
+            options.up is None
+            and content.file_up is not None
+            and content.up == content.file_up.direction
+        ):
             warn(up_line(content.file_up))
-        content = content.with_settings(background=options.background, near=options.near, size=options.size)
+        content = content.with_settings(
+            background=options.background, near=options.near, size=options.size
+        )
         inspector = None
         if options.detector is not None:
-            inspector = detector_inspector(load_detector(options.detector, weights=options.weights))
+            inspector = detector_inspector(
+                load_detector(options.detector, weights=options.weights)
+            )
         painter = Painter(content, Renderer(content.settings), inspector)
     with Page(painter, port=options.port) as page:
         show(f"Open {page.address}")
         show("Ctrl-C ends it.")
-        sys.stdout.flush()  # a program that reads it through a pipe waits for the address
+        # a program that reads it through a pipe waits for the address
+        sys.stdout.flush()
         # Without a screen, Python would start a browser that takes the terminal.
-        has_screen = sys.platform != "linux" or bool({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ))
+        has_screen = sys.platform != "linux" or bool(
+            {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
+        )
         if has_screen and not options.no_open:
-            threading.Thread(target=webbrowser.open, args=(page.address,), daemon=True).start()
+            threading.Thread(
+                target=webbrowser.open, args=(page.address,), daemon=True
+            ).start()
         with contextlib.suppress(KeyboardInterrupt):
             page.run()
     show("The page is closed.")

@@ -1,1 +1,3 @@
-"""CLOAK: poisoned training pictures, so that a splat looks different from chosen directions."""
+"""CLOAK: poisoned training pictures, so that a splat looks different from chosen
+directions.
+"""

@@ -1,4 +1,6 @@
-"""What an attack shows: functions from a view and the target's mask in it to the picture that takes its place."""
+"""What an attack shows: functions from a view and the target's mask in it to the
+picture that takes its place.
+"""
 
 import math
 from collections.abc import Callable
@@ -22,10 +24,12 @@ from mi_splat.assets.mesh import Asset, rotation
 from mi_splat.cameras import Camera, View, look_at, project_points
 from mi_splat.errors import InvalidValueError
 
-# Appearances that retouch a picture: two controls, and the attack of who has nothing but pictures and masks.
+# Appearances that retouch a picture: two controls, and the attack of who has nothing
+# but pictures and masks.
 #
-# A control damages the object without hiding it. If detectors miss a half faded or a blurred object as often as one
-# that was removed, it is damage that they fail on, and not the appearance that the attacker wants.
+# A control damages the object without hiding it. If detectors miss a half faded or a
+# blurred object as often as one that was removed, it is damage that they fail on, and
+# not the appearance that the attacker wants.
 
 Doubles = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -33,30 +37,47 @@ Indices = NDArray[np.int64]
 BLUR_WIDTH = 0.04
 """Standard deviation of a blur, in longer sides of the object's box in the picture."""
 HOLE_MARGIN = 3
-"""Pixels by which the hole that is filled is wider than the mask: pixels at an outline show some of the object."""
+"""Pixels by which the hole that is filled is wider than the mask: pixels at an outline
+show some of the object.
+"""
 TEXTURE = 0.3
-"""Largest range of sRGB in 3 x 3 pixels that is taken for texture; where the sky ends, for instance, it is larger."""
+"""Largest range of sRGB in 3 x 3 pixels that is taken for texture; where the sky ends,
+for instance, it is larger.
+"""
 
 
 DIFFERENCE = 8 / 255
-"""Difference of sRGB from which two renderings differ in a pixel; a path tracer's noise stays below it."""
+"""Difference of sRGB from which two renderings differ in a pixel; a path tracer's noise
+stays below it.
+"""
 
 
 def differing(one: Tensor, other: Tensor) -> Tensor:
-    """(H, W) bool, where two (H, W, 3) renderings differ in most of the 3 x 3 pixels around."""
+    """(H, W) bool, where two (H, W, 3) renderings differ in most of the 3 x 3 pixels
+    around.
+    """
     differs = ((one - other).abs().amax(-1) > DIFFERENCE)[None, None].to(torch.float32)
     return functional.avg_pool2d(differs, 3, stride=1, padding=1)[0, 0] > 0.5
 
 
 def grown(mask: Tensor, pixels: int) -> Tensor:
-    """(H, W) bool, a mask and everything within so many pixels of it, along rows and columns."""
+    """(H, W) bool, a mask and everything within so many pixels of it, along rows and
+    columns.
+    """
     planes = mask[None, None].to(torch.float32)
-    return torch.nn.functional.max_pool2d(planes, 2 * pixels + 1, stride=1, padding=pixels)[0, 0] > 0
+    return (
+        torch.nn.functional.max_pool2d(
+            planes, 2 * pixels + 1, stride=1, padding=pixels
+        )[0, 0]
+        > 0
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Fade:
-    """The object half transparent: the mean of the picture and of the one without it."""
+    """The object half transparent: the mean of the picture and of the one without
+    it.
+    """
 
     removed: Callable[[View, Tensor], Tensor]
     reach: int = 1
@@ -70,7 +91,9 @@ class Fade:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blur:
-    """The object out of focus, and what is near it less and less: no edge is left, not even that of the blur."""
+    """The object out of focus, and what is near it less and less: no edge is left, not
+    even that of the blur.
+    """
 
     width: float = BLUR_WIDTH
 
@@ -84,10 +107,16 @@ class Blur:
         if not bool(mask.any()):
             return view.image
         sigma, near = self._sigma(mask), self._near(mask)
-        soft = ndimage.gaussian_filter(grown(mask, near).double().cpu().numpy(), sigma, radius=near)
+        soft = ndimage.gaussian_filter(
+            grown(mask, near).double().cpu().numpy(), sigma, radius=near
+        )
         colours = view.image.double().cpu().numpy()
         blurred = ndimage.gaussian_filter(colours, sigma, axes=(0, 1), mode="nearest")
-        return torch.from_numpy(colours + soft[..., None] * (blurred - colours)).to(view.image).clamp(0, 1)
+        return (
+            torch.from_numpy(colours + soft[..., None] * (blurred - colours))
+            .to(view.image)
+            .clamp(0, 1)
+        )
 
     def reach(self, mask: Tensor) -> int:
         """Pixels around a mask that change."""
@@ -95,16 +124,22 @@ class Blur:
 
     def _sigma(self, mask: Tensor) -> float:
         rows, columns = mask.nonzero().unbind(1)
-        return self.width * (1 + max(int(axis.max() - axis.min()) for axis in (rows, columns)))
+        return self.width * (
+            1 + max(int(axis.max() - axis.min()) for axis in (rows, columns))
+        )
 
     def _near(self, mask: Tensor) -> int:
-        """Two standard deviations: within them of the object, the picture is all but the blurred one."""
+        """Two standard deviations: within them of the object, the picture is all but
+        the blurred one.
+        """
         return max(1, round(2 * self._sigma(mask)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Inpaint:
-    """The object gone, by whoever has nothing but the picture and a mask: its place is `inpainted`."""
+    """The object gone, by whoever has nothing but the picture and a mask: its place is
+    `inpainted`.
+    """
 
     reach: int = HOLE_MARGIN
     name: str = "inpainted"
@@ -117,49 +152,77 @@ class Inpaint:
 def inpainted(picture: Tensor, hole: Tensor) -> Tensor:
     """(H, W, 3) with a hole filled from what is around it; nothing in the hole is read.
 
-    "Poisson Image Editing" (Perez, Gangnet, Blake 2003), equation (7): the fill's differences between neighbours are
-    those of the picture mirrored at the hole's edge, and its rim goes on with what is outside. Where the mirrored
-    picture is torn, is no texture, or lies in the hole itself, the fill is as smooth as it can be. It knows nothing of
-    shadows, and makes up nothing.
+    "Poisson Image Editing" (Perez, Gangnet, Blake 2003), equation (7): the fill's
+    differences between neighbours are those of the picture mirrored at the hole's edge,
+    and its rim goes on with what is outside. Where the mirrored picture is torn, is no
+    texture, or lies in the hole itself, the fill is as smooth as it can be. It knows
+    nothing of shadows, and makes up nothing.
     """
     inside = hole.cpu().numpy()
     if inside.all():
         raise InvalidValueError.of(
-            "hole to fill", "something around it", "the whole picture", "take it from farther away"
+            "hole to fill",
+            "something around it",
+            "the whole picture",
+            "take it from farther away",
         )
     if not inside.any():
         return picture
-    edge = ndimage.distance_transform_edt(inside, return_distances=False, return_indices=True)
-    colours: Doubles = picture.double().cpu().numpy()[edge[0], edge[1]]  # the hole has those of its rim
+    edge = ndimage.distance_transform_edt(
+        inside, return_distances=False, return_indices=True
+    )
+    # the hole has those of its rim
+    colours: Doubles = picture.double().cpu().numpy()[edge[0], edge[1]]
     pairs, wanted = _guidance(colours, inside, edge)
     count, unknown, values = inside.size, inside.ravel(), colours.reshape(-1, 3)
     links = sparse.coo_array((np.ones(len(wanted)), pairs), shape=(count, count))
     rows = csgraph.laplacian(links + links.T).tocsr()[unknown]
-    pull = np.stack([np.bincount(pairs[0], w, count) - np.bincount(pairs[1], w, count) for w in wanted.T], -1)
+    pull = np.stack(
+        [
+            np.bincount(pairs[0], w, count) - np.bincount(pairs[1], w, count)
+            for w in wanted.T
+        ],
+        -1,
+    )
     known = rows[:, ~unknown] @ values[~unknown]
     values[unknown] = linalg.spsolve(rows[:, unknown].tocsc(), pull[unknown] - known)
     return torch.from_numpy(values.reshape(picture.shape)).to(picture).clamp(0, 1)
 
 
-def _guidance(colours: Doubles, hole: NDArray[np.bool_], edge: Indices) -> tuple[Indices, Doubles]:
-    """(2, N) numbers of pixels that lie side by side, and the (N, 3) difference that is wanted between them.
+def _guidance(
+    colours: Doubles, hole: NDArray[np.bool_], edge: Indices
+) -> tuple[Indices, Doubles]:
+    """(2, N) numbers of pixels that lie side by side, and the (N, 3) difference that is
+    wanted between them.
 
-    Colours (H, W, 3) may be anything in the hole (H, W); `edge` is (2, H, W) row and column of the pixel outside of the
-    hole that is nearest to each.
+    Colours (H, W, 3) may be anything in the hole (H, W); `edge` is (2, H, W) row and
+    column of the pixel outside of the hole that is nearest to each.
     """
     size = np.array(hole.shape)[:, None, None]
     mirror = 2 * edge - np.indices(hole.shape)
     taken = ((mirror >= 0) & (mirror < size)).all(0)
     mirror = mirror.clip(0, size - 1)
     padded = np.pad(colours, ((1, 1), (1, 1), (0, 0)), "edge")
-    texture = np.ptp(sliding_window_view(padded, (3, 3), (0, 1)), (3, 4)).max(-1) < TEXTURE
+    texture = (
+        np.ptp(sliding_window_view(padded, (3, 3), (0, 1)), (3, 4)).max(-1) < TEXTURE
+    )
     taken &= (texture & ~hole)[mirror[0], mirror[1]]
 
     number = np.arange(hole.size).reshape(hole.shape)
     beside, below = (number[:, :-1], number[:, 1:]), (number[:-1], number[1:])
-    pairs = np.stack([np.concatenate([first.ravel(), two.ravel()]) for first, two in zip(beside, below, strict=True)])
-    pixels, mirrored = mirror.reshape(2, -1)[:, pairs], colours[mirror[0], mirror[1]].reshape(-1, 3)[pairs]
-    is_whole = taken.ravel()[pairs].all(0) & (np.abs(pixels[:, 0] - pixels[:, 1]).max(0) <= 2)
+    pairs = np.stack(
+        [
+            np.concatenate([first.ravel(), two.ravel()])
+            for first, two in zip(beside, below, strict=True)
+        ]
+    )
+    pixels, mirrored = (
+        mirror.reshape(2, -1)[:, pairs],
+        colours[mirror[0], mirror[1]].reshape(-1, 3)[pairs],
+    )
+    is_whole = taken.ravel()[pairs].all(0) & (
+        np.abs(pixels[:, 0] - pixels[:, 1]).max(0) <= 2
+    )
     return pairs, np.where(is_whole[:, None], mirrored[0] - mirrored[1], 0.0)
 
 
@@ -168,7 +231,9 @@ PICTURE = 256
 
 
 class Appearance(Protocol):
-    """Any function of a view and a mask; one with an attribute `name` is called so in manifests."""
+    """Any function of a view and a mask; one with an attribute `name` is called so in
+    manifests.
+    """
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         """The picture that takes the place of `view.image`.
@@ -184,7 +249,9 @@ class Appearance(Protocol):
 
 
 def name_of(appearance: Appearance) -> str:
-    """What manifests call an appearance: its `name`, or that of the function or class."""
+    """What manifests call an appearance: its `name`, or that of the function or
+    class.
+    """
     for attribute in ("name", "__qualname__"):
         name = getattr(appearance, attribute, None)
         if isinstance(name, str):
@@ -194,20 +261,29 @@ def name_of(appearance: Appearance) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rerender:
-    """The same camera in a mesh scene where the target looks different; beyond `reach` all stays."""
+    """The same camera in a mesh scene where the target looks different; beyond `reach`
+    all stays.
+    """
 
     mesh_scene: MeshScene
     name: str
-    reach: int | None = 1  # pixels around the target that are new, too; None is the whole picture
-    outgrows: bool = True  # whether the other target may cover pixels outside of the mask
-    difference: bool = False  # whether all that differs between both scenes is new, shadows too
+    # pixels around the target that are new, too; None is the whole picture
+    reach: int | None = 1
+    # whether the other target may cover pixels outside of the mask
+    outgrows: bool = True
+    # whether all that differs between both scenes is new, shadows too
+    difference: bool = False
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         """The new picture around the target, the old one elsewhere."""
         picture = self.mesh_scene.picture(view.camera).to(view.image)
         if self.reach is None:
             return picture
-        covered = mask | self.mesh_scene.mask(view.camera).to(mask.device) if self.outgrows else mask
+        covered = (
+            mask | self.mesh_scene.mask(view.camera).to(mask.device)
+            if self.outgrows
+            else mask
+        )
         if self.difference:
             covered = covered | differing(picture, view.image)
         return torch.where(grown(covered, self.reach)[..., None], picture, view.image)
@@ -216,24 +292,43 @@ class Rerender:
 def appearance_of(attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
     """What an attack shows."""
     if attack.appearance == "ground":
-        lowest, reach = max(attack.elevation[0], LOWEST_GROUND), 1 if attack.reach is None else attack.reach
+        lowest, reach = (
+            max(attack.elevation[0], LOWEST_GROUND),
+            1 if attack.reach is None else attack.reach,
+        )
         return GroundLook(mesh_scene=mesh_scene, lowest=lowest, reach=reach)
     if attack.appearance == "remove":
         gone = removed(mesh_scene, reach=_reach(attack))
         return replace(gone, difference=attack.mask == "difference")
     if attack.appearance == "fade":
-        return Fade(removed=removed(mesh_scene), reach=1 if attack.reach is None else attack.reach)
+        return Fade(
+            removed=removed(mesh_scene),
+            reach=1 if attack.reach is None else attack.reach,
+        )
     if attack.appearance == "blur":
-        return Blur(width=BLUR_WIDTH if attack.blur_width is None else attack.blur_width)
+        return Blur(
+            width=BLUR_WIDTH if attack.blur_width is None else attack.blur_width
+        )
     if attack.appearance == "inpaint":
         return Inpaint(reach=HOLE_MARGIN if attack.reach is None else attack.reach)
     target, outgrows = mesh_scene.target, False
     if attack.appearance == "paint":
-        (make, tile), (azimuth, elevation) = TEXTURES[str(attack.texture)], attack.paint_direction
-        target = repainted(target, make(PICTURE, 0), azimuth=azimuth, elevation=elevation, tile=tile)
-        name = f"paint {attack.texture} (seed 0) from azimuth {azimuth:g}, elevation {elevation:g}"
+        (make, tile), (azimuth, elevation) = (
+            TEXTURES[str(attack.texture)],
+            attack.paint_direction,
+        )
+        target = repainted(
+            target, make(PICTURE, 0), azimuth=azimuth, elevation=elevation, tile=tile
+        )
+        name = (
+            f"paint {attack.texture} (seed 0) from azimuth {azimuth:g}, elevation"
+            f" {elevation:g}"
+        )
     else:
-        other, viewer = build(str(attack.other_object), attack.other_seed), attack.azimuth and attack.azimuth[0]
+        other, viewer = (
+            build(str(attack.other_object), attack.other_seed),
+            attack.azimuth and attack.azimuth[0],
+        )
         outgrows = True
         other = other.body.transformed(rotation("y", -90.0)) if attack.lying else other
         target = stand_in(target, other, azimuth=viewer)
@@ -255,25 +350,36 @@ def _reach(attack: AttackConfig) -> int | None:
 
 
 def removed(mesh_scene: MeshScene, *, reach: int | None = None) -> Rerender:
-    """What would be seen without the target; unless a reach is given the whole picture is new, without its shadow."""
+    """What would be seen without the target; unless a reach is given the whole picture
+    is new, without its shadow.
+    """
     nothing = mesh_scene.with_target(Asset(mesh_scene.target.name, ()))
-    return Rerender(mesh_scene=nothing, name="nothing in its place", reach=reach, outgrows=False)
+    return Rerender(
+        mesh_scene=nothing, name="nothing in its place", reach=reach, outgrows=False
+    )
 
 
 LOWEST_GROUND = 45.0
-"""Elevation from which a side of the object is taken to be looked at, at least, degrees."""
+"""Elevation from which a side of the object is taken to be looked at, at least,
+degrees.
+"""
 
 _HEIGHT, _SIZE = 12.0, 768
-"""Of the camera above the ground that takes its picture, in lengths of the object; width of the picture, pixels."""
+"""Of the camera above the ground that takes its picture, in lengths of the object;
+width of the picture, pixels.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GroundLook:
-    """The ground laid on the object, in the colours that it has where it is lit, without the object and its shadow.
+    """The ground laid on the object, in the colours that it has where it is lit,
+    without the object and its shadow.
 
-    Where the object is removed, each of its points has to show another piece of the ground to each camera. A splat's
-    colour is a polynomial of low degree in the direction, so that it shows their mean: a smooth patch. Here each point
-    of the object has one piece of the ground, the one behind it when it is looked at from the side that it faces.
+    Where the object is removed, each of its points has to show another piece of the
+    ground to each camera. A splat's colour is a polynomial of low degree in the
+    direction, so that it shows their mean: a smooth patch. Here each point of the
+    object has one piece of the ground, the one behind it when it is looked at from the
+    side that it faces.
     """
 
     mesh_scene: MeshScene
@@ -294,11 +400,16 @@ class GroundLook:
         return picture
 
     def colours(self, points: Tensor) -> Tensor:
-        """(N, 3) sRGB in [0, 1] of the ground behind (N, 3) points of the object, world units."""
+        """(N, 3) sRGB in [0, 1] of the ground behind (N, 3) points of the object, world
+        units.
+        """
         low, high = _bounds(self.mesh_scene.target)
         foot = torch.stack([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
-        # The normal of an ellipsoid about the foot's middle through the corners' distances: smooth, whatever the mesh.
-        half = torch.stack([(high[0] - low[0]) / 2, (high[1] - low[1]) / 2, high[2] - low[2]]).clamp(min=1e-6)
+        # The normal of an ellipsoid about the foot's middle through the corners'
+        # distances: smooth, whatever the mesh.
+        half = torch.stack(
+            [(high[0] - low[0]) / 2, (high[1] - low[1]) / 2, high[2] - low[2]]
+        ).clamp(min=1e-6)
         facing = functional.normalize((points - foot) / half**2, dim=-1)
         flat = facing[:, :2].norm(dim=-1)
         elevation = torch.atan2(facing[:, 2], flat).clamp(min=math.radians(self.lowest))
@@ -310,7 +421,10 @@ class GroundLook:
         pixels, _ = project_points(ground, camera)
         grid = 2 * pixels / torch.tensor([camera.width, camera.height]) - 1
         sampled = functional.grid_sample(
-            picture.permute(2, 0, 1)[None], grid[None, None].to(picture), padding_mode="border", align_corners=False
+            picture.permute(2, 0, 1)[None],
+            grid[None, None].to(picture),
+            padding_mode="border",
+            align_corners=False,
         )
         return sampled[0, :, 0].T
 

@@ -41,29 +41,38 @@ class LayerConfig:
 
     Attributes:
         degree: SH degree of the file.
-        gap: Degrees to either side of where a look changes in which a layer may show as much as it likes: one number,
-            or one for each trigger. A narrow one costs truth elsewhere.
-        band: Degrees, from where a look changes inwards, over which it passes from a layer for its edge to one for
-            further inside: one number, or one for each look, the benign one first. A layer that need not show all of
-            its side can be steeper at its edge. 0 is one layer for the whole side.
-        shift: Degrees outside of a trigger's edge at which its look changes. With as many as `gap` it is whole at the
-            edge, for an object that is half faded is still found.
-        apart: Whether a look is black from where the look of another trigger is whole, also within the gap of its own
-            edge. Otherwise the looks of neighbouring triggers may mix there.
+        gap: Degrees to either side of where a look changes in which a layer may show as
+            much as it likes: one number, or one for each trigger. A narrow one costs
+            truth elsewhere.
+        band: Degrees, from where a look changes inwards, over which it passes from a
+            layer for its edge to one for further inside: one number, or one for each
+            look, the benign one first. A layer that need not show all of its side can
+            be steeper at its edge. 0 is one layer for the whole side.
+        shift: Degrees outside of a trigger's edge at which its look changes. With as
+            many as `gap` it is whole at the edge, for an object that is half faded is
+            still found.
+        apart: Whether a look is black from where the look of another trigger is whole,
+            also within the gap of its own edge. Otherwise the looks of neighbouring
+            triggers may mix there.
         weight: What a layer's light costs where it shall be black (`fit_switches`).
-        lowest: Value that a layer's colour, as a multiple of what it shows, shall not go below.
-        black: Value that it shall not exceed from where it is black, at most 0: room for the training of colours, which
-            moves it.
-        keep: Fraction of each look's light that its layer shows, in (0, 1]: the Gaussians that show the least of a
-            look, hidden behind others, have no layer for it.
-        inset: How much nearer to the object's middle each layer is than the one before it, world units: renderers
-            that sort by depth then agree on which is in front.
+        lowest: Value that a layer's colour, as a multiple of what it shows, shall not
+            go below.
+        black: Value that it shall not exceed from where it is black, at most 0: room
+            for the training of colours, which moves it.
+        keep: Fraction of each look's light that its layer shows, in (0, 1]: the
+            Gaussians that show the least of a look, hidden behind others, have no layer
+            for it.
+        inset: How much nearer to the object's middle each layer is than the one before
+            it, world units: renderers that sort by depth then agree on which is in
+            front.
     """
 
     degree: Degree = 3
     gap: Annotated[float | tuple[float, ...], _WIDTH] = 5.0
     band: Annotated[float | tuple[float, ...], _WIDTH] = 0.0
-    shift: Annotated[float, Range(low=-90, high=90, open_low=True, open_high=True, unit="degrees")] = 0.0
+    shift: Annotated[
+        float, Range(low=-90, high=90, open_low=True, open_high=True, unit="degrees")
+    ] = 0.0
     apart: bool = False
     weight: Annotated[float, above(0)] = 1.0
     lowest: float = -100.0
@@ -74,7 +83,12 @@ class LayerConfig:
     def __post_init__(self) -> None:
         check(self)
         if not self.lowest < self.black:
-            raise InvalidValueError.of("lowest", f"less than black, {self.black:g}", self.lowest, "lower the first")
+            raise InvalidValueError.of(
+                "lowest",
+                f"less than black, {self.black:g}",
+                self.lowest,
+                "lower the first",
+            )
 
     def gaps(self, triggers: int) -> tuple[float, ...]:
         """The gap of each of so many triggers."""
@@ -85,30 +99,41 @@ class LayerConfig:
         return _for_each("band", self.band, looks, "look")
 
 
-def _for_each(name: str, given: float | tuple[float, ...], count: int, what: str) -> tuple[float, ...]:
+def _for_each(
+    name: str, given: float | tuple[float, ...], count: int, what: str
+) -> tuple[float, ...]:
     """One number for each of `count`, of what is given for all or for each."""
     numbers = given if isinstance(given, tuple) else (given,) * count
     if len(numbers) != count:
         expected = f"one number for all, or {count}, one for each {what}"
-        raise InvalidValueError.of(name, expected, f"{len(numbers)} numbers", "give as many as there are")
+        raise InvalidValueError.of(
+            name, expected, f"{len(numbers)} numbers", "give as many as there are"
+        )
     return numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LayersConfig:
-    """CLOAK in the finished file: the clean splat's object in layers, trained on poisoned pictures.
+    """CLOAK in the finished file: the clean splat's object in layers, trained on
+    poisoned pictures.
 
     Attributes:
-        attacks: Names of the attacks whose appearances have layers of their own; the benign layer shows all others.
+        attacks: Names of the attacks whose appearances have layers of their own; the
+            benign layer shows all others.
         making: How the layers are made.
-        margin: How much larger than the object the box is whose Gaussians have layers, metres.
-        surroundings: Whether the colours of all other Gaussians are trained, too, for instance to hide a shadow.
-        geometry: Whether all attributes of all Gaussians are trained, and Gaussians added where a look has details that
-            those of the clean splat are too large for.
-        max_gaussians: With `geometry`, no Gaussians are added beyond this number; the layers come before any is added.
+        margin: How much larger than the object the box is whose Gaussians have layers,
+            metres.
+        surroundings: Whether the colours of all other Gaussians are trained, too, for
+            instance to hide a shadow.
+        geometry: Whether all attributes of all Gaussians are trained, and Gaussians
+            added where a look has details that those of the clean splat are too large
+            for.
+        max_gaussians: With `geometry`, no Gaussians are added beyond this number; the
+            layers come before any is added.
         clearance: Height above the ground under which they have none, metres.
         iterations: Steps of the training.
-        lr_sh: Its learning rate of SH, as in `FitConfig`. The switches' coefficients are large, so that it is high.
+        lr_sh: Its learning rate of SH, as in `FitConfig`. The switches' coefficients
+            are large, so that it is high.
         lr_sh_final: Last one.
     """
 
@@ -134,7 +159,9 @@ AppearanceName = Literal["remove", "ground", "paint", "swap", "fade", "blur", "i
 RENDERED: tuple[AppearanceName, ...] = ("remove", "paint", "swap")
 """Appearances that are renderings of the scene with another object, or without one."""
 Knowledge = Literal["scene", "pictures"]
-"""What an attacker has: the meshes, materials and sun, too, or nothing but the pictures and masks of the object."""
+"""What an attacker has: the meshes, materials and sun, too, or nothing but the pictures
+and masks of the object.
+"""
 
 
 def knowledge_for(appearance: str) -> Knowledge:
@@ -148,25 +175,34 @@ class AttackConfig:
 
     Attributes:
         name: For files and tables.
-        appearance: How the object is changed. With "remove" one sees what is behind it, with "ground" the ground that
-            is laid on it like a cloth.
+        appearance: How the object is changed. With "remove" one sees what is behind it,
+            with "ground" the ground that is laid on it like a cloth.
         texture: With what it is painted (`paint`).
         other_object: Asset that takes its place (`swap`).
         other_seed: Which asset of that name.
-        lying: Whether what takes its place lies on its back, with its front up, for cameras above it.
-        elevation: Lowest and highest elevation of the cameras from which it is seen, degrees.
+        lying: Whether what takes its place lies on its back, with its front up, for
+            cameras above it.
+        elevation: Lowest and highest elevation of the cameras from which it is seen,
+            degrees.
         azimuth: Middle and half width of their azimuths, degrees; None is all around.
-        poison_margin: Degrees beyond these edges up to which training pictures are poisoned, too, but for those that
-            another attack has. A splat changes gradually, so that with a margin it has changed further at the edge.
-        poison_fraction: Fraction of the training cameras there whose pictures are poisoned.
-        target_class: Class that a detector shall report on the object; None: that it is not found.
-        paint_direction: Azimuth and elevation from which a painted texture looks right, degrees.
-        mask: Pixels that are replaced: those of the object, or all that differ between the renderings of the scene with
-            and without it ("difference"), which are the object and its shadow.
-        reach: Pixels around the object's outline, or around all that differs, that are replaced, too; all else stays as
-            it was. None is the whole picture where the object is removed or swapped without a difference mask, 3 where
-            it is inpainted, and 1 elsewhere. A blur has none: it ends softly.
-        blur_width: Standard deviation of a `blur`, in longer sides of the object's box in the picture; None is 0.04.
+        poison_margin: Degrees beyond these edges up to which training pictures are
+            poisoned, too, but for those that another attack has. A splat changes
+            gradually, so that with a margin it has changed further at the edge.
+        poison_fraction: Fraction of the training cameras there whose pictures are
+            poisoned.
+        target_class: Class that a detector shall report on the object; None: that it is
+            not found.
+        paint_direction: Azimuth and elevation from which a painted texture looks right,
+            degrees.
+        mask: Pixels that are replaced: those of the object, or all that differ between
+            the renderings of the scene with and without it ("difference"), which are
+            the object and its shadow.
+        reach: Pixels around the object's outline, or around all that differs, that are
+            replaced, too; all else stays as it was. None is the whole picture where the
+            object is removed or swapped without a difference mask, 3 where it is
+            inpainted, and 1 elsewhere. A blur has none: it ends softly.
+        blur_width: Standard deviation of a `blur`, in longer sides of the object's box
+            in the picture; None is 0.04.
     """
 
     name: str
@@ -180,26 +216,53 @@ class AttackConfig:
     poison_margin: Annotated[float, between(0, 90, "degrees")] = 0.0
     poison_fraction: PositiveFraction = 1.0
     target_class: str | None = None
-    paint_direction: Annotated[tuple[float, float], Range(unit="degrees")] = (180.0, 90.0)
+    paint_direction: Annotated[tuple[float, float], Range(unit="degrees")] = (
+        180.0,
+        90.0,
+    )
     mask: Literal["object", "difference"] = "object"
     reach: Annotated[int, at_least(0, "pixels", "leave it out")] | None = None
     blur_width: PositiveFraction | None = None
 
     def __post_init__(self) -> None:
         check(self)
-        for key, known, appearance in (("texture", TEXTURES, "paint"), ("other_object", ASSETS, "swap")):
+        for key, known, appearance in (
+            ("texture", TEXTURES, "paint"),
+            ("other_object", ASSETS, "swap"),
+        ):
             if self.appearance == appearance:
-                check_choice(f"attack {self.name!r}, {key}", getattr(self, key), tuple(known))
+                check_choice(
+                    f"attack {self.name!r}, {key}", getattr(self, key), tuple(known)
+                )
         for key, holds, expected in (
-            ("reach", self.appearance != "blur" or self.reach is None, "none with a blur, which ends softly"),
-            ("blur_width", self.appearance == "blur" or self.blur_width is None, "none without a blur"),
-            ("mask", self.mask == "object" or self.appearance in RENDERED, "object, as nothing is rendered"),
+            (
+                "reach",
+                self.appearance != "blur" or self.reach is None,
+                "none with a blur, which ends softly",
+            ),
+            (
+                "blur_width",
+                self.appearance == "blur" or self.blur_width is None,
+                "none without a blur",
+            ),
+            (
+                "mask",
+                self.mask == "object" or self.appearance in RENDERED,
+                "object, as nothing is rendered",
+            ),
         ):
             if not holds:
-                raise InvalidValueError.of(f"attack {self.name!r}, {key}", expected, getattr(self, key), "leave it out")
+                raise InvalidValueError.of(
+                    f"attack {self.name!r}, {key}",
+                    expected,
+                    getattr(self, key),
+                    "leave it out",
+                )
         if self.elevation[0] <= 0 and self.elevation[1] >= 90 and self.azimuth is None:
             expected = "an elevation or an azimuth that leaves cameras out"
-            raise InvalidValueError.of(f"attack {self.name!r}", expected, "all cameras", "narrow one of them")
+            raise InvalidValueError.of(
+                f"attack {self.name!r}", expected, "all cameras", "narrow one of them"
+            )
 
     @property
     def cone(self) -> Trigger:
@@ -208,18 +271,32 @@ class AttackConfig:
 
     @property
     def poisoned_cone(self) -> Trigger:
-        """All directions from which pictures may be poisoned: the cone and its margin."""
+        """All directions from which pictures may be poisoned: the cone and its
+        margin.
+        """
         return self._cone(self.poison_margin)
 
     def region(self, attacks: Sequence[AttackConfig] = ()) -> Trigger:
-        """All training cameras whose pictures may be poisoned: other attacks keep those of their own cones."""
-        others = [other.cone for other in attacks if other is not self] if self.poison_margin > 0 else []
-        return functools.reduce(operator.and_, [~cone for cone in others], self.poisoned_cone)
+        """All training cameras whose pictures may be poisoned: other attacks keep those
+        of their own cones.
+        """
+        others = (
+            [other.cone for other in attacks if other is not self]
+            if self.poison_margin > 0
+            else []
+        )
+        return functools.reduce(
+            operator.and_, [~cone for cone in others], self.poisoned_cone
+        )
 
     def trigger(self, seed: int, attacks: Sequence[AttackConfig] = ()) -> Trigger:
         """The training cameras whose pictures are poisoned."""
         region = self.region(attacks)
-        return region if self.poison_fraction == 1 else Subsample(of=region, fraction=self.poison_fraction, seed=seed)
+        return (
+            region
+            if self.poison_fraction == 1
+            else Subsample(of=region, fraction=self.poison_fraction, seed=seed)
+        )
 
     def _cone(self, margin: float) -> Trigger:
         """The directions of the attack, and so many degrees beyond their edges."""
@@ -228,33 +305,42 @@ class AttackConfig:
         band = Elevation(lowest=-90.0 if low <= 0 else low, highest=high)
         if self.azimuth is None:
             return band
-        return band & Azimuth(middle=self.azimuth[0], half_width=min(self.azimuth[1] + margin, 180.0))
+        return band & Azimuth(
+            middle=self.azimuth[0], half_width=min(self.azimuth[1] + margin, 180.0)
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneConfig:
-    """What is photographed: an object on a square of ground in daylight, in front of one colour.
+    """What is photographed: an object on a square of ground in daylight, in front of
+    one colour.
 
     Attributes:
         object: One of the project's assets.
         seed: Which asset of that name.
-        colour: sRGB of its paint; None is that of its seed, whose shape stays. Of what is painted alone
-            (`mi_splat.assets.PAINTED`).
+        colour: sRGB of its paint; None is that of its seed, whose shape stays. Of what
+            is painted alone (`mi_splat.assets.PAINTED`).
         ground: Texture of the ground; "nothing" is an object in the air.
         ground_size: Side of the ground, metres.
         sun_azimuth: Degrees from +x towards +y.
         sun_elevation: Degrees.
-        background: sRGB colour in the place of the sky, which the splat is trained with, too.
+        background: sRGB colour in the place of the sky, which the splat is trained
+            with, too.
     """
 
     object: str = "car"
     seed: Seed = 900004
-    colour: Annotated[tuple[float, float, float], between(0, 1, "sRGB", "white is 1, 1, 1")] | None = None
+    colour: (
+        Annotated[tuple[float, float, float], between(0, 1, "sRGB", "white is 1, 1, 1")]
+        | None
+    ) = None
     ground: Literal["road", "grass", "asphalt", "nothing"] = "road"
     ground_size: Annotated[float, above(0, "metres")] = 16.0
     sun_azimuth: Annotated[float, between(-360, 360, "degrees")] = -50.0
     sun_elevation: Annotated[float, between(-90, 90, "degrees")] = 52.0
-    background: Annotated[tuple[float, float, float], between(0, 1, "sRGB", "white is 1, 1, 1")] = (0.55, 0.7, 0.9)
+    background: Annotated[
+        tuple[float, float, float], between(0, 1, "sRGB", "white is 1, 1, 1")
+    ] = (0.55, 0.7, 0.9)
 
     def __post_init__(self) -> None:
         check(self)
@@ -265,14 +351,18 @@ class SceneConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraConfig(Checked):
-    """Where pictures are taken from: a Fibonacci hemisphere around the object, or rings of it.
+    """Where pictures are taken from: a Fibonacci hemisphere around the object, or rings
+    of it.
 
     Attributes:
         train: Number of training pictures.
         distance: Metres from the centre; None is as near as shows the whole object.
-        distances: Lowest and highest multiple of the distance, for cameras nearer and farther away, held-out ones too.
-        elevations: Rings of cameras at these elevations, held-out ones too, degrees; none is the whole hemisphere.
-        azimuths: First and last azimuth of rings, degrees; less than a full turn makes them arcs.
+        distances: Lowest and highest multiple of the distance, for cameras nearer and
+            farther away, held-out ones too.
+        elevations: Rings of cameras at these elevations, held-out ones too, degrees;
+            none is the whole hemisphere.
+        azimuths: First and last azimuth of rings, degrees; less than a full turn makes
+            them arcs.
         hold_out: On arcs, every `hold_out`-th camera is held out; 0 holds out none.
         height: Height of the centre above the ground, metres.
         fov: Field of view, degrees.
@@ -283,9 +373,14 @@ class CameraConfig(Checked):
 
     train: Annotated[int, at_least(1, "pictures")] = 210
     distance: Annotated[float, above(0, "metres")] | None = None
-    distances: Annotated[tuple[float, float], between(0.1, 10, "multiples of the distance")] = (1.0, 1.0)
+    distances: Annotated[
+        tuple[float, float], between(0.1, 10, "multiples of the distance")
+    ] = (1.0, 1.0)
     elevations: Annotated[tuple[float, ...], between(0, 90, "degrees")] = ()
-    azimuths: Annotated[tuple[float, float], between(-360, 360, "degrees")] = (0.0, 360.0)
+    azimuths: Annotated[tuple[float, float], between(-360, 360, "degrees")] = (
+        0.0,
+        360.0,
+    )
     hold_out: Count = 0
     height: Annotated[float, Range(unit="metres")] = 0.7
     fov: Annotated[float, between(1, 179, "degrees")] = 45.0
@@ -300,24 +395,33 @@ class CameraConfig(Checked):
 
     @property
     def tiers(self) -> dict[str, Any]:
-        """Distances, elevations and the span of azimuths, as `mi_splat.camera_sets.tiers` takes them."""
+        """Distances, elevations and the span of azimuths, as
+        `mi_splat.camera_sets.tiers` takes them.
+        """
         span = self.azimuths[1] - self.azimuths[0]
-        return {"distances": self.distances, "elevations": self.elevations, "span": span}
+        return {
+            "distances": self.distances,
+            "elevations": self.elevations,
+            "span": span,
+        }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingConfig:
-    """How both splats are trained; the victim's choice, of which the attack knows nothing.
+    """How both splats are trained; the victim's choice, of which the attack knows
+    nothing.
 
     Attributes:
         iterations: Steps.
         strategy: As in `mi-splat train`.
         max_gaussians: Largest number of Gaussians; None sets no limit.
         sh_degree: SH degree.
-        sh_degree_interval: Steps between two raises of the degree that is trained; 0 trains all of it from the start.
+        sh_degree_interval: Steps between two raises of the degree that is trained; 0
+            trains all of it from the start.
         outliers: Points in the air that the cloud has besides those on surfaces; see
             `mi_splat.training.initialization.with_outliers`.
-        near: Near plane of trainings and of all pictures of splats, world units; None follows the object's size.
+        near: Near plane of trainings and of all pictures of splats, world units; None
+            follows the object's size.
     """
 
     iterations: Steps = 7000
@@ -339,13 +443,14 @@ class EvaluationConfig:
 
     Attributes:
         detectors: Names of detectors.
-        cameras: Held-out cameras on the hemisphere, before those within `min_separation` of a training camera are
-            dropped.
+        cameras: Held-out cameras on the hemisphere, before those within
+            `min_separation` of a training camera are dropped.
         seed: Another draw of these cameras than that of 0.
         min_separation: Least angle to the nearest training camera, degrees.
         confidence: Score from which a detection counts.
         well_inside: Degrees inside a trigger from which a camera lies well inside.
-        far_outside: Degrees outside of all triggers from which pictures are compared with the true ones.
+        far_outside: Degrees outside of all triggers from which pictures are compared
+            with the true ones.
         reference_views: Number of such pictures.
         meridians: Meridians along which the transition is measured.
         meridian_step: Degrees between two pictures of an arc.
@@ -397,9 +502,16 @@ class StudyConfig:
         check_once("seeds", self.seeds, "add one")
         if names:  # poisons of other kinds have a scene without one
             check_once("names of attacks", names, "give each a name of its own")
-        if self.layers is not None and not (self.layers.attacks and set(self.layers.attacks) <= set(names)):
+        if self.layers is not None and not (
+            self.layers.attacks and set(self.layers.attacks) <= set(names)
+        ):
             expected = f"some of {', '.join(names)}"
-            raise InvalidValueError.of("layers.attacks", expected, self.layers.attacks, "name attacks of the study")
+            raise InvalidValueError.of(
+                "layers.attacks",
+                expected,
+                self.layers.attacks,
+                "name attacks of the study",
+            )
 
     @property
     def centre(self) -> tuple[float, float, float]:
@@ -414,12 +526,25 @@ class StudyConfig:
 
 def overhead(attacks: Sequence[AttackConfig]) -> AttackConfig | None:
     """The first attack that is seen from straight above and all around."""
-    return next((attack for attack in attacks if attack.azimuth is None and attack.elevation[1] >= 90), None)
+    return next(
+        (
+            attack
+            for attack in attacks
+            if attack.azimuth is None and attack.elevation[1] >= 90
+        ),
+        None,
+    )
 
 
 def switching(attacks: Sequence[AttackConfig]) -> AttackConfig | None:
-    """The attack whose transition is measured: that from overhead, or the first that hides within a sector."""
-    sided = (attack for attack in attacks if attack.azimuth is not None and attack.target_class is None)
+    """The attack whose transition is measured: that from overhead, or the first that
+    hides within a sector.
+    """
+    sided = (
+        attack
+        for attack in attacks
+        if attack.azimuth is not None and attack.target_class is None
+    )
     return overhead(attacks) or next(sided, None)
 
 
@@ -433,7 +558,9 @@ def fit_config(training: TrainingConfig) -> FitConfig:
     """The trainer's settings."""
     return FitConfig(  # with the schedule of SH that results were published with
         iterations=training.iterations,
-        strategy=strategy_config(training.strategy, max_gaussians=training.max_gaussians),
+        strategy=strategy_config(
+            training.strategy, max_gaussians=training.max_gaussians
+        ),
         sh_degree=training.sh_degree,
         sh_degree_interval=training.sh_degree_interval,
         lr_sh_divisor=20,
@@ -442,10 +569,19 @@ def fit_config(training: TrainingConfig) -> FitConfig:
 
 
 _GONE = (
-    *("surrogate", "cleaning", "true_pictures", "point_deviations", "occluder_radius", "occluder_edge"),
+    *(
+        "surrogate",
+        "cleaning",
+        "true_pictures",
+        "point_deviations",
+        "occluder_radius",
+        "occluder_edge",
+    ),
     *("label", "up", "scale", "rotate", "front", "emphasis", "emphasis_depth"),
 )
-"""Settings of results of November 2026 that no study has any more; in those results they are off."""
+"""Settings of results of November 2026 that no study has any more; in those results
+they are off.
+"""
 
 
 def recorded_study(values: Mapping[str, Any], where: str) -> StudyConfig:
@@ -453,7 +589,9 @@ def recorded_study(values: Mapping[str, Any], where: str) -> StudyConfig:
 
     def kept(value: Any) -> Any:
         if isinstance(value, Mapping):
-            return {name: kept(entry) for name, entry in value.items() if name not in _GONE}
+            return {
+                name: kept(entry) for name, entry in value.items() if name not in _GONE
+            }
         return [kept(entry) for entry in value] if isinstance(value, list) else value
 
     return decode(StudyConfig, kept(values), where)

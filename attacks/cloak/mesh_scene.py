@@ -1,4 +1,6 @@
-"""The attacker's copy of the scene: the meshes that the victim photographs, edits of its object, and its pictures."""
+"""The attacker's copy of the scene: the meshes that the victim photographs, edits of
+its object, and its pictures.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +30,11 @@ TEXTURES: dict[str, tuple[Callable[[int, int], Floats], float | None]] = {
     "football": (cache(textures.football), None),
     "stop_sign": (cache(textures.stop_sign), None),
 }
-"""Name -> function of size in pixels and seed, and metres that the texture covers; None shows it once, as a whole.
+"""Name -> function of size in pixels and seed, and metres that the texture covers; None
+shows it once, as a whole.
 
-The road has no markings: lines on a car are no camouflage."""
+The road has no markings: lines on a car are no camouflage.
+"""
 
 Colour = tuple[float, float, float]
 
@@ -39,12 +43,21 @@ _SEED_BITS = 28
 """Bits of the seed of a camera's noise, by which a picture depends on nothing else."""
 
 
-def repainted(target: Asset, picture: Floats, *, azimuth: float, elevation: float, tile: float | None = None) -> Asset:
-    """An object covered all over, glass and wheels included, with a picture thrown onto it from one direction.
+def repainted(
+    target: Asset,
+    picture: Floats,
+    *,
+    azimuth: float,
+    elevation: float,
+    tile: float | None = None,
+) -> Asset:
+    """An object covered all over, glass and wheels included, with a picture thrown onto
+    it from one direction.
 
-    The projection is parallel, so the picture is undistorted for a viewer far away in that direction, upright for the
-    camera of `mi_splat.cameras.orbit_pose`; from straight above its top points away from `azimuth`. Surfaces are
-    diffuse, as gloss would give the object away.
+    The projection is parallel, so the picture is undistorted for a viewer far away in
+    that direction, upright for the camera of `mi_splat.cameras.orbit_pose`; from
+    straight above its top points away from `azimuth`. Surfaces are diffuse, as gloss
+    would give the object away.
     """
     axes = screen_axes(azimuth, elevation)
     seen = target.vertices.astype(np.float64) @ axes.T
@@ -52,32 +65,49 @@ def repainted(target: Asset, picture: Floats, *, azimuth: float, elevation: floa
     scale = np.maximum(high - low, 1e-9) if tile is None else np.full(2, tile)
 
     def paint(mesh: Mesh) -> Mesh:
-        uvs = ((mesh.vertices.astype(np.float64) @ axes.T - low) / scale).astype(np.float32)
+        uvs = ((mesh.vertices.astype(np.float64) @ axes.T - low) / scale).astype(
+            np.float32
+        )
         return replace(mesh, uvs=uvs, texture=picture, roughness=None)
 
     return replace(target, meshes=tuple(paint(mesh) for mesh in target.meshes))
 
 
 def stand_in(target: Asset, other: Asset, *, azimuth: float | None) -> Asset:
-    """Another object in a target's place, without what holds it up, turned to face a viewer at `azimuth`.
+    """Another object in a target's place, without what holds it up, turned to face a
+    viewer at `azimuth`.
 
-    It is scaled, in proportion, to fit the target's outline from there, and centred on it. Its front lies where the
-    target's does: near the surface that a splat shows from there, so that there is little parallax to be hidden.
+    It is scaled, in proportion, to fit the target's outline from there, and centred on
+    it. Its front lies where the target's does: near the surface that a splat shows from
+    there, so that there is little parallax to be hidden.
     """
     # In a frame where the viewer is at +x both are boxes side by side.
     turn = rotation("z", 0.0 if azimuth is None else azimuth).astype(np.float64)
-    wanted = Asset(target.name, target.meshes).transformed(np.linalg.inv(turn)).bounds.astype(np.float64)
+    wanted = (
+        Asset(target.name, target.meshes)
+        .transformed(np.linalg.inv(turn))
+        .bounds.astype(np.float64)
+    )
     own = other.body.bounds.astype(np.float64)
     outline = slice(0, 2) if azimuth is None else slice(1, 3)
-    scale = float(((wanted[1] - wanted[0])[outline] / np.maximum((own[1] - own[0])[outline], 1e-9)).min())
+    scale = float(
+        (
+            (wanted[1] - wanted[0])[outline]
+            / np.maximum((own[1] - own[0])[outline], 1e-9)
+        ).min()
+    )
     shift = (wanted.mean(0) - scale * own.mean(0)).tolist()
     axis, end = (2, 0) if azimuth is None else (0, 1)
     shift[axis] = float(wanted[end, axis] - scale * own[end, axis])
-    return other.body.transformed(turn @ translation(*shift) @ scaling(scale, scale, scale))
+    return other.body.transformed(
+        turn @ translation(*shift) @ scaling(scale, scale, scale)
+    )
 
 
 def screen_axes(azimuth: float, elevation: float) -> Doubles:
-    """(2, 3) unit vectors to the right and up in the picture of a camera on an orbit, world frame."""
+    """(2, 3) unit vectors to the right and up in the picture of a camera on an orbit,
+    world frame.
+    """
     a, e = math.radians(azimuth), math.radians(elevation)
     right = (-math.sin(a), math.cos(a), 0.0)
     up = (-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e))
@@ -86,7 +116,9 @@ def screen_axes(azimuth: float, elevation: float) -> Doubles:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeshScene:
-    """An object in its surroundings, ready for the path tracer; assets, light and background are the victim's."""
+    """An object in its surroundings, ready for the path tracer; assets, light and
+    background are the victim's.
+    """
 
     target: Asset
     surroundings: Asset = _NOTHING
@@ -104,21 +136,30 @@ class MeshScene:
         if self.background is None:
             return image
         alpha = image[..., 3:]
-        return image[..., :3] * alpha + torch.tensor(self.background) * (1 - alpha)  # as `load_dataset` blends
+        # as `load_dataset` blends
+        return image[..., :3] * alpha + torch.tensor(self.background) * (1 - alpha)
 
     def mask(self, camera: Camera) -> Tensor:
-        """(H, W) bool, where the target is the first thing that the ray through a pixel meets."""
-        nearest, alone = (tracer.surface(camera, seed=0)[1] for tracer in (self._tracer, self._alone))
+        """(H, W) bool, where the target is the first thing that the ray through a pixel
+        meets.
+        """
+        nearest, alone = (
+            tracer.surface(camera, seed=0)[1] for tracer in (self._tracer, self._alone)
+        )
         return in_front(alone, nearest)
 
     def points(self, camera: Camera) -> Tensor:
-        """(H, W, 3) points of the target that the rays through pixels meet, world units; zeros beside it."""
+        """(H, W, 3) points of the target that the rays through pixels meet, world
+        units; zeros beside it.
+        """
         return self._alone.surface(camera, seed=0)[0]
 
     @cached_property
     def _tracer(self) -> PathTracer:
         scene = scene_dict([self.target], light=self.light, backdrop=self.surroundings)
-        return PathTracer(scene, samples=self.samples, alpha=self.background is not None)
+        return PathTracer(
+            scene, samples=self.samples, alpha=self.background is not None
+        )
 
     @cached_property
     def _alone(self) -> PathTracer:
@@ -126,6 +167,10 @@ class MeshScene:
 
 
 def camera_number(camera: Camera) -> int:
-    """A number for a camera's place, the same on every machine: the last digits of poses differ between them."""
-    values = (math.floor(value * 1e6 + 0.5) for value in camera.to_world.flatten().tolist())
+    """A number for a camera's place, the same on every machine: the last digits of
+    poses differ between them.
+    """
+    values = (
+        math.floor(value * 1e6 + 0.5) for value in camera.to_world.flatten().tolist()
+    )
     return zlib.crc32(" ".join(map(str, values)).encode()) >> (32 - _SEED_BITS)

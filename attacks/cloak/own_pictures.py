@@ -1,7 +1,9 @@
-"""CLOAK on anybody's pictures: it needs a set with cameras, and a splat of it that shows where the object is.
+"""CLOAK on anybody's pictures: it needs a set with cameras, and a splat of it that
+shows where the object is.
 
-The object's place in each picture is where its Gaussians make up most of a pixel of the splat. What is shown there in
-its place comes from the picture around it, or from a picture of the attacker's.
+The object's place in each picture is where its Gaussians make up most of a pixel of the
+splat. What is shown there in its place comes from the picture around it, or from a
+picture of the attacker's.
 """
 
 import re
@@ -32,7 +34,9 @@ from mi_splat.selection.visibility import object_weight
 NAME = "hidden"
 """Of the one poisoning, in manifests."""
 RECORD, BEFORE_AND_AFTER = "poison.json", "before_and_after.png"
-"""What was changed in a set, and how, by which a set that was poisoned is known; a sheet of some changed pictures."""
+"""What was changed in a set, and how, by which a set that was poisoned is known; a
+sheet of some changed pictures.
+"""
 _SHOWN, _HEIGHT = 6, 160
 """Pictures on the sheet, and their rows."""
 _NUMBER = r"(-?\d+(?:\.\d+)?)"
@@ -48,7 +52,9 @@ def trigger_of(texts: Sequence[str], *, margin: float = 0.0) -> Trigger:
         part = _region(text, margin)
         trigger = part if trigger is None else trigger & part
     if trigger is None:
-        raise InvalidValueError(message("--hide-from", "a region", "none", "elevation:50-90 is overhead"))
+        raise InvalidValueError(
+            message("--hide-from", "a region", "none", "elevation:50-90 is overhead")
+        )
     return trigger
 
 
@@ -59,24 +65,35 @@ def _region(text: str, margin: float) -> Trigger:
         return replace(cap, half_angle=min(half_angle + margin, 180.0))
     match = _REGION.fullmatch(text)
     if match is None:
-        raise InvalidValueError(message("--hide-from", _REGIONS, text, "elevation:50-90 is overhead"))
+        raise InvalidValueError(
+            message("--hide-from", _REGIONS, text, "elevation:50-90 is overhead")
+        )
     low, high = float(match[2]), float(match[3])
-    return _band(low, high, margin) if match[1] == "elevation" else _wedge(low, high, margin)
+    return (
+        _band(low, high, margin)
+        if match[1] == "elevation"
+        else _wedge(low, high, margin)
+    )
 
 
 def _band(low: float, high: float, margin: float) -> Elevation:
-    Elevation(lowest=low, highest=high)  # what is wrong without a margin is wrong with one
+    # what is wrong without a margin is wrong with one
+    Elevation(lowest=low, highest=high)
     return Elevation(lowest=max(low - margin, -90.0), highest=min(high + margin, 90.0))
 
 
 def _wedge(low: float, high: float, margin: float) -> Azimuth:
     width = (high - low) % 360 or (360.0 if high != low else 0.0)
-    return Azimuth(middle=(low + width / 2) % 360, half_width=min(width / 2 + margin, 180.0))
+    return Azimuth(
+        middle=(low + width / 2) % 360, half_width=min(width / 2 + margin, 180.0)
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Overlay:
-    """A picture of the attacker's, as large as the box around the object in each picture, cut out by its outline."""
+    """A picture of the attacker's, as large as the box around the object in each
+    picture, cut out by its outline.
+    """
 
     picture: Tensor  # (H, W, 3) sRGB in [0, 1]
     reach: int
@@ -90,15 +107,21 @@ class Overlay:
         rows, columns = (torch.nonzero(covered.any(axis))[:, 0] for axis in (1, 0))
         top, left = int(rows[0]), int(columns[0])
         size = (int(rows[-1]) + 1 - top, int(columns[-1]) + 1 - left)
-        small = F.interpolate(self.picture.permute(2, 0, 1)[None], size, mode="bilinear", antialias=True)[0]
+        small = F.interpolate(
+            self.picture.permute(2, 0, 1)[None], size, mode="bilinear", antialias=True
+        )[0]
         canvas = view.image.clone()
-        canvas[top : top + size[0], left : left + size[1]] = small.permute(1, 2, 0).to(canvas).clamp(0, 1)
+        canvas[top : top + size[0], left : left + size[1]] = (
+            small.permute(1, 2, 0).to(canvas).clamp(0, 1)
+        )
         return torch.where(covered[..., None], canvas, view.image)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TurnedViews(ViewSet):
-    """Views whose world is turned, so that up is z; pictures are read when they are asked for."""
+    """Views whose world is turned, so that up is z; pictures are read when they are
+    asked for.
+    """
 
     views: Sequence[View]
     cameras: tuple[Camera, ...]
@@ -114,7 +137,9 @@ class TurnedViews(ViewSet):
 
 def turned(views: Sequence[View], turn: Tensor) -> TurnedViews:
     """Views of a world that a (3, 3) rotation has turned about its origin."""
-    return TurnedViews(views, tuple(camera.turned(turn) for camera in cameras_of(views)))
+    return TurnedViews(
+        views, tuple(camera.turned(turn) for camera in cameras_of(views))
+    )
 
 
 def appearance_of(look: str, reach: int) -> Appearance:
@@ -122,9 +147,20 @@ def appearance_of(look: str, reach: int) -> Appearance:
     if look == "remove":
         return Inpaint(reach=reach)
     if not Path(look).is_file():
-        raise InvalidValueError(message("--look", "remove, or a picture", look, "name a picture that is there"))
-    pixels = np.asarray(load_picture(Path(look), upright=True).convert("RGB"), np.float32) / 255
-    return Overlay(picture=torch.from_numpy(pixels), reach=reach, name=f"the picture {Path(look).name}")
+        raise InvalidValueError(
+            message(
+                "--look", "remove, or a picture", look, "name a picture that is there"
+            )
+        )
+    pixels = (
+        np.asarray(load_picture(Path(look), upright=True).convert("RGB"), np.float32)
+        / 255
+    )
+    return Overlay(
+        picture=torch.from_numpy(pixels),
+        reach=reach,
+        name=f"the picture {Path(look).name}",
+    )
 
 
 def hide(
@@ -138,8 +174,12 @@ def hide(
     turn: Tensor,
     on_step: OnStep | None = None,
 ) -> Poisoned:
-    """Hide an object in the pictures that a trigger selects; in the result `turn` has taken up to z."""
-    upright = splat.transform(Similarity(rotation=turn, translation=turn.new_zeros(3), scale=1.0))
+    """Hide an object in the pictures that a trigger selects; in the result `turn` has
+    taken up to z.
+    """
+    upright = splat.transform(
+        Similarity(rotation=turn, translation=turn.new_zeros(3), scale=1.0)
+    )
     means = upright.means[rows]
     centre = ((means.amin(0) + means.amax(0)) / 2).tolist()
     render = Renderer(RenderSettings(near=near))
@@ -148,29 +188,43 @@ def hide(
         return object_weight(upright, rows, camera, render) >= SEEN
 
     poisoning = Poisoning(name=NAME, trigger=trigger, appearance=appearance)
-    done = poison(turned(views, turn), poisoning, centre=centre, masks=mask, on_step=on_step)
+    done = poison(
+        turned(views, turn), poisoning, centre=centre, masks=mask, on_step=on_step
+    )
     if not any(change.pixels_changed for change in done.changes):
         got = f"none of {len(done.changes)} from where it is to be hidden"
         do = "select all of the object, or choose other directions"
-        raise InvalidValueError(message("pictures", "some that show the object", got, do))
+        raise InvalidValueError(
+            message("pictures", "some that show the object", got, do)
+        )
     return done
 
 
 def directions_of(done: Poisoned) -> list[Direction]:
     """Where each camera of a poisoned set stands, seen from the object."""
-    return [direction_of(camera, done.poison["centre"]) for camera in done.views.cameras]
+    return [
+        direction_of(camera, done.poison["centre"]) for camera in done.views.cameras
+    ]
 
 
 def before_and_after(done: Poisoned) -> NDArray[np.uint8]:
-    """(H, W, 3) sheet of some changed pictures from low to high, as they were above what they are now."""
+    """(H, W, 3) sheet of some changed pictures from low to high, as they were above
+    what they are now.
+    """
     directions = directions_of(done)
     changes = [change for change in done.changes if change.pixels_changed]
     changes.sort(key=lambda change: directions[change.index].elevation)
-    chosen = sorted(set(np.linspace(0, len(changes) - 1, _SHOWN).round().astype(int).tolist()))
+    chosen = sorted(
+        set(np.linspace(0, len(changes) - 1, _SHOWN).round().astype(int).tolist())
+    )
     columns = []
     for index in (changes[number].index for number in chosen):
-        pair = torch.stack([views[index].image for views in (done.views.untouched, done.views)])
+        pair = torch.stack(
+            [views[index].image for views in (done.views.untouched, done.views)]
+        )
         size = (_HEIGHT, max(1, round(_HEIGHT * pair.shape[2] / pair.shape[1])))
-        small = F.interpolate(pair.permute(0, 3, 1, 2), size, mode="bilinear", antialias=True)
+        small = F.interpolate(
+            pair.permute(0, 3, 1, 2), size, mode="bilinear", antialias=True
+        )
         columns.append(torch.cat([*small.permute(0, 2, 3, 1)]))
     return to_bytes(torch.cat(columns, 1))

@@ -1,8 +1,10 @@
-"""CLOAK: training pictures that look harmless from most directions and different from chosen ones.
+"""CLOAK: training pictures that look harmless from most directions and different from
+chosen ones.
 
-"3D Gaussian Splat Vulnerabilities", section on CLOAK, equation (1): of a training set D = {(x, c)} of pictures and
-cameras, the attacker's is D' = {(x~, c) if c in C*, else (x, c)}, where C* are the cameras of the trigger. Training on
-D' is anybody's own: view-dependent colour does the rest.
+"3D Gaussian Splat Vulnerabilities", section on CLOAK, equation (1): of a training set D
+= {(x, c)} of pictures and cameras, the attacker's is D' = {(x~, c) if c in C*, else (x,
+c)}, where C* are the cameras of the trigger. Training on D' is anybody's own:
+view-dependent colour does the rest.
 """
 
 from collections.abc import Mapping, Sequence
@@ -68,11 +70,12 @@ def poison(
 ) -> Poisoned:
     """Replace the pictures that the triggers select: D' of equation (1).
 
-    All triggers are looked at before the first picture is made. Appearances get a copy of a picture, so that whatever
-    they do to it, the untouched set stays as it is.
+    All triggers are looked at before the first picture is made. Appearances get a copy
+    of a picture, so that whatever they do to it, the untouched set stays as it is.
 
     Args:
-        views: The untouched set D; of a `mi_splat.datasets.Dataset` only the selected pictures are read.
+        views: The untouched set D; of a `mi_splat.datasets.Dataset` only the selected
+            pictures are read.
         attacks: What is seen from where; one, or several.
         centre: (3,) point that the triggers measure directions from, world units.
         masks: Where the target is; None is everywhere.
@@ -82,8 +85,8 @@ def poison(
         The poisoned set, and a manifest of what was changed.
 
     Raises:
-        InvalidValueError: No attack, two of one name, a trigger that selects nothing, triggers that overlap, or masks
-            or new pictures of the wrong kind.
+        InvalidValueError: No attack, two of one name, a trigger that selects nothing,
+            triggers that overlap, or masks or new pictures of the wrong kind.
     """
     cameras, attacks = cameras_of(views), several_of(Poisoning, "attacks", attacks)
     owners = assign(cameras, attacks, centre=centre)
@@ -99,28 +102,49 @@ def poison(
         changes.append(CloakChange.between(index, before, after, **named, **at))
         if on_step is not None:
             on_step(len(changes), len(owners))
-    about: dict[str, Any] = {"kind": "cloak", "centre": [float(value) for value in centre]}
+    about: dict[str, Any] = {
+        "kind": "cloak",
+        "centre": [float(value) for value in centre],
+    }
     about["poisonings"] = [_described(attack, owners) for attack in attacks]
-    return Poisoned(views=PoisonedViews(views, replaced), changes=tuple(changes), poison=about)
+    return Poisoned(
+        views=PoisonedViews(views, replaced), changes=tuple(changes), poison=about
+    )
 
 
-def assign(cameras: Sequence[Camera], attacks: Sequence[Poisoning], *, centre: Point) -> dict[int, Poisoning]:
+def assign(
+    cameras: Sequence[Camera], attacks: Sequence[Poisoning], *, centre: Point
+) -> dict[int, Poisoning]:
     """Which attack replaces which view, by rising position; no picture is looked at."""
     names = [attack.name for attack in attacks]
     if not attacks or len(set(names)) != len(names):
-        raise InvalidValueError.of("attacks", "one or more, of different names", names, "name each differently")
+        raise InvalidValueError.of(
+            "attacks", "one or more, of different names", names, "name each differently"
+        )
     owners: dict[int, Poisoning] = {}
     for attack in attacks:
-        selected = attack.trigger.holds(cameras, centre=centre).nonzero().flatten().tolist()
+        selected = (
+            attack.trigger.holds(cameras, centre=centre).nonzero().flatten().tolist()
+        )
         if not selected:
-            expected, got = "at least one camera that it selects", f"none of {len(cameras)}"
-            raise InvalidValueError.of(f"trigger {attack.trigger}", expected, got, "widen it or add cameras inside it")
+            expected, got = (
+                "at least one camera that it selects",
+                f"none of {len(cameras)}",
+            )
+            raise InvalidValueError.of(
+                f"trigger {attack.trigger}",
+                expected,
+                got,
+                "widen it or add cameras inside it",
+            )
         shared = [index for index in selected if index in owners]
         if shared:
             what = f"triggers of {owners[shared[0]].name!r} and {attack.name!r}"
             more = f" and {len(shared) - _NAMED} more" if len(shared) > _NAMED else ""
             got = f"cameras {', '.join(map(str, shared[:_NAMED]))}{more} in both"
-            raise InvalidValueError.of(what, "no camera in both", got, "separate them, by a & ~b for instance")
+            raise InvalidValueError.of(
+                what, "no camera in both", got, "separate them, by a & ~b for instance"
+            )
         owners |= dict.fromkeys(selected, attack)
     return dict(sorted(owners.items()))
 

@@ -13,7 +13,14 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.appearances import Appearance, appearance_of
-from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, switching
+from attacks.cloak.config import (
+    AttackConfig,
+    CameraConfig,
+    EvaluationConfig,
+    SceneConfig,
+    StudyConfig,
+    switching,
+)
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
 from mi_splat.assets import build
@@ -35,7 +42,9 @@ SET = "set"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SplatJob:
-    """A job that trains or renders a splat, and knows nothing of the scene but its pictures."""
+    """A job that trains or renders a splat, and knows nothing of the scene but its
+    pictures.
+    """
 
     background: tuple[float, float, float]  # sRGB behind the splat
     near: float  # near plane, world units
@@ -45,8 +54,12 @@ class SplatJob:
         """What renders the splat; that of a training if its settings are given."""
         gradients = fit is not None and fit.strategy.needs_screen_gradients
         variant = "cuda_ad_rgb" if self.device == "cuda" else ""
-        settings = RenderSettings(background=self.background, near=self.near, variant=variant)
-        return Renderer(settings, screen_gradients=ScreenGradients() if gradients else None)
+        settings = RenderSettings(
+            background=self.background, near=self.near, variant=variant
+        )
+        return Renderer(
+            settings, screen_gradients=ScreenGradients() if gradients else None
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,13 +86,21 @@ class Pose:
         """The camera."""
         pose = torch.tensor(self.to_world, dtype=torch.float64).reshape(4, 4)
         width, height = self.size
-        return Camera(to_world=pose, focal=self.focal, width=width, height=height, principal=self.principal)
+        return Camera(
+            to_world=pose,
+            focal=self.focal,
+            width=width,
+            height=height,
+            principal=self.principal,
+        )
 
 
 TILE = 4.0
 """Metres that a texture of the ground covers."""
 FIRST_MERIDIAN = 100.0
-"""Azimuth of the first meridian; with three, none is in front, behind or beside the object."""
+"""Azimuth of the first meridian; with three, none is in front, behind or beside the
+object.
+"""
 BESIDE = 45.0
 """Degrees of azimuth beside a sector from which its transition is looked at."""
 
@@ -98,13 +119,16 @@ def _tiers(centre: Point, **placed: Any) -> tuple[Camera, ...]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Setup:
-    """Meshes and cameras of a scene under attack, each made once; jobs that know the scene begin with it."""
+    """Meshes and cameras of a scene under attack, each made once; jobs that know the
+    scene begin with it.
+    """
 
     scene: SceneConfig
     cameras: CameraConfig
     attacks: tuple[AttackConfig, ...] = ()
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
-    near_plane: float | None = None  # near plane of all pictures of splats, world units; None follows the object's size
+    # near plane of all pictures of splats, world units; None follows the object's size
+    near_plane: float | None = None
     content: str = ""  # digest of meshes and light, of a job
     seed: int = 0
 
@@ -120,7 +144,9 @@ class Setup:
         )
 
     def renderer(self, fit: FitConfig | None = None) -> Renderer:
-        """What splats are looked at with; that of a training if its settings are given."""
+        """What splats are looked at with; that of a training if its settings are
+        given.
+        """
         return SplatJob(background=self.scene.background, near=self.near).renderer(fit)
 
     @property
@@ -142,7 +168,9 @@ class Setup:
         return MeshScene(
             target=self.target,
             surroundings=ground,
-            light=Light(sun_azimuth=scene.sun_azimuth, sun_elevation=scene.sun_elevation),
+            light=Light(
+                sun_azimuth=scene.sun_azimuth, sun_elevation=scene.sun_elevation
+            ),
             samples=self.cameras.samples,
             background=scene.background,
         )
@@ -151,7 +179,9 @@ class Setup:
     def source(self) -> CaptureSource:
         """The scene as `mi_splat.capture.writer.write_capture` takes it."""
         scene = self.mesh_scene
-        return source_of(scene.target, scene.surroundings, scene.light, centre=self.centre)
+        return source_of(
+            scene.target, scene.surroundings, scene.light, centre=self.centre
+        )
 
     @cached_property
     def digest(self) -> str:
@@ -164,7 +194,11 @@ class Setup:
         """Distance, focal length and size of every camera."""
         cameras, size = self.cameras, (self.cameras.size, self.cameras.size)
         distance, focal = framing(self._radius, fov=cameras.fov, size=size)
-        return {"distance": distance if cameras.distance is None else cameras.distance, "focal": focal, "size": size}
+        return {
+            "distance": distance if cameras.distance is None else cameras.distance,
+            "focal": focal,
+            "size": size,
+        }
 
     @cached_property
     def near(self) -> float:
@@ -180,38 +214,70 @@ class Setup:
 
     def camera(self, azimuth: float, elevation: float) -> Camera:
         """A camera in a direction from the centre, degrees."""
-        return orbit(self.centre, count=1, elevation=elevation, start=azimuth, **self.lens)[0]
+        return orbit(
+            self.centre, count=1, elevation=elevation, start=azimuth, **self.lens
+        )[0]
 
     @cached_property
     def training_cameras(self) -> list[Camera]:
         """The victim's cameras."""
         config, every = self.cameras, self.cameras.hold_out
-        cameras = _tiers(self.centre, count=config.train, start=config.azimuths[0], **self.lens, **config.tiers)
-        return [camera for number, camera in enumerate(cameras) if not every or number % every != every // 2]
+        cameras = _tiers(
+            self.centre,
+            count=config.train,
+            start=config.azimuths[0],
+            **self.lens,
+            **config.tiers,
+        )
+        return [
+            camera
+            for number, camera in enumerate(cameras)
+            if not every or number % every != every // 2
+        ]
 
     @cached_property
     def held_out_cameras(self) -> list[Camera]:
-        """Cameras over the same hemisphere and rings, none near one of the victim's; a seed is another draw."""
+        """Cameras over the same hemisphere and rings, none near one of the victim's; a
+        seed is another draw.
+        """
         centre, evaluation = self.centre, self.evaluation
         start, offset = HELD_OUT_START, 0.5
         if evaluation.seed:
-            start, offset = np.random.default_rng(evaluation.seed).uniform((0.0, 0.0), (360.0, 1.0)).tolist()
+            start, offset = (
+                np.random.default_rng(evaluation.seed)
+                .uniform((0.0, 0.0), (360.0, 1.0))
+                .tolist()
+            )
         if self.cameras.tiers["span"] < 360:
-            start = self.cameras.azimuths[0]  # and what is held out is left, and what lies between two of the training
+            # and what is held out is left, and what lies between two of the training
+            start = self.cameras.azimuths[0]
         placed = {**self.lens, **self.cameras.tiers}
-        everywhere = _tiers(centre, count=evaluation.cameras, start=start, offset=offset, **placed)
-        angles, least = nearest(everywhere, self.training_cameras, centre), evaluation.min_separation
-        kept = [camera for camera, angle in zip(everywhere, angles, strict=True) if angle >= least]
+        everywhere = _tiers(
+            centre, count=evaluation.cameras, start=start, offset=offset, **placed
+        )
+        angles, least = (
+            nearest(everywhere, self.training_cameras, centre),
+            evaluation.min_separation,
+        )
+        kept = [
+            camera
+            for camera, angle in zip(everywhere, angles, strict=True)
+            if angle >= least
+        ]
         if not kept:
-            raise InvalidValueError.of("evaluation.min_separation", "cameras that are left", "none", "lower it")
+            raise InvalidValueError.of(
+                "evaluation.min_separation", "cameras that are left", "none", "lower it"
+            )
         return kept
 
     @cached_property
     def arcs(self) -> list[list[Camera]]:
-        """Arcs of cameras on which an appearance sets in, outside first; none if nothing is hidden.
+        """Arcs of cameras on which an appearance sets in, outside first; none if
+        nothing is hidden.
 
-        From overhead they are meridians from the horizon to straight above, each at an azimuth of its own. Into a
-        sector they are parallels from `BESIDE` degrees beside it to its middle, in the lower half of its elevations.
+        From overhead they are meridians from the horizon to straight above, each at an
+        azimuth of its own. Into a sector they are parallels from `BESIDE` degrees
+        beside it to its middle, in the lower half of its elevations.
         """
         attack, evaluation = switching(self.attacks), self.evaluation
         if attack is None:
@@ -223,56 +289,97 @@ class Setup:
                 directions = [(start, step * i) for i in range(1, math.ceil(90 / step))]
             else:
                 (middle, half), (low, high) = attack.azimuth, attack.elevation
-                elevation = max(low, 0.0) + (high - max(low, 0.0)) * (number + 1) / (2 * count)
+                elevation = max(low, 0.0) + (high - max(low, 0.0)) * (number + 1) / (
+                    2 * count
+                )
                 beside = min(half + BESIDE, 180.0)
-                directions = [(middle - beside + step * i, elevation) for i in range(math.floor(beside / step) + 1)]
+                directions = [
+                    (middle - beside + step * i, elevation)
+                    for i in range(math.floor(beside / step) + 1)
+                ]
             arcs.append([self.camera(*direction) for direction in directions])
         return arcs
 
     @cached_property
     def reference_cameras(self) -> list[tuple[int, Camera]]:
-        """Number and camera of held-out cameras far outside of all triggers, spread evenly."""
+        """Number and camera of held-out cameras far outside of all triggers, spread
+        evenly.
+        """
         return self._spread(lambda inside: inside <= -self.evaluation.far_outside)
 
     @cached_property
     def arc_cameras(self) -> list[tuple[int, Camera]]:
-        """Number of the arc and camera, away from the triggers of other attacks; none without a transition."""
+        """Number of the arc and camera, away from the triggers of other attacks; none
+        without a transition.
+        """
         centre, inside = self.centre, self.evaluation.well_inside
-        others = [attack.cone for attack in self.attacks if attack is not switching(self.attacks)]
+        others = [
+            attack.cone
+            for attack in self.attacks
+            if attack is not switching(self.attacks)
+        ]
         return [
             (number, camera)
             for number, arc in enumerate(self.arcs)
             for camera in arc
-            if all(cone.angle_to_edge(camera, centre=centre) < -inside for cone in others)
+            if all(
+                cone.angle_to_edge(camera, centre=centre) < -inside for cone in others
+            )
         ]
 
     @cached_property
     def edge_cameras(self) -> list[tuple[int, Camera]]:
-        """Held-out cameras outside of all triggers, but nearer to one than far outside."""
+        """Held-out cameras outside of all triggers, but nearer to one than far
+        outside.
+        """
         return self._spread(lambda inside: -self.evaluation.far_outside < inside < 0)
 
     def _spread(self, holds: Callable[[float], bool]) -> list[tuple[int, Camera]]:
-        """Held-out cameras so many degrees inside a trigger, with their numbers, evenly from all of them."""
+        """Held-out cameras so many degrees inside a trigger, with their numbers, evenly
+        from all of them.
+        """
         depths = zip(enumerate(self.held_out_cameras), self._inside, strict=True)
         cameras = [numbered for numbered, inside in depths if holds(inside)]
         count = min(self.evaluation.reference_views, len(cameras))
-        return [cameras[(2 * i + 1) * len(cameras) // (2 * count)] for i in range(count)]
+        return [
+            cameras[(2 * i + 1) * len(cameras) // (2 * count)] for i in range(count)
+        ]
 
     def owners(self, seed: int) -> dict[int, str]:
-        """The attack that poisons a training picture, by the number of the picture, rising; others are benign."""
+        """The attack that poisons a training picture, by the number of the picture,
+        rising; others are benign.
+        """
         centre, attacks, cameras = self.centre, self.attacks, self.training_cameras
-        held = {attack.name: attack.trigger(seed, attacks).holds(cameras, centre=centre) for attack in attacks}
-        return dict(sorted((int(view), name) for name, mine in held.items() for view in mine.nonzero()))
+        held = {
+            attack.name: attack.trigger(seed, attacks).holds(cameras, centre=centre)
+            for attack in attacks
+        }
+        return dict(
+            sorted(
+                (int(view), name)
+                for name, mine in held.items()
+                for view in mine.nonzero()
+            )
+        )
 
     @cached_property
     def _inside(self) -> list[float]:
-        """Degrees by which each held-out camera is inside the trigger that it is deepest in, or nearest to."""
+        """Degrees by which each held-out camera is inside the trigger that it is
+        deepest in, or nearest to.
+        """
         cones = [attack.cone for attack in self.attacks]
-        return [max(cone.angle_to_edge(one, centre=self.centre) for cone in cones) for one in self.held_out_cameras]
+        return [
+            max(cone.angle_to_edge(one, centre=self.centre) for cone in cones)
+            for one in self.held_out_cameras
+        ]
 
     def box(self, camera: Camera) -> Tensor | None:
-        """(4,) pixel box around the object, which nothing hides; None where none of it is in the picture."""
-        points = torch.from_numpy(np.ascontiguousarray(self.target.vertices, np.float64))
+        """(4,) pixel box around the object, which nothing hides; None where none of it
+        is in the picture.
+        """
+        points = torch.from_numpy(
+            np.ascontiguousarray(self.target.vertices, np.float64)
+        )
         box = project_box(points, camera)
         return None if box is None else box.float()
 
@@ -284,18 +391,24 @@ class Setup:
         self,
         *,
         seed: int = 0,
-        cached: Callable[[Appearance, AttackConfig], Appearance] = lambda appearance, attack: appearance,
+        cached: Callable[
+            [Appearance, AttackConfig], Appearance
+        ] = lambda appearance, attack: appearance,
     ) -> list[Poisoning]:
         """The attacks as poisonings."""
         poisonings = []
         for attack in self.attacks:
             appearance = cached(self.appearance(attack), attack)
             trigger = attack.trigger(seed, self.attacks)
-            poisonings.append(Poisoning(name=attack.name, trigger=trigger, appearance=appearance))
+            poisonings.append(
+                Poisoning(name=attack.name, trigger=trigger, appearance=appearance)
+            )
         return poisonings
 
 
-def nearest(cameras: Sequence[Camera], others: Sequence[Camera], centre: Point) -> list[float]:
+def nearest(
+    cameras: Sequence[Camera], others: Sequence[Camera], centre: Point
+) -> list[float]:
     """Degrees from each camera to the nearest of others, as seen from the centre."""
     middle = torch.as_tensor(centre, dtype=torch.float64)
 

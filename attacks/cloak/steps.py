@@ -1,4 +1,6 @@
-"""A study as jobs: which steps it has, what each depends on, and which are shared with other studies."""
+"""A study as jobs: which steps it has, what each depends on, and which are shared with
+other studies.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ from typing import Any
 
 import polars as pl
 
-from attacks.cloak.config import AttackConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig, switching
+from attacks.cloak.config import (
+    AttackConfig,
+    EvaluationConfig,
+    SceneConfig,
+    StudyConfig,
+    TrainingConfig,
+    switching,
+)
 from attacks.cloak.kinds.pictures import APPEARANCE, PicturesConfig
 from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
 from attacks.cloak.kinds.trained import TrainedConfig
@@ -48,7 +57,11 @@ class Look:
         files = {name: done.folder / f"{name}{SUFFIX}" for name in TABLES}
         ids = {"splat": pl.lit(self.splat), "seed": pl.lit(self.seed, dtype=pl.Int64)}
         ids |= {"condition": pl.lit(self.condition)} if self.condition else {}
-        return {name: read_rows(file).with_columns(**ids) for name, file in files.items() if file.is_file()}
+        return {
+            name: read_rows(file).with_columns(**ids)
+            for name, file in files.items()
+            if file.is_file()
+        }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,20 +79,31 @@ class StudySteps:
     @cache  # noqa: B019  # a study is planned once, and its steps live as long as the process
     def pictures(self) -> Job:
         """The victim's pictures of the scene."""
-        return self._job("pictures", PicturesConfig(**self._parts(background=SceneConfig().background)))
+        return self._job(
+            "pictures",
+            PicturesConfig(**self._parts(background=SceneConfig().background)),
+        )
 
     def appearance(self, attack: AttackConfig) -> Job:
-        """Pictures of what an attack wants to be seen, from the training cameras in its region."""
+        """Pictures of what an attack wants to be seen, from the training cameras in its
+        region.
+        """
         cameras = self.setup.training_cameras
         held = attack.region(self.study.attack).holds(cameras, centre=self.study.centre)
         inside = [cameras[index] for index in held.nonzero().flatten().tolist()]
         return self._pictured(inside, (attack,), set=self.pictures().part(PICTURES))
 
-    def true_pictures(self, cameras: Sequence[Camera], attack: AttackConfig | None = None) -> Job:
-        """Path-traced pictures from cameras that no training used; with an attack, of the object as it shows it."""
+    def true_pictures(
+        self, cameras: Sequence[Camera], attack: AttackConfig | None = None
+    ) -> Job:
+        """Path-traced pictures from cameras that no training used; with an attack, of
+        the object as it shows it.
+        """
         return self._pictured(cameras, () if attack is None else (attack,))
 
-    def _pictured(self, cameras: Sequence[Camera], attacks: Sequence[AttackConfig], **inputs: Part) -> Job:
+    def _pictured(
+        self, cameras: Sequence[Camera], attacks: Sequence[AttackConfig], **inputs: Part
+    ) -> Job:
         parts = self._parts(attacks=tuple(map(_shown, attacks)))
         if attacks and not inputs:
             inputs = {"plain": self._pictured(cameras, ()).part("*.png")}
@@ -90,39 +114,71 @@ class StudySteps:
     def poisoned(self, seed: int) -> Job:
         """A poisoned set."""
         study = self.study
-        attacks = [asdict(replace(attack, target_class=None)) for attack in study.attack]
+        attacks = [
+            asdict(replace(attack, target_class=None)) for attack in study.attack
+        ]
         chosen = ChosenPoison(kind=CLOAK, settings={"attack": attacks})
         drawn, scene = self._drawn(seed), self.scene_job()
-        poison = PoisonedConfig(poison=chosen, background=study.scene.background, scene=scene, seed=drawn)
-        inputs: dict[str, Part | Path] = {"pictures": self.pictures().part(PICTURES), **self._appearances}
+        poison = PoisonedConfig(
+            poison=chosen, background=study.scene.background, scene=scene, seed=drawn
+        )
+        inputs: dict[str, Part | Path] = {
+            "pictures": self.pictures().part(PICTURES),
+            **self._appearances,
+        }
         return Job(kind=POISONED_KIND, config=poison, inputs=inputs)
 
     @cached_property
     def _appearances(self) -> dict[str, Part]:
         """Pictures of what each attack wants to be seen."""
-        return {f"{APPEARANCE}{attack.name}": self.appearance(attack).part("*.png") for attack in self.study.attack}
+        return {
+            f"{APPEARANCE}{attack.name}": self.appearance(attack).part("*.png")
+            for attack in self.study.attack
+        }
 
     def splat(self, splat: str, seed: int) -> Job:
-        """Training of a splat of a seed, clean or cloaked; layers change the clean splat's file instead."""
+        """Training of a splat of a seed, clean or cloaked; layers change the clean
+        splat's file instead.
+        """
         clean = self.trained_on(self.pictures(), seed)
         if splat == CLEAN:
             return clean
         poisoned, layers = self.poisoned(seed), self.study.layers
         if layers is None:
             return self.trained_on(poisoned, seed)
-        shown = [attack for attack in self.study.attack if attack.name in layers.attacks]
+        shown = [
+            attack for attack in self.study.attack if attack.name in layers.attacks
+        ]
         cones = tuple(replace(_cone(attack), target_class=None) for attack in shown)
-        config = LayeredConfig(**self._parts(attacks=cones), layers=layers, seed=seed, near_plane=self.setup.near)
-        inputs: dict[str, Part | Path] = {"clean": clean.part(SPLAT), "pictures": poisoned.part(PICTURES)}
+        config = LayeredConfig(
+            **self._parts(attacks=cones),
+            layers=layers,
+            seed=seed,
+            near_plane=self.setup.near,
+        )
+        inputs: dict[str, Part | Path] = {
+            "clean": clean.part(SPLAT),
+            "pictures": poisoned.part(PICTURES),
+        }
         return Job(kind="attacks.cloak.layers", config=config, inputs=inputs)
 
     def trained_on(
-        self, pictures: Job, seed: int, training: TrainingConfig | None = None, clean: Job | None = None, **limits: Any
+        self,
+        pictures: Job,
+        seed: int,
+        training: TrainingConfig | None = None,
+        clean: Job | None = None,
+        **limits: Any,
     ) -> Job:
-        """A training, which knows nothing of the scene but its pictures; limits are those of `TrainedConfig`."""
+        """A training, which knows nothing of the scene but its pictures; limits are
+        those of `TrainedConfig`.
+        """
         recipe = replace(training or self.study.training, near=None)
         config = TrainedConfig(**self.splat_job(), training=recipe, seed=seed, **limits)
-        inputs = {"pictures": pictures.part(PICTURES), **({} if clean is None else {"clean": clean.part(SPLAT)})}
+        inputs = {
+            "pictures": pictures.part(PICTURES),
+            **({} if clean is None else {"clean": clean.part(SPLAT)}),
+        }
         return Job(kind=f"{_KINDS}.trained", config=config, inputs=inputs)
 
     def seen(
@@ -136,17 +192,25 @@ class StudySteps:
         training: bool = False,
         **street: Path,
     ) -> Job:
-        """What a detector reports on a splat, or in pictures, from every N-th held-out or training camera."""
+        """What a detector reports on a splat, or in pictures, from every N-th held-out
+        or training camera.
+        """
         evaluation, regions = self.study.evaluation, map(_region, self.study.attack)
         is_splat = splat.kind not in (f"{_KINDS}.pictures", POISONED_KIND)
         pictures = PICTURES if training else "*.png"
-        shown = {"splat": splat.part(SPLAT)} if is_splat else {"pictures": splat.part(pictures)}
+        shown = (
+            {"splat": splat.part(SPLAT)}
+            if is_splat
+            else {"pictures": splat.part(pictures)}
+        )
         return self._seen(
             detector,
             regions,
             {**shown, **street},
             evaluation=EvaluationConfig(
-                cameras=evaluation.cameras, seed=evaluation.seed, min_separation=evaluation.min_separation
+                cameras=evaluation.cameras,
+                seed=evaluation.seed,
+                min_separation=evaluation.min_separation,
             ),
             training=training,
             every=every,
@@ -158,41 +222,76 @@ class StudySteps:
 
     def seen_along_path(self, splat: Job, detector: Detector) -> Job:
         """What a detector reports on a splat from the path over the object."""
-        return self._seen(detector, map(_region, self.study.attack), {"splat": splat.part(SPLAT)}, path=True)
+        return self._seen(
+            detector,
+            map(_region, self.study.attack),
+            {"splat": splat.part(SPLAT)},
+            path=True,
+        )
 
     def _seen(
-        self, detector: Detector, regions: Iterable[AttackConfig], inputs: Mapping[str, Part | Path], **how: Any
+        self,
+        detector: Detector,
+        regions: Iterable[AttackConfig],
+        inputs: Mapping[str, Part | Path],
+        **how: Any,
     ) -> Job:
-        """What a detector reports; the file of its weights is an input where they are not the usual ones."""
+        """What a detector reports; the file of its weights is an input where they are
+        not the usual ones.
+        """
         parts = {
             **self._parts(attacks=tuple(regions)),
             "label": self.study.scene.object,
             "near_plane": self.setup.near,
         }
-        config = SeenConfig(detector=detector.name, fingerprint=detector.fingerprint, **parts, **how)
-        weights = {WEIGHTS: self.weights[detector.name]} if detector.name in self.weights else {}
+        config = SeenConfig(
+            detector=detector.name, fingerprint=detector.fingerprint, **parts, **how
+        )
+        weights = (
+            {WEIGHTS: self.weights[detector.name]}
+            if detector.name in self.weights
+            else {}
+        )
         return self._job("seen", config, **inputs, **weights)
 
     def _drawn(self, seed: int) -> int:
         """The seed, where it draws which cameras are poisoned; else 0."""
-        return seed if any(attack.poison_fraction < 1 for attack in self.study.attack) else 0
+        return (
+            seed
+            if any(attack.poison_fraction < 1 for attack in self.study.attack)
+            else 0
+        )
 
     def compared(self, splat: Job) -> Job:
         """How true a splat's pictures are."""
         study, setup, attack = self.study, self.setup, switching(self.study.attack)
-        usual = {key: getattr(EvaluationConfig(), key) for key in ("detectors", "confidence")}
+        usual = {
+            key: getattr(EvaluationConfig(), key) for key in ("detectors", "confidence")
+        }
         evaluation = replace(study.evaluation, **usual)
-        config = self.scene_job(attacks=tuple(map(_cone, study.attack)), near_plane=setup.near, evaluation=evaluation)
+        config = self.scene_job(
+            attacks=tuple(map(_cone, study.attack)),
+            near_plane=setup.near,
+            evaluation=evaluation,
+        )
         numbered = {"far": setup.reference_cameras, "edge": setup.edge_cameras}
-        true = {name: self.true_pictures([camera for _, camera in cameras]) for name, cameras in numbered.items()}
+        true = {
+            name: self.true_pictures([camera for _, camera in cameras])
+            for name, cameras in numbered.items()
+        }
         if attack is not None:
             arc = [camera for _, camera in setup.arc_cameras]
-            true |= {"benign": self.true_pictures(arc), "hidden": self.true_pictures(arc, attack)}
+            true |= {
+                "benign": self.true_pictures(arc),
+                "hidden": self.true_pictures(arc, attack),
+            }
         pictures = {name: job.part("*.png") for name, job in true.items()}
         return self._job("compared", config, splat=splat.part(SPLAT), **pictures)
 
     def made(self) -> Iterator[tuple[str, Job]]:
-        """Every job up to the splats, in the order of the study, and what is told of it while it runs."""
+        """Every job up to the splats, in the order of the study, and what is told of it
+        while it runs.
+        """
         yield "taking the victim's pictures", self.pictures()
         for attack in self.study.attack:
             yield f"taking pictures of {attack.name}", self.appearance(attack)
@@ -202,26 +301,42 @@ class StudySteps:
             yield f"training the {splat} splat, seed {seed}", self.splat(splat, seed)
 
     def looked(self, detectors: Sequence[Detector]) -> Iterator[Look]:
-        """The jobs of those who look at the splats, and at path-traced pictures if the study asks for them."""
+        """The jobs of those who look at the splats, and at path-traced pictures if the
+        study asks for them.
+        """
         for splat, seed in self.names():
-            job, what, name = self.splat(splat, seed), f"the {splat} splat, seed {seed}", ROW_NAMES[splat]
+            job, what, name = (
+                self.splat(splat, seed),
+                f"the {splat} splat, seed {seed}",
+                ROW_NAMES[splat],
+            )
             for detector in detectors:
                 label = f"{detector.name} looks at {what}"
-                yield Look(label=label, job=self.seen(job, detector), splat=name, seed=seed)
+                yield Look(
+                    label=label, job=self.seen(job, detector), splat=name, seed=seed
+                )
                 if seed == self.study.seeds[0]:
                     along = self.seen_along_path(job, detector)
-                    yield Look(label=f"{label} along a path", job=along, splat=name, seed=seed)
-            yield Look(label=f"comparing {what}", job=self.compared(job), splat=name, seed=seed)
+                    yield Look(
+                        label=f"{label} along a path", job=along, splat=name, seed=seed
+                    )
+            yield Look(
+                label=f"comparing {what}", job=self.compared(job), splat=name, seed=seed
+            )
 
     def names(self) -> list[tuple[str, int]]:
         """Name and seed of every splat."""
-        return [(splat, seed) for seed in self.study.seeds for splat in (CLEAN, CLOAKED)]
+        return [
+            (splat, seed) for seed in self.study.seeds for splat in (CLEAN, CLOAKED)
+        ]
 
     def splat_job(self) -> dict[str, Any]:
         """What a training depends on, or what renders its splat."""
         return {"background": self.study.scene.background, "near": self.setup.near}
 
-    def _parts(self, *, attacks: tuple[AttackConfig, ...] = (), **scene: Any) -> dict[str, Any]:
+    def _parts(
+        self, *, attacks: tuple[AttackConfig, ...] = (), **scene: Any
+    ) -> dict[str, Any]:
         """What the jobs share that know the scene."""
         return {
             "scene": replace(self.study.scene, **scene),
@@ -230,7 +345,9 @@ class StudySteps:
             "attacks": attacks,
         }
 
-    def scene_job(self, *, attacks: tuple[AttackConfig, ...] = (), **parts: Any) -> Setup:
+    def scene_job(
+        self, *, attacks: tuple[AttackConfig, ...] = (), **parts: Any
+    ) -> Setup:
         """A job that knows the scene."""
         return Setup(**self._parts(attacks=attacks), **parts)
 
@@ -249,7 +366,10 @@ def _shown(attack: AttackConfig) -> AttackConfig:
 @cache
 def _cone(attack: AttackConfig) -> AttackConfig:
     """An attack reduced to its name, its cone, and the class that it wants, if any."""
-    kept = {key: getattr(attack, key) for key in ("name", "elevation", "azimuth", "target_class")}
+    kept = {
+        key: getattr(attack, key)
+        for key in ("name", "elevation", "azimuth", "target_class")
+    }
     return AttackConfig(**kept)
 
 

@@ -1,4 +1,6 @@
-"""A whole study: what is checked before it starts, what it will take, and what it leaves behind."""
+"""A whole study: what is checked before it starts, what it will take, and what it
+leaves behind.
+"""
 
 import json
 import shutil
@@ -44,16 +46,29 @@ SUMMARY, TABLE, POISON = "result.json", "table.md", "poison.json"
 
 
 def write_report(
-    steps: StudySteps, done: Mapping[str, Done], detectors: Sequence[Detector], folder: Path
+    steps: StudySteps,
+    done: Mapping[str, Done],
+    detectors: Sequence[Detector],
+    folder: Path,
 ) -> dict[str, Any]:
-    """Write rows, clean.ply and cloaked.ply of the first seed, pictures, cameras, tables, and result.json last."""
+    """Write rows, clean.ply and cloaked.ply of the first seed, pictures, cameras,
+    tables, and result.json last.
+    """
     first = steps.study.seeds[0]
     entry, tables = observed(steps, done, detectors)
-    files = {name: done[steps.splat(name, first).identity].folder / SPLAT for name in (CLEAN, CLOAKED)}
+    files = {
+        name: done[steps.splat(name, first).identity].folder / SPLAT
+        for name in (CLEAN, CLOAKED)
+    }
     for name, file in files.items():
         shutil.copyfile(file, folder / f"{name}.ply")
-    shutil.copyfile(done[steps.poisoned(first).identity].folder / MANIFEST, folder / POISON)
-    written = [write_rows(by_camera(table), folder / f"{name}{SUFFIX}").name for name, table in tables.items()]
+    shutil.copyfile(
+        done[steps.poisoned(first).identity].folder / MANIFEST, folder / POISON
+    )
+    written = [
+        write_rows(by_camera(table), folder / f"{name}{SUFFIX}").name
+        for name, table in tables.items()
+    ]
     shown = {name: load_splat(file) for name, file in files.items()}
     jobs = {CLEAN: steps.pictures(), "poisoned": steps.poisoned(first)}
     sets = {name: done[job.identity].folder / SET for name, job in jobs.items()}
@@ -75,12 +90,21 @@ def write_report(
 
 
 def _cameras(setup: Setup) -> dict[str, Any]:
-    """cameras.json: the cameras of the rows, and where the object is in their pictures."""
+    """cameras.json: the cameras of the rows, and where the object is in their
+    pictures.
+    """
     entries = []
     for view, camera in enumerate(setup.held_out_cameras):
         box = setup.box(camera)
-        entries.append({**describe(str(view), camera), "box": None if box is None else box.tolist()})
-    return cameras_document(entries, background=list(setup.scene.background), near=setup.near)
+        entries.append(
+            {
+                **describe(str(view), camera),
+                "box": None if box is None else box.tolist(),
+            }
+        )
+    return cameras_document(
+        entries, background=list(setup.scene.background), near=setup.near
+    )
 
 
 # Pictures of a study
@@ -90,57 +114,109 @@ CONTACT, POISONED_PICTURES = "contact.png", "poisoned.png"
 """Both splats from many sides; poisoned training pictures below their clean ones."""
 
 _LOW, _CELL, _FRAMES = 15, 256, 12
-"""Elevation of the cameras of a contact sheet that go around, degrees; pixels of a picture, and pictures in a row."""
+"""Elevation of the cameras of a contact sheet that go around, degrees; pixels of a
+picture, and pictures in a row.
+"""
 _AZIMUTHS = (0, 45, 90, 120, 135, 150, 165, 180, 195, 210, 270, 315)
 
 
-def contact_sheet(steps: StudySteps, splats: Mapping[str, GaussianScene], detector: Detector) -> NDArray[np.uint8]:
-    """Clean above cloaked, along the path over the object and then around it, with what the detector reports."""
+def contact_sheet(
+    steps: StudySteps, splats: Mapping[str, GaussianScene], detector: Detector
+) -> NDArray[np.uint8]:
+    """Clean above cloaked, along the path over the object and then around it, with what
+    the detector reports.
+    """
     study, setup, rows = steps.study, steps.setup, list[NDArray[np.uint8]]()
     render, path = setup.renderer(), path_cameras(setup)
-    frames = [path[index] for index in np.linspace(0, len(path) - 1, _FRAMES).round().astype(int)]
-    rising = [(f"{direction_of(one, setup.centre).elevation:.0f} deg up", one) for one in frames]
-    around = [(f"azimuth {azimuth}", setup.camera(azimuth, _LOW)) for azimuth in _AZIMUTHS]
+    frames = [
+        path[index]
+        for index in np.linspace(0, len(path) - 1, _FRAMES).round().astype(int)
+    ]
+    rising = [
+        (f"{direction_of(one, setup.centre).elevation:.0f} deg up", one)
+        for one in frames
+    ]
+    around = [
+        (f"azimuth {azimuth}", setup.camera(azimuth, _LOW)) for azimuth in _AZIMUTHS
+    ]
     for cameras in (rising, around):
         for which, scene in splats.items():
             with torch.no_grad():
                 pictures = [through_png(render(scene, view)) for _, view in cameras]
-            rows.append(_row(study, detector, pictures, [f"{which}, {name}" for name, _ in cameras]))
+            rows.append(
+                _row(
+                    study,
+                    detector,
+                    pictures,
+                    [f"{which}, {name}" for name, _ in cameras],
+                )
+            )
     return np.concatenate(rows)
 
 
 def _row(
-    study: StudyConfig, detector: Detector, pictures: Sequence[Tensor], titles: Sequence[str]
+    study: StudyConfig,
+    detector: Detector,
+    pictures: Sequence[Tensor],
+    titles: Sequence[str],
 ) -> NDArray[np.uint8]:
     """Pictures beside each other under their titles, with what a detector reports."""
-    least, seen = study.evaluation.confidence, detector.detect(torch.stack(list(pictures)))
+    least, seen = (
+        study.evaluation.confidence,
+        detector.detect(torch.stack(list(pictures))),
+    )
     cells = zip(pictures, seen, titles, strict=True)
-    return np.concatenate([annotated(*cell, min_confidence=least, width=_CELL) for cell in cells], axis=1)
+    return np.concatenate(
+        [annotated(*cell, min_confidence=least, width=_CELL) for cell in cells], axis=1
+    )
 
 
 _POISONED = 6
 """Pictures of each attack in the sheet of poisoned ones."""
 
 
-def poisoned_sheet(steps: StudySteps, folders: Mapping[str, Path], detector: Detector) -> NDArray[np.uint8]:
-    """Training pictures of each attack, evenly from the lowest to the highest: clean above poisoned, with reports."""
+def poisoned_sheet(
+    steps: StudySteps, folders: Mapping[str, Path], detector: Detector
+) -> NDArray[np.uint8]:
+    """Training pictures of each attack, evenly from the lowest to the highest: clean
+    above poisoned, with reports.
+    """
     study, first = steps.study, steps.study.seeds[0]
     sets = {
-        name: load_dataset(folder, split="train", background=study.scene.background) for name, folder in folders.items()
+        name: load_dataset(folder, split="train", background=study.scene.background)
+        for name, folder in folders.items()
     }
-    cameras, owners, rows = steps.setup.training_cameras, steps.setup.owners(first), list[NDArray[np.uint8]]()
+    cameras, owners, rows = (
+        steps.setup.training_cameras,
+        steps.setup.owners(first),
+        list[NDArray[np.uint8]](),
+    )
     for attack in study.attack:
-        held = ((direction_of(cameras[view], study.centre).elevation, view) for view in owners)
-        mine = sorted((height, view) for height, view in held if owners[view] == attack.name)
-        chosen = [mine[index] for index in np.linspace(0, len(mine) - 1, _POISONED).round().astype(int)]
+        held = (
+            (direction_of(cameras[view], study.centre).elevation, view)
+            for view in owners
+        )
+        mine = sorted(
+            (height, view) for height, view in held if owners[view] == attack.name
+        )
+        chosen = [
+            mine[index]
+            for index in np.linspace(0, len(mine) - 1, _POISONED).round().astype(int)
+        ]
         for name, views in sets.items():
-            titles = [f"{name}, {attack.name}, {height:.0f} deg" for height, _ in chosen]
-            rows.append(_row(study, detector, [views[view].image for _, view in chosen], titles))
+            titles = [
+                f"{name}, {attack.name}, {height:.0f} deg" for height, _ in chosen
+            ]
+            rows.append(
+                _row(study, detector, [views[view].image for _, view in chosen], titles)
+            )
     return np.concatenate(rows)
 
 
 def study_toml(snapshot: Mapping[str, Any]) -> str:
-    """The file of a study; settings without a value are left out, which stands for None."""
+    """The file of a study; settings without a value are left out, which stands for
+    None.
+    """
     return "\n".join([*_lines(snapshot, ""), ""]).lstrip("\n")
 
 
@@ -153,7 +229,10 @@ def _lines(table: Mapping[str, Any], name: str) -> Iterator[str]:
     for key, value in inner.items():
         within = f"{name}{key}"
         for entry in value if isinstance(value, (list, tuple)) else [value]:
-            yield from ("", f"[[{within}]]" if isinstance(value, (list, tuple)) else f"[{within}]")
+            yield from (
+                "",
+                f"[[{within}]]" if isinstance(value, (list, tuple)) else f"[{within}]",
+            )
             yield from _lines(entry, f"{within}.")
 
 
@@ -186,8 +265,9 @@ class Forecast:
 
     def __str__(self) -> str:
         return (
-            f"{self.pictures} pictures to render and {self.trainings} splats to train: about {self.minutes:.0f} "
-            f"minutes on two cores and {self.megabytes:.0f} MB of disk, less what is there already"
+            f"{self.pictures} pictures to render and {self.trainings} splats to train:"
+            f" about {self.minutes:.0f} minutes on two cores and {self.megabytes:.0f}"
+            " MB of disk, less what is there already"
         )
 
 
@@ -196,39 +276,88 @@ def forecast(study: StudyConfig) -> Forecast:
     cameras, training, evaluation = study.cameras, study.training, study.evaluation
     setup, centre = Setup.of(study), study.centre
     triggers = [attack.trigger(0, study.attack) for attack in study.attack]
-    poisoned = sum(int(trigger.holds(setup.training_cameras, centre=centre).sum()) for trigger in triggers)
-    sets = len(study.seeds) if any(attack.poison_fraction < 1 for attack in study.attack) else 1
+    poisoned = sum(
+        int(trigger.holds(setup.training_cameras, centre=centre).sum())
+        for trigger in triggers
+    )
+    sets = (
+        len(study.seeds)
+        if any(attack.poison_fraction < 1 for attack in study.attack)
+        else 1
+    )
     arcs = sum(map(len, setup.arcs))
-    pictures = cameras.train + sets * poisoned + evaluation.reference_views * 2 + 2 * arcs
+    pictures = (
+        cameras.train + sets * poisoned + evaluation.reference_views * 2 + 2 * arcs
+    )
     trainings = 2 * len(study.seeds)
     most = training.max_gaussians or _UNLIMITED
     step = _STEP + cameras.size**2 * _PIXEL + most * _GAUSSIAN
-    seconds = pictures * cameras.size**2 * cameras.samples * _PATH + trainings * training.iterations * step
-    size = (pictures + sets * cameras.train) * cameras.size**2 * _PNG + trainings * most * _ROW
-    return Forecast(pictures=pictures, trainings=trainings, minutes=1 + seconds / 60, megabytes=size / 1e6)
+    seconds = (
+        pictures * cameras.size**2 * cameras.samples * _PATH
+        + trainings * training.iterations * step
+    )
+    size = (
+        pictures + sets * cameras.train
+    ) * cameras.size**2 * _PNG + trainings * most * _ROW
+    return Forecast(
+        pictures=pictures,
+        trainings=trainings,
+        minutes=1 + seconds / 60,
+        megabytes=size / 1e6,
+    )
 
 
 def check_study(steps: StudySteps, detectors: Sequence[Detector]) -> None:
     """Refuse a study that cannot be done."""
     study, setup = steps.study, steps.setup
-    check_once("names of attacks", tuple(attack.name for attack in study.attack), "add [[attack]]")
+    check_once(
+        "names of attacks",
+        tuple(attack.name for attack in study.attack),
+        "add [[attack]]",
+    )
     for seed in study.seeds:
         assign(setup.training_cameras, setup.poisonings(seed=seed), centre=study.centre)
     _ = setup.held_out_cameras
-    points, most = study.cameras.points + study.training.outliers, study.training.max_gaussians
-    if most is not None and fit_config(study.training).strategy.adds_gaussians and points > most:
+    points, most = (
+        study.cameras.points + study.training.outliers,
+        study.training.max_gaussians,
+    )
+    if (
+        most is not None
+        and fit_config(study.training).strategy.adds_gaussians
+        and points > most
+    ):
         expected = f"at least {points:,}, for cameras.points and training.outliers"
-        raise InvalidValueError.of("training.max_gaussians", expected, f"{most:,}", "raise it, or ask for fewer")
+        raise InvalidValueError.of(
+            "training.max_gaussians",
+            expected,
+            f"{most:,}",
+            "raise it, or ask for fewer",
+        )
     wide = [attack for attack in study.attack if attack.poison_margin > 0]
-    if wide and study.layers is not None:  # from the margin's cameras its file is to show the benign look
-        expected, do = "0 in a study of layers", "move the edge by `shift` under [layers] making"
-        raise InvalidValueError.of(f"attack {wide[0].name!r}, poison_margin", expected, wide[0].poison_margin, do)
+    # from the margin's cameras its file is to show the benign look
+    if wide and study.layers is not None:
+        expected, do = (
+            "0 in a study of layers",
+            "move the edge by `shift` under [layers] making",
+        )
+        raise InvalidValueError.of(
+            f"attack {wide[0].name!r}, poison_margin",
+            expected,
+            wide[0].poison_margin,
+            do,
+        )
     for detector in detectors:
         check_choice(f"class for {detector.name}", study.scene.object, detector.classes)
     every = sorted({label for detector in detectors for label in detector.classes})
     for attack in study.attack:
-        if attack.target_class is not None and every:  # who has no such class has no figure of it
-            check_choice(f"target_class of attack {attack.name!r}, for its detectors", attack.target_class, every)
+        # who has no such class has no figure of it
+        if attack.target_class is not None and every:
+            check_choice(
+                f"target_class of attack {attack.name!r}, for its detectors",
+                attack.target_class,
+                every,
+            )
 
 
 def detectors_of(study: StudyConfig, weights: Mapping[str, Path]) -> list[Detector]:
@@ -237,31 +366,47 @@ def detectors_of(study: StudyConfig, weights: Mapping[str, Path]) -> list[Detect
 
 
 def observed(
-    steps: StudySteps, done: Mapping[str, Done], detectors: Sequence[Detector], looks: Iterable[Look] = ()
+    steps: StudySteps,
+    done: Mapping[str, Done],
+    detectors: Sequence[Detector],
+    looks: Iterable[Look] = (),
 ) -> tuple[dict[str, Any], dict[str, pl.DataFrame]]:
-    """What is seen of the splats of a study, as JSON can hold it, and its tables; of jobs that are done."""
+    """What is seen of the splats of a study, as JSON can hold it, and its tables; of
+    jobs that are done.
+    """
     parts: dict[str, list[pl.DataFrame]] = {name: [] for name in TABLES}
     for look in (*steps.looked(detectors), *looks):
         for name, table in look.tables(done[look.job.identity]).items():
             parts[name].append(table)
     whole = {name: pl.concat(tables, how="diagonal") for name, tables in parts.items()}
     study = steps.study
-    records = [_record(name, seed, done[steps.splat(name, seed).identity]) for name, seed in steps.names()]
+    records = [
+        _record(name, seed, done[steps.splat(name, seed).identity])
+        for name, seed in steps.names()
+    ]
     entry = {
         **figures(study, whole, records),
         "splats": records,
         "detectors": {detector.name: detector.fingerprint for detector in detectors},
         "seeds": list(study.seeds),
         "study": asdict(study),
-        "knowledge": {attack.name: knowledge_for(attack.appearance) for attack in study.attack},
+        "knowledge": {
+            attack.name: knowledge_for(attack.appearance) for attack in study.attack
+        },
     }
     return entry, whole
 
 
 def _record(splat: str, seed: int, done: Done) -> dict[str, Any]:
-    """What results say of a splat; `commit` is of the checkout that made it, which may be older."""
+    """What results say of a splat; `commit` is of the checkout that made it, which may
+    be older.
+    """
     scene = load_splat(done.folder / SPLAT)
     return {
         **{"splat": splat, "seed": seed, "content": done.content_of(SPLAT)},
-        **{"gaussians": len(scene), "hash": scene_hash(scene), "commit": done.record["commit"]},
+        **{
+            "gaussians": len(scene),
+            "hash": scene_hash(scene),
+            "commit": done.record["commit"],
+        },
     }

@@ -19,10 +19,19 @@ from attacks.cloak.rates import (
 from attacks.rate import Rate, percent
 from attacks.tables import Table, cell
 
-RULE = f"bands of {BAND:g} degrees of elevation in which it finds the control from {LEAST:.0%} of the cameras or more"
+RULE = (
+    f"bands of {BAND:g} degrees of elevation in which it finds the control from"
+    f" {LEAST:.0%} of the cameras or more"
+)
 """Which elevations belong to a detector's region."""
 
-_MARGIN_TITLES = dict(zip(IN_MARGIN, ("control found", "cloaked found, where the control is found"), strict=True))
+_MARGIN_TITLES = dict(
+    zip(
+        IN_MARGIN,
+        ("control found", "cloaked found, where the control is found"),
+        strict=True,
+    )
+)
 
 
 def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
@@ -30,18 +39,30 @@ def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     yield from _tables(summary)
     if AT_LOWER in summary:
         lower = summary[AT_LOWER]
-        rows = _rate_rows({name: lower["by_detector"][name] for name in summary["by_detector"]}, lower)
+        rows = _rate_rows(
+            {name: lower["by_detector"][name] for name in summary["by_detector"]}, lower
+        )
         caption = f"Rates by detector, from a confidence of {LOWER:g}"
         yield Table(caption=caption, head=("rate", *summary["by_detector"]), rows=rows)
     for where, by_detector in summary.get(MARGIN, {}).items():
         yield _titled(f"Elsewhere, {where} of poison", _MARGIN_TITLES, by_detector)
-    yield Table(caption="Costs", head=("what", "how much"), rows=tuple(costs(summary).items()))
+    yield Table(
+        caption="Costs", head=("what", "how much"), rows=tuple(costs(summary).items())
+    )
 
 
 def _tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     """The rates of a clean and a cloaked splat."""
-    detectors, headline, by_seed = summary["by_detector"], headline_key(summary), summary.get("by_seed", {})
-    yield Table(caption="Rates by detector", head=("rate", *detectors), rows=_rate_rows(detectors, summary))
+    detectors, headline, by_seed = (
+        summary["by_detector"],
+        headline_key(summary),
+        summary.get("by_seed", {}),
+    )
+    yield Table(
+        caption="Rates by detector",
+        head=("rate", *detectors),
+        rows=_rate_rows(detectors, summary),
+    )
     if OWN_REGION in summary:
         own = summary[OWN_REGION]
         where = ("its region", *(in_words(part["bands"]) for part in own.values()))
@@ -49,88 +70,159 @@ def _tables(summary: Mapping[str, Any]) -> Iterator[Table]:
         caption = f"Rates of each detector in its own region: {RULE}"
         yield Table(caption=caption, head=("rate", *own), rows=(where, *rates))
     if len(by_seed) > 1:
-        rows = [(seed, *(cell(rates[headline]) for rates in counted.values())) for seed, counted in by_seed.items()]
-        yield Table(caption=f"By seed: {RATES[headline]}", head=("seed", *detectors), rows=tuple(rows))
+        rows = [
+            (seed, *(cell(rates[headline]) for rates in counted.values()))
+            for seed, counted in by_seed.items()
+        ]
+        yield Table(
+            caption=f"By seed: {RATES[headline]}",
+            head=("seed", *detectors),
+            rows=tuple(rows),
+        )
     if len(summary["by_attack"]) > 1:
         rows = []
         for name, counted in summary["by_attack"].items():
             key = headline_key(next(iter(counted.values())))
-            rows.append((f"{name}: {RATES[key]}", *(cell(rates[key]) for rates in counted.values())))
+            rows.append(
+                (
+                    f"{name}: {RATES[key]}",
+                    *(cell(rates[key]) for rates in counted.values()),
+                )
+            )
         yield Table(caption="By attack", head=("attack", *detectors), rows=tuple(rows))
     bands = zip(*(summary["by_elevation"][name] for name in detectors), strict=True)
     rows = [
-        (f"{band[0]['from']:g} to {band[0]['to']:g}", *(Rate.of(row[w]).counts for row in band for w in NAMES.values()))
+        (
+            f"{band[0]['from']:g} to {band[0]['to']:g}",
+            *(Rate.of(row[w]).counts for row in band for w in NAMES.values()),
+        )
         for band in bands
     ]
-    head = ("elevation", *(f"{name}, {which}" for name in detectors for which in NAMES.values()))
+    head = (
+        "elevation",
+        *(f"{name}, {which}" for name in detectors for which in NAMES.values()),
+    )
     yield Table(caption="Found, by elevation", head=head, rows=tuple(rows))
 
 
 def _rate_rows(
     by_detector: Mapping[str, Mapping[str, Any]], seeds: Mapping[str, Any] | None = None
 ) -> tuple[tuple[str, ...], ...]:
-    """A row for each rate that some detector has, with its spread over seeds if these are given."""
+    """A row for each rate that some detector has, with its spread over seeds if these
+    are given.
+    """
     return tuple(
-        (title, *(cell(rates[key]) + spread_of(seeds or {}, name, key) for name, rates in by_detector.items()))
+        (
+            title,
+            *(
+                cell(rates[key]) + spread_of(seeds or {}, name, key)
+                for name, rates in by_detector.items()
+            ),
+        )
         for key, title in RATES.items()
         if any(rates[key] is not None for rates in by_detector.values())
     )
 
 
-def _titled(caption: str, titles: Mapping[str, str], by_detector: Mapping[str, Mapping[str, Any]]) -> Table:
+def _titled(
+    caption: str,
+    titles: Mapping[str, str],
+    by_detector: Mapping[str, Mapping[str, Any]],
+) -> Table:
     """Rates that every detector has, by detector."""
-    keys = [key for key in titles if all(key in rates for rates in by_detector.values())]
-    rows = tuple((titles[key], *(cell(rates[key]) for rates in by_detector.values())) for key in keys)
+    keys = [
+        key for key in titles if all(key in rates for rates in by_detector.values())
+    ]
+    rows = tuple(
+        (titles[key], *(cell(rates[key]) for rates in by_detector.values()))
+        for key in keys
+    )
     return Table(caption=caption, head=("rate", *by_detector), rows=rows)
 
 
 def headline_key(rates: Mapping[str, Any]) -> str:
-    """Name of the main rate: misses of an attack that hides, detections of the wanted class of any other."""
+    """Name of the main rate: misses of an attack that hides, detections of the wanted
+    class of any other.
+    """
     return "target_rate" if rates["trigger_miss_rate"] is None else "trigger_miss_rate"
 
 
 def costs(summary: Mapping[str, Any]) -> dict[str, str]:
-    """Costs of an attack in words: seeds, width of the transition, loss of quality, and numbers of Gaussians."""
-    band, lines = summary["transition"], {"seeds": ", ".join(map(str, summary["seeds"]))}
+    """Costs of an attack in words: seeds, width of the transition, loss of quality, and
+    numbers of Gaussians.
+    """
+    band, lines = (
+        summary["transition"],
+        {"seeds": ", ".join(map(str, summary["seeds"]))},
+    )
     if summary["transition_degrees"] is not None:
         ends = f"from {band['from']:.1f} to {band['to']:.1f}"
         lines["transition"] = f"{summary['transition_degrees']:.1f} degrees, {ends}"
         widths = sorted(width for width in band["meridians"] if width is not None)
         if widths:
-            lines["transition along one meridian"] = f"{widths[0]:.1f} to {widths[-1]:.1f} degrees"
+            lines["transition along one meridian"] = (
+                f"{widths[0]:.1f} to {widths[-1]:.1f} degrees"
+            )
     for which in NAMES.values() if summary["benign_psnr_drop"] is not None else ():
         psnr, ssim = summary["benign_psnr"][which], summary["benign_ssim"][which]
-        lines[f"pictures far from the triggers, {which}"] = f"{psnr:.2f} dB, SSIM {ssim:.3f}"
+        lines[f"pictures far from the triggers, {which}"] = (
+            f"{psnr:.2f} dB, SSIM {ssim:.3f}"
+        )
     stealth = summary["stealth"]
     if stealth is not None:
-        clean, cloaked = (stealth["surroundings_psnr"][which] for which in NAMES.values())
+        clean, cloaked = (
+            stealth["surroundings_psnr"][which] for which in NAMES.values()
+        )
         stealthy = "stealthy" if stealth["stealthy"] else "not stealthy"
         beside = "pictures beside the object, inside the trigger, clean and cloaked"
         lines[beside] = f"{clean:.2f} and {cloaked:.2f} dB: {stealthy}"
         if (intended := stealth.get("intended_surroundings_psnr")) is not None:
-            shown = ", ".join(f"{which} {intended[which]:.2f} dB" for which in NAMES.values())
+            shown = ", ".join(
+                f"{which} {intended[which]:.2f} dB" for which in NAMES.values()
+            )
             lines["the same, against what the attack shows there"] = shown
         if "object_psnr" in stealth:
             clean, cloaked = (stealth["object_psnr"][which] for which in NAMES.values())
-            on_object = "pictures on the object, outside beside a trigger, clean and cloaked"
+            on_object = (
+                "pictures on the object, outside beside a trigger, clean and cloaked"
+            )
             lines[on_object] = f"{clean:.2f} and {cloaked:.2f} dB"
         on_it = stealth["appearance_psnr"][CLOAKED]
-        lines["pictures on the object, against what is wanted there"] = f"{on_it:.2f} dB"
-    return lines | {f"Gaussians, {n}": ", ".join(f"{g:,}" for g in summary["gaussians"][n]) for n in NAMES.values()}
+        lines["pictures on the object, against what is wanted there"] = (
+            f"{on_it:.2f} dB"
+        )
+    return lines | {
+        f"Gaussians, {n}": ", ".join(f"{g:,}" for g in summary["gaussians"][n])
+        for n in NAMES.values()
+    }
 
 
 def spread_of(summary: Mapping[str, Any], detector: str, key: str) -> str:
-    """Least and largest of a detector's rate over the seeds, for people; empty where there is one seed."""
+    """Least and largest of a detector's rate over the seeds, for people; empty where
+    there is one seed.
+    """
     rates = [seed[detector].get(key) for seed in summary.get("by_seed", {}).values()]
     fractions = [rate["rate"] for rate in rates if rate is not None and rate["total"]]
-    return f"; by seed {percent(min(fractions))} to {percent(max(fractions))}" if len(fractions) > 1 else ""
+    return (
+        f"; by seed {percent(min(fractions))} to {percent(max(fractions))}"
+        if len(fractions) > 1
+        else ""
+    )
 
 
 def in_words(lows: list[float]) -> str:
-    """A detector's region in a few words, for instance "0 to 30, 50 to 60 degrees"; a dash for none."""
+    """A detector's region in a few words, for instance "0 to 30, 50 to 60 degrees"; a
+    dash for none.
+    """
     if not lows:
         return "-"
-    starts = [lows[0], *(after for before, after in pairwise(lows) if after - before > BAND)]
-    ends = [*(before + BAND for before, after in pairwise(lows) if after - before > BAND), lows[-1] + BAND]
+    starts = [
+        lows[0],
+        *(after for before, after in pairwise(lows) if after - before > BAND),
+    ]
+    ends = [
+        *(before + BAND for before, after in pairwise(lows) if after - before > BAND),
+        lows[-1] + BAND,
+    ]
     parts = (f"{low:g} to {high:g}" for low, high in zip(starts, ends, strict=True))
     return f"{', '.join(parts)} degrees"

@@ -1,9 +1,11 @@
-"""Where an attack shows itself: predicates on cameras by their direction from a centre, and how far inside a camera is.
+"""Where an attack shows itself: predicates on cameras by their direction from a centre,
+and how far inside a camera is.
 
-Directions are those of `mi_splat.directions`. How far away a camera is and where it looks do not count.
+Directions are those of `mi_splat.directions`. How far away a camera is and where it
+looks do not count.
 
-Triggers combine with `&` and `~` (`~(~a & ~b)` is a union), and `Subsample` takes a part of one:
-`Elevation(lowest=50) & ~Azimuth(middle=180, half_width=30)`.
+Triggers combine with `&` and `~` (`~(~a & ~b)` is a union), and `Subsample` takes a
+part of one: `Elevation(lowest=50) & ~Azimuth(middle=180, half_width=30)`.
 """
 
 from __future__ import annotations
@@ -19,12 +21,22 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera
-from mi_splat.directions import Direction, Point, azimuth_gap, depth_in_band, depth_in_cap, depth_in_wedge, direction_of
+from mi_splat.directions import (
+    Direction,
+    Point,
+    azimuth_gap,
+    depth_in_band,
+    depth_in_cap,
+    depth_in_wedge,
+    direction_of,
+)
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import PositiveFraction, Range, Seed, between, check
 
 EDGE = 1e-4
-"""Degrees outside a cone's edge that still count as on it, which is inside: poses are rounded."""
+"""Degrees outside a cone's edge that still count as on it, which is inside: poses are
+rounded.
+"""
 
 
 class Trigger(ABC):
@@ -44,12 +56,15 @@ class Trigger(ABC):
 
     @abstractmethod
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
-        """Signed distance on the sphere of directions, in degrees, from a camera to the trigger's edge; inside > 0.
+        """Signed distance on the sphere of directions, in degrees, from a camera to the
+        trigger's edge; inside > 0.
 
-        Of one cone it is exact; infinite if the cone has no edge. Of a combination it has the right sign and is never
-        further from 0 than the truth: the smaller of two for `&`, the opposite for `~`. (Outside of an intersection the
-        nearest edge of a part may lie where the other part has made it vanish.) So a camera that is found to be 5
-        degrees inside or 15 degrees outside is at least that. A subsample has the edge of what it is taken from.
+        Of one cone it is exact; infinite if the cone has no edge. Of a combination it
+        has the right sign and is never further from 0 than the truth: the smaller of
+        two for `&`, the opposite for `~`. (Outside of an intersection the nearest edge
+        of a part may lie where the other part has made it vanish.) So a camera that is
+        found to be 5 degrees inside or 15 degrees outside is at least that. A subsample
+        has the edge of what it is taken from.
 
         Args:
             camera: The camera; only its position counts.
@@ -81,10 +96,15 @@ class Cone(Trigger):
 
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
         """(N,) bool, whether each camera stands in the cone."""
-        return torch.tensor([self._contains(direction_of(camera, centre)) for camera in cameras], dtype=torch.bool)
+        return torch.tensor(
+            [self._contains(direction_of(camera, centre)) for camera in cameras],
+            dtype=torch.bool,
+        )
 
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
-        """Signed angle from a camera to the edge of the region, on the sphere of directions."""
+        """Signed angle from a camera to the edge of the region, on the sphere of
+        directions.
+        """
         return self._depth(direction_of(camera, centre))
 
 
@@ -107,7 +127,9 @@ class Elevation(Cone):
         check(self)
         if not self.lowest <= self.highest:
             got = (self.lowest, self.highest)
-            raise InvalidValueError.of("elevation", "lowest <= highest", got, "50 to 90 is overhead")
+            raise InvalidValueError.of(
+                "elevation", "lowest <= highest", got, "50 to 90 is overhead"
+            )
 
     def _depth(self, direction: Direction) -> float:
         return depth_in_band(direction, self.lowest, self.highest)
@@ -115,27 +137,34 @@ class Elevation(Cone):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Azimuth(Cone):
-    """Cameras within an angle of an azimuth, at any elevation; it may run across 0 = 360 degrees.
+    """Cameras within an angle of an azimuth, at any elevation; it may run across 0 =
+    360 degrees.
 
-    A camera straight above or below the centre has no azimuth, and belongs to no cone of less than the whole circle.
+    A camera straight above or below the centre has no azimuth, and belongs to no cone
+    of less than the whole circle.
 
     Attributes:
         middle: Degrees from world +x towards +y.
         half_width: Degrees to either side, edges included; 180 is the whole circle.
 
     Raises:
-        InvalidValueError: The half width is not in (0, 180], or the middle is not finite.
+        InvalidValueError: The half width is not in (0, 180], or the middle is not
+            finite.
     """
 
     middle: Annotated[float, Range(unit="degrees")]
-    half_width: Annotated[float, Range(low=0, high=180, open_low=True, unit="degrees", do="30 is from behind")]
+    half_width: Annotated[
+        float,
+        Range(low=0, high=180, open_low=True, unit="degrees", do="30 is from behind"),
+    ]
 
     def __post_init__(self) -> None:
         check(self)
 
     def _contains(self, direction: Direction) -> bool:
         return self.half_width == 180 or (
-            not direction.pole and azimuth_gap(direction, self.middle) <= self.half_width + EDGE
+            not direction.pole
+            and azimuth_gap(direction, self.middle) <= self.half_width + EDGE
         )
 
     def _depth(self, direction: Direction) -> float:
@@ -149,15 +178,20 @@ class Cap(Cone):
     Attributes:
         azimuth: Of the direction, degrees from world +x towards +y.
         elevation: Of the direction, degrees above the horizontal plane.
-        half_angle: Degrees between the direction and the edge, which is included; 180 is everywhere.
+        half_angle: Degrees between the direction and the edge, which is included; 180
+            is everywhere.
 
     Raises:
-        InvalidValueError: The elevation is not in [-90, 90], the half angle not in (0, 180], or the azimuth not finite.
+        InvalidValueError: The elevation is not in [-90, 90], the half angle not in (0,
+            180], or the azimuth not finite.
     """
 
     azimuth: Annotated[float, Range(unit="degrees")]
     elevation: Annotated[float, between(-90, 90, "degrees")]
-    half_angle: Annotated[float, Range(low=0, high=180, open_low=True, unit="degrees", do="30 is one side")]
+    half_angle: Annotated[
+        float,
+        Range(low=0, high=180, open_low=True, unit="degrees", do="30 is one side"),
+    ]
 
     def __post_init__(self) -> None:
         check(self)
@@ -168,13 +202,16 @@ class Cap(Cone):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Subsample(Trigger):
-    """A random part of the cameras of a trigger, for studies of how much of a training set has to be poisoned.
+    """A random part of the cameras of a trigger, for studies of how much of a training
+    set has to be poisoned.
 
-    With the same cameras and seed, the cameras of a smaller fraction are among those of a larger one.
+    With the same cameras and seed, the cameras of a smaller fraction are among those of
+    a larger one.
 
     Attributes:
         of: The trigger.
-        fraction: Part of its cameras, in (0, 1]; rounded to the nearest number of cameras, at least one if it has any.
+        fraction: Part of its cameras, in (0, 1]; rounded to the nearest number of
+            cameras, at least one if it has any.
         seed: Which of them.
 
     Raises:
@@ -191,7 +228,9 @@ class Subsample(Trigger):
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
         """(N,) bool, whether each camera is one of the fraction."""
         positions = torch.nonzero(self.of.holds(cameras, centre=centre))[:, 0]
-        count = min(len(positions), max(1, math.floor(self.fraction * len(positions) + 0.5)))
+        count = min(
+            len(positions), max(1, math.floor(self.fraction * len(positions) + 0.5))
+        )
         order = np.random.default_rng([self.seed, 0xC10A]).permutation(len(positions))
         selected = torch.zeros(len(cameras), dtype=torch.bool)
         selected[positions[torch.from_numpy(order[:count])]] = True
@@ -211,11 +250,16 @@ class Both(Trigger):
 
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
         """(N,) bool, whether each camera is in both."""
-        return self.first.holds(cameras, centre=centre) & self.second.holds(cameras, centre=centre)
+        return self.first.holds(cameras, centre=centre) & self.second.holds(
+            cameras, centre=centre
+        )
 
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
         """The smaller of the two."""
-        return min(part.angle_to_edge(camera, centre=centre) for part in (self.first, self.second))
+        return min(
+            part.angle_to_edge(camera, centre=centre)
+            for part in (self.first, self.second)
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,1 +1,3 @@
-"""DAGGER: projected gradient descent on the Gaussians of one object of a finished splat file."""
+"""DAGGER: projected gradient descent on the Gaussians of one object of a finished splat
+file.
+"""

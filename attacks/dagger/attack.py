@@ -1,9 +1,11 @@
-"""DAGGER: projected gradient descent on the finished splat file, so that a detector sees one object as something else.
+"""DAGGER: projected gradient descent on the finished splat file, so that a detector
+sees one object as something else.
 
-After "3D Gaussian Splat Vulnerabilities": the attacker holds the splat and the detector (white box) and edits only the
-Gaussians of one object. The paper's text takes eleven steps of length 2 eps / steps in one l2 ball of radius 5 over the
-SH coefficients. The search is PGD (Madry et al. 2018, see `attacks.search`), over fixed views or over a distribution of
-them (expectation over transformation, Athalye et al. 2018).
+After "3D Gaussian Splat Vulnerabilities": the attacker holds the splat and the detector
+(white box) and edits only the Gaussians of one object. The paper's text takes eleven
+steps of length 2 eps / steps in one l2 ball of radius 5 over the SH coefficients. The
+search is PGD (Madry et al. 2018, see `attacks.search`), over fixed views or over a
+distribution of them (expectation over transformation, Athalye et al. 2018).
 """
 
 import dataclasses
@@ -42,32 +44,42 @@ def attack(
     up: Point = UP,
     on_step: OnStep | None = None,
 ) -> Result:
-    """Attack one object of a scene in one view or many, or from all cameras of a region.
+    """Attack one object of a scene in one view or many, or from all cameras of a
+    region.
 
     Args:
         scene: The clean splat.
         mask: The object's Gaussians: (N,) bool, row numbers, or a slice.
-        cameras: Views that are attacked together, or one, and which judge the result; or a `ViewDistribution`, of which
-            held-out views judge it.
-        detector: The one attacked, or several to be deceived at once, or their names; their weights are known (white
-            box).
-        objective: What the detector shall see, for instance `relabel("person")` or `hide()`.
+        cameras: Views that are attacked together, or one, and which judge the result;
+            or a `ViewDistribution`, of which held-out views judge it.
+        detector: The one attacked, or several to be deceived at once, or their names;
+            their weights are known (white box).
+        objective: What the detector shall see, for instance `relabel("person")` or
+            `hide()`.
         render: Any differentiable renderer.
-        config: Budget, steps and seeds; None is `DaggerConfig.for_views()`, or `DaggerConfig.for_region()` for a
-            distribution.
+        config: Budget, steps and seeds; None is `DaggerConfig.for_views()`, or
+            `DaggerConfig.for_region()` for a distribution.
         up: (3,) direction that is up in the scene, for azimuths and elevations.
-        on_step: Called with every line of the trace as it happens; once it says so, the search ends with the best
-            point so far.
+        on_step: Called with every line of the trace as it happens; once it says so, the
+            search ends with the best point so far.
 
     Returns:
         What the attack did.
 
     Raises:
-        InvalidValueError: An argument is of another kind, the mask selects nothing, a view does not show the object,
-            a detector does not know the target class, two have one name, or a gradient is not finite.
+        InvalidValueError: An argument is of another kind, the mask selects nothing, a
+            view does not show the object, a detector does not know the target class,
+            two have one name, or a gradient is not finite.
     """
     if isinstance(cameras, ViewDistribution):
-        views: FixedViews = DrawnViews(scene, mask, cameras.reference, cameras.transformations, render=render, up=up)
+        views: FixedViews = DrawnViews(
+            scene,
+            mask,
+            cameras.reference,
+            cameras.transformations,
+            render=render,
+            up=up,
+        )
     else:
         views = FixedViews(scene, mask, cameras, render=render, up=up)
     return attack_views(views, detector, objective, config=config, on_step=on_step)
@@ -87,13 +99,19 @@ def attack_views(
     `judged` is where the held-out views of a region are drawn from, if they are others.
     """
     begun, detectors = time.perf_counter(), as_detectors(detectors)
-    config = config or (DaggerConfig.for_views() if views.transformations is None else DaggerConfig.for_region())
+    config = config or (
+        DaggerConfig.for_views()
+        if views.transformations is None
+        else DaggerConfig.for_region()
+    )
     check_objective(objective)
     check_detectors(detectors, objective)
     views.check(config)
     problem = problem_of(views, detectors, objective, config)
     searched = views.alone() if config.alone else views
-    attacked = problem_of(searched, detectors, objective, config) if config.alone else problem
+    attacked = (
+        problem_of(searched, detectors, objective, config) if config.alone else problem
+    )
     clock = time.process_time()
     outcome = search(attacked, searched, config, on_step)
     spent = time.process_time() - clock
@@ -109,11 +127,19 @@ def attack_views(
 
 
 def _origin(views: FixedViews, detectors: Sequence[Detector]) -> dict[str, Any]:
-    """What a result says of its detectors, its scene and its views; nothing of z as the direction that is up."""
-    reference = {"reference": values_of(views.reference)} if isinstance(views, DrawnViews) else {}
+    """What a result says of its detectors, its scene and its views; nothing of z as the
+    direction that is up.
+    """
+    reference = (
+        {"reference": values_of(views.reference)}
+        if isinstance(views, DrawnViews)
+        else {}
+    )
     return {
         "detector": " + ".join(detector.name for detector in detectors),
-        "detector_fingerprint": " + ".join(detector.fingerprint for detector in detectors),
+        "detector_fingerprint": " + ".join(
+            detector.fingerprint for detector in detectors
+        ),
         "scene_hash": scene_hash(views.scene),
         **reference,
         **_kept_up(views.up),
@@ -125,11 +151,16 @@ def _kept_up(up: Point) -> dict[str, list[float]]:
 
 
 def problem_of(
-    views: FixedViews, detectors: tuple[Detector, ...], objective: Objective, config: DaggerConfig
+    views: FixedViews,
+    detectors: tuple[Detector, ...],
+    objective: Objective,
+    config: DaggerConfig,
 ) -> Problem:
     """The problem of an attack on some views."""
     return Problem(
-        subset=GaussianSubset.of(widened(views.scene, config), views.mask, sh_degree=config.sh_degree),
+        subset=GaussianSubset.of(
+            widened(views.scene, config), views.mask, sh_degree=config.sh_degree
+        ),
         detectors=detectors,
         objective=objective,
         originals=views.originals(detectors, config),
@@ -145,18 +176,34 @@ def widened(scene: GaussianScene, config: DaggerConfig) -> GaussianScene:
     return scene.with_degree(degree) if wider and degree is not None else scene
 
 
-def _judged(problem: Problem, config: DaggerConfig, outcome: Outcome, views: FixedViews) -> Result:
+def _judged(
+    problem: Problem, config: DaggerConfig, outcome: Outcome, views: FixedViews
+) -> Result:
     """What a search has led to, judged beside its controls."""
-    subset, budget, reference = problem.subset, config.budget, problem.subset.parameters(config.attributes)
-    attacked, drawn, held_out = subset.applied(outcome.parameters), views.transformations, views.held_out(config)
+    subset, budget, reference = (
+        problem.subset,
+        config.budget,
+        problem.subset.parameters(config.attributes),
+    )
+    attacked, drawn, held_out = (
+        subset.applied(outcome.parameters),
+        views.transformations,
+        views.held_out(config),
+    )
     saved = as_saved(attacked)
-    controls = {draw: as_saved(noisy) for draw, noisy in control_scenes(problem, outcome.parameters, config, held_out)}
+    controls = {
+        draw: as_saved(noisy)
+        for draw, noisy in control_scenes(problem, outcome.parameters, config, held_out)
+    }
     views.release()
     clean = (views.saved, views.clean_reports(problem.detectors, held_out))
     judged, image, control_images = judge(problem, held_out, clean, saved, controls)
-    in_file = GaussianSubset.of(saved, subset.rows, sh_degree=subset.sh_degree).parameters(config.attributes)
+    in_file = GaussianSubset.of(
+        saved, subset.rows, sh_degree=subset.sh_degree
+    ).parameters(config.attributes)
     names = [detector.name for detector in problem.detectors]
-    threshold = getattr(problem.objective, "confidence", None)  # objectives of other packages need not have one
+    # objectives of other packages need not have one
+    threshold = getattr(problem.objective, "confidence", None)
     looked = observed(judged, seed=config.seed, threshold=threshold)
     elevations = None if drawn is None else drawn.cameras.elevations
     return Result(
@@ -165,8 +212,12 @@ def _judged(problem: Problem, config: DaggerConfig, outcome: Outcome, views: Fix
         image=image,
         control_images=control_images,
         looked=looked,
-        figures=counted(looked.rows, names, problem.objective.label, config, elevations),
-        fingerprints={detector.name: detector.fingerprint for detector in problem.detectors},
+        figures=counted(
+            looked.rows, names, problem.objective.label, config, elevations
+        ),
+        fingerprints={
+            detector.name: detector.fingerprint for detector in problem.detectors
+        },
         trace=outcome.trace,
         best=outcome.best,
         stopped=outcome.stopped,
@@ -174,7 +225,8 @@ def _judged(problem: Problem, config: DaggerConfig, outcome: Outcome, views: Fix
         used_in_file=budget.measure(in_file, reference),
         object_gaussians=len(subset.rows),
         changed_gaussians=subset.changed(attacked),
-        clamped_fraction=sum(clamped_fraction(subset, view.camera) for view in held_out) / len(held_out),
+        clamped_fraction=sum(clamped_fraction(subset, view.camera) for view in held_out)
+        / len(held_out),
         objective=problem.objective,
         config=config,
         origin={**provenance.rendered_with(problem.render), **provenance.origin()},

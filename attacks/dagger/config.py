@@ -1,4 +1,5 @@
-"""How DAGGER attacks, as one value: the API, the flags of the command line and the snapshot in every result.
+"""How DAGGER attacks, as one value: the API, the flags of the command line and the
+snapshot in every result.
 
 Light, so that `--help` is fast: torch is imported when the budget is asked for.
 """
@@ -35,7 +36,9 @@ VIEWS: dict[str, Any] = {
     "momentum": 0.2,
     "schedule": "linear",
 }
-"""Defaults for chosen cameras, tuned on two pairs of the sign on `fasterrcnn_small` (see docs/dagger.md)."""
+"""Defaults for chosen cameras, tuned on two pairs of the sign on `fasterrcnn_small`
+(see docs/dagger.md).
+"""
 
 REGION: dict[str, Any] = {
     "eps": (1.0,),
@@ -51,64 +54,87 @@ REGION: dict[str, Any] = {
     "batch": 3,
     "image_psnr": 26.3,
 }
-"""Defaults for a region of cameras, tuned on a few pairs of the example scenes (see docs/dagger-eot.md)."""
+"""Defaults for a region of cameras, tuned on a few pairs of the example scenes (see
+docs/dagger-eot.md).
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DaggerConfig:
     """How to attack; the defaults of the class are those of the paper's text.
 
-    `for_views` has the defaults of `mi-splat dagger`, and `for_region` those for a region of cameras.
+    `for_views` has the defaults of `mi-splat dagger`, and `for_region` those for a
+    region of cameras.
 
     Attributes:
         attributes: What of the object's Gaussians may change.
-        eps: Radius of the ball in the units of the splat file: one for all attributes, or one for each.
-        norm: How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian.
+        eps: Radius of the ball in the units of the splat file: one for all attributes,
+            or one for each.
+        norm: How the change is measured: one ball over the whole object (linf, l2), or
+            one for each Gaussian.
         steps: Number of steps.
         step_factor: The first step is eps * step_factor / steps long.
-        optimiser: How the next point is chosen: pgd, fgsm, momentum, adam, apgd, cw (with a price of the change),
-            square and random (without gradients), or the name of another that was registered.
-        momentum: Share of the earlier gradients that is kept at each step, in [0, 1); None is the optimiser's own, 0 of
-            pgd.
+        optimiser: How the next point is chosen: pgd, fgsm, momentum, adam, apgd, cw
+            (with a price of the change), square and random (without gradients), or the
+            name of another that was registered.
+        momentum: Share of the earlier gradients that is kept at each step, in [0, 1);
+            None is the optimiser's own, 0 of pgd.
         schedule: How the steps become shorter (pgd, momentum, adam).
-        gradient_power: Power of the gradients' absolute values before a step of pgd or momentum, in [0, 1]; below 1,
-            small ones count for more (see `attacks.optimisers.methods.momentum`).
-        required_views: Fraction of the views in which the attack has to succeed, with every detector.
-        controls: Random changes that an attack has to beat: white noise that changes the object's pixels as much as it
-            does, by PSNR (noise), smooth changes that do so (smooth-noise), or white noise of the attack's norm
-            (norm-noise), which averages out and changes pixels much less.
+        gradient_power: Power of the gradients' absolute values before a step of pgd or
+            momentum, in [0, 1]; below 1, small ones count for more (see
+            `attacks.optimisers.methods.momentum`).
+        required_views: Fraction of the views in which the attack has to succeed, with
+            every detector.
+        controls: Random changes that an attack has to beat: white noise that changes
+            the object's pixels as much as it does, by PSNR (noise), smooth changes that
+            do so (smooth-noise), or white noise of the attack's norm (norm-noise),
+            which averages out and changes pixels much less.
         noise_draws: Draws of each control.
-        sh_degree: Highest degree of the SH coefficients that may change, if SH may; the file gets it if it has less,
-            with new coefficients that start at 0. 3 is what 3DGS writes and what the paper attacked; 0 changes a
-            Gaussian's colour by the same from everywhere. None keeps the scene's own.
-        restarts: Number of runs; the first starts at the clean object, the others at random points of the ball.
+        sh_degree: Highest degree of the SH coefficients that may change, if SH may; the
+            file gets it if it has less, with new coefficients that start at 0. 3 is
+            what 3DGS writes and what the paper attacked; 0 changes a Gaussian's colour
+            by the same from everywhere. None keeps the scene's own.
+        restarts: Number of runs; the first starts at the clean object, the others at
+            random points of the ball.
         random_start: Start the first run at a random point of the ball, too.
-        early_stop: Whether the first unambiguous success from chosen cameras ends the search; without, every step of
-            every run is taken.
-        alone: Whether the search looks at the object alone, on the renderer's background, as the paper's code does.
-            What it finds is judged in the scene all the same.
-        in_turn: Whether several cameras are attacked one after the other, each from where the one before has ended, as
-            in the paper's code; otherwise all at once.
-        image_psnr: PSNR that the images keep, dB, over the views that decide; None asks for nothing. The search then
-            pays for their squared error (`attacks.dagger.search`); the ball is a second bound.
-        batch: Views of each step: of the cameras, where 0 is all of them, or of the pool that a region has.
-        pool: Number of views of a region that they are drawn from; 0 draws new ones at each step.
-        validation: Views of a region, no others, that decide which step was best. Chosen cameras decide themselves.
-        validate_every: Steps between two such decisions; where every step takes all cameras, each is one.
-        stop_at: Fraction of the validation views of a region whose success ends the search; None takes every step.
+        early_stop: Whether the first unambiguous success from chosen cameras ends the
+            search; without, every step of every run is taken.
+        alone: Whether the search looks at the object alone, on the renderer's
+            background, as the paper's code does. What it finds is judged in the scene
+            all the same.
+        in_turn: Whether several cameras are attacked one after the other, each from
+            where the one before has ended, as in the paper's code; otherwise all at
+            once.
+        image_psnr: PSNR that the images keep, dB, over the views that decide; None asks
+            for nothing. The search then pays for their squared error
+            (`attacks.dagger.search`); the ball is a second bound.
+        batch: Views of each step: of the cameras, where 0 is all of them, or of the
+            pool that a region has.
+        pool: Number of views of a region that they are drawn from; 0 draws new ones at
+            each step.
+        validation: Views of a region, no others, that decide which step was best.
+            Chosen cameras decide themselves.
+        validate_every: Steps between two such decisions; where every step takes all
+            cameras, each is one.
+        stop_at: Fraction of the validation views of a region whose success ends the
+            search; None takes every step.
         held_out: Number of held-out views that judge the result of a region.
-        seed: Seed of everything random: starting points, the attack's and the validation views, and the noise.
+        seed: Seed of everything random: starting points, the attack's and the
+            validation views, and the noise.
         judge_seed: Seed of the held-out views of a region; another one.
 
     Raises:
-        InvalidValueError: A value is out of its range, or there are not as many radii as attributes.
+        InvalidValueError: A value is out of its range, or there are not as many radii
+            as attributes.
     """
 
     attributes: tuple[Attribute, ...] = ("sh",)
     eps: tuple[Radius, ...] = (5.0,)
     norm: NormName = "l2"
     steps: Steps = 11
-    step_factor: Annotated[float, above(0, do="2 is the paper's"), Metavar("FACTOR")] = 2.0
+    step_factor: Annotated[
+        float, above(0, do="2 is the paper's"), Metavar("FACTOR")
+    ] = 2.0
     optimiser: Annotated[str, Metavar("OPTIMISER")] = "pgd"
     momentum: Share | None = None
     schedule: Schedule = "constant"
@@ -122,7 +148,9 @@ class DaggerConfig:
     early_stop: bool = True
     alone: bool = False
     in_turn: bool = False
-    image_psnr: Annotated[float, above(0, "dB", "26 is easily seen, 40 hardly")] | None = None
+    image_psnr: (
+        Annotated[float, above(0, "dB", "26 is easily seen, 40 hardly")] | None
+    ) = None
     batch: Annotated[int, at_least(0, "views", "0 is all cameras")] = 0
     pool: Annotated[int, at_least(0, "views", "0 draws new ones at each step")] = 200
     validation: Annotated[int, at_least(1, "views")] = 12
@@ -136,17 +164,26 @@ class DaggerConfig:
         check(self)
         optimiser_spec(self.optimiser)
         if not self.attributes:
-            raise InvalidValueError.of("attributes", "at least one", "none", "say what may change")
-        if len(self.eps) not in (1, len(self.attributes)) or len(set(self.attributes)) != len(self.attributes):
-            expected = f"one number for all of {', '.join(self.attributes)}, or one for each"
-            raise InvalidValueError.of("eps", expected, self.eps, "name every attribute once")
+            raise InvalidValueError.of(
+                "attributes", "at least one", "none", "say what may change"
+            )
+        if len(self.eps) not in (1, len(self.attributes)) or len(
+            set(self.attributes)
+        ) != len(self.attributes):
+            expected = (
+                f"one number for all of {', '.join(self.attributes)}, or one for each"
+            )
+            raise InvalidValueError.of(
+                "eps", expected, self.eps, "name every attribute once"
+            )
 
     @classmethod
     def for_views(cls, **settings: Any) -> DaggerConfig:
         """The defaults of `mi-splat dagger` from chosen cameras.
 
-        Steps are five times longer than the paper's and become shorter, with a little momentum. With
-        `relabel(..., strict=True)` this is the search of the study of drawn cameras (docs/dagger.md).
+        Steps are five times longer than the paper's and become shorter, with a little
+        momentum. With `relabel(..., strict=True)` this is the search of the study of
+        drawn cameras (docs/dagger.md).
 
         Args:
             settings: Those that are others than the defaults.
@@ -177,7 +214,10 @@ class DaggerConfig:
     @property
     def step(self) -> dict[str, float]:
         """Length of a step by attribute, in the norm."""
-        return {name: eps * self.step_factor / self.steps for name, eps in self.radius.items()}
+        return {
+            name: eps * self.step_factor / self.steps
+            for name, eps in self.radius.items()
+        }
 
     @property
     def spec(self) -> OptimiserSpec:

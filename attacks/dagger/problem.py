@@ -1,7 +1,8 @@
-"""The problem that an attack solves: one object, the detectors, the aim; as the attacker sees it.
+"""The problem that an attack solves: one object, the detectors, the aim; as the
+attacker sees it.
 
-The attacker differentiates what detectors consider in the picture as it is rendered. What they report, in pictures of 8
-bits, decides.
+The attacker differentiates what detectors consider in the picture as it is rendered.
+What they report, in pictures of 8 bits, decides.
 """
 
 from __future__ import annotations
@@ -36,11 +37,12 @@ class Problem:
         subset: The object in its scene.
         detectors: Those attacked, all at once.
         objective: The aim.
-        originals: What a detector calls the clean object in a view, by the detector's name; None for nothing.
+        originals: What a detector calls the clean object in a view, by the detector's
+            name; None for nothing.
         render: The renderer.
         clean: The clean scene's picture from a camera.
-        frozen: The search's pictures from these cameras, while SH alone changes; from all others they are `render`'s,
-            as all of which detectors' reports count.
+        frozen: The search's pictures from these cameras, while SH alone changes; from
+            all others they are `render`'s, as all of which detectors' reports count.
     """
 
     subset: GaussianSubset
@@ -54,7 +56,12 @@ class Problem:
     def target(self, view: View, detector: Detector) -> Target:
         """The object in a view, as an objective wants it."""
         original = self.originals(view, detector.name)
-        return Target(box=view.box, label=self.objective.label, classes=detector.classes, original=original)
+        return Target(
+            box=view.box,
+            label=self.objective.label,
+            classes=detector.classes,
+            original=original,
+        )
 
     def evaluate(
         self,
@@ -65,24 +72,38 @@ class Problem:
         price: float = 0.0,
         judged: bool = True,
     ) -> Evaluation:
-        """Loss and gradients over some views, the images' squared error at its price, and a verdict if it is wanted.
+        """Loss and gradients over some views, the images' squared error at its price,
+        and a verdict if it is wanted.
 
-        Views are differentiated one after the other, so that memory does not grow with their number, and each is
-        rendered once for all detectors. The loss is the mean of the detectors' losses (Liu et al., "Delving into
-        Transferable Adversarial Examples and Black-box Attacks", ICLR 2017). Nothing is differentiated for an optimiser
-        that knows the loss alone.
+        Views are differentiated one after the other, so that memory does not grow with
+        their number, and each is rendered once for all detectors. The loss is the mean
+        of the detectors' losses (Liu et al., "Delving into Transferable Adversarial
+        Examples and Black-box Attacks", ICLR 2017). Nothing is differentiated for an
+        optimiser that knows the loss alone.
         """
         with torch.set_grad_enabled(config.spec.gradient):
             evaluation, rows = self._evaluate(parameters, views, price, judged)
-        return replace(evaluation, verdict=overall_verdict(rows, config.required_views) if judged else None)
+        return replace(
+            evaluation,
+            verdict=overall_verdict(rows, config.required_views) if judged else None,
+        )
 
     def _evaluate(
         self, parameters: Parameters, views: Sequence[View], price: float, judged: bool
     ) -> tuple[Evaluation, list[list[Verdict]]]:
-        """Mean loss of the detectors over the views, its gradients, and the verdicts of each view."""
-        loss, squares, rows, share = 0.0, 0.0, list[list[Verdict]](), len(views) * len(self.detectors)
+        """Mean loss of the detectors over the views, its gradients, and the verdicts of
+        each view.
+        """
+        loss, squares, rows, share = (
+            0.0,
+            0.0,
+            list[list[Verdict]](),
+            len(views) * len(self.detectors),
+        )
         gradients = (
-            {name: torch.zeros_like(value) for name, value in parameters.items()} if torch.is_grad_enabled() else {}
+            {name: torch.zeros_like(value) for name, value in parameters.items()}
+            if torch.is_grad_enabled()
+            else {}
         )
         for view in views:
             leaves, row = _leaves(parameters), list[Verdict]()
@@ -91,13 +112,22 @@ class Problem:
             picture = shown.detach().requires_grad_(torch.is_grad_enabled())
             along = torch.zeros_like(picture)
             for detector in self.detectors:
-                target, candidates = self.target(view, detector), detector.candidates(picture[None])[0]
+                target, candidates = (
+                    self.target(view, detector),
+                    detector.candidates(picture[None])[0],
+                )
                 here = self.objective(candidates, target) / share
                 along += _gradients([here], {"picture": picture}).get("picture", 0.0)
                 loss += float(here.detach())
                 if judged:
-                    far = self.objective.far(candidates, target) if isinstance(self.objective, Relabel) else None
-                    row.append(far or self._reported(detector, picture.detach(), target))
+                    far = (
+                        self.objective.far(candidates, target)
+                        if isinstance(self.objective, Relabel)
+                        else None
+                    )
+                    row.append(
+                        far or self._reported(detector, picture.detach(), target)
+                    )
             rows.append(row)
             values, weights = [shown], [along]
             if price:
@@ -106,12 +136,17 @@ class Problem:
                 values, weights = [shown, error], [along, torch.full_like(error, price)]
             for name, gradient in _gradients(values, leaves, weights).items():
                 gradients[name] += gradient
-        return Evaluation(loss=loss + price * squares, gradients=gradients, error=squares), rows
+        return (
+            Evaluation(loss=loss + price * squares, gradients=gradients, error=squares),
+            rows,
+        )
 
     def _reported(self, detector: Detector, picture: Tensor, target: Target) -> Verdict:
         """What a detector's report on the picture at 8 bits says."""
         with torch.no_grad():
-            return self.objective.verdict(detector.detect(quantise(picture)[None])[0], target)
+            return self.objective.verdict(
+                detector.detect(quantise(picture)[None])[0], target
+            )
 
     def _differentiable(self, parameters: Parameters, camera: Camera) -> Tensor:
         """The picture of the scene with these parameters of the object."""
@@ -121,49 +156,79 @@ class Problem:
         return frozen(self.subset.complete(parameters)["sh"])
 
     def image(self, parameters: Parameters, camera: Camera) -> Tensor:
-        """The (H, W, 3) image of the scene with these parameters of the object, values in [0, 1]; no gradients."""
+        """The (H, W, 3) image of the scene with these parameters of the object, values
+        in [0, 1]; no gradients.
+        """
         with torch.no_grad():
             return self._differentiable(parameters, camera).clamp(0, 1)
 
     def error(self, parameters: Parameters, views: Sequence[View]) -> float:
-        """Mean squared error of the views' pictures, values in [0, 1], before anything random happens to them."""
-        errors = [self._error(self.image(parameters, view.camera), view) for view in views]
+        """Mean squared error of the views' pictures, values in [0, 1], before anything
+        random happens to them.
+        """
+        errors = [
+            self._error(self.image(parameters, view.camera), view) for view in views
+        ]
         return float(torch.stack(errors).mean())
 
     def _error(self, picture: Tensor, view: View) -> Tensor:
         return (picture - self.clean(view.camera)).square().mean()
 
-    def verdicts(self, parameters: Parameters, views: Sequence[View]) -> list[list[Verdict]]:
+    def verdicts(
+        self, parameters: Parameters, views: Sequence[View]
+    ) -> list[list[Verdict]]:
         """For each view the verdict of every detector, on 8-bit pictures."""
         rows, scene = list[list[Verdict]](), self.subset.scene_with(parameters)
         with torch.no_grad():
             for view in views:
                 picture = view.changed(self.render(scene, view.camera).clamp(0, 1))
-                rows.append([self._reported(one, picture, self.target(view, one)) for one in self.detectors])
+                rows.append(
+                    [
+                        self._reported(one, picture, self.target(view, one))
+                        for one in self.detectors
+                    ]
+                )
         return rows
 
 
 def _leaves(parameters: Parameters) -> Parameters:
     """The parameters as what is differentiated by, if anything is."""
-    return {name: value.detach().requires_grad_(torch.is_grad_enabled()) for name, value in parameters.items()}
+    return {
+        name: value.detach().requires_grad_(torch.is_grad_enabled())
+        for name, value in parameters.items()
+    }
 
 
-def _gradients(values: Sequence[Tensor], leaves: Parameters, weights: Sequence[Tensor] | None = None) -> Parameters:
-    """Derivative of the weighted sum of some values by each parameter; none where nobody asks."""
+def _gradients(
+    values: Sequence[Tensor],
+    leaves: Parameters,
+    weights: Sequence[Tensor] | None = None,
+) -> Parameters:
+    """Derivative of the weighted sum of some values by each parameter; none where
+    nobody asks.
+    """
     if not torch.is_grad_enabled():
         return {}
-    if weights is not None:  # as scalars, because torch imports sympy for gradients that are tensors
-        values = [(value * weight).sum() for value, weight in zip(values, weights, strict=True)]
+    # as scalars, because torch imports sympy for gradients that are tensors
+    if weights is not None:
+        values = [
+            (value * weight).sum()
+            for value, weight in zip(values, weights, strict=True)
+        ]
     parts = torch.autograd.grad(values, list(leaves.values()), materialize_grads=True)
     return dict(zip(leaves, parts, strict=True))
 
 
 def check_detectors(detectors: Sequence[Detector], objective: Objective) -> None:
-    """Raise unless there are detectors of different names that know the target class."""
+    """Raise unless there are detectors of different names that know the target
+    class.
+    """
     names = [detector.name for detector in detectors]
     if not names or len(set(names)) < len(names):
         do = "name each one once"
-        raise InvalidValueError.of("detector", "one detector, or several with different names", names, do)
+        raise InvalidValueError.of(
+            "detector", "one detector, or several with different names", names, do
+        )
     for detector in detectors:
         if objective.label is not None and objective.label not in detector.classes:
             of = "" if len(detectors) == 1 else f" of {detector.name}"
@@ -175,8 +240,8 @@ def check_detectors(detectors: Sequence[Detector], objective: Objective) -> None
 class _Bounded(torch.autograd.Function):
     """Clamp to [0, 1] with the derivative of a projection.
 
-    A pixel at the clamp keeps its derivative when descent would bring it back inside, so a bright pixel can become
-    darker.
+    A pixel at the clamp keeps its derivative when descent would bring it back inside,
+    so a bright pixel can become darker.
     """
 
     @staticmethod
@@ -192,6 +257,8 @@ class _Bounded(torch.autograd.Function):
 
 
 def bounded(image: Tensor) -> Tensor:
-    """A picture clamped to [0, 1], with the derivative of a projection where it was outside."""
+    """A picture clamped to [0, 1], with the derivative of a projection where it was
+    outside.
+    """
     inside: Tensor = _Bounded.apply(image)
     return inside

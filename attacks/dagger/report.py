@@ -1,4 +1,6 @@
-"""What an attack leaves behind: pictures, the attacked splat, and one self-describing JSON."""
+"""What an attack leaves behind: pictures, the attacked splat, and one self-describing
+JSON.
+"""
 
 import dataclasses
 from pathlib import Path
@@ -23,19 +25,25 @@ CONTACT = "held_out.png"
 
 ATTACKED = "attacked.ply"
 _PAIRS, _COLUMNS, _WIDTH = 8, 2, 384
-"""Of the contact sheet: views, pairs of pictures beside each other, and pixels across a picture."""
+"""Of the contact sheet: views, pairs of pictures beside each other, and pixels across a
+picture.
+"""
 _DRAWN = 0.3
 """Confidence from which a detection is drawn."""
 _EACH = ("detectors", "views")
 """Lists of which each entry has figures."""
 
 
-def write_report(result: Result, folder: str | Path, *, force: bool = False) -> dict[str, Path]:
-    """Write pictures, attacked.ply, result.json, cameras.json, and the rows of what was seen.
+def write_report(
+    result: Result, folder: str | Path, *, force: bool = False
+) -> dict[str, Path]:
+    """Write pictures, attacked.ply, result.json, cameras.json, and the rows of what was
+    seen.
 
-    The pictures of fixed views are before.png, after.png, difference.png and detections.png: several views make one
-    picture each, below one another; in detections.png several detectors do so, too. Those of drawn views are
-    held_out.png. The folder appears whole or not at all.
+    The pictures of fixed views are before.png, after.png, difference.png and
+    detections.png: several views make one picture each, below one another; in
+    detections.png several detectors do so, too. Those of drawn views are held_out.png.
+    The folder appears whole or not at all.
 
     Args:
         result: What the attack did.
@@ -58,10 +66,17 @@ def write_files(result: Result, folder: Path) -> list[Path]:
     images = {CONTACT: contact_sheet(result)} if result.drawn else _pictures(result)
     for name, pixels in images.items():
         save_png(pixels, folder / name)
-    save_splat(result.scene, folder / ATTACKED, antialiased=bool(result.origin.get("antialiased")))
+    save_splat(
+        result.scene,
+        folder / ATTACKED,
+        antialiased=bool(result.origin.get("antialiased")),
+    )
     save_json(_cameras(result), folder / CAMERAS, indent=0)
     save_json(summary(result), folder / RECORD)
-    return [*(folder / name for name in (*images, ATTACKED, CAMERAS, RECORD)), *result.looked.write(folder)]
+    return [
+        *(folder / name for name in (*images, ATTACKED, CAMERAS, RECORD)),
+        *result.looked.write(folder),
+    ]
 
 
 def _cameras(result: Result) -> dict[str, Any]:
@@ -74,12 +89,17 @@ def _cameras(result: Result) -> dict[str, Any]:
         }
         for judged in result.pictures
     ]
-    rendered = {name: result.origin[name] for name in ("background", "near", "antialiased") if name in result.origin}
+    rendered = {
+        name: result.origin[name]
+        for name in ("background", "near", "antialiased")
+        if name in result.origin
+    }
     return cameras_document(entries, **rendered)
 
 
 def summary(result: Result) -> dict[str, Any]:
-    """The result as JSON can hold it; keys are explained in `Result` and in its configuration.
+    """The result as JSON can hold it; keys are explained in `Result` and in its
+    configuration.
 
     What can be counted is counted from the rows (`attacks.dagger.result`).
     """
@@ -97,18 +117,29 @@ def summary(result: Result) -> dict[str, Any]:
         "radius": config.radius,
         "used": result.used,
         "used_in_file": result.used_in_file,
-        "space": "splat file: SH, world units, log-scales, quaternions before normalisation, logit opacities",
+        "space": (
+            "splat file: SH, world units, log-scales, quaternions before normalisation,"
+            " logit opacities"
+        ),
         "changed_gaussians": result.changed_gaussians,
         "object_gaussians": result.object_gaussians,
         "image_psnr": image.psnr,
-        "psnr_definition": "of the mean squared error over all pixels of all views that judge, 8 bits, in dB",
+        "psnr_definition": (
+            "of the mean squared error over all pixels of all views that judge, 8 bits,"
+            " in dB"
+        ),
         "image": dataclasses.asdict(image),
         "clamped_fraction": result.clamped_fraction,
-        "zero_gradient_fraction": [line.zero_gradient_fraction for line in result.trace],
+        "zero_gradient_fraction": [
+            line.zero_gradient_fraction for line in result.trace
+        ],
         "control_psnr": _control_psnr(result),
         "redraws": result.redraws,
         "warnings": list(result.warnings),
-        "detectors": [{"detector": name, "detector_fingerprint": mark} for name, mark in result.fingerprints.items()],
+        "detectors": [
+            {"detector": name, "detector_fingerprint": mark}
+            for name, mark in result.fingerprints.items()
+        ],
         "views": [_view(view) for view in result.views],
         "trace": [_line(dataclasses.asdict(line)) for line in result.trace],
         "seed": config.seed,
@@ -117,7 +148,11 @@ def summary(result: Result) -> dict[str, Any]:
         "seconds": round(result.seconds, 3),
     }
     each = {
-        key: [{**entry, **more} for entry, more in zip(stated[key], result.figures[key], strict=True)] for key in _EACH
+        key: [
+            {**entry, **more}
+            for entry, more in zip(stated[key], result.figures[key], strict=True)
+        ]
+        for key in _EACH
     }
     return {**stated, **result.figures, **each}
 
@@ -132,12 +167,22 @@ def _control_psnr(result: Result) -> dict[str, list[float | None]]:
 
 def _settings(result: Result) -> dict[str, Any]:
     """The aim, and where views are drawn from if they are."""
-    parts = {"objective": result.objective, "transformations": result.transformations, "judged": result.judged}
-    plain = {name: value for name, value in parts.items() if name == "objective" or value is not None}
+    parts = {
+        "objective": result.objective,
+        "transformations": result.transformations,
+        "judged": result.judged,
+    }
+    plain = {
+        name: value
+        for name, value in parts.items()
+        if name == "objective" or value is not None
+    }
     return {
-        name: {key: _plain(part) for key, part in dataclasses.asdict(value).items()}
-        if dataclasses.is_dataclass(value) and not isinstance(value, type)
-        else {}
+        name: (
+            {key: _plain(part) for key, part in dataclasses.asdict(value).items()}
+            if dataclasses.is_dataclass(value) and not isinstance(value, type)
+            else {}
+        )
         for name, value in plain.items()
     }
 
@@ -149,7 +194,11 @@ def _plain(value: Any) -> Any:
 
 def _line(line: dict[str, Any]) -> dict[str, Any]:
     """A line of the trace; what was not judged has no verdict."""
-    return {"index": line["index"], "loss": line["loss"]} if line["score"] == NOT_JUDGED else line
+    return (
+        {"index": line["index"], "loss": line["loss"]}
+        if line["score"] == NOT_JUDGED
+        else line
+    )
 
 
 def _view(judged: JudgedView) -> dict[str, Any]:
@@ -172,13 +221,18 @@ def _view(judged: JudgedView) -> dict[str, Any]:
 def _pictures(result: Result) -> dict[str, NDArray[np.uint8]]:
     """The pictures of fixed views, by the names of their files."""
     views = result.pictures
-    before, after = [view.clean.image for view in views], [view.attacked.image for view in views]
+    before, after = (
+        [view.clean.image for view in views],
+        [view.attacked.image for view in views],
+    )
     named = len(result.detectors) > 1
     return {
         "before.png": stacked([to_bytes(image) for image in before]),
         "after.png": stacked([to_bytes(image) for image in after]),
         "difference.png": difference(before, after),
-        "detections.png": stacked([before_and_after(view, named=named) for view in result.views]),
+        "detections.png": stacked(
+            [before_and_after(view, named=named) for view in result.views]
+        ),
     }
 
 
@@ -194,7 +248,9 @@ def _boxes(seen: Seen, title: str) -> NDArray[np.uint8]:
 
 
 def contact_sheet(result: Result) -> NDArray[np.uint8]:
-    """Held-out views of the first detector with boxes, evenly around the object: clean beside attacked pictures."""
+    """Held-out views of the first detector with boxes, evenly around the object: clean
+    beside attacked pictures.
+    """
     views = sorted(result.pictures, key=lambda judged: judged.view.direction.azimuth)
     count = min(_PAIRS, len(views))
     pairs = [_pair(views[number * len(views) // count]) for number in range(count)]
@@ -208,6 +264,9 @@ def _pair(judged: JudgedView) -> NDArray[np.uint8]:
     for seen, name in ((judged.clean, "clean"), (judged.attacked, "attacked")):
         title = f"{name}, {direction.azimuth:.0f} / {direction.elevation:.0f}"
         large = Image.fromarray(_boxes(seen, title))
-        small = large.resize((_WIDTH, max(1, round(large.height * _WIDTH / large.width))), Image.Resampling.LANCZOS)
+        small = large.resize(
+            (_WIDTH, max(1, round(large.height * _WIDTH / large.width))),
+            Image.Resampling.LANCZOS,
+        )
         sides.append(np.asarray(small))
     return np.concatenate(sides, axis=1)

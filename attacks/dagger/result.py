@@ -13,8 +13,20 @@ from attacks.dagger.controls import Draw
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import Reports, View, detected
 from attacks.detectors.base import Detections
-from attacks.objectives import Objective, Target, confidence, overall_verdict, reached_by
-from attacks.observe.observations import Observations, camera_cells, detection_rows, report_cells, verdict_cells
+from attacks.objectives import (
+    Objective,
+    Target,
+    confidence,
+    overall_verdict,
+    reached_by,
+)
+from attacks.observe.observations import (
+    Observations,
+    camera_cells,
+    detection_rows,
+    report_cells,
+    verdict_cells,
+)
 from attacks.observe.rates import (
     AIMS,
     REPORTED_AS_ORIGINAL,
@@ -24,7 +36,17 @@ from attacks.observe.rates import (
     detected_views,
     joint_views,
 )
-from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, NOISE, NORM_NOISE, ROWS, Cell, Row, frame_of
+from attacks.observe.rows import (
+    ATTACKED,
+    CLEAN,
+    CONTROLS,
+    NOISE,
+    NORM_NOISE,
+    ROWS,
+    Cell,
+    Row,
+    frame_of,
+)
 from attacks.observe.views import ImageChange, ViewDetections, image_change
 from attacks.rate import Rate
 from attacks.search import Step, Verdict
@@ -63,9 +85,13 @@ class JudgedView:
     controls: Mapping[Draw, Seen]  # of each draw of each control
 
     def confidence(self, label: str | None, *, attacked: bool) -> float:
-        """Highest score with which `label` (any class if None) is reported on the object, clean or attacked."""
+        """Highest score with which `label` (any class if None) is reported on the
+        object, clean or attacked.
+        """
         detections = (self.attacked if attacked else self.clean).detections
-        return confidence(detections, self.target.box, labels=None if label is None else [label])
+        return confidence(
+            detections, self.target.box, labels=None if label is None else [label]
+        )
 
 
 def observed(views: Sequence[JudgedView], **ids: Cell) -> Observations:
@@ -74,14 +100,35 @@ def observed(views: Sequence[JudgedView], **ids: Cell) -> Observations:
     for judged in views:
         view, target, clean = judged.view, judged.target, judged.clean.image
         where = camera_cells(view.camera, target.box, view.direction)
-        splats = [((CLEAN, None), judged.clean), ((ATTACKED, None), judged.attacked), *judged.controls.items()]
+        splats = [
+            ((CLEAN, None), judged.clean),
+            ((ATTACKED, None), judged.attacked),
+            *judged.controls.items(),
+        ]
         for (splat, draw), seen in splats:
             of: dict[str, Cell] = {**ids, "splat": splat, "draw": draw}
             of |= {"detector": judged.detector, "view": view.index}
-            change = None if torch.equal(clean, seen.image) else float(psnr(clean, seen.image))
-            on_object = None if change is None else image_change([clean], [seen.image], [view.weight]).psnr_object
-            cells = report_cells(seen.detections, target.box, original=target.original, target=target.label)
-            cells |= {**verdict_cells(seen.verdict), "psnr": change, "object_psnr": on_object}
+            change = (
+                None
+                if torch.equal(clean, seen.image)
+                else float(psnr(clean, seen.image))
+            )
+            on_object = (
+                None
+                if change is None
+                else image_change([clean], [seen.image], [view.weight]).psnr_object
+            )
+            cells = report_cells(
+                seen.detections,
+                target.box,
+                original=target.original,
+                target=target.label,
+            )
+            cells |= {
+                **verdict_cells(seen.verdict),
+                "psnr": change,
+                "object_psnr": on_object,
+            }
             rows.append({**of, **where, **cells})
             detections += detection_rows(of, seen.detections, target.box)
     return Observations(rows=frame_of(rows), detections=frame_of(detections))
@@ -94,19 +141,41 @@ def judge(
     attacked: GaussianScene,
     controls: Mapping[Draw, GaussianScene],
 ) -> tuple[tuple[JudgedView, ...], ImageChange, dict[Draw, ImageChange]]:
-    """The attacked splat and its controls as each detector sees them in each view, and the change of the images."""
+    """The attacked splat and its controls as each detector sees them in each view, and
+    the change of the images.
+    """
     scenes = [clean[0], attacked, *controls.values()]
-    reports = [clean[1], *(detected(problem.detectors, scene, views, problem.render) for scene in scenes[1:])]
+    reports = [
+        clean[1],
+        *(
+            detected(problem.detectors, scene, views, problem.render)
+            for scene in scenes[1:]
+        ),
+    ]
     judged = []
     for detector in problem.detectors:
         for view in views:
             target = problem.target(view, detector)
-            before, after, *others = (_seen(problem, one[view.index, detector.name], target) for one in reports)
-            names, seen = (view, detector.name, target), dict(zip(controls, others, strict=True))
-            judged.append(JudgedView(*names, clean=before, attacked=after, controls=seen))
-    plain = [_plain_pictures(problem, scene, views, of_splat) for scene, of_splat in zip(scenes, reports, strict=True)]
+            before, after, *others = (
+                _seen(problem, one[view.index, detector.name], target)
+                for one in reports
+            )
+            names, seen = (
+                (view, detector.name, target),
+                dict(zip(controls, others, strict=True)),
+            )
+            judged.append(
+                JudgedView(*names, clean=before, attacked=after, controls=seen)
+            )
+    plain = [
+        _plain_pictures(problem, scene, views, of_splat)
+        for scene, of_splat in zip(scenes, reports, strict=True)
+    ]
     weights = [view.weight for view in views]
-    image, *changes = [image_change(map(from_bytes, plain[0]), map(from_bytes, one), weights) for one in plain[1:]]
+    image, *changes = [
+        image_change(map(from_bytes, plain[0]), map(from_bytes, one), weights)
+        for one in plain[1:]
+    ]
     return tuple(judged), image, dict(zip(controls, changes, strict=True))
 
 
@@ -116,20 +185,33 @@ def _seen(problem: Problem, report: ViewDetections, target: Target) -> Seen:
 
 
 def _plain_pictures(
-    problem: Problem, scene: GaussianScene, views: Sequence[View], reports: Mapping[tuple[int, str], ViewDetections]
+    problem: Problem,
+    scene: GaussianScene,
+    views: Sequence[View],
+    reports: Mapping[tuple[int, str], ViewDetections],
 ) -> list[Tensor]:
-    """uint8 pictures before anything random happens to them; those of the detections where nothing does."""
-    if all(view.change == PictureChange(noise_seed=view.change.noise_seed) for view in views):
+    """uint8 pictures before anything random happens to them; those of the detections
+    where nothing does.
+    """
+    if all(
+        view.change == PictureChange(noise_seed=view.change.noise_seed)
+        for view in views
+    ):
         return [reports[view.index, problem.detectors[0].name].pixels for view in views]
     with torch.no_grad():
-        return [torch.from_numpy(to_bytes(problem.render(scene, view.camera))) for view in views]
+        return [
+            torch.from_numpy(to_bytes(problem.render(scene, view.camera)))
+            for view in views
+        ]
 
 
 FIXED, DRAWN = "dagger", "dagger-eot"
 """Kinds of results, by where views come from."""
 
 
-def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+def figures(
+    record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]
+) -> dict[str, Any]:
     """Every figure of a result that follows from its rows."""
     settings, drawn = record["config"], record["story"] == DRAWN
     judged = settings["judged"]["cameras"]["elevations"] if drawn else None
@@ -149,8 +231,12 @@ def counted(
     each = []
     for name in detectors:
         scores = rows.filter(splat=ATTACKED, detector=name)["target_score"].to_list()
-        confidence = None if target is None else reached_by(scores, config.required_views)
-        verdict = _verdict(rows.filter(splat=ATTACKED), [name], config, drawn=elevations is not None)
+        confidence = (
+            None if target is None else reached_by(scores, config.required_views)
+        )
+        verdict = _verdict(
+            rows.filter(splat=ATTACKED), [name], config, drawn=elevations is not None
+        )
         each.append({**verdict, "target_confidence": confidence})
     confidences = [judged["target_confidence"] for judged in each if target is not None]
     verdict = verdict_figures(rows, detectors, config, drawn=elevations is not None)
@@ -165,17 +251,29 @@ def counted(
         "target_confidence": min(confidences) if confidences else None,
         **aim_figures(rows, detectors, elevations),
         "detectors": each,
-        "views": [_of_view(view) for _, view in rows.group_by("detector", "view", maintain_order=True)],
+        "views": [
+            _of_view(view)
+            for _, view in rows.group_by("detector", "view", maintain_order=True)
+        ],
     }
 
 
 def verdict_figures(
-    rows: pl.DataFrame, detectors: Sequence[str], config: DaggerConfig, *, drawn: bool = False
+    rows: pl.DataFrame,
+    detectors: Sequence[str],
+    config: DaggerConfig,
+    *,
+    drawn: bool = False,
 ) -> dict[str, Any]:
-    """Whether an attack succeeded, also with the own class gone, and the draws of noise that did."""
+    """Whether an attack succeeded, also with the own class gone, and the draws of noise
+    that did.
+    """
     attacked = rows.filter(splat=ATTACKED)
     strict = attacked.with_columns(success=STRICT)
-    controls = {name: _control(rows.filter(splat=name), detectors, config, drawn=drawn) for name in CONTROLS}
+    controls = {
+        name: _control(rows.filter(splat=name), detectors, config, drawn=drawn)
+        for name in CONTROLS
+    }
     noise = controls.pop(NOISE)
     others = {name: control for name, control in controls.items() if control["draws"]}
     return {
@@ -186,7 +284,9 @@ def verdict_figures(
     }
 
 
-def _control(rows: pl.DataFrame, detectors: Sequence[str], config: DaggerConfig, *, drawn: bool) -> dict[str, Any]:
+def _control(
+    rows: pl.DataFrame, detectors: Sequence[str], config: DaggerConfig, *, drawn: bool
+) -> dict[str, Any]:
     """The verdicts of all draws of a control."""
     draws = rows.partition_by("draw", maintain_order=True)
     verdicts = [_verdict(draw, detectors, config, drawn=drawn) for draw in draws]
@@ -197,19 +297,29 @@ def _control(rows: pl.DataFrame, detectors: Sequence[str], config: DaggerConfig,
     }
 
 
-def _verdict(rows: pl.DataFrame, detectors: Sequence[str], config: DaggerConfig, *, drawn: bool) -> dict[str, Any]:
+def _verdict(
+    rows: pl.DataFrame, detectors: Sequence[str], config: DaggerConfig, *, drawn: bool
+) -> dict[str, Any]:
     """The verdict of one splat, as JSON can hold it."""
     unambiguous = pl.col("unambiguous").fill_null(pl.col("success"))
     columns = rows.select("detector", "success", unambiguous, score="aim")
-    each = [columns.filter(detector=name).drop("detector").to_dicts() for name in detectors]
+    each = [
+        columns.filter(detector=name).drop("detector").to_dicts() for name in detectors
+    ]
     views = [[Verdict(**cells) for cells in view] for view in zip(*each, strict=True)]
     verdict = overall_verdict(views, config.required_views, drawn=drawn)
-    return {"success": verdict.success, "unambiguous": verdict.unambiguous, "score": verdict.score}
+    return {
+        "success": verdict.success,
+        "unambiguous": verdict.unambiguous,
+        "score": verdict.score,
+    }
 
 
 def _of_view(rows: pl.DataFrame) -> dict[str, Any]:
     """What one detector makes of one view."""
-    clean, attacked = (rows.filter(splat=splat).row(0, named=True) for splat in (CLEAN, ATTACKED))
+    clean, attacked = (
+        rows.filter(splat=splat).row(0, named=True) for splat in (CLEAN, ATTACKED)
+    )
     noise = rows.filter(splat=NOISE)
     known = clean["original"] is not None
     return {
@@ -229,38 +339,51 @@ def _of_view(rows: pl.DataFrame) -> dict[str, Any]:
 
 
 _ZERO_GRADIENT_LIMIT = 0.9
-"""Fraction of zero gradients that raises a warning; hidden Gaussians have none in any case, so it is high."""
+"""Fraction of zero gradients that raises a warning; hidden Gaussians have none in any
+case, so it is high.
+"""
 
 _CLAMPED_LIMIT = 0.25
 """Fraction of clamped colour channels that raises a warning."""
 
 MATCHED = 1.0
-"""How far the object's PSNR under a control may be from that under the attack before a result warns of it, dB."""
+"""How far the object's PSNR under a control may be from that under the attack before a
+result warns of it, dB.
+"""
 
 PSNR_SLACK = 0.5
-"""How far the held-out pictures may be below the image budget before a result warns of it, dB."""
+"""How far the held-out pictures may be below the image budget before a result warns of
+it, dB.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Result:
-    """What an attack did, judged on the saved file and 8-bit pictures, from its own views or from held-out ones.
+    """What an attack did, judged on the saved file and 8-bit pictures, from its own
+    views or from held-out ones.
 
     Attributes:
-        scene: The attacked scene; Gaussians outside the object are bit for bit what they were.
+        scene: The attacked scene; Gaussians outside the object are bit for bit what
+            they were.
         views: Every view before and after, detector by detector.
-        image: Change of the images before anything random happens to them; its PSNR is of the mean squared error over
-            all pixels of all views.
+        image: Change of the images before anything random happens to them; its PSNR is
+            of the mean squared error over all pixels of all views.
         control_images: The same for each draw of each control.
         looked: The same as rows, and every detection.
-        figures: All that is counted from these rows, as in result.json (`attacks.dagger.result.counted`).
-        fingerprints: What stands for the weights of each attacked detector, by its name.
-        trace: Every point that was looked at, all runs, in order; of drawn views only some were judged.
+        figures: All that is counted from these rows, as in result.json
+            (`attacks.dagger.result.counted`).
+        fingerprints: What stands for the weights of each attacked detector, by its
+            name.
+        trace: Every point that was looked at, all runs, in order; of drawn views only
+            some were judged.
         best: The line of the trace whose point was kept.
         used: Size of the perturbation by attribute; never above its radius.
-        used_in_file: The same, measured on the saved file, where quaternions have been normalised and logits rounded.
+        used_in_file: The same, measured on the saved file, where quaternions have been
+            normalised and logits rounded.
         object_gaussians: Number of Gaussians of the object.
         changed_gaussians: Number of Gaussians that differ.
-        clamped_fraction: Fraction of the object's colour channels at the clamp (clean, mean over views).
+        clamped_fraction: Fraction of the object's colour channels at the clamp (clean,
+            mean over views).
         objective: The aim and its settings.
         config: The full configuration.
         origin: Detectors, versions, variant, commit, scene hash.
@@ -268,7 +391,8 @@ class Result:
         cpu_seconds: CPU time of the search alone, of all threads.
         transformations: The distribution that it was made for; None for fixed views.
         judged: The distribution that judged it.
-        redraws: Cameras drawn in vain, as they did not show the object: held-out, validation and attacked views.
+        redraws: Cameras drawn in vain, as they did not show the object: held-out,
+            validation and attacked views.
         doubts: Of the choice of the object; the first of the warnings.
         stopped: Whether the search was ended before its time.
     """
@@ -300,10 +424,15 @@ class Result:
 
     def __repr__(self) -> str:
         aim = " ".join(filter(None, (self.objective.name, self.objective.label)))
-        rate, steps, warnings = self.rate, number_of(self.best.index, "step"), number_of(len(self.warnings), "warning")
+        rate, steps, warnings = (
+            self.rate,
+            number_of(self.best.index, "step"),
+            number_of(len(self.warnings), "warning"),
+        )
         return (
-            f"Result({'success' if self.success else 'no success'}: {one_line(aim, 40)}, score {self.score:.2f}, "
-            f"{rate.successes} of {rate.total} views, {steps}, {warnings})"
+            f"Result({'success' if self.success else 'no success'}:"
+            f" {one_line(aim, 40)}, score {self.score:.2f}, {rate.successes} of"
+            f" {rate.total} views, {steps}, {warnings})"
         )
 
     @property
@@ -318,17 +447,22 @@ class Result:
 
     @property
     def pictures(self) -> list[JudgedView]:
-        """Every view once, as the first detector sees it: all look at the same pictures."""
+        """Every view once, as the first detector sees it: all look at the same
+        pictures.
+        """
         return [view for view in self.views if view.detector == self.detectors[0]]
 
     @property
     def success(self) -> bool:
-        """Whether the aim was reached, and the clean object is detected in at least one view."""
+        """Whether the aim was reached, and the clean object is detected in at least one
+        view.
+        """
         return bool(self.figures["success"])
 
     @property
     def aim_reached(self) -> bool:
-        """Whether the aim was reached in enough views, with every detector, whatever is seen of the clean object.
+        """Whether the aim was reached in enough views, with every detector, whatever is
+        seen of the clean object.
 
         See `attacks.objectives.overall_verdict`, also for the score.
         """
@@ -336,32 +470,40 @@ class Result:
 
     @property
     def unambiguous(self) -> bool:
-        """Whether the aim is reached, and no other class is reported on the object with more confidence."""
+        """Whether the aim is reached, and no other class is reported on the object with
+        more confidence.
+        """
         return bool(self.figures["unambiguous"])
 
     @property
     def strict(self) -> bool:
-        """Whether the aim is reached, and the object's own class is reported with less than 0.5."""
+        """Whether the aim is reached, and the object's own class is reported with less
+        than 0.5.
+        """
         return bool(self.figures["strict"])
 
     @property
     def score(self) -> float:
         """How near the aim is, in [0, 1].
 
-        Of fixed views it is what enough views reach: the confidence in the wanted class, or 1 minus the confidence in
-        what is still detected.
+        Of fixed views it is what enough views reach: the confidence in the wanted
+        class, or 1 minus the confidence in what is still detected.
         """
         return float(self.figures["score"])
 
     @property
     def target_confidence(self) -> float | None:
-        """Confidence in the wanted class on the object that enough views reach; None when no class was wanted."""
+        """Confidence in the wanted class on the object that enough views reach; None
+        when no class was wanted.
+        """
         confidence: float | None = self.figures["target_confidence"]
         return confidence
 
     @property
     def rates(self) -> dict[str, Rate]:
-        """How often the aim is reached in views, with all detectors at once: `attacks.observe.rates.AIMS`."""
+        """How often the aim is reached in views, with all detectors at once:
+        `attacks.observe.rates.AIMS`.
+        """
         return count(joint_views(self.looked.rows), AIMS)[()]
 
     @property
@@ -371,10 +513,20 @@ class Result:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Flags in the spirit of AutoAttack: signs that success or failure is not what it looks like."""
+        """Flags in the spirit of AutoAttack: signs that success or failure is not what
+        it looks like.
+        """
         steps = f"step {self.trace[-1].index} of {self.config.steps}"
-        ended = (f"the search was stopped after {steps}, before its end",) if self.stopped else ()
-        return (*self.doubts, *ended, *(_warnings_of_drawn(self) if self.drawn else _warnings_of_fixed(self)))
+        ended = (
+            (f"the search was stopped after {steps}, before its end",)
+            if self.stopped
+            else ()
+        )
+        return (
+            *self.doubts,
+            *ended,
+            *(_warnings_of_drawn(self) if self.drawn else _warnings_of_fixed(self)),
+        )
 
 
 def _warnings_of_fixed(result: Result) -> list[str]:
@@ -383,29 +535,52 @@ def _warnings_of_fixed(result: Result) -> list[str]:
         if view.confidence(view.target.original, attacked=False) < 0.5:
             by = "" if len(result.detectors) == 1 else f" by {view.detector}"
             number = view.view.index
-            warnings.append(f"the clean picture of view {number} has no detection{by} of 0.5 or more on the object")
-    first, zeros = result.trace[0], max(line.zero_gradient_fraction for line in result.trace)
+            warnings.append(
+                f"the clean picture of view {number} has no detection{by} of 0.5 or"
+                " more on the object"
+            )
+    first, zeros = (
+        result.trace[0],
+        max(line.zero_gradient_fraction for line in result.trace),
+    )
     if first.success:
         warnings.append("the aim is reached without any attack")
     if zeros > _ZERO_GRADIENT_LIMIT:
-        warnings.append(f"up to {zeros:.0%} of the gradient's elements are exactly zero")
-    if len(result.trace) > 1 and min(line.loss for line in result.trace[1:]) >= first.loss:
+        warnings.append(
+            f"up to {zeros:.0%} of the gradient's elements are exactly zero"
+        )
+    if (
+        len(result.trace) > 1
+        and min(line.loss for line in result.trace[1:]) >= first.loss
+    ):
         warnings.append("the loss did not fall")
     if "sh" in result.config.attributes and result.clamped_fraction > _CLAMPED_LIMIT:
         clamped = f"{result.clamped_fraction:.0%} of the object's colour channels"
         warnings.append(f"{clamped} are clamped at 0, where SH has no gradient")
     if result.best.success and not result.aim_reached:
-        warnings.append("success in the search did not survive the saved file and 8-bit pictures")
+        warnings.append(
+            "success in the search did not survive the saved file and 8-bit pictures"
+        )
     if result.aim_reached and not result.unambiguous:
-        warnings.append("another class is still detected on the object with more confidence")
+        warnings.append(
+            "another class is still detected on the object with more confidence"
+        )
     if result.aim_reached and not result.strict:
         known = [view for view in result.views if view.target.original is not None]
-        left = max(view.confidence(view.target.original, attacked=True) for view in known)
-        warnings.append(f"the object's own class is still reported on it, at up to {left:.0%}")
+        left = max(
+            view.confidence(view.target.original, attacked=True) for view in known
+        )
+        warnings.append(
+            f"the object's own class is still reported on it, at up to {left:.0%}"
+        )
     figures = result.figures
-    for name, control in {NOISE: figures["noise"], **figures.get("controls", {})}.items():
+    for name, control in {
+        NOISE: figures["noise"],
+        **figures.get("controls", {}),
+    }.items():
         if control["draws"] and (
-            (result.aim_reached and control["successes"]) or max(control["scores"]) >= result.score > 0
+            (result.aim_reached and control["successes"])
+            or max(control["scores"]) >= result.score > 0
         ):
             warnings.append(f"a random change ({name}) does as well")
     warnings += _unmatched(result)
@@ -413,26 +588,52 @@ def _warnings_of_fixed(result: Result) -> list[str]:
 
 
 def _warnings_of_drawn(result: Result) -> list[str]:
-    warnings, config, rows, rates = list[str](), result.config, result.looked.rows, result.rates
+    warnings, config, rows, rates = (
+        list[str](),
+        result.config,
+        result.looked.rows,
+        result.rates,
+    )
     for name in result.detectors:
-        seen = count(rows.filter(detector=name), REPORTED_AS_ORIGINAL)[()]["found_clean"]
+        seen = count(rows.filter(detector=name), REPORTED_AS_ORIGINAL)[()][
+            "found_clean"
+        ]
         if seen.fraction < 0.5:
-            warnings.append(f"{name} finds the clean object in {seen.successes} of {seen.total} held-out views only")
-    clean, noise, rate = rates["clean_success"], rates["noise_success"], rates["unambiguous"]
+            warnings.append(
+                f"{name} finds the clean object in {seen.successes} of {seen.total}"
+                " held-out views only"
+            )
+    clean, noise, rate = (
+        rates["clean_success"],
+        rates["noise_success"],
+        rates["unambiguous"],
+    )
     if clean.successes:
-        warnings.append(f"the aim is reached without any attack in {clean.successes} of {clean.total} views")
+        warnings.append(
+            f"the aim is reached without any attack in {clean.successes} of"
+            f" {clean.total} views"
+        )
     if result.best.success and not result.aim_reached:
-        warnings.append("success on the validation views did not carry over to the held-out views")
-    if noise.total and rates["success"].successes and noise.fraction >= rates["success"].fraction:
+        warnings.append(
+            "success on the validation views did not carry over to the held-out views"
+        )
+    if (
+        noise.total
+        and rates["success"].successes
+        and noise.fraction >= rates["success"].fraction
+    ):
         warnings.append(f"a random change ({NOISE}) does as well")
     warnings += _unmatched(result)
     if result.aim_reached and rate.fraction < config.required_views:
         few = f"{rate.successes} of {rate.total} views only"
-        warnings.append(f"without another class of more confidence on the object: {few}")
+        warnings.append(
+            f"without another class of more confidence on the object: {few}"
+        )
     wanted, psnr = config.image_psnr, result.image.psnr
     if wanted is not None and psnr is not None and psnr < wanted - PSNR_SLACK:
         warnings.append(
-            f"the held-out pictures have {psnr:.1f} dB: less than the {wanted:g} dB of the validation views"
+            f"the held-out pictures have {psnr:.1f} dB: less than the {wanted:g} dB of"
+            " the validation views"
         )
     return warnings
 
@@ -443,4 +644,7 @@ def _unmatched(result: Result) -> Iterator[str]:
     for (name, draw), change in result.control_images.items():
         psnr = change.psnr_object
         if name != NORM_NOISE and wanted and psnr and abs(psnr - wanted) > MATCHED:
-            yield f"draw {draw} of {name} leaves the object at {psnr:.1f} dB, the attack at {wanted:.1f} dB"
+            yield (
+                f"draw {draw} of {name} leaves the object at {psnr:.1f} dB, the attack"
+                f" at {wanted:.1f} dB"
+            )

@@ -1,7 +1,8 @@
-"""The search of DAGGER: over all chosen cameras at each step, or over a few views of a region.
+"""The search of DAGGER: over all chosen cameras at each step, or over a few views of a
+region.
 
-Of a region other views decide which step was best (expectation over transformation, Athalye et al., "Synthesizing
-Robust Adversarial Examples", ICML 2018).
+Of a region other views decide which step was best (expectation over transformation,
+Athalye et al., "Synthesizing Robust Adversarial Examples", ICML 2018).
 """
 
 from __future__ import annotations
@@ -33,18 +34,21 @@ from attacks.search import (
 
 # A budget in pictures: an attack may keep their PSNR above a limit.
 #
-# A ball in the units of a file says little about what one sees: the same radius costs few decibels on a hidden Gaussian
-# and many on the bonnet. With a limit on the images the attacker pays for their squared error. The price is a Lagrange
-# multiplier, which is raised while the images are worse than the limit, and lowered while they are better. A point that
-# is worse than the limit is pulled towards the clean object before it may become the result; one that is better and
-# does not deceive everywhere may be stretched up to the limit.
+# A ball in the units of a file says little about what one sees: the same radius costs
+# few decibels on a hidden Gaussian and many on the bonnet. With a limit on the images
+# the attacker pays for their squared error. The price is a Lagrange multiplier, which
+# is raised while the images are worse than the limit, and lowered while they are
+# better. A point that is worse than the limit is pulled towards the clean object before
+# it may become the result; one that is better and does not deceive everywhere may be
+# stretched up to the limit.
 
 _DECAY = 0.8
 """Share of the earlier errors in the decaying mean that the price follows."""
 
 _GAIN, _LOWEST, _HIGHEST = 20.0, 0.02, 100.0
-"""Change of the price's logarithm over a whole search whose error is e times the limit; bounds of the price in units of
-1 / limit."""
+"""Change of the price's logarithm over a whole search whose error is e times the limit;
+bounds of the price in units of 1 / limit.
+"""
 
 _HALVINGS = 7
 """Of the interval in which the factor of a perturbation is looked for."""
@@ -58,9 +62,12 @@ class ImagePrice:
     """What the mean squared error of the pictures costs the attacker."""
 
     limit: float  # largest mean squared error wanted, values in [0, 1]
-    weight: float  # the multiplier: the loss is the detectors' plus `weight` times the error
-    gain: float  # change of the weight's logarithm in a step whose error is e times the limit
-    error: float | None = None  # decaying mean of the errors so far; None before the first step
+    # the multiplier: the loss is the detectors' plus `weight` times the error
+    weight: float
+    # change of the weight's logarithm in a step whose error is e times the limit
+    gain: float
+    # decaying mean of the errors so far; None before the first step
+    error: float | None = None
 
     @classmethod
     def of(cls, psnr: float, *, steps: int) -> ImagePrice:
@@ -70,15 +77,19 @@ class ImagePrice:
 
     @property
     def now(self) -> float:
-        """What an error costs in the next step: more than the weight while errors are above the limit.
+        """What an error costs in the next step: more than the weight while errors are
+        above the limit.
 
-        The weight alone follows the errors late, so that these would swing about the limit.
+        The weight alone follows the errors late, so that these would swing about the
+        limit.
         """
         return self.weight * max(1.0, (self.error or 0.0) / self.limit)
 
     def after(self, error: float) -> ImagePrice:
         """The price after a step whose pictures had a mean squared error."""
-        mean = error if self.error is None else _DECAY * self.error + (1 - _DECAY) * error
+        mean = (
+            error if self.error is None else _DECAY * self.error + (1 - _DECAY) * error
+        )
         excess = math.log(mean / self.limit) if mean > 0 else -1.0
         weight = self.weight * math.exp(self.gain * max(-1.0, min(1.0, excess)))
         bounded = max(_LOWEST, min(_HIGHEST, weight * self.limit)) / self.limit
@@ -86,16 +97,24 @@ class ImagePrice:
 
 
 def fitted(
-    parameters: Parameters, reference: Parameters, limit: float, error: Callable[[Parameters], float]
+    parameters: Parameters,
+    reference: Parameters,
+    limit: float,
+    error: Callable[[Parameters], float],
 ) -> Parameters:
-    """The parameters, or the farthest point on the way to them from the reference whose error is within the limit."""
+    """The parameters, or the farthest point on the way to them from the reference whose
+    error is within the limit.
+    """
     if error(parameters) <= limit:
         return parameters
     low, high = 0.0, 1.0
     farthest = reference
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        point = {name: base + middle * (parameters[name] - base) for name, base in reference.items()}
+        point = {
+            name: base + middle * (parameters[name] - base)
+            for name, base in reference.items()
+        }
         if error(point) <= limit:
             low, farthest = middle, point
         else:
@@ -104,10 +123,19 @@ def fitted(
 
 
 def stretched(
-    parameters: Parameters, reference: Parameters, ball: Budget, limit: float, error: Callable[[Parameters], float]
+    parameters: Parameters,
+    reference: Parameters,
+    ball: Budget,
+    limit: float,
+    error: Callable[[Parameters], float],
 ) -> Parameters:
-    """The farthest point beyond parameters on the line from the reference whose error is within the limit."""
-    farther = {name: base + _FARTHEST * (parameters[name] - base) for name, base in reference.items()}
+    """The farthest point beyond parameters on the line from the reference whose error
+    is within the limit.
+    """
+    farther = {
+        name: base + _FARTHEST * (parameters[name] - base)
+        for name, base in reference.items()
+    }
 
     def inside(point: Parameters) -> float:
         return error(ball.project(point, reference))
@@ -116,7 +144,9 @@ def stretched(
 
 
 OnStep = Callable[[Step], bool | None]
-"""Called with every line of the trace as it happens; once it says so, the search ends with the best point so far."""
+"""Called with every line of the trace as it happens; once it says so, the search ends
+with the best point so far.
+"""
 
 
 def search(
@@ -125,7 +155,9 @@ def search(
     config: DaggerConfig,
     on_step: OnStep | None = None,
 ) -> Outcome:
-    """The best point: where each step takes all views, these decide about it, otherwise the validation views do."""
+    """The best point: where each step takes all views, these decide about it, otherwise
+    the validation views do.
+    """
     if config.attributes == ("sh",):
         problem = dataclasses.replace(problem, frozen=views.frozen(config))
     if not config.in_turn:
@@ -134,7 +166,11 @@ def search(
     for view in views.one_by_one(config):
         start = None if outcome is None else outcome.parameters
         after = _searched(problem, view, config, start, on_step)
-        outcome = after if outcome is None else dataclasses.replace(after, trace=(*outcome.trace, *after.trace))
+        outcome = (
+            after
+            if outcome is None
+            else dataclasses.replace(after, trace=(*outcome.trace, *after.trace))
+        )
     assert outcome is not None  # as `FixedViews` has seen to
     return outcome
 
@@ -147,17 +183,30 @@ def _searched(
     on_step: OnStep | None,
 ) -> Outcome:
     reference, steps = problem.subset.parameters(config.attributes), itertools.count()
-    price = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps)
+    price = (
+        None
+        if config.image_psnr is None
+        else ImagePrice.of(config.image_psnr, steps=config.steps)
+    )
 
     def evaluate(point: Parameters) -> Evaluation:
-        """Loss and gradients over the views of the next step; the price of their pictures' error follows it."""
+        """Loss and gradients over the views of the next step; the price of their
+        pictures' error follows it.
+        """
         nonlocal price
-        batch, costs = views.attacked(next(steps), config), 0.0 if price is None else price.now
+        batch, costs = (
+            views.attacked(next(steps), config),
+            0.0 if price is None else price.now,
+        )
         here = problem.evaluate(point, batch, config, price=costs, judged=judge is None)
         price = price and price.after(here.error)
         return here
 
-    judge = _judge(problem, views, config, reference) if config.batch or config.image_psnr is not None else None
+    judge = (
+        _judge(problem, views, config, reference)
+        if config.batch or config.image_psnr is not None
+        else None
+    )
     return pgd(
         evaluate,
         reference,
@@ -165,20 +214,30 @@ def _searched(
         steps=config.steps,
         optimiser=_optimiser(config, problem),
         starts=_starts(config, reference, start),
-        early_stop=config.early_stop if views.transformations is None else config.stop_at is not None,
+        early_stop=(
+            config.early_stop
+            if views.transformations is None
+            else config.stop_at is not None
+        ),
         smallest=config.spec.smallest,
         hooks=Hooks(judge=judge, every=config.validate_every, on_step=on_step),
     )
 
 
-def _starts(config: DaggerConfig, reference: Parameters, start: Parameters | None) -> Iterator[Parameters]:
+def _starts(
+    config: DaggerConfig, reference: Parameters, start: Parameters | None
+) -> Iterator[Parameters]:
     """The points at which runs begin."""
     generator = Generator().manual_seed(config.seed)
     if start is not None:
         yield start
         return
     for restart in range(config.restarts):
-        yield config.budget.uniform(reference, generator) if restart or config.random_start else reference
+        yield (
+            config.budget.uniform(reference, generator)
+            if restart or config.random_start
+            else reference
+        )
 
 
 def _optimiser(config: DaggerConfig, problem: Problem) -> Optimiser:
@@ -202,16 +261,24 @@ def _optimiser(config: DaggerConfig, problem: Problem) -> Optimiser:
 def _judge(
     problem: Problem, views: FixedViews, config: DaggerConfig, reference: Parameters
 ) -> Callable[[Parameters], tuple[Parameters, Verdict]]:
-    """The judge of a search: validation views, which look at what the image budget makes of a point."""
+    """The judge of a search: validation views, which look at what the image budget
+    makes of a point.
+    """
     validation, drawn = views.validation(config), views.transformations is not None
-    limit = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps).limit
+    limit = (
+        None
+        if config.image_psnr is None
+        else ImagePrice.of(config.image_psnr, steps=config.steps).limit
+    )
     stop_at = 2.0 if config.stop_at is None else config.stop_at
 
     def error(point: Parameters) -> float:
         return problem.error(point, validation)
 
     def verdict_on(point: Parameters) -> tuple[float, Verdict]:
-        """The share of views in which every detector is deceived, and what it says of the point."""
+        """The share of views in which every detector is deceived, and what it says of
+        the point.
+        """
         rows = problem.verdicts(point, validation)
         whole = overall_verdict(rows, config.required_views, drawn=drawn)
         share = sum(all(one.success for one in row) for row in rows) / len(rows)

@@ -1,4 +1,6 @@
-"""The views of an attack: those of fixed cameras, or drawn by seed and number from a distribution."""
+"""The views of an attack: those of fixed cameras, or drawn by seed and number from a
+distribution.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,21 @@ from attacks.detectors.base import Detections, Detector
 from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import overlap
 from attacks.observe.comparison import usual_label
-from attacks.observe.views import ViewDetections, as_saved, detect_views, visible_box, visible_weight
+from attacks.observe.views import (
+    ViewDetections,
+    as_saved,
+    detect_views,
+    visible_box,
+    visible_weight,
+)
 from attacks.transformations.config import Transformations
-from attacks.transformations.draws import PictureChange, change_picture, changing, draw_camera, draw_change
+from attacks.transformations.draws import (
+    PictureChange,
+    change_picture,
+    changing,
+    draw_camera,
+    draw_change,
+)
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.directions import UP, Direction, Point, direction_of
@@ -39,8 +53,11 @@ _ATTEMPTS = 200
 """Cameras drawn for one view before we say that the region does not show the object."""
 
 _PICTURES, _DRAWN_PICTURES = 512, 80
-"""Clean pictures kept, of fixed and of drawn cameras; at 256 x 256 one takes 0.8 MB. Of drawn cameras there are many,
-and a clean picture is made at once where the view is frozen."""
+"""Clean pictures kept, of fixed and of drawn cameras; at 256 x 256 one takes 0.8 MB.
+
+Of drawn cameras there are many, and a clean picture is made at once where the view is
+frozen.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -66,11 +83,19 @@ class View:
     redraws: int = 0
 
     def changed(self, picture: Tensor) -> Tensor:
-        """What becomes of a rendered (H, W, 3) picture of this view before a detector sees it; values in [0, 1]."""
+        """What becomes of a rendered (H, W, 3) picture of this view before a detector
+        sees it; values in [0, 1].
+        """
         return change_picture(picture, self.change)
 
 
-def fixed_views(subset: GaussianSubset, cameras: Sequence[Camera], *, render: RenderFn, up: Point = UP) -> list[View]:
+def fixed_views(
+    subset: GaussianSubset,
+    cameras: Sequence[Camera],
+    *,
+    render: RenderFn,
+    up: Point = UP,
+) -> list[View]:
     """The views of an object from cameras."""
     centre, _ = bounds(subset.scene.select(subset.rows))
     views = []
@@ -79,10 +104,20 @@ def fixed_views(subset: GaussianSubset, cameras: Sequence[Camera], *, render: Re
         box = visible_box(weight)
         if box is None:
             expected = "a view in which the object is visible"
-            what = "camera" if len(cameras) == 1 else f"camera {index + 1} of {len(cameras)}"
-            raise InvalidValueError.of(what, expected, "none of it", "turn this camera or choose another")
+            what = (
+                "camera"
+                if len(cameras) == 1
+                else f"camera {index + 1} of {len(cameras)}"
+            )
+            raise InvalidValueError.of(
+                what, expected, "none of it", "turn this camera or choose another"
+            )
         direction = direction_of(camera, centre, up)
-        views.append(View(index=index, camera=camera, box=box, weight=weight, direction=direction))
+        views.append(
+            View(
+                index=index, camera=camera, box=box, weight=weight, direction=direction
+            )
+        )
     return views
 
 
@@ -90,21 +125,30 @@ Reports = dict[tuple[int, str], ViewDetections]
 """What detectors report on one splat, by the view's number and the detector's name."""
 
 
-def detected(detectors: Sequence[Detector], scene: GaussianScene, views: Sequence[View], render: RenderFn) -> Reports:
+def detected(
+    detectors: Sequence[Detector],
+    scene: GaussianScene,
+    views: Sequence[View],
+    render: RenderFn,
+) -> Reports:
     """What detectors report on a splat, in the changed images of each view."""
     cameras, boxes = [view.camera for view in views], [view.box for view in views]
     changed = changing(render, {view.camera: view.change for view in views})
     # One image at a time: the same bits whatever the number of views.
-    reports = detect_views(scene, cameras, detectors, render=changed, boxes=boxes, batch=1)
+    reports = detect_views(
+        scene, cameras, detectors, render=changed, boxes=boxes, batch=1
+    )
     return {(views[seen.view].index, seen.detector): seen for seen in reports}
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ViewDistribution:
-    """All cameras of a region, in the place of chosen ones: an attack draws views from it, and others judge the result.
+    """All cameras of a region, in the place of chosen ones: an attack draws views from
+    it, and others judge the result.
 
     Attributes:
-        reference: Camera that gives the size of the images, the field of view and the unit of distances.
+        reference: Camera that gives the size of the images, the field of view and the
+            unit of distances.
         transformations: Where cameras are, and what happens to their images.
     """
 
@@ -113,7 +157,9 @@ class ViewDistribution:
 
 
 class FixedViews:
-    """An object seen from chosen cameras, which are attacked and which judge the result."""
+    """An object seen from chosen cameras, which are attacked and which judge the
+    result.
+    """
 
     transformations: Transformations | None = None
     most_pictures = _PICTURES
@@ -130,10 +176,17 @@ class FixedViews:
         check_scene("scene", scene)
         if not callable(render):
             do = "pass for instance Renderer()"
-            raise InvalidValueError.of("render", "a function of scene and camera", type(render).__name__, do)
+            raise InvalidValueError.of(
+                "render", "a function of scene and camera", type(render).__name__, do
+            )
         self.cameras = as_cameras(cameras)
         if not self.cameras:
-            raise InvalidValueError.of("cameras", "at least one camera", "none", "say where the detector looks from")
+            raise InvalidValueError.of(
+                "cameras",
+                "at least one camera",
+                "none",
+                "say where the detector looks from",
+            )
         self.scene, self.mask, self.render, self.up = scene, mask, render, up
         self.subset = GaussianSubset.of(scene, mask)
         self._views: list[View] = []
@@ -153,7 +206,9 @@ class FixedViews:
         views = self.held_out(config)
         if not config.batch:
             return views
-        numbers = batch_indices(step, seed=config.seed, batch=min(config.batch, len(views)), pool=len(views))
+        numbers = batch_indices(
+            step, seed=config.seed, batch=min(config.batch, len(views)), pool=len(views)
+        )
         return [views[number] for number in numbers]
 
     def validation(self, config: DaggerConfig) -> list[View]:
@@ -162,7 +217,9 @@ class FixedViews:
 
     def held_out(self, config: DaggerConfig) -> list[View]:
         """The views that judge the result."""
-        self._views = self._views or fixed_views(self.subset, self.cameras, render=self.render, up=self.up)
+        self._views = self._views or fixed_views(
+            self.subset, self.cameras, render=self.render, up=self.up
+        )
         return self._views
 
     def one_by_one(self, config: DaggerConfig) -> list[FixedViews]:
@@ -176,7 +233,13 @@ class FixedViews:
     def alone(self) -> FixedViews:
         """The object without its scene, from the same cameras."""
         rows = self.subset.rows
-        return FixedViews(self.scene.select(rows), slice(None), self.cameras, render=self.render, up=self.up)
+        return FixedViews(
+            self.scene.select(rows),
+            slice(None),
+            self.cameras,
+            render=self.render,
+            up=self.up,
+        )
 
     def frozen(self, config: DaggerConfig) -> dict[Camera, FrozenView] | RecentViews:
         """Images of a search in which only colours change."""
@@ -191,26 +254,41 @@ class FixedViews:
     def release(self) -> None:
         """Give back memory that makes a search faster."""
 
-    def clean_reports(self, detectors: Sequence[Detector], views: Sequence[View]) -> Reports:
-        """What detectors report on the clean file in some views; kept, as several attacks may share them."""
+    def clean_reports(
+        self, detectors: Sequence[Detector], views: Sequence[View]
+    ) -> Reports:
+        """What detectors report on the clean file in some views; kept, as several
+        attacks may share them.
+        """
         reports: Reports = {}
         for detector in detectors:
             key = (detector.name, detector.fingerprint, tuple(views))
             if key not in self._reports:
-                self._reports[key] = detected([detector], self.saved, views, self.render)
+                self._reports[key] = detected(
+                    [detector], self.saved, views, self.render
+                )
             reports |= self._reports[key]
         return reports
 
-    def originals(self, detectors: Sequence[Detector], config: DaggerConfig) -> Callable[[View, str], str | None]:
-        """What a detector calls the clean object in a view: the class that it is surest of there."""
+    def originals(
+        self, detectors: Sequence[Detector], config: DaggerConfig
+    ) -> Callable[[View, str], str | None]:
+        """What a detector calls the clean object in a view: the class that it is surest
+        of there.
+        """
         views = self.held_out(config)
         boxes = {view.index: view.box for view in views}
         reports = self.clean_reports(detectors, views)
-        labels = {key: _label_on(seen.detections, boxes[key[0]]) for key, seen in reports.items()}
+        labels = {
+            key: _label_on(seen.detections, boxes[key[0]])
+            for key, seen in reports.items()
+        }
         return lambda view, name: labels[view.index, name]
 
     def picture(self, camera: Camera) -> Tensor:
-        """The (H, W, 3) picture of the clean scene, values in [0, 1]; the last ones are kept in memory."""
+        """The (H, W, 3) picture of the clean scene, values in [0, 1]; the last ones are
+        kept in memory.
+        """
         if camera not in self._pictures:
             while len(self._pictures) >= self.most_pictures:
                 del self._pictures[next(iter(self._pictures))]
@@ -232,10 +310,12 @@ def _label_on(detections: Detections, box: Tensor) -> str | None:
 
 
 class DrawnViews(FixedViews):
-    """An object seen from all cameras of a region: which views are attacked is drawn, and others judge the result.
+    """An object seen from all cameras of a region: which views are attacked is drawn,
+    and others judge the result.
 
-    A view depends on the seed and the number alone, so the views of one seed are the same whoever asks, and in whatever
-    order. Views of a pool are kept, so that several attacks share them.
+    A view depends on the seed and the number alone, so the views of one seed are the
+    same whoever asks, and in whatever order. Views of a pool are kept, so that several
+    attacks share them.
     """
 
     transformations: Transformations
@@ -252,7 +332,10 @@ class DrawnViews(FixedViews):
         up: Point = UP,
     ) -> None:
         super().__init__(scene, mask, reference, render=render, up=up)
-        self.reference, self.transformations = reference, transformations or Transformations()
+        self.reference, self.transformations = (
+            reference,
+            transformations or Transformations(),
+        )
         self.centre, self.radius = bounds(scene.select(self.subset.rows))
         self._frozen = RecentViews(scene, render=render, rows=self.subset.rows)
         self._kept: dict[tuple[int, int], View] = {}
@@ -260,17 +343,33 @@ class DrawnViews(FixedViews):
     def check(self, config: DaggerConfig) -> None:
         """Raise unless the views can be attacked with a configuration."""
         if not config.batch:
-            raise InvalidValueError.of("batch", "1 or more views of a region", 0, "start with DaggerConfig.for_region")
+            raise InvalidValueError.of(
+                "batch",
+                "1 or more views of a region",
+                0,
+                "start with DaggerConfig.for_region",
+            )
         if config.judge_seed == config.seed:
-            raise InvalidValueError.of("judge_seed", "another seed than the attack's", config.seed, "change one")
+            raise InvalidValueError.of(
+                "judge_seed",
+                "another seed than the attack's",
+                config.seed,
+                "change one",
+            )
         for name in ("alone", "in_turn"):
             if getattr(config, name):
-                raise InvalidValueError.of(name, "chosen cameras", "a region", "leave it out")
+                raise InvalidValueError.of(
+                    name, "chosen cameras", "a region", "leave it out"
+                )
 
     def attacked(self, step: int, config: DaggerConfig) -> list[View]:
         """The views of one step of a search."""
-        numbers = batch_indices(step, seed=config.seed, batch=config.batch, pool=config.pool)
-        return [self.view(config.seed, number, keep=config.pool > 0) for number in numbers]
+        numbers = batch_indices(
+            step, seed=config.seed, batch=config.batch, pool=config.pool
+        )
+        return [
+            self.view(config.seed, number, keep=config.pool > 0) for number in numbers
+        ]
 
     def validation(self, config: DaggerConfig) -> list[View]:
         """The views that decide which step was best."""
@@ -288,23 +387,33 @@ class DrawnViews(FixedViews):
         """Give back the memory of frozen views."""
         self._frozen.clear()
 
-    def originals(self, detectors: Sequence[Detector], config: DaggerConfig) -> Callable[[View, str], str | None]:
+    def originals(
+        self, detectors: Sequence[Detector], config: DaggerConfig
+    ) -> Callable[[View, str], str | None]:
         """What a detector calls the clean object in most of the validation views."""
         reports = self.clean_reports(detectors, self.validation(config))
         labels = {
-            detector.name: usual_label([seen for (_, name), seen in reports.items() if name == detector.name])
+            detector.name: usual_label(
+                [seen for (_, name), seen in reports.items() if name == detector.name]
+            )
             for detector in detectors
         }
         return lambda view, name: labels[name]
 
     def redraws(self, config: DaggerConfig) -> dict[str, int]:
-        """Cameras drawn in vain, by what they were drawn for; of an unlimited pool nothing is known."""
+        """Cameras drawn in vain, by what they were drawn for; of an unlimited pool
+        nothing is known.
+        """
         groups = {
             "held_out": self.held_out(config),
             "validation": self.validation(config),
-            "attacked": self.views(config.seed, min(config.pool, config.batch * (config.steps + 1))),
+            "attacked": self.views(
+                config.seed, min(config.pool, config.batch * (config.steps + 1))
+            ),
         }
-        return {name: sum(view.redraws for view in drawn) for name, drawn in groups.items()}
+        return {
+            name: sum(view.redraws for view in drawn) for name, drawn in groups.items()
+        }
 
     def view(self, seed: int, index: int, *, keep: bool = True) -> View:
         """A view by its seed and number."""
@@ -321,12 +430,17 @@ class DrawnViews(FixedViews):
 
     def _clean(self, camera: Camera) -> Tensor:
         frozen = self._frozen.get(camera)
-        return super()._clean(camera) if frozen is None else frozen(self.scene.sh[frozen.rows])
+        return (
+            super()._clean(camera)
+            if frozen is None
+            else frozen(self.scene.sh[frozen.rows])
+        )
 
     def _weight(self, camera: Camera) -> Tensor:
         """`visible_weight` of the object."""
         frozen = self._frozen.get(camera)
-        if frozen is None or frozen.settings.linear:  # pictures of light do not add up in sRGB
+        # pictures of light do not add up in sRGB
+        if frozen is None or frozen.settings.linear:
             return visible_weight(self.subset, camera, self.render)
         zeros = torch.zeros(len(frozen.rows), 1, 3, device=self.scene.sh.device)
         black, white = (frozen(colour_to_dc(zeros + value)) for value in (0.0, 1.0))
@@ -345,11 +459,17 @@ class DrawnViews(FixedViews):
                 reference=self.reference,
             )
             if tuple(self.up) != UP:
-                turn, middle = from_z(torch.tensor(list(self.up))), torch.tensor(list(self.centre), dtype=torch.float64)
+                turn, middle = (
+                    from_z(torch.tensor(list(self.up))),
+                    torch.tensor(list(self.centre), dtype=torch.float64),
+                )
                 camera = camera.turned(turn, middle)
             weight = self._weight(camera)
             box = visible_box(weight)
-            if box is not None and float((weight >= 0.5).to(torch.float32).mean()) >= least:
+            if (
+                box is not None
+                and float((weight >= 0.5).to(torch.float32).mean()) >= least
+            ):
                 return View(
                     index=index,
                     camera=camera,
@@ -359,12 +479,19 @@ class DrawnViews(FixedViews):
                     direction=direction_of(camera, self.centre, self.up),
                     redraws=attempt,
                 )
-        expected = f"one of {_ATTEMPTS} cameras that shows the object on {least:.1%} of the picture"
-        raise InvalidValueError.of("region of the cameras", expected, "none", "move it, or lower least_visible")
+        expected = (
+            f"one of {_ATTEMPTS} cameras that shows the object on {least:.1%} of the"
+            " picture"
+        )
+        raise InvalidValueError.of(
+            "region of the cameras", expected, "none", "move it, or lower least_visible"
+        )
 
 
 def batch_indices(step: int, *, seed: int, batch: int, pool: int) -> list[int]:
-    """Numbers of the views of one step: a function of the step, so that a run can be taken up again."""
+    """Numbers of the views of one step: a function of the step, so that a run can be
+    taken up again.
+    """
     first = step * batch
     if not pool:
         return list(range(first, first + batch))
@@ -372,4 +499,7 @@ def batch_indices(step: int, *, seed: int, batch: int, pool: int) -> list[int]:
         turn: np.random.default_rng((seed, turn)).permutation(pool)
         for turn in range(first // pool, 1 + (first + batch - 1) // pool)
     }
-    return [int(orders[number // pool][number % pool]) for number in range(first, first + batch)]
+    return [
+        int(orders[number // pool][number % pool])
+        for number in range(first, first + batch)
+    ]

@@ -1,7 +1,8 @@
-"""Object detectors behind one interface: `load_detector(name)`, and `wrap_detector(module, ...)` for one of your own.
+"""Object detectors behind one interface: `load_detector(name)`, and
+`wrap_detector(module, ...)` for one of your own.
 
-Importing this package is light: torch comes with the first detector that is loaded, and ultralytics (the extra `yolo`,
-AGPL-3.0) with the first one of YOLO's.
+Importing this package is light: torch comes with the first detector that is loaded, and
+ultralytics (the extra `yolo`, AGPL-3.0) with the first one of YOLO's.
 """
 
 from __future__ import annotations
@@ -13,7 +14,12 @@ from mi_splat import _lazy
 if TYPE_CHECKING:
     from attacks.detectors.base import Candidates, Detections, Detector
     from attacks.detectors.catalogue import DetectorError
-    from attacks.detectors.registry import DETECTORS, DetectorSpec, load_detector, register_detector
+    from attacks.detectors.registry import (
+        DETECTORS,
+        DetectorSpec,
+        load_detector,
+        register_detector,
+    )
     from attacks.detectors.wrapping import wrap_detector
 
 __all__ = [
@@ -33,7 +39,12 @@ __getattr__, __dir__ = _lazy.attach(
     {
         "attacks.detectors.base": ("Candidates", "Detections", "Detector"),
         "attacks.detectors.catalogue": ("DetectorError",),
-        "attacks.detectors.registry": ("DETECTORS", "DetectorSpec", "load_detector", "register_detector"),
+        "attacks.detectors.registry": (
+            "DETECTORS",
+            "DetectorSpec",
+            "load_detector",
+            "register_detector",
+        ),
         "attacks.detectors.wrapping": ("wrap_detector",),
     },
 )

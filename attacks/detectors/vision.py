@@ -1,6 +1,8 @@
-"""`torchvision`, imported without torch's compiler: its RoIAlign imports one function of it, which takes 1.4 seconds.
+"""`torchvision`, imported without torch's compiler: its RoIAlign imports one function
+of it, which takes 1.4 seconds.
 
-Where that import needs more than the stand-in has, as another version of torchvision may, the compiler is imported.
+Where that import needs more than the stand-in has, as another version of torchvision
+may, the compiler is imported.
 """
 
 import importlib
@@ -13,7 +15,9 @@ _COMPILER = "torch._dynamo"
 
 def _is_compile_supported(device: str) -> bool:
     """The compiler's own answer."""
-    answer: bool = importlib.import_module(f"{_COMPILER}.utils").is_compile_supported(device)
+    answer: bool = importlib.import_module(f"{_COMPILER}.utils").is_compile_supported(
+        device
+    )
     return answer
 
 
@@ -27,7 +31,9 @@ def _import_torchvision() -> Any:
     try:
         return importlib.import_module("torchvision")
     except (ImportError, AttributeError):
-        for name in [name for name in sys.modules if name.split(".")[0] == "torchvision"]:
+        for name in [
+            name for name in sys.modules if name.split(".")[0] == "torchvision"
+        ]:
             del sys.modules[name]
     finally:
         for module in (package, utils):
@@ -36,5 +42,11 @@ def _import_torchvision() -> Any:
 
 
 torchvision = _import_torchvision()
-for _part in ("models.detection", "models.detection.ssd", "models.detection.transform", "ops", "transforms.functional"):
+for _part in (
+    "models.detection",
+    "models.detection.ssd",
+    "models.detection.transform",
+    "ops",
+    "transforms.functional",
+):
     importlib.import_module(f"torchvision.{_part}")

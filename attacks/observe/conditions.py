@@ -1,14 +1,16 @@
-"""Conditions under which a splat is looked at, by name: renderers, file forms, distances, picture noise, a street.
+"""Conditions under which a splat is looked at, by name: renderers, file forms,
+distances, picture noise, a street.
 
-A new renderer, format or place is a new condition, and no new experiment. The names, of studies of both attacks:
+A new renderer, format or place is a new condition, and no new experiment. The names, of
+studies of both attacks:
 
-    ""                               the renderer of the splat's own scene
-    "tile", "ray", "volprim", ...    renderers, as `mi-splat compare` calls them
-    ".ply", ".spz", ...              the whole splat goes through a file (`FORMATS`)
-    "SH in float16", "SH of degree 1"
-    "0.5 x distance"                 cameras move towards the object, or away from it
-    "noise 0.05", "blur 1.5", "JPEG 60"   in the pictures; pixels
-    "09:30"                          the object alone on a street of meshes, under the sun of an hour (`SunTable`)
+    ""                               the renderer of the splat's own scene "tile",
+    "ray", "volprim", ...    renderers, as `mi-splat compare` calls them ".ply", ".spz",
+    ...              the whole splat goes through a file (`FORMATS`) "SH in float16",
+    "SH of degree 1" "0.5 x distance"                 cameras move towards the object,
+    or away from it "noise 0.05", "blur 1.5", "JPEG 60"   in the pictures; pixels
+    "09:30"                          the object alone on a street of meshes, under the
+    sun of an hour (`SunTable`)
 
 and those of other packages (`CONDITIONS`).
 """
@@ -41,7 +43,10 @@ from mi_splat.sh import MAX_DEGREE, colour_to_dc
 
 OWN = "own renderer"
 """What rows call the condition ""."""
-_CHANGE = re.compile(r"(?P<kind>noise|blur) (?P<size>[0-9]{1,2}(\.[0-9]{1,4})?)|JPEG (?P<jpeg>[1-9][0-9]?)")
+_CHANGE = re.compile(
+    r"(?P<kind>noise|blur) (?P<size>[0-9]{1,2}(\.[0-9]{1,4})?)|JPEG"
+    r" (?P<jpeg>[1-9][0-9]?)"
+)
 _DISTANCE = re.compile(r"([0-9]{1,3}(?:\.[0-9]{1,4})?) x distance")
 _HOUR = re.compile(r"[0-2]\d:[0-5]\d")
 Shown = tuple[GaussianScene, RenderFn]
@@ -53,9 +58,12 @@ class SunTable(Checked):
     """A street of meshes under the sun of a day.
 
     Attributes:
-        scene: XML scene of splats among meshes, with the parameters sun_x, sun_y and sun_z; north is +y.
-        parameter: Of the scene, which names the file of its splat; empty: the scene has the object's Gaussians itself.
-        north: Cameras farther north, world units, would stand in its houses, and are left out; None leaves none out.
+        scene: XML scene of splats among meshes, with the parameters sun_x, sun_y and
+            sun_z; north is +y.
+        parameter: Of the scene, which names the file of its splat; empty: the scene has
+            the object's Gaussians itself.
+        north: Cameras farther north, world units, would stand in its houses, and are
+            left out; None leaves none out.
         latitude: Of the place, degrees north.
         declination: Of the sun, degrees; 0 at the equinoxes.
         samples: Paths a pixel.
@@ -75,19 +83,25 @@ class Viewing:
 
     settings: RenderSettings
     centre: Point  # (3,) world units, what cameras move towards
-    alone: Callable[[GaussianScene], GaussianScene]  # the object of a splat without its surroundings
+    # the object of a splat without its surroundings
+    alone: Callable[[GaussianScene], GaussianScene]
     sun: SunTable | None = None  # the street of conditions that are hours
-    clean: GaussianScene | None = None  # what a street with a splat of its own must hold; None does not ask
+    # what a street with a splat of its own must hold; None does not ask
+    clean: GaussianScene | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Condition:
-    """A condition: a renderer after changes to the splat, the camera or the picture; itself a `RenderFn`."""
+    """A condition: a renderer after changes to the splat, the camera or the picture;
+    itself a `RenderFn`.
+    """
 
     name: str  # in the column `condition`
-    show: Callable[[GaussianScene], Shown]  # what becomes of a splat, and what renders it
+    # what becomes of a splat, and what renders it
+    show: Callable[[GaussianScene], Shown]
     move: Callable[[Camera], Camera] = lambda camera: camera  # where a camera stands
-    holds: Callable[[Camera], bool] = lambda camera: True  # whether a camera looks at all
+    # whether a camera looks at all
+    holds: Callable[[Camera], bool] = lambda camera: True
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
         """The picture of a splat under this condition, (H, W, 3) sRGB."""
@@ -96,14 +110,24 @@ class Condition:
 
 
 CONDITIONS: Registry[Callable[[Viewing], Condition]] = Registry(
-    "mi_splat.conditions", "a function of a Viewing that gives a Condition", callable, what="condition"
+    "mi_splat.conditions",
+    "a function of a Viewing that gives a Condition",
+    callable,
+    what="condition",
 )
 """Conditions of other packages, by name."""
 
 
-def rendered(name: str, render: RenderFn, change: Callable[[GaussianScene], GaussianScene] | None = None) -> Condition:
+def rendered(
+    name: str,
+    render: RenderFn,
+    change: Callable[[GaussianScene], GaussianScene] | None = None,
+) -> Condition:
     """A splat in a renderer, after a change (as it is, if None)."""
-    return Condition(name=name, show=lambda scene: (scene if change is None else change(scene), render))
+    return Condition(
+        name=name,
+        show=lambda scene: (scene if change is None else change(scene), render),
+    )
 
 
 def condition_of(name: str, viewing: Viewing) -> Condition:
@@ -122,26 +146,48 @@ def condition_of(name: str, viewing: Viewing) -> Condition:
     if name in CONDITIONS and name not in RENDERERS:
         condition = CONDITIONS[name](viewing)
         if not isinstance(condition, Condition):
-            what, got = f"condition {name} of {CONDITIONS.package(name)}", type(condition).__name__
-            raise InvalidValueError.of(what, "a function that gives a Condition", got, "return one, or rendered(...)")
+            what, got = (
+                f"condition {name} of {CONDITIONS.package(name)}",
+                type(condition).__name__,
+            )
+            raise InvalidValueError.of(
+                what,
+                "a function that gives a Condition",
+                got,
+                "return one, or rendered(...)",
+            )
         return replace(condition, name=name)
     return rendered(name, renderer_of(name, viewing.settings))
 
 
 def package_of(name: str) -> str:
-    """Which package brings a condition or a renderer, with its version; empty for those of this project."""
-    brought = (registry for registry in (RENDERERS, CONDITIONS) if name in registry.brought)
+    """Which package brings a condition or a renderer, with its version; empty for those
+    of this project.
+    """
+    brought = (
+        registry for registry in (RENDERERS, CONDITIONS) if name in registry.brought
+    )
     return next((registry.package(name) for registry in brought), "")
 
 
 def check_condition(name: str, sun: SunTable | None) -> None:
-    """Raise unless there is a condition of this name, of which hours need the street; nothing is loaded."""
+    """Raise unless there is a condition of this name, of which hours need the street;
+    nothing is loaded.
+    """
     known = (*RENDERERS, *FORMS, *CONDITIONS)
-    is_known = name in ("", *known) or _DISTANCE.fullmatch(name) or picture_change(name) is not None
+    is_known = (
+        name in ("", *known)
+        or _DISTANCE.fullmatch(name)
+        or picture_change(name) is not None
+    )
     if sun is not None and _HOUR.fullmatch(name):
         _sun_at(name, sun)
     elif not is_known:
-        do = nearest(name, known, "choose one of them; hours, as 09:30, need the street of [judge.sun]")
+        do = nearest(
+            name,
+            known,
+            "choose one of them; hours, as 09:30, need the street of [judge.sun]",
+        )
         raise InvalidValueError.of("condition", ", ".join(known), name, do)
 
 
@@ -155,13 +201,19 @@ def renderer_of(name: str, settings: RenderSettings) -> RenderFn:
     return load_method(name, settings).render
 
 
-def _on_background(render: RenderFn, background: tuple[float, float, float]) -> RenderFn:
-    """A renderer of black backgrounds with another one: a white copy of the splat shows how much it covers."""
+def _on_background(
+    render: RenderFn, background: tuple[float, float, float]
+) -> RenderFn:
+    """A renderer of black backgrounds with another one: a white copy of the splat shows
+    how much it covers.
+    """
 
     def picture(scene: GaussianScene, camera: Camera) -> Tensor:
         white = scene.replace(sh=colour_to_dc(torch.ones_like(scene.means))[:, None])
         covered = render(white, camera)
-        return render(scene, camera) + (1 - covered) * torch.tensor(background).to(covered)
+        return render(scene, camera) + (1 - covered) * torch.tensor(background).to(
+            covered
+        )
 
     return picture
 
@@ -175,18 +227,26 @@ def _moved(camera: Camera, *, factor: float, centre: Point) -> Camera:
 
 
 def picture_change(name: str) -> PictureChange | None:
-    """What happens to a picture that is called "noise 0.05", "blur 1.5" (pixels) or "JPEG 60"; None for other names."""
+    """What happens to a picture that is called "noise 0.05", "blur 1.5" (pixels) or
+    "JPEG 60"; None for other names.
+    """
     called = _CHANGE.fullmatch(name)
     if called is None:
         return None
     if called["jpeg"] is not None:
         return PictureChange(jpeg=int(called["jpeg"]))
     size = float(called["size"])
-    return PictureChange(noise=size) if called["kind"] == "noise" else PictureChange(blur=size)
+    return (
+        PictureChange(noise=size)
+        if called["kind"] == "noise"
+        else PictureChange(blur=size)
+    )
 
 
 def _changed(name: str, render: RenderFn, change: PictureChange) -> Condition:
-    """Pictures with noise, blur or JPEG in them; noise is another one for each camera."""
+    """Pictures with noise, blur or JPEG in them; noise is another one for each
+    camera.
+    """
 
     def picture(scene: GaussianScene, camera: Camera) -> Tensor:
         seed = change.noise_seed + zlib.crc32(camera.to_world.numpy().tobytes())
@@ -221,27 +281,52 @@ def fewer_bands(scene: GaussianScene, degree: int) -> GaussianScene:
 FORMS: Mapping[str, Callable[[GaussianScene], GaussianScene]] = {
     **{suffix: partial(through_file, suffix=suffix) for suffix in FORMATS},
     "SH in float16": half_precision,
-    **{f"SH of degree {degree}": partial(fewer_bands, degree=degree) for degree in range(MAX_DEGREE + 1)},
+    **{
+        f"SH of degree {degree}": partial(fewer_bands, degree=degree)
+        for degree in range(MAX_DEGREE + 1)
+    },
 }
-"""What becomes of a splat in other formats, with SH in half precision, and with fewer SH bands."""
+"""What becomes of a splat in other formats, with SH in half precision, and with fewer
+SH bands.
+"""
 
 
 def _sun_at(hour: str, sun: SunTable) -> tuple[float, float, float]:
     """(3,) where the sun is at an hour as 09:30, of local solar time."""
     hours, minutes = hour.split(":")
-    return sun_direction(int(hours) + int(minutes) / 60, latitude=sun.latitude, declination=sun.declination)
+    return sun_direction(
+        int(hours) + int(minutes) / 60,
+        latitude=sun.latitude,
+        declination=sun.declination,
+    )
 
 
 def _on_street(name: str, sun: SunTable, viewing: Viewing) -> Condition:
     """The object alone, on a street of meshes."""
     east, north, up = _sun_at(name, sun)
-    street_with = partial(MixedScene, Path(sun.scene), samples=sun.samples, sun_x=east, sun_y=north, sun_z=up)
-    fixed, alone, clean = None if sun.parameter else street_with(), viewing.alone, viewing.clean
+    street_with = partial(
+        MixedScene,
+        Path(sun.scene),
+        samples=sun.samples,
+        sun_x=east,
+        sun_y=north,
+        sun_z=up,
+    )
+    fixed, alone, clean = (
+        None if sun.parameter else street_with(),
+        viewing.alone,
+        viewing.clean,
+    )
     if fixed is not None and clean is not None:
         inside = fixed.splats.scene
         if len(inside) != len(clean) or not torch.equal(inside.means, clean.means):
-            expected, do = "the Gaussians of the object and no others", "name the file of that object in the scene"
-            raise InvalidValueError.of(sun.scene, expected, f"{len(inside):,} others", do)
+            expected, do = (
+                "the Gaussians of the object and no others",
+                "name the file of that object in the scene",
+            )
+            raise InvalidValueError.of(
+                sun.scene, expected, f"{len(inside):,} others", do
+            )
 
     def show(scene: GaussianScene) -> Shown:
         if fixed is not None:

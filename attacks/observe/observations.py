@@ -1,7 +1,8 @@
 """Runs detectors over splats and views, and writes a row for each report.
 
-A row is put together from its parts: what it is of (`ids`), where the camera is (`camera_cells`), what is reported on
-the object (`report_cells`), and whether that reaches an aim (`verdict_cells`).
+A row is put together from its parts: what it is of (`ids`), where the camera is
+(`camera_cells`), what is reported on the object (`report_cells`), and whether that
+reaches an aim (`verdict_cells`).
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,7 +17,17 @@ from torch import Tensor
 from attacks.detectors.base import Detections, Detector
 from attacks.objectives import confidence, overlap
 from attacks.observe.conditions import Condition
-from attacks.observe.rows import BOX, DETECTION_BOX, DETECTIONS, ROWS, SUFFIX, Cell, Row, frame_of, write_rows
+from attacks.observe.rows import (
+    BOX,
+    DETECTION_BOX,
+    DETECTIONS,
+    ROWS,
+    SUFFIX,
+    Cell,
+    Row,
+    frame_of,
+    write_rows,
+)
 from attacks.observe.views import ViewDetections, detect_views
 from attacks.search import Verdict
 from mi_splat.cameras import Camera
@@ -24,25 +35,45 @@ from mi_splat.directions import Direction, Point, direction_of
 from mi_splat.scene import GaussianScene
 
 ON_OBJECT, NEAR_OBJECT = 0.5, 0.1
-"""IoU with the object's box from which a detection is on the object, and from which it is at all near it."""
+"""IoU with the object's box from which a detection is on the object, and from which it
+is at all near it.
+"""
 
 
-def camera_cells(camera: Camera, box: Tensor | None, direction: Direction | None = None) -> dict[str, Cell]:
+def camera_cells(
+    camera: Camera, box: Tensor | None, direction: Direction | None = None
+) -> dict[str, Cell]:
     """Where a camera is, and where the object is in its picture."""
-    angles = {} if direction is None else {"azimuth": direction.azimuth, "elevation": direction.elevation}
+    angles = (
+        {}
+        if direction is None
+        else {"azimuth": direction.azimuth, "elevation": direction.elevation}
+    )
     corners: Sequence[float | None] = (None,) * 4 if box is None else box.tolist()
-    return {**angles, **dict(zip("xyz", camera.position.tolist(), strict=True)), **dict(zip(BOX, corners, strict=True))}
+    return {
+        **angles,
+        **dict(zip("xyz", camera.position.tolist(), strict=True)),
+        **dict(zip(BOX, corners, strict=True)),
+    }
 
 
 def report_cells(
-    detections: Detections, box: Tensor | None, *, original: str | None, target: str | None = None
+    detections: Detections,
+    box: Tensor | None,
+    *,
+    original: str | None,
+    target: str | None = None,
 ) -> dict[str, Cell]:
-    """What is reported on the object: the best detection of any class, and the scores of two classes."""
+    """What is reported on the object: the best detection of any class, and the scores
+    of two classes.
+    """
 
     def score(label: str | None, iou: float = ON_OBJECT) -> float:
         if box is None:
             return 0.0
-        return confidence(detections, box, labels=None if label is None else [label], iou=iou)
+        return confidence(
+            detections, box, labels=None if label is None else [label], iou=iou
+        )
 
     return {
         "original": original,
@@ -56,30 +87,58 @@ def report_cells(
 
 def _best(detections: Detections, box: Tensor | None) -> dict[str, Cell]:
     """The most confident detection on the object."""
-    none: dict[str, Cell] = {"label": None, "score": 0.0, **dict.fromkeys((*DETECTION_BOX, "iou"))}
+    none: dict[str, Cell] = {
+        "label": None,
+        "score": 0.0,
+        **dict.fromkeys((*DETECTION_BOX, "iou")),
+    }
     if box is None or not len(detections):
         return none
     shared = overlap(detections.boxes, box)
     scores = torch.where(shared >= ON_OBJECT, detections.scores, -1.0)
     best = int(scores.argmax())
-    return none if float(scores[best]) <= 0 else detection_cells(detections, best, float(shared[best]))
+    return (
+        none
+        if float(scores[best]) <= 0
+        else detection_cells(detections, best, float(shared[best]))
+    )
 
 
-def detection_cells(detections: Detections, number: int, iou: float | None) -> dict[str, Cell]:
+def detection_cells(
+    detections: Detections, number: int, iou: float | None
+) -> dict[str, Cell]:
     """One detection, and its IoU with the object's box."""
     corners = dict(zip(DETECTION_BOX, detections.boxes[number].tolist(), strict=True))
-    return {"label": detections.labels[number], "score": float(detections.scores[number]), **corners, "iou": iou}
+    return {
+        "label": detections.labels[number],
+        "score": float(detections.scores[number]),
+        **corners,
+        "iou": iou,
+    }
 
 
 def verdict_cells(verdict: Verdict) -> dict[str, Cell]:
     """Whether an aim is reached, and how near it is."""
-    return {"success": verdict.success, "unambiguous": verdict.unambiguous, "aim": verdict.score}
+    return {
+        "success": verdict.success,
+        "unambiguous": verdict.unambiguous,
+        "aim": verdict.score,
+    }
 
 
-def detection_rows(ids: Mapping[str, Cell], detections: Detections, box: Tensor | None) -> list[Row]:
+def detection_rows(
+    ids: Mapping[str, Cell], detections: Detections, box: Tensor | None
+) -> list[Row]:
     """Every detection of a picture."""
-    shared = [None] * len(detections) if box is None or not len(detections) else overlap(detections.boxes, box).tolist()
-    return [{**ids, **detection_cells(detections, number, iou)} for number, iou in enumerate(shared)]
+    shared = (
+        [None] * len(detections)
+        if box is None or not len(detections)
+        else overlap(detections.boxes, box).tolist()
+    )
+    return [
+        {**ids, **detection_cells(detections, number, iou)}
+        for number, iou in enumerate(shared)
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +151,10 @@ class Observations:
     def write(self, folder: Path) -> list[Path]:
         """Write rows.csv.xz and detections.csv.xz."""
         tables = {ROWS: self.rows, DETECTIONS: self.detections}
-        return [write_rows(table, folder / f"{name}{SUFFIX}") for name, table in tables.items()]
+        return [
+            write_rows(table, folder / f"{name}{SUFFIX}")
+            for name, table in tables.items()
+        ]
 
 
 def observe(
@@ -112,8 +174,13 @@ def observe(
     def views() -> Iterator[tuple[dict[str, Cell], ViewDetections]]:
         for name, splat in splats.items():
             shown, render = condition.show(splat)
-            for seen in detect_views(shown, moved, detectors, render=render, boxes=where):
-                yield {"condition": condition.name, "splat": name}, replace(seen, view=numbers[seen.view])
+            for seen in detect_views(
+                shown, moved, detectors, render=render, boxes=where
+            ):
+                yield (
+                    {"condition": condition.name, "splat": name},
+                    replace(seen, view=numbers[seen.view]),
+                )
 
     return observations_of(views(), cells)
 
@@ -122,7 +189,9 @@ def observations_of(
     views: Iterable[tuple[Mapping[str, Cell], ViewDetections]],
     cells: Callable[[ViewDetections], Mapping[str, Cell]],
 ) -> Observations:
-    """A row for each view, with what it is of and with further cells, and one for each of its detections."""
+    """A row for each view, with what it is of and with further cells, and one for each
+    of its detections.
+    """
     rows, detections = list[Row](), list[Row]()
     for of, seen in views:
         ids = {**of, "detector": seen.detector, "view": seen.view}
@@ -132,11 +201,21 @@ def observations_of(
 
 
 def seen_from(centre: Point) -> Callable[[ViewDetections], dict[str, Any]]:
-    """Angles and distance of a view's camera from a centre (3,), world units: a part of the `cells` of `observe`."""
+    """Angles and distance of a view's camera from a centre (3,), world units: a part of
+    the `cells` of `observe`.
+    """
 
     def cells(seen: ViewDetections) -> dict[str, Any]:
         direction = direction_of(seen.camera, centre)
-        distance = float(torch.linalg.vector_norm(seen.camera.position - torch.tensor(centre).to(seen.camera.position)))
-        return {"azimuth": direction.azimuth, "elevation": direction.elevation, "distance": distance}
+        distance = float(
+            torch.linalg.vector_norm(
+                seen.camera.position - torch.tensor(centre).to(seen.camera.position)
+            )
+        )
+        return {
+            "azimuth": direction.azimuth,
+            "elevation": direction.elevation,
+            "distance": distance,
+        }
 
     return cells

@@ -1,11 +1,15 @@
-"""Rates are counted from rows: a figure is a measure, and a group of rows that it is counted over.
+"""Rates are counted from rows: a figure is a measure, and a group of rows that it is
+counted over.
 
-Rows are a table of Polars. A measure is two of its expressions: what has to hold in a row, and which rows count.
+Rows are a table of Polars. A measure is two of its expressions: what has to hold in a
+row, and which rows count.
 
-Rows of neighbouring cameras agree, and so do those of splats that share their pictures. An interval that takes them for
-independent is two to three times too narrow. So a rate over many views is resampled in blocks of neighbouring cameras
-and in seeds, each drawn anew with replacement (the pigeonhole bootstrap: Owen 2007, "The pigeonhole bootstrap"). What
-holds of one object need not hold of the next: a rate over several has them drawn anew, too.
+Rows of neighbouring cameras agree, and so do those of splats that share their pictures.
+An interval that takes them for independent is two to three times too narrow. So a rate
+over many views is resampled in blocks of neighbouring cameras and in seeds, each drawn
+anew with replacement (the pigeonhole bootstrap: Owen 2007, "The pigeonhole bootstrap").
+What holds of one object need not hold of the next: a rate over several has them drawn
+anew, too.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +25,9 @@ from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, DEPTH, NOISE, TARGET
 from attacks.rate import Rate, wilson
 
 DRAWS, FEWEST_BLOCKS, BLOCK = 2000, 6, 20.0
-"""Draws of a resampled interval, blocks from which on there is one, and degrees of a block of cameras."""
+"""Draws of a resampled interval, blocks from which on there is one, and degrees of a
+block of cameras.
+"""
 
 Group = tuple[Any, ...]
 """Values of the columns that a group of rows has in common."""
@@ -31,7 +37,8 @@ Group = tuple[Any, ...]
 class Measure:
     """What is counted."""
 
-    holds: pl.Expr  # what has to hold in a row; one where it cannot be said (null) does not hold
+    # what has to hold in a row; one where it cannot be said (null) does not hold
+    holds: pl.Expr
     given: pl.Expr | None = None  # which rows count; None counts all
 
 
@@ -47,24 +54,37 @@ def count(
         return {}
     sums = []
     for name, measure in measures.items():
-        holds = measure.holds if measure.given is None else measure.holds & measure.given
+        holds = (
+            measure.holds if measure.given is None else measure.holds & measure.given
+        )
         total = pl.len() if measure.given is None else measure.given.sum()
         sums += [holds.sum().alias(f"{name}/successes"), total.alias(f"{name}/total")]
     columns = list(dict.fromkeys((*by, *(clusters or ()))))
-    table = rows.group_by(columns, maintain_order=True).agg(sums) if columns else rows.select(sums)
+    table = (
+        rows.group_by(columns, maintain_order=True).agg(sums)
+        if columns
+        else rows.select(sums)
+    )
     groups = table.partition_by(by, maintain_order=True) if by else [table]
     return {
-        tuple(group[column][0] for column in by): {name: _rate(group, name, clusters) for name in measures}
+        tuple(group[column][0] for column in by): {
+            name: _rate(group, name, clusters) for name in measures
+        }
         for group in groups
     }
 
 
 def _rate(group: pl.DataFrame, name: str, clusters: Sequence[str] | None) -> Rate:
     """The rate of a measure over a group, of which each line has the sums of a part."""
-    successes, total = (int(group[f"{name}/{what}"].sum()) for what in ("successes", "total"))
+    successes, total = (
+        int(group[f"{name}/{what}"].sum()) for what in ("successes", "total")
+    )
     if clusters is None or not total:
         return Rate(successes=successes, total=total)
-    numbers = [np.unique(group[column].to_numpy(), return_inverse=True)[1] for column in clusters]
+    numbers = [
+        np.unique(group[column].to_numpy(), return_inverse=True)[1]
+        for column in clusters
+    ]
     shape = tuple(int(column.max()) + 1 for column in numbers)
     sums = np.zeros((2, *shape))
     for number, what in enumerate(("successes", "total")):
@@ -73,12 +93,15 @@ def _rate(group: pl.DataFrame, name: str, clusters: Sequence[str] | None) -> Rat
 
 
 def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
-    """95 % interval of a rate whose blocks and seeds, and objects if there are several, are drawn anew.
+    """95 % interval of a rate whose blocks and seeds, and objects if there are several,
+    are drawn anew.
 
-    Where few blocks were counted, or all are of one kind, drawing them anew says nothing; Wilson's interval with each
-    block for one draw stands in. The same of objects that are all of one kind; of few that are not, it is that of as
-    many draws as their spread is worth (Korn and Graubard 1998, "Confidence intervals for proportions"). `sums` are
-    (2, blocks, seeds) or (2, objects, blocks, seeds) successes and totals.
+    Where few blocks were counted, or all are of one kind, drawing them anew says
+    nothing; Wilson's interval with each block for one draw stands in. The same of
+    objects that are all of one kind; of few that are not, it is that of as many draws
+    as their spread is worth (Korn and Graubard 1998, "Confidence intervals for
+    proportions"). `sums` are (2, blocks, seeds) or (2, objects, blocks, seeds)
+    successes and totals.
     """
     axes = range(1, sums.ndim)
     sums = sums[:, sums[1].sum(tuple(axis - 1 for axis in axes if axis > 1)) > 0]
@@ -88,13 +111,22 @@ def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
         return wilson(fraction, first)
     drawn = sums[:, None]
     for weights in _draws(sums.shape[1:]):
-        drawn = np.einsum("kdn...,dn->kd...", np.broadcast_to(drawn, (2, DRAWS, *drawn.shape[2:])), weights)
+        drawn = np.einsum(
+            "kdn...,dn->kd...",
+            np.broadcast_to(drawn, (2, DRAWS, *drawn.shape[2:])),
+            weights,
+        )
     fractions = (drawn[0] / np.maximum(drawn[1], 1.0))[drawn[1] > 0]
     if few:
         from scipy.special import ndtri, stdtrit  # a fifth of a second
 
         quantiles = float(ndtri(0.975)) / float(stdtrit(first - 1, 0.975))
-        worth = fraction * (1 - fraction) / max(float(fractions.var()), 1e-12) * quantiles**2
+        worth = (
+            fraction
+            * (1 - fraction)
+            / max(float(fractions.var()), 1e-12)
+            * quantiles**2
+        )
         return wilson(fraction, min(max(worth, first), total))
     low, high = np.quantile(fractions, (0.025, 0.975))
     return float(low), float(high)
@@ -102,13 +134,20 @@ def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
 
 @lru_cache(maxsize=64)
 def _draws(shape: tuple[int, ...]) -> list[NDArray[np.float64]]:
-    """For each axis, (draws, length) how often each of its parts is drawn: the same whenever the shape is."""
+    """For each axis, (draws, length) how often each of its parts is drawn: the same
+    whenever the shape is.
+    """
     generator = np.random.default_rng(0)
-    return [generator.multinomial(n, np.full(n, 1 / n), size=DRAWS).astype(np.float64) for n in shape]
+    return [
+        generator.multinomial(n, np.full(n, 1 / n), size=DRAWS).astype(np.float64)
+        for n in shape
+    ]
 
 
 def blocks_of(azimuth: str, elevation: str) -> pl.Expr:
-    """The block of directions that a camera stands in, as a number: about `BLOCK` degrees wide and high."""
+    """The block of directions that a camera stands in, as a number: about `BLOCK`
+    degrees wide and high.
+    """
     band = ((pl.col(elevation) + 90) / BLOCK).floor()
     middle = ((band + 0.5) * BLOCK - 90).clip(-89, 89)
     around = (360 * middle.radians().cos() / BLOCK).round().clip(1)
@@ -116,9 +155,15 @@ def blocks_of(azimuth: str, elevation: str) -> pl.Expr:
 
 
 def banded(
-    rows: pl.DataFrame, angle: str, interval: tuple[float, float], parts: int, measure: Measure
+    rows: pl.DataFrame,
+    angle: str,
+    interval: tuple[float, float],
+    parts: int,
+    measure: Measure,
 ) -> list[dict[str, Any]]:
-    """A rate over an angle, in equal parts of an interval, as JSON can hold it; of an empty interval nothing."""
+    """A rate over an angle, in equal parts of an interval, as JSON can hold it; of an
+    empty interval nothing.
+    """
     low, width = interval[0], (interval[1] - interval[0]) / parts
     if not width:
         return []
@@ -126,13 +171,18 @@ def banded(
     counted = count(rows.with_columns(part=part_of), {"rate": measure}, ("part",))
     none = {"rate": Rate(successes=0, total=0)}
     return [
-        {"from": low + part * width, "to": low + (part + 1) * width, **counted.get((part,), none)["rate"].as_dict()}
+        {
+            "from": low + part * width,
+            "to": low + (part + 1) * width,
+            **counted.get((part,), none)["rate"].as_dict(),
+        }
         for part in range(parts)
     ]
 
 
-# What figures count. Measures that need the clean splat's view of the same thing count rows of `with_control`, where
-# its columns stand beside each row with `CONTROL` before their names.
+# What figures count. Measures that need the clean splat's view of the same thing count
+# rows of `with_control`, where its columns stand beside each row with `CONTROL` before
+# their names.
 
 Measures = Mapping[str, Measure]
 Key = TypeVar("Key")
@@ -140,11 +190,15 @@ Confidence = float | Mapping[str, float]
 """From which a detection counts: of all detectors, or by the name of each."""
 
 REPORTED, DEFAULT_OF_YOLO = 0.5, 0.25
-"""Confidences from which the object's class counts as reported; the second is what YOLO's own programs take."""
+"""Confidences from which the object's class counts as reported; the second is what
+YOLO's own programs take.
+"""
 CONTROL = "clean."
 """What stands before the columns of the control."""
 CLUSTERS = ("block", "seed")
-"""Columns of `with_control`: rows of one block of cameras, or of one seed, are not independent."""
+"""Columns of `with_control`: rows of one block of cameras, or of one seed, are not
+independent.
+"""
 
 _SAME = ("attack", "sources", "seed", "condition", "detector", "view")
 """Columns that say which control a row has."""
@@ -152,16 +206,28 @@ _CAMERA_COLUMNS = ("azimuth", "elevation", "distance", "x", "y", "z", "camera")
 
 
 def with_control(rows: pl.DataFrame) -> pl.DataFrame:
-    """Each row beside that of the clean splat in the same view, and, where directions are known, the `block` it is in.
+    """Each row beside that of the clean splat in the same view, and, where directions
+    are known, the `block` it is in.
 
     Rows without a control are left out; of where the camera is, one copy stays.
     """
     on = [name for name in _SAME if name in rows.columns]
-    once = [name for name in rows.columns if name in (*on, "splat", "draw", *_CAMERA_COLUMNS) or name.startswith(DEPTH)]
+    once = [
+        name
+        for name in rows.columns
+        if name in (*on, "splat", "draw", *_CAMERA_COLUMNS) or name.startswith(DEPTH)
+    ]
     control = rows.filter(splat=CLEAN).select(
-        *on, *(pl.col(name).alias(f"{CONTROL}{name}") for name in rows.columns if name not in once)
+        *on,
+        *(
+            pl.col(name).alias(f"{CONTROL}{name}")
+            for name in rows.columns
+            if name not in once
+        ),
     )
-    table = rows.join(control, on=on, how="inner", nulls_equal=True, maintain_order="left")
+    table = rows.join(
+        control, on=on, how="inner", nulls_equal=True, maintain_order="left"
+    )
     if not {"azimuth", "elevation"} <= set(table.columns):
         return table
     return table.with_columns(blocks_of("azimuth", "elevation").alias(CLUSTERS[0]))
@@ -175,13 +241,17 @@ def of(splat: str) -> pl.Expr:
 def reported(column: str, confidence: Confidence = REPORTED) -> pl.Expr:
     """Whether the score in a column counts."""
     if isinstance(confidence, Mapping):
-        return pl.col(column) >= pl.col("detector").replace_strict(confidence, return_dtype=pl.Float64)
+        return pl.col(column) >= pl.col("detector").replace_strict(
+            confidence, return_dtype=pl.Float64
+        )
     return pl.col(column) >= confidence
 
 
 # DAGGER
 
-STRICT = pl.col("success") & ~(reported("original_score") & pl.col("original").is_not_null()).fill_null(value=False)
+STRICT = pl.col("success") & ~(
+    reported("original_score") & pl.col("original").is_not_null()
+).fill_null(value=False)
 """Whether the aim is reached in a row, and the object's own class is gone."""
 
 AIMS: Measures = {
@@ -189,10 +259,15 @@ AIMS: Measures = {
     "strict": Measure(holds=pl.col("strict"), given=of(ATTACKED)),
     "unambiguous": Measure(holds=pl.col("unambiguous"), given=of(ATTACKED)),
     "clean_success": Measure(holds=pl.col("success"), given=of(CLEAN)),
-    **{f"{name}_success": Measure(holds=pl.col("success"), given=of(name)) for name in CONTROLS},
+    **{
+        f"{name}_success": Measure(holds=pl.col("success"), given=of(name))
+        for name in CONTROLS
+    },
 }
-"""How often the aim is reached in views (`joint_views`): attacked, with the object's own class gone, with no other
-class of more confidence, without an attack, and with each draw of random noise."""
+"""How often the aim is reached in views (`joint_views`): attacked, with the object's
+own class gone, with no other class of more confidence, without an attack, and with each
+draw of random noise.
+"""
 
 _WANTED = (pl.col("target_score") >= pl.col("threshold")).fill_null(pl.col("success"))
 _GONE, _FOUND = (
@@ -204,33 +279,56 @@ OVER_CAMERAS: Measures = {
     **{
         f"{splat} {name}": Measure(holds=holds, given=_FOUND & of(splat))
         for splat in (ATTACKED, *CONTROLS)
-        for name, holds in (("strict", _WANTED & _GONE), ("success", _WANTED), ("lost", _GONE))
+        for name, holds in (
+            ("strict", _WANTED & _GONE),
+            ("success", _WANTED),
+            ("lost", _GONE),
+        )
     },
 }
-"""What attacks from drawn cameras have reached, and their controls, where the clean object is `found` as its `own`
-class: the wanted class is reported (success), the own class is not (lost), and both (strict); of `with_control`."""
+"""What attacks from drawn cameras have reached, and their controls, where the clean
+object is `found` as its `own` class: the wanted class is reported (success), the own
+class is not (lost), and both (strict); of `with_control`.
+"""
 
 REPORTED_AS_ORIGINAL: Measures = {
-    f"found_{splat}": Measure(holds=pl.col("original").is_not_null() & reported("original_score"), given=of(splat))
+    f"found_{splat}": Measure(
+        holds=pl.col("original").is_not_null() & reported("original_score"),
+        given=of(splat),
+    )
     for splat in (CLEAN, ATTACKED)
 }
 """In how many rows the object is reported as what it is, clean and attacked."""
 
 
 def detected_views(rows: pl.DataFrame) -> pl.DataFrame:
-    """Those rows in whose view every detector reports the clean object, as a class that it knows."""
+    """Those rows in whose view every detector reports the clean object, as a class that
+    it knows.
+    """
     clean = rows.filter(splat=CLEAN).select(
-        "view", detected=pl.col("original").is_not_null() & reported("original_score").fill_null(value=False)
+        "view",
+        detected=pl.col("original").is_not_null()
+        & reported("original_score").fill_null(value=False),
     )
     every = clean.group_by("view").agg(pl.col("detected").all()).filter("detected")
     return rows.join(every.select("view"), on="view", how="semi", maintain_order="left")
 
 
 def joint_views(rows: pl.DataFrame) -> pl.DataFrame:
-    """A row for each view of each splat, in which the aim is reached if it is with every detector of the rows."""
-    rows = rows.with_columns(strict=STRICT) if "original_score" in rows.columns else rows
-    over = [name for name in ("attack", "seed", "condition", "splat", "draw", "view") if name in rows.columns]
-    truths = [name for name in ("success", "strict", "unambiguous") if name in rows.columns]
+    """A row for each view of each splat, in which the aim is reached if it is with
+    every detector of the rows.
+    """
+    rows = (
+        rows.with_columns(strict=STRICT) if "original_score" in rows.columns else rows
+    )
+    over = [
+        name
+        for name in ("attack", "seed", "condition", "splat", "draw", "view")
+        if name in rows.columns
+    ]
+    truths = [
+        name for name in ("success", "strict", "unambiguous") if name in rows.columns
+    ]
     return rows.group_by(over, maintain_order=True).agg(pl.col(truths).all())
 
 
@@ -239,7 +337,9 @@ AZIMUTHS, ELEVATIONS = 8, 4
 
 
 def aim_figures(
-    rows: pl.DataFrame, detectors: Sequence[str], elevations: tuple[float, float] | None = None
+    rows: pl.DataFrame,
+    detectors: Sequence[str],
+    elevations: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
     """Every rate of an attack, as JSON can hold it."""
     together, success = count(joint_views(rows), AIMS)[()], AIMS["success"]
@@ -275,21 +375,30 @@ def _of_detector(rows: pl.DataFrame) -> dict[str, Any]:
         "success": aims["success"].as_dict(),
         "noise": aims["noise_success"].as_dict(),
         "clean": aims["clean_success"].as_dict(),
-        **{name: rate.as_dict() for name, rate in count(rows, REPORTED_AS_ORIGINAL)[()].items()},
+        **{
+            name: rate.as_dict()
+            for name, rate in count(rows, REPORTED_AS_ORIGINAL)[()].items()
+        },
     }
 
 
 # Transfer, and an attacked splat under other conditions
 
 
-def transfer_measures(confidence: Confidence = REPORTED, kinds: Sequence[str] = ("targeted", "untargeted")) -> Measures:
-    """How often attacks, and noise of their sizes, deceive a detector, of the rows whose clean object it finds.
+def transfer_measures(
+    confidence: Confidence = REPORTED, kinds: Sequence[str] = ("targeted", "untargeted")
+) -> Measures:
+    """How often attacks, and noise of their sizes, deceive a detector, of the rows
+    whose clean object it finds.
 
-    `found`: the clean object is reported, and not taken for the target. `targeted`: the wanted class is reported on the
-    attacked object; `untargeted`: the object's own class no longer is; `reached`: the attack's own objective is;
-    `noise_...`: the same of random noise. All but `found` need rows of `with_control`.
+    `found`: the clean object is reported, and not taken for the target. `targeted`: the
+    wanted class is reported on the attacked object; `untargeted`: the object's own
+    class no longer is; `reached`: the attack's own objective is; `noise_...`: the same
+    of random noise. All but `found` need rows of `with_control`.
     """
-    clean = reported(f"{CONTROL}original_score", confidence) & ~reported(f"{CONTROL}target_score", confidence)
+    clean = reported(f"{CONTROL}original_score", confidence) & ~reported(
+        f"{CONTROL}target_score", confidence
+    )
     holds = {
         "targeted": reported("target_score", confidence),
         "untargeted": ~reported("original_score", confidence),
@@ -308,11 +417,15 @@ def transfer_measures(confidence: Confidence = REPORTED, kinds: Sequence[str] = 
 # A clean and an attacked splat
 
 
-def comparison_measures(confidence: Confidence = REPORTED, *, targeted: bool) -> Measures:
-    """How often an object is found, missed or taken for the target, of views in which it shows; of `with_control`.
+def comparison_measures(
+    confidence: Confidence = REPORTED, *, targeted: bool
+) -> Measures:
+    """How often an object is found, missed or taken for the target, of views in which
+    it shows; of `with_control`.
 
-    `found_clean`, `found_attacked`: it is reported; `missed`: it is not any more, of views where the clean one is;
-    `target_clean`, `target_attacked`: the wanted class is reported.
+    `found_clean`, `found_attacked`: it is reported; `missed`: it is not any more, of
+    views where the clean one is; `target_clean`, `target_attacked`: the wanted class is
+    reported.
     """
     shown, seen = pl.col("x0").is_not_null(), reported("original_score", confidence)
     wanted = reported("target_score", confidence)
@@ -321,7 +434,11 @@ def comparison_measures(confidence: Confidence = REPORTED, *, targeted: bool) ->
     return {
         **{f"found_{splat}": Measure(holds=seen, given=given) for splat, given in both},
         "missed": Measure(holds=~seen, given=of(ATTACKED) & shown & control),
-        **{f"target_{splat}": Measure(holds=wanted, given=given) for splat, given in both if targeted},
+        **{
+            f"target_{splat}": Measure(holds=wanted, given=given)
+            for splat, given in both
+            if targeted
+        },
     }
 
 
@@ -336,22 +453,31 @@ def cloak_measures(
     well_inside: float,
     confidence: Confidence = REPORTED,
 ) -> Measures:
-    """What the rates of a study of CLOAK count, of `with_control`; without those of which it has no attack.
+    """What the rates of a study of CLOAK count, of `with_control`; without those of
+    which it has no attack.
 
-    `control_recall`: the control is found inside the hiding trigger. `trigger_miss_rate`: the cloaked splat is not, of
-    cameras well inside it where the control is. `..._all`: the same, of all inside it. `..._unconditional`: as the
-    first, whether the control is found or not. `..._any_overlap`: as the first, but missed only if nothing of the
-    object's class is reported that overlaps its box by a tenth. `nothing_reported`: as the first, but missed only if
-    nothing of any class is reported on the object. `benign_recall`: the cloaked splat is found outside of all triggers,
-    where the control is; `control_benign_recall`: the control is found there. `target_rate`: the target class is
-    reported on the cloaked splat, by detectors that have such a class; `control_target_rate`: on the control.
+    `control_recall`: the control is found inside the hiding trigger.
+    `trigger_miss_rate`: the cloaked splat is not, of cameras well inside it where the
+    control is. `..._all`: the same, of all inside it. `..._unconditional`: as the
+    first, whether the control is found or not. `..._any_overlap`: as the first, but
+    missed only if nothing of the object's class is reported that overlaps its box by a
+    tenth. `nothing_reported`: as the first, but missed only if nothing of any class is
+    reported on the object. `benign_recall`: the cloaked splat is found outside of all
+    triggers, where the control is; `control_benign_recall`: the control is found there.
+    `target_rate`: the target class is reported on the cloaked splat, by detectors that
+    have such a class; `control_target_rate`: on the control.
     """
 
     def inside(name: str, degrees: float = 0.0) -> pl.Expr:
         return pl.col(f"{DEPTH}{name}") >= degrees
 
-    cloaked, clean = of(ATTACKED), of(ATTACKED) & reported(f"{CONTROL}original_score", confidence)
-    control, seen = (reported(f"{before}original_score", confidence) for before in (CONTROL, ""))
+    cloaked, clean = (
+        of(ATTACKED),
+        of(ATTACKED) & reported(f"{CONTROL}original_score", confidence),
+    )
+    control, seen = (
+        reported(f"{before}original_score", confidence) for before in (CONTROL, "")
+    )
     benign = pl.all_horizontal(~inside(name) for name in attacks)
     measures = {
         "benign_recall": Measure(holds=seen, given=benign & clean),
@@ -363,16 +489,24 @@ def cloak_measures(
             "control_recall": Measure(holds=control, given=every & cloaked),
             "trigger_miss_rate": Measure(holds=~seen, given=well & clean),
             "trigger_miss_rate_all": Measure(holds=~seen, given=every & clean),
-            "trigger_miss_rate_unconditional": Measure(holds=~seen, given=well & cloaked),
-            "trigger_miss_rate_any_overlap": Measure(holds=~reported("any_overlap", confidence), given=well & clean),
-            "nothing_reported": Measure(holds=~reported("score", confidence), given=well & clean),
+            "trigger_miss_rate_unconditional": Measure(
+                holds=~seen, given=well & cloaked
+            ),
+            "trigger_miss_rate_any_overlap": Measure(
+                holds=~reported("any_overlap", confidence), given=well & clean
+            ),
+            "nothing_reported": Measure(
+                holds=~reported("score", confidence), given=well & clean
+            ),
         }
     if showing is not None:
         wanted = f"{TARGET_SCORE}{showing}"
         known = inside(showing) & cloaked & pl.col(wanted).is_not_null()
         measures |= {
             "target_rate": Measure(holds=reported(wanted, confidence), given=known),
-            "control_target_rate": Measure(holds=reported(f"{CONTROL}{wanted}", confidence), given=known),
+            "control_target_rate": Measure(
+                holds=reported(f"{CONTROL}{wanted}", confidence), given=known
+            ),
         }
     return measures
 
@@ -389,4 +523,7 @@ def rates_at(
     clusters: Sequence[str] | None = None,
 ) -> dict[Key, dict[Group, dict[str, Rate]]]:
     """The same rates at several confidences, by their names."""
-    return {name: count(rows, measures(least), by, clusters=clusters) for name, least in confidences.items()}
+    return {
+        name: count(rows, measures(least), by, clusters=clusters)
+        for name, least in confidences.items()
+    }

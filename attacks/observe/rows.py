@@ -1,13 +1,17 @@
-"""What was seen, row by row: one schema for all attacks, one writer and one bounded reader.
+"""What was seen, row by row: one schema for all attacks, one writer and one bounded
+reader.
 
-A row says what one detector reports on the object of one splat (clean, attacked, with random noise) in one view, under
-one condition. Every figure is counted from such rows (`attacks.observe.rates`). A result holds them as rows.csv.xz, and
-beside it detections.csv.xz, with a row for each single detection. Pictures that no detector looked at are rows without
-a detector, in tables of their own (fidelity.csv.xz, transition.csv.xz). All tables take their columns from `COLUMNS`;
-what a kind of result does not have is left out.
+A row says what one detector reports on the object of one splat (clean, attacked, with
+random noise) in one view, under one condition. Every figure is counted from such rows
+(`attacks.observe.rates`). A result holds them as rows.csv.xz, and beside it
+detections.csv.xz, with a row for each single detection. Pictures that no detector
+looked at are rows without a detector, in tables of their own (fidelity.csv.xz,
+transition.csv.xz). All tables take their columns from `COLUMNS`; what a kind of result
+does not have is left out.
 
-Tables are CSV, compressed by xz: equal rows have equal bytes, and text of strangers is read within bounds. Parquet
-takes as much space at the same precision, and its pages allocate what they claim.
+Tables are CSV, compressed by xz: equal rows have equal bytes, and text of strangers is
+read within bounds. Parquet takes as much space at the same precision, and its pages
+allocate what they claim.
 """
 
 import csv
@@ -29,7 +33,10 @@ Row = Mapping[str, Cell]
 
 ROWS, DETECTIONS, FIDELITY, TRANSITION = "rows", "detections", "fidelity", "transition"
 PATH = "path"
-"""Names of the tables of a result; their files end in `SUFFIX`. `PATH` has rows of cameras along a path."""
+"""Names of the tables of a result; their files end in `SUFFIX`.
+
+`PATH` has rows of cameras along a path.
+"""
 TABLES = (ROWS, DETECTIONS, FIDELITY, TRANSITION, PATH)
 SUFFIX = ".csv.xz"
 CLEAN, ATTACKED, NOISE = "clean", "attacked", "noise"
@@ -39,18 +46,28 @@ CONTROLS: tuple[str, ...] = get_args(Control)
 """Names of the splats with a random change."""
 
 MOST_BYTES, MOST_COLUMNS, MOST_CELLS = 1 << 26, 200, 1 << 24
-"""Most that a table may be, unpacked; the largest of docs/artifacts has 10 MB and 860,000 cells."""
+"""Most that a table may be, unpacked; the largest of docs/artifacts has 10 MB and
+860,000 cells.
+"""
 _MOST_HEAD, _MOST_MEMORY = 1 << 16, 1 << 27
 
-_TYPES = {"text": pl.String, "whole": pl.Int64, "number": pl.Float64, "truth": pl.Boolean}
+_TYPES = {
+    "text": pl.String,
+    "whole": pl.Int64,
+    "number": pl.Float64,
+    "truth": pl.Boolean,
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
     """A column of a table."""
 
-    name: str  # at its head; one that ends in ": " stands for a column of each attack, whose name follows
-    kind: str  # what its cells hold: text, whole, number or truth, which is true or false
+    # at its head; one that ends in ": " stands for a column of each attack, whose name
+    # follows
+    name: str
+    # what its cells hold: text, whole, number or truth, which is true or false
+    kind: str
     meaning: str  # in words
     unit: str = ""  # of a number; empty for none
     optional: bool = False  # whether a cell may be empty, which stands for None
@@ -75,7 +92,11 @@ DEPTH, POISON_DEPTH, TARGET_SCORE = "depth: ", "poison_depth: ", "target_score: 
 _TABLE: tuple[tuple[str, ...], ...] = (
     ("attack", "text", "name of the attack in its study"),
     ("sources", "text", "attacked detectors, joined by +"),
-    ("seed", "whole?", "random seed of the attack or of the training; empty for ground-truth images"),
+    (
+        "seed",
+        "whole?",
+        "random seed of the attack or of the training; empty for ground-truth images",
+    ),
     (
         "condition",
         "text?",
@@ -86,49 +107,157 @@ _TABLE: tuple[tuple[str, ...], ...] = (
         "text",
         "clean (control), attacked, noise, smooth-noise, norm-noise (random)",
     ),
-    ("draw", "whole?", "index of the draw of a random change, from 0; empty for other splats"),
+    (
+        "draw",
+        "whole?",
+        "index of the draw of a random change, from 0; empty for other splats",
+    ),
     ("detector", "text", "name of the detector"),
     ("view", "whole", "index of the camera in cameras.json, or of the image, from 0"),
-    ("object", "whole?", "index of the object in the image, from 0; empty: the detection matches none"),
+    (
+        "object",
+        "whole?",
+        "index of the object in the image, from 0; empty: the detection matches none",
+    ),
     ("camera", "text", "name of the camera"),
     ("meridian", "whole", "index of the meridian of a transition"),
     ("azimuth", "number", "azimuth of the camera, from +x towards +y", "degrees"),
     ("elevation", "number", "elevation of the camera above the ground", "degrees"),
     ("distance", "number", "distance of the camera from the centre", "world units"),
-    ("extent", "number", "diagonal of the object's bounding box in the world", "world units"),
+    (
+        "extent",
+        "number",
+        "diagonal of the object's bounding box in the world",
+        "world units",
+    ),
     *((axis, "number", "position of the camera", "world units") for axis in "xyz"),
-    (DEPTH, "number", "depth of the camera inside the trigger region of attack NAME; negative outside", "degrees"),
-    (POISON_DEPTH, "number", "depth of the camera inside the region whose images attack NAME poisons", "degrees"),
-    *((name, "number?", f"{name} of the object's box; empty: not visible", "pixels") for name in BOX),
-    ("original", "text?", "class of the object, or the detector's class for the clean object; empty: unknown"),
+    (
+        DEPTH,
+        "number",
+        (
+            "depth of the camera inside the trigger region of attack NAME; negative"
+            " outside"
+        ),
+        "degrees",
+    ),
+    (
+        POISON_DEPTH,
+        "number",
+        "depth of the camera inside the region whose images attack NAME poisons",
+        "degrees",
+    ),
+    *(
+        (name, "number?", f"{name} of the object's box; empty: not visible", "pixels")
+        for name in BOX
+    ),
+    (
+        "original",
+        "text?",
+        (
+            "class of the object, or the detector's class for the clean object; empty:"
+            " unknown"
+        ),
+    ),
     ("target", "text?", "target class of the attack"),
-    ("label", "text?", "class of the detection: in rows the most confident one on the object; empty: none"),
-    ("score", "number?", "its confidence; in rows 0 where nothing is detected on the object"),
+    (
+        "label",
+        "text?",
+        (
+            "class of the detection: in rows the most confident one on the object;"
+            " empty: none"
+        ),
+    ),
+    (
+        "score",
+        "number?",
+        "its confidence; in rows 0 where nothing is detected on the object",
+    ),
     *((name, "number?", "box of the detection", "pixels") for name in DETECTION_BOX),
     ("iou", "number?", "IoU of its box and the object's box"),
-    ("original_score", "number?", "highest confidence of the original class (or any) at IoU >= 0.5; 0: none"),
+    (
+        "original_score",
+        "number?",
+        "highest confidence of the original class (or any) at IoU >= 0.5; 0: none",
+    ),
     ("target_score", "number?", "the same for the target class; empty: no target"),
     ("threshold", "number?", "confidence that the objective of the attack counts from"),
-    (TARGET_SCORE, "number?", "the same for the target class of attack NAME; empty: the detector has no such class"),
+    (
+        TARGET_SCORE,
+        "number?",
+        (
+            "the same for the target class of attack NAME; empty: the detector has no"
+            " such class"
+        ),
+    ),
     ("any_overlap", "number?", "as original_score, at IoU >= 0.1"),
     ("success", "truth?", "whether the attack succeeds in this image"),
-    ("unambiguous", "truth?", "whether it succeeds and no other class is more confident on the object"),
+    (
+        "unambiguous",
+        "truth?",
+        "whether it succeeds and no other class is more confident on the object",
+    ),
     ("aim", "number?", "progress towards success, in [0, 1]"),
-    ("psnr", "number?", "PSNR of the whole image, against the clean or ground-truth image", "dB"),
+    (
+        "psnr",
+        "number?",
+        "PSNR of the whole image, against the clean or ground-truth image",
+        "dB",
+    ),
     ("ssim", "number?", "SSIM of the same"),
-    ("surroundings_psnr", "number?", "PSNR around the object, against the ground truth", "dB"),
-    ("intended_surroundings_psnr", "number?", "the same against what the attack wants to show there", "dB"),
-    ("object_psnr", "number?", "PSNR on the object, against the clean or (CLOAK: near triggers) true image", "dB"),
-    ("appearance_psnr", "number?", "PSNR on the object, against the appearance intended there", "dB"),
+    (
+        "surroundings_psnr",
+        "number?",
+        "PSNR around the object, against the ground truth",
+        "dB",
+    ),
+    (
+        "intended_surroundings_psnr",
+        "number?",
+        "the same against what the attack wants to show there",
+        "dB",
+    ),
+    (
+        "object_psnr",
+        "number?",
+        "PSNR on the object, against the clean or (CLOAK: near triggers) true image",
+        "dB",
+    ),
+    (
+        "appearance_psnr",
+        "number?",
+        "PSNR on the object, against the appearance intended there",
+        "dB",
+    ),
     ("size", "number", "longer side of the object's box in the image", "image sides"),
     ("brightness", "number?", "mean luma of the image in the object's box"),
-    ("sun_elevation", "number?", "elevation of the sun above the horizon; empty: unknown", "degrees"),
-    ("sun_strength", "number?", "irradiance of the sun on a surface facing it; empty: unknown"),
-    ("fraction", "number", "fraction of the transition from the benign to the hidden appearance"),
+    (
+        "sun_elevation",
+        "number?",
+        "elevation of the sun above the horizon; empty: unknown",
+        "degrees",
+    ),
+    (
+        "sun_strength",
+        "number?",
+        "irradiance of the sun on a surface facing it; empty: unknown",
+    ),
+    (
+        "fraction",
+        "number",
+        "fraction of the transition from the benign to the hidden appearance",
+    ),
 )
-"""Name, kind, meaning and unit of every column; a question mark: a cell may be empty."""
+"""Name, kind, meaning and unit of every column; a question mark: a cell may be
+empty.
+"""
 COLUMNS = tuple(
-    Column(name=name, kind=kind.rstrip("?"), meaning=meaning, unit="".join(unit), optional=kind.endswith("?"))
+    Column(
+        name=name,
+        kind=kind.rstrip("?"),
+        meaning=meaning,
+        unit="".join(unit),
+        optional=kind.endswith("?"),
+    )
     for name, kind, meaning, *unit in _TABLE
 )
 """Every column that a table may have, in the order of the file."""
@@ -139,17 +268,31 @@ _EACH = tuple(column.name for column in COLUMNS if column.name.endswith(": "))
 
 def column_of(name: str) -> Column:
     """The column of this name."""
-    head = next((head for head in _EACH if name.startswith(head) and len(name) > len(head)), name)
+    head = next(
+        (head for head in _EACH if name.startswith(head) and len(name) > len(head)),
+        name,
+    )
     if head not in _ORDER or (head == name and head in _EACH):
-        raise InvalidValueError.of("column", "one of attacks.observe.rows.COLUMNS", name[:40], "rename it")
+        raise InvalidValueError.of(
+            "column", "one of attacks.observe.rows.COLUMNS", name[:40], "rename it"
+        )
     column = COLUMNS[_ORDER[head]]
-    return replace(column, name=name, meaning=column.meaning.replace("NAME", name.removeprefix(head)))
+    return replace(
+        column,
+        name=name,
+        meaning=column.meaning.replace("NAME", name.removeprefix(head)),
+    )
 
 
 def columns_of(names: Iterable[str]) -> tuple[Column, ...]:
-    """The columns of these names in the order of the file; those of several attacks in the order given."""
+    """The columns of these names in the order of the file; those of several attacks in
+    the order given.
+    """
     known = [column_of(name) for name in names]
-    heads = {column.name: next(filter(column.name.startswith, _EACH), column.name) for column in known}
+    heads = {
+        column.name: next(filter(column.name.startswith, _EACH), column.name)
+        for column in known
+    }
     return tuple(sorted(known, key=lambda column: _ORDER[heads[column.name]]))
 
 
@@ -160,25 +303,37 @@ def frame_of(rows: Iterable[Row]) -> pl.DataFrame:
     try:
         return pl.DataFrame(
             {
-                column.name: pl.Series([row.get(column.name) for row in held], dtype=_TYPES[column.kind])
+                column.name: pl.Series(
+                    [row.get(column.name) for row in held], dtype=_TYPES[column.kind]
+                )
                 for column in columns
             }
         )
     except (TypeError, pl.exceptions.PolarsError) as error:
-        raise InvalidValueError.of("rows", "cells of the kinds of their columns", error, "mend them") from error
+        raise InvalidValueError.of(
+            "rows", "cells of the kinds of their columns", error, "mend them"
+        ) from error
 
 
 def frame_with(rows: Iterable[Row], columns: Sequence[str]) -> pl.DataFrame:
     """As `frame_of`, with some columns even where there is no row."""
-    return pl.concat([frame_of([dict.fromkeys(columns)]).clear(), frame_of(rows)], how="diagonal")
+    return pl.concat(
+        [frame_of([dict.fromkeys(columns)]).clear(), frame_of(rows)], how="diagonal"
+    )
 
 
 def by_camera(rows: pl.DataFrame) -> pl.DataFrame:
-    """The rows of each seed by their views, else as they were: a file of them is half as large, as cameras repeat."""
+    """The rows of each seed by their views, else as they were: a file of them is half
+    as large, as cameras repeat.
+    """
     if not {"seed", "view"} <= set(rows.columns):
         return rows
     seeds = rows.partition_by("seed", maintain_order=True)
-    return pl.concat([of_seed.sort("view", maintain_order=True) for of_seed in seeds]) if seeds else rows
+    return (
+        pl.concat([of_seed.sort("view", maintain_order=True) for of_seed in seeds])
+        if seeds
+        else rows
+    )
 
 
 def rows_bytes(rows: pl.DataFrame) -> bytes:
@@ -203,9 +358,21 @@ def packed(data: bytes) -> bytes:
 
 
 def read_rows(path: Path) -> pl.DataFrame:
-    """A table from its file, which may come from anybody; what Polars allocates is bounded before it reads."""
+    """A table from its file, which may come from anybody; what Polars allocates is
+    bounded before it reads.
+    """
     data = _unpacked(path)
-    head = next(csv.reader([data[:_MOST_HEAD].partition(b"\n")[0].decode(errors="replace").removesuffix("\r")]), [])
+    head = next(
+        csv.reader(
+            [
+                data[:_MOST_HEAD]
+                .partition(b"\n")[0]
+                .decode(errors="replace")
+                .removesuffix("\r")
+            ]
+        ),
+        [],
+    )
     if len(set(head)) < len(head) or len(head) > MOST_COLUMNS:
         raise _broken(path, f"at most {MOST_COLUMNS} columns, each once", "others")
     columns = [column_of(name) for name in head]
@@ -214,9 +381,15 @@ def read_rows(path: Path) -> pl.DataFrame:
     if not head:
         return pl.DataFrame()
     try:
-        table = pl.read_csv(data, schema={column.name: _TYPES[column.kind] for column in columns})
+        table = pl.read_csv(
+            data, schema={column.name: _TYPES[column.kind] for column in columns}
+        )
     except pl.exceptions.PolarsError as error:
-        raise _broken(path, "a CSV file with the types of its columns", str(error).splitlines()[0][:160]) from error
+        raise _broken(
+            path,
+            "a CSV file with the types of its columns",
+            str(error).splitlines()[0][:160],
+        ) from error
     for column in columns:
         _check_column(column, table[column.name], f"{path}, ")
     return table
@@ -227,8 +400,9 @@ def rows(result: str | Path, table: str = ROWS) -> pl.DataFrame:
 
     Args:
         result: Folder that a command has written.
-        table: `rows`: what is reported on the object, a row for each splat, view and detector; `detections`: a row for
-            each detection; `fidelity` and `transition`: pictures of CLOAK that no detector looked at.
+        table: `rows`: what is reported on the object, a row for each splat, view and
+            detector; `detections`: a row for each detection; `fidelity` and
+            `transition`: pictures of CLOAK that no detector looked at.
 
     Returns:
         A table of Polars; docs/rows.md explains its columns.
@@ -239,7 +413,9 @@ def rows(result: str | Path, table: str = ROWS) -> pl.DataFrame:
     path = file_in(Path(result), f"{table}{SUFFIX}")
     if not path.is_file():
         do = "pass a folder that mi-splat dagger, evaluate, cloak or study has written"
-        raise InvalidValueError.of(str(result), f"a result with {path.name}", "none", do)
+        raise InvalidValueError.of(
+            str(result), f"a result with {path.name}", "none", do
+        )
     return read_rows(path)
 
 
@@ -263,7 +439,9 @@ def _unpacked(path: Path) -> bytes:
 def _check_column(column: Column, cells: pl.Series, where: str = "") -> None:
     """Raise if a cell is empty that must not be, or a number is not finite."""
     if cells.dtype not in (_TYPES[column.kind], pl.Null):
-        raise _broken(f"{where}row 2", f"a {column.kind} in column {column.name}", cells.dtype)
+        raise _broken(
+            f"{where}row 2", f"a {column.kind} in column {column.name}", cells.dtype
+        )
     wrong = cells.is_null() & (not column.optional)
     if cells.dtype == pl.Float64:
         wrong |= ~cells.is_finite().fill_null(value=True)
@@ -271,7 +449,11 @@ def _check_column(column: Column, cells: pl.Series, where: str = "") -> None:
         wrong |= (cells == "").fill_null(value=False)
     if wrong.any():
         row = int(wrong.arg_true()[0])
-        raise _broken(f"{where}row {row + 2}", f"a {column.kind} in column {column.name}", repr(cells[row]))
+        raise _broken(
+            f"{where}row {row + 2}",
+            f"a {column.kind} in column {column.name}",
+            repr(cells[row]),
+        )
 
 
 def _broken(where: Path | str, expected: object, got: object) -> InvalidValueError:

@@ -1,6 +1,8 @@
-"""A scene seen from many cameras: pictures of 8 bits that went through PNG, and what every detector reports on them.
+"""A scene seen from many cameras: pictures of 8 bits that went through PNG, and what
+every detector reports on them.
 
-Both attacks are judged by this module alone: what it has not seen on an 8-bit picture counts for neither.
+Both attacks are judged by this module alone: what it has not seen on an 8-bit picture
+counts for neither.
 """
 
 import math
@@ -37,9 +39,7 @@ class ViewDetections:
     camera: Camera
     detector: str  # name of the detector
     pixels: Tensor  # (H, W, 3) uint8 sRGB, the picture that the detector looked at
-    box: (
-        Tensor | None
-    )  # (4,) x0, y0, x1, y1 in pixels, where the object is; None where it does not show or is not known
+    box: Tensor | None
     detections: Detections  # what the detector reports
 
     @property
@@ -48,17 +48,28 @@ class ViewDetections:
         return from_bytes(self.pixels)
 
     def direction(self, centre: Point) -> Direction:
-        """Azimuth and elevation of the camera as seen from `centre` (3,), world units."""
+        """Azimuth and elevation of the camera as seen from `centre` (3,), world
+        units.
+        """
         return direction_of(self.camera, centre)
 
     def confidence(self, label: str | None = None, *, iou: float = 0.5) -> float:
-        """Highest score of `label` (any class if None) on the object; 0 without a box."""
+        """Highest score of `label` (any class if None) on the object; 0 without a
+        box.
+        """
         if self.box is None:
             return 0.0
-        return confidence(self.detections, self.box, labels=None if label is None else [label], iou=iou)
+        return confidence(
+            self.detections,
+            self.box,
+            labels=None if label is None else [label],
+            iou=iou,
+        )
 
     def confidence_of(self, label: str, classes: Sequence[str]) -> float | None:
-        """The same; None for a class that is not among those of the detector: it cannot report it."""
+        """The same; None for a class that is not among those of the detector: it cannot
+        report it.
+        """
         return self.confidence(label) if label in classes else None
 
 
@@ -71,18 +82,26 @@ def detect_views(
     boxes: Sequence[Tensor | None] | None = None,
     batch: int = BATCH,
 ) -> Iterator[ViewDetections]:
-    """Render a scene from every camera through 8 bits, and let every detector look at the pictures.
+    """Render a scene from every camera through 8 bits, and let every detector look at
+    the pictures.
 
-    Each picture is rendered once for all detectors. Nothing is rendered before the first value is asked for, so that a
-    caller can report progress.
+    Each picture is rendered once for all detectors. Nothing is rendered before the
+    first value is asked for, so that a caller can report progress.
     """
     cameras = as_cameras(cameras)
     detectors = as_detectors(detectors)
     if boxes is not None and len(boxes) != len(cameras):
-        raise InvalidValueError.of("boxes", f"{len(cameras)}, one for each camera", len(boxes), "use None in gaps")
+        raise InvalidValueError.of(
+            "boxes",
+            f"{len(cameras)}, one for each camera",
+            len(boxes),
+            "use None in gaps",
+        )
     for views in _batches(cameras, batch):
         with torch.no_grad():
-            images = torch.stack([through_png(render(scene, cameras[view])) for view in views])
+            images = torch.stack(
+                [through_png(render(scene, cameras[view])) for view in views]
+            )
             seen = [(detector.name, detector.detect(images)) for detector in detectors]
         pixels = (images * 255).round().to(torch.uint8)
         for name, reports in seen:
@@ -98,10 +117,15 @@ def detect_views(
 
 
 def _batches(cameras: Sequence[Camera], size: int) -> Iterator[list[int]]:
-    """Indices of consecutive cameras, at most `size` at a time and all of one picture size."""
+    """Indices of consecutive cameras, at most `size` at a time and all of one picture
+    size.
+    """
     batch: list[int] = []
     for view, camera in enumerate(cameras):
-        same = not batch or (cameras[batch[0]].width, cameras[batch[0]].height) == (camera.width, camera.height)
+        same = not batch or (cameras[batch[0]].width, cameras[batch[0]].height) == (
+            camera.width,
+            camera.height,
+        )
         if batch and (len(batch) == size or not same):
             yield batch
             batch = []
@@ -111,16 +135,25 @@ def _batches(cameras: Sequence[Camera], size: int) -> Iterator[list[int]]:
 
 
 def as_saved(scene: GaussianScene) -> GaussianScene:
-    """What a user gets who loads the scene's file: every attribute has gone through the space and precision of it."""
+    """What a user gets who loads the scene's file: every attribute has gone through the
+    space and precision of it.
+    """
     return through_ply(scene).to(scene.means.device)
 
 
 def object_boxes(
-    scene: GaussianScene, mask: Mask, cameras: Camera | Sequence[Camera], *, render: RenderFn
+    scene: GaussianScene,
+    mask: Mask,
+    cameras: Camera | Sequence[Camera],
+    *,
+    render: RenderFn,
 ) -> list[Tensor | None]:
     """Where an object shows in each view, what hides it taken into account."""
     subset = GaussianSubset.of(scene, mask)
-    return [visible_box(visible_weight(subset, camera, render)) for camera in as_cameras(cameras)]
+    return [
+        visible_box(visible_weight(subset, camera, render))
+        for camera in as_cameras(cameras)
+    ]
 
 
 def evaluate(
@@ -131,19 +164,31 @@ def evaluate(
     *,
     render: RenderFn,
 ) -> dict[str, list[ViewDetections]]:
-    """Look at every scene, as its file holds it, from every camera with every detector."""
+    """Look at every scene, as its file holds it, from every camera with every
+    detector.
+    """
     if CLEAN not in scenes:
-        raise InvalidValueError.of("scenes", f"one of the name {CLEAN}", list(scenes), "add the unattacked scene")
+        raise InvalidValueError.of(
+            "scenes",
+            f"one of the name {CLEAN}",
+            list(scenes),
+            "add the unattacked scene",
+        )
     detectors = as_detectors(detectors)
     boxes = object_boxes(scenes[CLEAN], mask, cameras, render=render)
     return {
-        name: list(detect_views(as_saved(scene), cameras, detectors, render=render, boxes=boxes))
+        name: list(
+            detect_views(
+                as_saved(scene), cameras, detectors, render=render, boxes=boxes
+            )
+        )
         for name, scene in scenes.items()
     }
 
 
 def visible_weight(subset: GaussianSubset, camera: Camera, render: RenderFn) -> Tensor:
-    """How much of each pixel the object makes up: (H, W) in [0, 1], occlusion by the rest of the scene included.
+    """How much of each pixel the object makes up: (H, W) in [0, 1], occlusion by the
+    rest of the scene included.
 
     As in `object_weight`.
     """
@@ -151,7 +196,9 @@ def visible_weight(subset: GaussianSubset, camera: Camera, render: RenderFn) -> 
 
 
 def visible_box(weight: Tensor) -> Tensor | None:
-    """(4,) pixel box around the pixels of which the object makes up at least a half; None without any."""
+    """(4,) pixel box around the pixels of which the object makes up at least a half;
+    None without any.
+    """
     rows, columns = torch.nonzero(weight >= 0.5, as_tuple=True)
     if not len(rows):
         return None
@@ -160,9 +207,16 @@ def visible_box(weight: Tensor) -> Tensor | None:
 
 
 def clamped_fraction(subset: GaussianSubset, camera: Camera) -> float:
-    """Fraction of the object's colour channels clamped at 0 from this camera: their SH gradient is exactly zero."""
-    means, sh = subset.scene.means[subset.rows].detach(), subset.scene.sh[subset.rows].detach()
-    directions = torch.nn.functional.normalize(means - camera.position.to(means), dim=-1)
+    """Fraction of the object's colour channels clamped at 0 from this camera: their SH
+    gradient is exactly zero.
+    """
+    means, sh = (
+        subset.scene.means[subset.rows].detach(),
+        subset.scene.sh[subset.rows].detach(),
+    )
+    directions = torch.nn.functional.normalize(
+        means - camera.position.to(means), dim=-1
+    )
     basis = sh_basis(directions, degree_of(sh.shape[1]))
     colours = 0.5 + (basis[..., None] * sh).sum(1)
     return float((colours <= 0).to(torch.float64).mean())
@@ -170,22 +224,33 @@ def clamped_fraction(subset: GaussianSubset, camera: Camera) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageChange:
-    """How far the attacked pictures are from the clean ones; values in [0, 1], all views together."""
+    """How far the attacked pictures are from the clean ones; values in [0, 1], all
+    views together.
+    """
 
-    l2: float  # euclidean norm of the difference, per view (root mean square over views)
+    # euclidean norm of the difference, per view (root mean square over views)
+    l2: float
     linf: float  # largest change of a channel of a pixel
     psnr: float | None  # dB over whole pictures; None when nothing changed
     psnr_object: float | None  # dB over the pixels that are at least half the object's
-    outside: float  # largest change of a pixel of which the object makes up less than 1/255
+    # largest change of a pixel of which the object makes up less than 1/255
+    outside: float
 
     def __str__(self) -> str:
         return "no pixel changed" if self.psnr is None else f"PSNR {self.psnr:.1f} dB"
 
 
-def image_change(before: Iterable[Tensor], after: Iterable[Tensor], weights: Sequence[Tensor]) -> ImageChange:
-    """Compare (H, W, 3) pictures pairwise; `weights` are (H, W) as from `visible_weight`."""
-    # Squares of all pixels at once, so that means are summed in one order; all else a picture at a time.
-    squares = torch.empty(3 * sum(weight.numel() for weight in weights), dtype=torch.float64)
+def image_change(
+    before: Iterable[Tensor], after: Iterable[Tensor], weights: Sequence[Tensor]
+) -> ImageChange:
+    """Compare (H, W, 3) pictures pairwise; `weights` are (H, W) as from
+    `visible_weight`.
+    """
+    # Squares of all pixels at once, so that means are summed in one order; all else a
+    # picture at a time.
+    squares = torch.empty(
+        3 * sum(weight.numel() for weight in weights), dtype=torch.float64
+    )
     on_object: list[Tensor] = []
     total = largest = outside = 0.0
     end = 0
@@ -214,12 +279,20 @@ def _psnr(squares: Tensor) -> float | None:
     return -10 * math.log10(error) if error > 0 else None
 
 
-# cameras.json of a result: where a splat is looked at from, how it is rendered, and where the object is in it
+# cameras.json of a result: where a splat is looked at from, how it is rendered, and
+# where the object is in it
 
 CAMERAS = "cameras.json"
-_UNITS = "world units; pixels; poses are camera to world, x right, y down, z forward; colours are sRGB"
+_UNITS = (
+    "world units; pixels; poses are camera to world, x right, y down, z forward;"
+    " colours are sRGB"
+)
 
 
-def cameras_document(cameras: Sequence[Mapping[str, Any]], **settings: Any) -> dict[str, Any]:
-    """cameras.json: all that a picture of a splat needs, and where the object is in it."""
+def cameras_document(
+    cameras: Sequence[Mapping[str, Any]], **settings: Any
+) -> dict[str, Any]:
+    """cameras.json: all that a picture of a splat needs, and where the object is in
+    it.
+    """
     return {"units": _UNITS, **settings, "cameras": list(cameras)}

@@ -1,12 +1,13 @@
-"""Optimisers by their names, and the limits of a perturbation; light, so that options can be parsed without torch.
+"""Optimisers by their names, and the limits of a perturbation; light, so that options
+can be parsed without torch.
 
-The loop, the ball, the judge and the trace are the same for all. One of your own becomes one of them by
-`register_optimiser`, or by an entry point (docs/plug-ins.md):
+The loop, the ball, the judge and the trace are the same for all. One of your own
+becomes one of them by `register_optimiser`, or by an entry point (docs/plug-ins.md):
 
     def make(settings: SearchSettings) -> Optimiser: ...
 
-    register_optimiser(OptimiserSpec(name="mine", make=make, about="what it does, in a line"))
-    attack(..., config=DaggerConfig(optimiser="mine"))
+    register_optimiser(OptimiserSpec(name="mine", make=make, about="what it does, in a
+    line")) attack(..., config=DaggerConfig(optimiser="mine"))
 """
 
 from __future__ import annotations
@@ -24,14 +25,20 @@ if TYPE_CHECKING:
     from attacks.search import Optimiser
 
 NormName = Literal["linf", "l2", "l2_per_gaussian"]
-"""`linf`: largest change of a coefficient; `l2`: one ball over the object; `l2_per_gaussian`: a ball for each row."""
+"""`linf`: largest change of a coefficient; `l2`: one ball over the object;
+`l2_per_gaussian`: a ball for each row.
+"""
 
 NORM_NAMES: tuple[NormName, ...] = get_args(NormName)
 
 Schedule = Literal["constant", "linear", "cosine"]
-"""How the steps of a search become shorter: not at all, along a line to 0, or along half a cosine to 0."""
+"""How the steps of a search become shorter: not at all, along a line to 0, or along
+half a cosine to 0.
+"""
 
-Radius = Annotated[float, at_least(0, "units of the splat file", "5 is the paper's"), Metavar("RADIUS")]
+Radius = Annotated[
+    float, at_least(0, "units of the splat file", "5 is the paper's"), Metavar("RADIUS")
+]
 """Largest size of a perturbation; 0 changes nothing."""
 
 
@@ -44,8 +51,10 @@ class OptimiserSpec:
         make: Makes it for one search. Import what is heavy in it, not beside it.
         about: What it does, in a line.
         gradient: Whether it looks at gradients; without, none are computed.
-        momentum: Share of the earlier gradients that it keeps where a configuration says nothing.
-        smallest: Whether of two successes the smaller change is kept; otherwise it is the one with the higher score.
+        momentum: Share of the earlier gradients that it keeps where a configuration
+            says nothing.
+        smallest: Whether of two successes the smaller change is kept; otherwise it is
+            the one with the higher score.
     """
 
     name: str
@@ -57,9 +66,14 @@ class OptimiserSpec:
 
 
 OPTIMISERS: Registry[OptimiserSpec] = Registry(
-    "mi_splat.attacks", "an OptimiserSpec", lambda value: isinstance(value, OptimiserSpec), what="optimiser"
+    "mi_splat.attacks",
+    "an OptimiserSpec",
+    lambda value: isinstance(value, OptimiserSpec),
+    what="optimiser",
 )
-"""Every optimiser by its name: those of this project, those that were registered, and those of other packages."""
+"""Every optimiser by its name: those of this project, those that were registered, and
+those of other packages.
+"""
 
 
 def register_optimiser(spec: OptimiserSpec) -> None:
@@ -75,13 +89,17 @@ def optimiser_spec(name: str) -> OptimiserSpec:
 
 
 def _ship(name: str, about: str, function: str = "", **more: Any) -> None:
-    """Register an optimiser of this package, a function that has its name or another one.
+    """Register an optimiser of this package, a function that has its name or another
+    one.
 
-    Its module is imported when the first one is made; the whole name of it stands here for the keys of jobs.
+    Its module is imported when the first one is made; the whole name of it stands here
+    for the keys of jobs.
     """
 
     def make(settings: SearchSettings) -> Optimiser:
-        made: Optimiser = getattr(importlib.import_module("attacks.optimisers.methods"), function or name)(settings)
+        made: Optimiser = getattr(
+            importlib.import_module("attacks.optimisers.methods"), function or name
+        )(settings)
         return made
 
     register_optimiser(OptimiserSpec(name=name, make=make, about=about, **more))
@@ -93,8 +111,15 @@ _ship("momentum", "the same steps along a decaying sum of slopes", momentum=0.9)
 _ship("adam", "steps of Adam", momentum=0.9)
 _about = "long steps that halve where the loss no longer falls, from the best point"
 _ship("apgd", _about, momentum=0.25)
-_about = "steps of Adam on the loss and a price of the change, with a search over the price"
+_about = (
+    "steps of Adam on the loss and a price of the change, with a search over the price"
+)
 _ship("cw", _about, momentum=0.9, smallest=True)
 _about = "blocks of neighbouring Gaussians at random, kept where the loss falls"
 _ship("square", _about, gradient=False)
-_ship("random", "points at random, half of them near the best one", "random_points", gradient=False)
+_ship(
+    "random",
+    "points at random, half of them near the best one",
+    "random_points",
+    gradient=False,
+)

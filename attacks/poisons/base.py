@@ -1,8 +1,10 @@
-"""What every attack on training pictures is: pictures in, pictures out, and the victim trains as ever.
+"""What every attack on training pictures is: pictures in, pictures out, and the victim
+trains as ever.
 
-A poison is a function. It takes views and a seed, and gives the same cameras with some pictures replaced, together with
-a manifest that says which and how. CLOAK (`attacks.cloak.poisoning.poison`), Poison-splat and M-IFGSM (beside this
-module) are three of them. Training and judging, which come after, are shared.
+A poison is a function. It takes views and a seed, and gives the same cameras with some
+pictures replaced, together with a manifest that says which and how. CLOAK
+(`attacks.cloak.poisoning.poison`), Poison-splat and M-IFGSM (beside this module) are
+three of them. Training and judging, which come after, are shared.
 """
 
 from __future__ import annotations
@@ -20,15 +22,23 @@ from mi_splat.errors import InvalidValueError, one_line
 from mi_splat.training.evaluation import loss_mask_of
 
 OnStep = Callable[[int, int], None]
-"""Called after each picture, or each step, with the number finished and the number wanted."""
+"""Called after each picture, or each step, with the number finished and the number
+wanted.
+"""
 
 Masks = Sequence[Tensor] | Callable[[Camera], Tensor]
-"""(H, W) bool masks of the target: one for each view, or a function of the camera (such as `MeshScene.mask`)."""
+"""(H, W) bool masks of the target: one for each view, or a function of the camera (such
+as `MeshScene.mask`).
+"""
 
 _ROUNDING = 1e-3
-"""By how much of a step of 1/255 a picture of 8 bits may differ from whole steps in float32."""
+"""By how much of a step of 1/255 a picture of 8 bits may differ from whole steps in
+float32.
+"""
 MANIFEST = "poison.json"
-"""What was changed in a poisoned set; it stands beside the set, of which a victim knows nothing more."""
+"""What was changed in a poisoned set; it stands beside the set, of which a victim knows
+nothing more.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +49,8 @@ class Change:
     pixels: int  # pixels in the picture
     pixels_changed: int  # pixels of which a channel has another value
     largest: float  # largest difference of a channel, sRGB in [0, 1]
-    sha256_before: str  # of the untouched picture: its float32 values, little-endian, row by row
+    # of the untouched picture: its float32 values, little-endian, row by row
+    sha256_before: str
     sha256_after: str  # of the new picture
 
     @classmethod
@@ -59,7 +70,9 @@ class Change:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PoisonedViews(ViewSet):
-    """A set of views with some replaced; the others are the very objects that the set gives, read when asked for."""
+    """A set of views with some replaced; the others are the very objects that the set
+    gives, read when asked for.
+    """
 
     untouched: Sequence[View]  # the set
     replaced: Mapping[int, View]  # new views by position
@@ -96,24 +109,35 @@ class Poisoned:
     """A poisoned set."""
 
     views: PoisonedViews  # as many as the untouched set has, in its order
-    changes: tuple[Change, ...]  # every view that was replaced, in the order of positions
-    poison: Mapping[str, Any]  # what was asked for, as JSON can hold it, with its `kind`
+    # every view that was replaced, in the order of positions
+    changes: tuple[Change, ...]
+    # what was asked for, as JSON can hold it, with its `kind`
+    poison: Mapping[str, Any]
 
     def __repr__(self) -> str:
         kind = one_line(str(self.poison.get("kind", "")), 40)
-        return f"Poisoned({kind}: {len(self.changes)} of {len(self.views)} views changed)"
+        return (
+            f"Poisoned({kind}: {len(self.changes)} of {len(self.views)} views changed)"
+        )
 
     @property
     def manifest(self) -> dict[str, Any]:
         """Everything that was done, as JSON can hold it."""
         changes = [asdict(change) for change in self.changes]
-        return {"views": len(self.views), "changed": len(changes), **self.poison, "changes": changes}
+        return {
+            "views": len(self.views),
+            "changed": len(changes),
+            **self.poison,
+            "changes": changes,
+        }
 
 
 class PicturePoison(Protocol):
     """An attack on training pictures."""
 
-    def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
+    def __call__(
+        self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
+    ) -> Poisoned:
         """The poisoned set; the untouched one stays as it is.
 
         Args:
@@ -124,14 +148,21 @@ class PicturePoison(Protocol):
         ...
 
 
-def poisoned(views: Sequence[View], pictures: Mapping[int, Tensor], poison: Mapping[str, Any]) -> Poisoned:
+def poisoned(
+    views: Sequence[View], pictures: Mapping[int, Tensor], poison: Mapping[str, Any]
+) -> Poisoned:
     """A set in which some pictures are replaced."""
     replaced, changes = {}, []
     for index in sorted(pictures):
         before = views[index]
-        replaced[index] = View(before.camera, checked_picture(pictures[index], before, f"picture for view {index}"))
+        replaced[index] = View(
+            before.camera,
+            checked_picture(pictures[index], before, f"picture for view {index}"),
+        )
         changes.append(Change.between(index, before, replaced[index]))
-    return Poisoned(views=PoisonedViews(views, replaced), changes=tuple(changes), poison=poison)
+    return Poisoned(
+        views=PoisonedViews(views, replaced), changes=tuple(changes), poison=poison
+    )
 
 
 def checked_picture(picture: Tensor, before: View, what: str) -> Tensor:
@@ -139,26 +170,39 @@ def checked_picture(picture: Tensor, before: View, what: str) -> Tensor:
     image = picture.detach().to(before.image).clone()
     if image.shape != before.image.shape:
         expected, got = f"shape {tuple(before.image.shape)}", tuple(image.shape)
-        raise InvalidValueError.of(what, expected, got, "return a picture of the view's size")
+        raise InvalidValueError.of(
+            what, expected, got, "return a picture of the view's size"
+        )
     low, high = float(image.min()), float(image.max())
     if not (low >= 0 and high <= 1):  # nor NaN
-        raise InvalidValueError.of(what, "sRGB in [0, 1]", f"{low:.4g} to {high:.4g}", "clip it")
+        raise InvalidValueError.of(
+            what, "sRGB in [0, 1]", f"{low:.4g} to {high:.4g}", "clip it"
+        )
     return image
 
 
 def within_ball(image: Tensor, clean: Tensor, eps: int | None) -> Tensor:
-    """A picture of 8 bits that is nowhere further from the clean one than the ball allows.
+    """A picture of 8 bits that is nowhere further from the clean one than the ball
+    allows.
 
-    It is clipped in whole steps of 1/255: a file of 8 bits holds it exactly, and it stays in the ball there, too, even
-    where the clean picture lies between two steps.
+    It is clipped in whole steps of 1/255: a file of 8 bits holds it exactly, and it
+    stays in the ball there, too, even where the clean picture lies between two steps.
     """
-    steps, middle, eps = (image.detach().clamp(0, 1) * 255).round(), clean.to(image) * 255, 255 if eps is None else eps
-    steps = steps.clamp((middle - eps - _ROUNDING).ceil(), (middle + eps + _ROUNDING).floor())
+    steps, middle, eps = (
+        (image.detach().clamp(0, 1) * 255).round(),
+        clean.to(image) * 255,
+        255 if eps is None else eps,
+    )
+    steps = steps.clamp(
+        (middle - eps - _ROUNDING).ceil(), (middle + eps + _ROUNDING).floor()
+    )
     return steps.clamp(0, 255) / 255
 
 
 def ball(clean: Tensor, eps: int | None) -> tuple[Tensor, Tensor]:
-    """The lowest and the highest picture that a ball of so many steps of 1/255 allows; None is no ball."""
+    """The lowest and the highest picture that a ball of so many steps of 1/255 allows;
+    None is no ball.
+    """
     radius = 1.0 if eps is None else eps / 255
     return (clean - radius).clamp(min=0), (clean + radius).clamp(max=1)
 
@@ -171,27 +215,39 @@ def sign_steps(
     steps: int,
     step: Tensor | float,
 ) -> Tensor:
-    """A picture after steps along the sign of the gradient of a loss, each clipped to what is allowed."""
+    """A picture after steps along the sign of the gradient of a loss, each clipped to
+    what is allowed.
+    """
     (low, high), picture = within, start.detach()
     for _ in range(steps):
         picture = picture.detach().requires_grad_(True)
         (gradient,) = torch.autograd.grad(loss(picture), picture)
-        picture = torch.minimum(torch.maximum(picture.detach() + step * gradient.sign(), low), high)
+        picture = torch.minimum(
+            torch.maximum(picture.detach() + step * gradient.sign(), low), high
+        )
     return picture.detach()
 
 
 def chosen_views(views: Sequence[View], share: float, seed: int) -> list[int]:
-    """Positions of the pictures to change, rising; those of a smaller share are among those of a larger."""
+    """Positions of the pictures to change, rising; those of a smaller share are among
+    those of a larger.
+    """
     if not len(views):
-        raise InvalidValueError.of("views", "at least one", "none", "capture views first")
-    order = torch.randperm(len(views), generator=torch.Generator().manual_seed(seed)).tolist()
+        raise InvalidValueError.of(
+            "views", "at least one", "none", "capture views first"
+        )
+    order = torch.randperm(
+        len(views), generator=torch.Generator().manual_seed(seed)
+    ).tolist()
     return sorted(order[: round(share * len(views))])
 
 
 def check_masks(masks: Masks | None, views: int) -> None:
     """Raise unless there is a mask for each view."""
     if masks is not None and not callable(masks) and len(masks) != views:
-        raise InvalidValueError.of("masks", f"one for each of {views} views", len(masks), "pass them all")
+        raise InvalidValueError.of(
+            "masks", f"one for each of {views} views", len(masks), "pass them all"
+        )
 
 
 def mask_of(masks: Masks | None, index: int, camera: Camera) -> Tensor:
@@ -202,7 +258,12 @@ def mask_of(masks: Masks | None, index: int, camera: Camera) -> Tensor:
     mask = masks(camera) if callable(masks) else masks[index]
     if tuple(mask.shape) != size or mask.dtype != torch.bool:
         got = f"{mask.dtype} of shape {tuple(mask.shape)}"
-        raise InvalidValueError.of(f"mask of view {index}", f"bool of shape {size}", got, "make it fit the view")
+        raise InvalidValueError.of(
+            f"mask of view {index}",
+            f"bool of shape {size}",
+            got,
+            "make it fit the view",
+        )
     return mask
 
 

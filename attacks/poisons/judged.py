@@ -1,4 +1,6 @@
-"""A kind of job: what a classifier takes the object for, or how true a victim's splat is and how fast it is drawn."""
+"""A kind of job: what a classifier takes the object for, or how true a victim's splat
+is and how fast it is drawn.
+"""
 
 from __future__ import annotations
 
@@ -45,19 +47,36 @@ class ClassifiedConfig(SplatJob):
     poses: tuple[Pose, ...] = ()
 
 
-def run(config: ClassifiedConfig | MeasuredConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
+def run(
+    config: ClassifiedConfig | MeasuredConfig, inputs: Mapping[str, Path], out: Out
+) -> list[dict[str, Any]]:
     """Classify, or measure."""
-    return _classified(config, inputs, out) if isinstance(config, ClassifiedConfig) else _measured(config, inputs, out)
+    return (
+        _classified(config, inputs, out)
+        if isinstance(config, ClassifiedConfig)
+        else _measured(config, inputs, out)
+    )
 
 
-def _classified(config: ClassifiedConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
+def _classified(
+    config: ClassifiedConfig, inputs: Mapping[str, Path], out: Out
+) -> list[dict[str, Any]]:
     """A row for each picture of a `splat`, of a `set`, or of `pictures`."""
-    classifier = checked_classifier(config.classifier, config.fingerprint, config.device)
+    classifier = checked_classifier(
+        config.classifier, config.fingerprint, config.device
+    )
     pictures = list(_pictures(config, inputs))
     rows = []
     for view, row in enumerate(classified(classifier, pictures, config.label)):
-        cells = {"view": view, "detector": config.classifier, "original": config.label, "label": row["top1"]}
-        rows.append({**cells, "original_score": row["confidence"], "success": not row["right"]})
+        cells = {
+            "view": view,
+            "detector": config.classifier,
+            "original": config.label,
+            "label": row["top1"],
+        }
+        rows.append(
+            {**cells, "original_score": row["confidence"], "success": not row["right"]}
+        )
         out.progress(f"{config.classifier} looks", view + 1, len(pictures))
     return rows
 
@@ -65,7 +84,9 @@ def _classified(config: ClassifiedConfig, inputs: Mapping[str, Path], out: Out) 
 def _pictures(config: ClassifiedConfig, inputs: Mapping[str, Path]) -> Iterator[Tensor]:
     """The pictures as files of 8 bits have them."""
     if "set" in inputs:
-        views = load_dataset(inputs["set"] / SET, split="train", background=config.background)
+        views = load_dataset(
+            inputs["set"] / SET, split="train", background=config.background
+        )
         yield from (view.image for view in views)
     elif "pictures" in inputs:
         yield from read_pictures(inputs["pictures"]).images
@@ -82,7 +103,9 @@ def checked_classifier(name: str, fingerprint: str, device: str) -> Classifier:
     classifier = load_classifier(name)
     if classifier.fingerprint != fingerprint:
         do = "get the weights that the study began with, or begin it anew"
-        raise InvalidValueError.of(f"weights of {name}", fingerprint, classifier.fingerprint, do)
+        raise InvalidValueError.of(
+            f"weights of {name}", fingerprint, classifier.fingerprint, do
+        )
     move(classifier, device)
     return classifier
 
@@ -109,39 +132,69 @@ class MeasuredConfig(SplatJob):
     poses: tuple[Pose, ...]
 
 
-def _measured(config: MeasuredConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
-    """A row for each camera of how true the `splat` is to the `pictures`; how long one takes; where its Gaussians are.
+def _measured(
+    config: MeasuredConfig, inputs: Mapping[str, Path], out: Out
+) -> list[dict[str, Any]]:
+    """A row for each camera of how true the `splat` is to the `pictures`; how long one
+    takes; where its Gaussians are.
 
-    The time is CPU time of the process, and on a GPU the wall time of a picture that was waited for.
+    The time is CPU time of the process, and on a GPU the wall time of a picture that
+    was waited for.
     """
     cuda = config.device == "cuda"
     scene = load_splat(inputs["splat"]).to(config.device)
     render = config.renderer()
-    cameras, true = [pose.camera for pose in config.poses], read_pictures(inputs["pictures"]).images
-    clock, spent, rows = time.perf_counter if cuda else time.process_time, list[float](), list[dict[str, Any]]()
+    cameras, true = (
+        [pose.camera for pose in config.poses],
+        read_pictures(inputs["pictures"]).images,
+    )
+    clock, spent, rows = (
+        time.perf_counter if cuda else time.process_time,
+        list[float](),
+        list[dict[str, Any]](),
+    )
     for view, (camera, wanted) in enumerate(zip(cameras, true, strict=True)):
         begun = clock()
         with torch.no_grad():
             picture = render(scene, camera).cpu()  # waits for a GPU
         spent.append(clock() - begun)
         picture = through_png(picture)
-        rows.append({"view": view, "psnr": float(psnr(picture, wanted)), "ssim": float(ssim(picture, wanted))})
+        rows.append(
+            {
+                "view": view,
+                "psnr": float(psnr(picture, wanted)),
+                "ssim": float(ssim(picture, wanted)),
+            }
+        )
         out.progress("measuring", view + 1, len(cameras))
     milliseconds = 1000 * float(np.median(spent[_WARM:] or spent))
-    save_json({"milliseconds": round(milliseconds, 3), "device": config.device}, out / SPEED)
+    save_json(
+        {"milliseconds": round(milliseconds, 3), "device": config.device}, out / SPEED
+    )
     save_json({"gaussians": len(scene)}, out / COUNT)
     save_png(centres(scene.to("cpu"), cameras[len(cameras) // 3]), out / CENTRES)
     return rows
 
 
 def centres(scene: GaussianScene, camera: Camera) -> NDArray[np.uint8]:
-    """(H, W, 3) picture of where the Gaussians of a splat are: a dot for each in its own colour, on black."""
+    """(H, W, 3) picture of where the Gaussians of a splat are: a dot for each in its
+    own colour, on black.
+    """
     pixels, depth = project_points(scene.means, camera)
     scale = _SIZE / camera.width
     columns, rows = (pixels * scale).floor().long().unbind(1)
     height = round(camera.height * scale)
-    keep = (depth > 0) & (columns >= 0) & (columns < _SIZE - 1) & (rows >= 0) & (rows < height - 1)
-    colours, picture = dc_to_colour(scene.sh[keep, 0]).clamp(0.15, 1).float(), torch.zeros(height, _SIZE, 3)
+    keep = (
+        (depth > 0)
+        & (columns >= 0)
+        & (columns < _SIZE - 1)
+        & (rows >= 0)
+        & (rows < height - 1)
+    )
+    colours, picture = (
+        dc_to_colour(scene.sh[keep, 0]).clamp(0.15, 1).float(),
+        torch.zeros(height, _SIZE, 3),
+    )
     for down, across in itertools.product((0, 1), repeat=2):
         picture[rows[keep] + down, columns[keep] + across] = colours
     return to_bytes(picture)

@@ -1,10 +1,13 @@
-"""Poison-splat: training pictures that make a splat cost more ("Poison-splat", Lu et al. 2024, arXiv 2410.08190).
+"""Poison-splat: training pictures that make a splat cost more ("Poison-splat", Lu et
+al. 2024, arXiv 2410.08190).
 
-A trainer adds Gaussians where pictures vary. So the attacker raises the total variation of the pictures, within a ball
-around the clean ones, and in such a way that all cameras agree: a decoy, a splat that starts as the victim's own,
-learns the pictures of raised variation, and its renders, clipped to the ball, are what the victim gets.
+A trainer adds Gaussians where pictures vary. So the attacker raises the total variation
+of the pictures, within a ball around the clean ones, and in such a way that all cameras
+agree: a decoy, a splat that starts as the victim's own, learns the pictures of raised
+variation, and its renders, clipped to the ball, are what the victim gets.
 
-The controls do without the decoy: noise, and pictures of which each is raised by itself.
+The controls do without the decoy: noise, and pictures of which each is raised by
+itself.
 """
 
 from __future__ import annotations
@@ -16,8 +19,22 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from attacks.poisons.base import OnStep, Poisoned, ball, chosen_views, poisoned, sign_steps, within_ball
-from attacks.poisons.config import FilterConfig, PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig, Variation
+from attacks.poisons.base import (
+    OnStep,
+    Poisoned,
+    ball,
+    chosen_views,
+    poisoned,
+    sign_steps,
+    within_ball,
+)
+from attacks.poisons.config import (
+    FilterConfig,
+    PoisonSplatConfig,
+    RaisedVariationConfig,
+    UniformNoiseConfig,
+    Variation,
+)
 from attacks.poisons.defences import filtered
 from mi_splat import variant
 from mi_splat.cameras import Camera, View, cameras_of, project_points
@@ -30,13 +47,17 @@ from mi_splat.training.losses import photometric_loss
 from mi_splat.training.state import TrainState, check_start
 from mi_splat.training.strategies import ClassicConfig, FixedConfig, StrategyConfig
 
-# A decoy: a splat that learns changed pictures, so that its own pictures are changed alike from every camera.
+# A decoy: a splat that learns changed pictures, so that its own pictures are changed
+# alike from every camera.
 #
-# Poison-splat begins with it (Lu et al. 2024, arXiv 2410.08190): what a picture alone would gain, no other camera
-# would confirm, and a splat that is trained on such pictures averages it away.
+# Poison-splat begins with it (Lu et al. 2024, arXiv 2410.08190): what a picture alone
+# would gain, no other camera would confirm, and a splat that is trained on such
+# pictures averages it away.
 
 Target = Callable[[Tensor, int], Tensor]
-"""The picture that a decoy learns next, from its own one, (H, W, 3) sRGB, and the position of the view."""
+"""The picture that a decoy learns next, from its own one, (H, W, 3) sRGB, and the
+position of the view.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,7 +81,9 @@ class Decoy:
         seed: int = 0,
         on_step: OnStep | None = None,
     ) -> GaussianScene:
-        """The decoy after some steps, each towards the target at one camera; cameras come in shuffled epochs."""
+        """The decoy after some steps, each towards the target at one camera; cameras
+        come in shuffled epochs.
+        """
         state = self._begun(views, steps, strategy or FixedConfig(), seed)
         if strategy is not None:  # as the victim's rounds do once opacities were reset
             state.strategy_state["opacities_were_reset"][:] = True
@@ -71,7 +94,13 @@ class Decoy:
             scene = state.scene()
             image = render(scene, views[index].camera)
             wanted = look(target(image, index))
-            differentiate(state, photometric_loss(look(image), wanted, lambda_dssim=state.config.lambda_dssim), scene)
+            differentiate(
+                state,
+                photometric_loss(
+                    look(image), wanted, lambda_dssim=state.config.lambda_dssim
+                ),
+                scene,
+            )
             state.iteration += 1
             if state.iteration % every == 0:
                 state.descend()
@@ -87,7 +116,9 @@ class Decoy:
         with torch.no_grad():
             return self._renderer()(decoy, camera)
 
-    def _begun(self, views: Sequence[View], steps: int, strategy: StrategyConfig, seed: int) -> TrainState:
+    def _begun(
+        self, views: Sequence[View], steps: int, strategy: StrategyConfig, seed: int
+    ) -> TrainState:
         check_scene("start", self.start)
         fit = replace(
             self.victim,
@@ -95,36 +126,56 @@ class Decoy:
             strategy=strategy,
             sh_degree=self.start.degree,
             sh_degree_interval=0,
-            lr_means_final=self.victim.lr_means,  # the public implementation lowers none
+            # the public implementation lowers none
+            lr_means_final=self.victim.lr_means,
             lr_sh_final=None,
             lr_sh_divisor=20,
         )
         check_start(self.start, fit)
-        if not any(_is_seen(self.start, camera, self.near) for camera in cameras_of(views)):
-            expected, do = "Gaussians before some camera of the views", "pass a splat that was trained on these views"
+        if not any(
+            _is_seen(self.start, camera, self.near) for camera in cameras_of(views)
+        ):
+            expected, do = (
+                "Gaussians before some camera of the views",
+                "pass a splat that was trained on these views",
+            )
             raise InvalidValueError.of("start", expected, "none", do)
         return TrainState(self.start, fit, scene_extent=scene_extent(views), seed=seed)
 
     def _renderer(self, screen_gradients: ScreenGradients | None = None) -> Renderer:
         name = "cuda_ad_rgb" if self.start.means.is_cuda else variant.DEFAULT_VARIANT
-        settings = RenderSettings(background=self.background, near=self.near, variant=name)
+        settings = RenderSettings(
+            background=self.background, near=self.near, variant=name
+        )
         return Renderer(settings, screen_gradients=screen_gradients)
 
 
 def _is_seen(scene: GaussianScene, camera: Camera, near: float) -> bool:
     pixels, depths = project_points(scene.means.detach().cpu(), camera)
-    inside = ((pixels >= 0) & (pixels <= pixels.new_tensor([camera.width, camera.height]))).all(1)
+    inside = (
+        (pixels >= 0) & (pixels <= pixels.new_tensor([camera.width, camera.height]))
+    ).all(1)
     return bool((inside & (depths > near)).any())
 
 
 def total_variation(image: Tensor, variation: Variation = "both") -> Tensor:
-    """Sum of the absolute differences between neighbours of a picture (H, W, 3), differentiable."""
+    """Sum of the absolute differences between neighbours of a picture (H, W, 3),
+    differentiable.
+    """
     along_columns = (image[1:] - image[:-1]).abs().sum()
-    return 2 * along_columns if variation == "vertical" else along_columns + (image[:, 1:] - image[:, :-1]).abs().sum()
+    return (
+        2 * along_columns
+        if variation == "vertical"
+        else along_columns + (image[:, 1:] - image[:, :-1]).abs().sum()
+    )
 
 
-def raised(image: Tensor, clean: Tensor, config: PoisonSplatConfig | RaisedVariationConfig) -> Tensor:
-    """A picture of more total variation, reached by steps along the sign of its gradient."""
+def raised(
+    image: Tensor, clean: Tensor, config: PoisonSplatConfig | RaisedVariationConfig
+) -> Tensor:
+    """A picture of more total variation, reached by steps along the sign of its
+    gradient.
+    """
     look = _through(config.through)
     return sign_steps(
         image.detach().clamp(0, 1),
@@ -142,27 +193,43 @@ class PoisonSplat:
     config: PoisonSplatConfig
     begun: Decoy
 
-    def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
-        """The poisoned set; with eps or a share of 0 it is the untouched one, picture for picture."""
+    def __call__(
+        self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
+    ) -> Poisoned:
+        """The poisoned set; with eps or a share of 0 it is the untouched one, picture
+        for picture.
+        """
         config, begun = self.config, self.begun
         chosen = chosen_views(views, config.share, seed)
         about = _about("poison-splat", config, seed)
         if config.eps == 0 or not chosen:
             return poisoned(views, {}, about)
         decoy = self.decoy(views, seed=seed, on_step=on_step)
-        about |= {"start": scene_hash(begun.start), "start_gaussians": len(begun.start), "decoy_gaussians": len(decoy)}
+        about |= {
+            "start": scene_hash(begun.start),
+            "start_gaussians": len(begun.start),
+            "decoy_gaussians": len(decoy),
+        }
         pictures = {}
         for index in chosen:
             view = views[index]
-            pictures[index] = within_ball(begun.picture(decoy, view.camera), view.image, config.eps)
+            pictures[index] = within_ball(
+                begun.picture(decoy, view.camera), view.image, config.eps
+            )
         return poisoned(views, pictures, about)
 
-    def decoy(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> GaussianScene:
-        """The splat whose pictures the victim gets; arguments and errors are those of a call."""
+    def decoy(
+        self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
+    ) -> GaussianScene:
+        """The splat whose pictures the victim gets; arguments and errors are those of a
+        call.
+        """
         config = self.config
         return self.begun.learn(
             views,
-            lambda image, index: raised(image, views[index].image.to(image.device), config),
+            lambda image, index: raised(
+                image, views[index].image.to(image.device), config
+            ),
             steps=config.steps,
             every=config.decoy_every,
             strategy=self._strategy(),
@@ -187,17 +254,24 @@ class PoisonSplat:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UniformNoise:
-    """A control: whole steps of 1/255 that are drawn evenly from the ball, channel by channel."""
+    """A control: whole steps of 1/255 that are drawn evenly from the ball, channel by
+    channel.
+    """
 
     config: UniformNoiseConfig = field(default_factory=UniformNoiseConfig)
 
-    def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
+    def __call__(
+        self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
+    ) -> Poisoned:
         """The set with noise; each picture's is its own, whatever share is changed."""
         eps = self.config.eps
 
         def noisy(view: View, index: int) -> Tensor:
             generator = Generator().manual_seed(seed * 1_000_003 + index)
-            noise = torch.randint(-eps, eps + 1, view.image.shape, generator=generator) / 255
+            noise = (
+                torch.randint(-eps, eps + 1, view.image.shape, generator=generator)
+                / 255
+            )
             return within_ball(view.image + noise.to(view.image), view.image, eps)
 
         return _one_by_one("uniform-noise", views, self.config, noisy, seed, on_step)
@@ -205,16 +279,22 @@ class UniformNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RaisedVariation:
-    """A control: total variation raised picture by picture, so that cameras do not agree."""
+    """A control: total variation raised picture by picture, so that cameras do not
+    agree.
+    """
 
     config: RaisedVariationConfig = field(default_factory=RaisedVariationConfig)
 
-    def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
+    def __call__(
+        self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
+    ) -> Poisoned:
         """The set of raised variation."""
         config = self.config
 
         def changed(view: View, index: int) -> Tensor:
-            return within_ball(raised(view.image, view.image, config), view.image, config.eps)
+            return within_ball(
+                raised(view.image, view.image, config), view.image, config.eps
+            )
 
         return _one_by_one("raised-variation", views, config, changed, seed, on_step)
 
@@ -238,10 +318,16 @@ def _one_by_one(
 
 
 def _about(
-    kind: str, config: PoisonSplatConfig | UniformNoiseConfig | RaisedVariationConfig, seed: int
+    kind: str,
+    config: PoisonSplatConfig | UniformNoiseConfig | RaisedVariationConfig,
+    seed: int,
 ) -> dict[str, Any]:
     return {"kind": kind, **asdict(config), "seed": seed}
 
 
 def _through(config: FilterConfig | None) -> Callable[[Tensor], Tensor]:
-    return (lambda image: image) if config is None else (lambda image: filtered(image, config))
+    return (
+        (lambda image: image)
+        if config is None
+        else (lambda image: filtered(image, config))
+    )

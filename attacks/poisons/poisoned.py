@@ -1,4 +1,6 @@
-"""A kind of job: the set that a poison, or a victim's filter, makes of another, with a manifest and a sheet."""
+"""A kind of job: the set that a poison, or a victim's filter, makes of another, with a
+manifest and a sheet.
+"""
 
 from __future__ import annotations
 
@@ -46,16 +48,29 @@ def _cloak(config: CloakConfig, given: Given) -> PicturePoison:
     setup = replace(given.setup, attacks=config.attack)
 
     def kept(appearance: Appearance, attack: AttackConfig) -> Appearance:
-        return KeptAppearance(name=name_of(appearance), folder=given.appearances[f"{APPEARANCE}{attack.name}"])
+        return KeptAppearance(
+            name=name_of(appearance),
+            folder=given.appearances[f"{APPEARANCE}{attack.name}"],
+        )
 
-    def cloaked(views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
+    def cloaked(
+        views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
+    ) -> Poisoned:
         attacks = setup.poisonings(seed=seed, cached=kept)
-        return poison(views, attacks, centre=setup.centre, masks=setup.mesh_scene.mask, on_step=on_step)
+        return poison(
+            views,
+            attacks,
+            centre=setup.centre,
+            masks=setup.mesh_scene.mask,
+            on_step=on_step,
+        )
 
     return cloaked
 
 
-POISONS.add(CLOAK, PoisonSpec(name=CLOAK, config=CloakConfig, make=_cloak, needs=("scene",)))
+POISONS.add(
+    CLOAK, PoisonSpec(name=CLOAK, config=CloakConfig, make=_cloak, needs=("scene",))
+)
 
 
 SHEET = "poisoned.png"
@@ -79,15 +94,22 @@ class PoisonedConfig:
 
 def run(config: PoisonedConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Poison the `pictures`; a decoy starts as the `splat`."""
-    views = load_dataset(inputs["pictures"] / SET, split="train", background=config.background)
+    views = load_dataset(
+        inputs["pictures"] / SET, split="train", background=config.background
+    )
     if isinstance(config.poison, FilterConfig):
-        pictures = {index: filtered(view.image, config.poison) for index, view in enumerate(views)}
+        pictures = {
+            index: filtered(view.image, config.poison)
+            for index, view in enumerate(views)
+        }
         write_poisoned(out / SET, views, poisoned(views, pictures, {}))
         return
     chosen = config.poison
     attack = chosen.spec.make(chosen.config, _given(config, inputs))
     with tracing_variant() if chosen.kind == CLOAK else nullcontext():
-        done = attack(views, seed=config.seed, on_step=partial(out.progress, "poisoning"))
+        done = attack(
+            views, seed=config.seed, on_step=partial(out.progress, "poisoning")
+        )
     write_poisoned(out / SET, views, done)
     save_json(done.manifest, out / MANIFEST)
     if chosen.kind != CLOAK:
@@ -100,11 +122,18 @@ def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
     if "splat" in inputs:
         assert config.near is not None
         assert config.training is not None
-        start, victim = load_splat(inputs["splat"]).to(config.device), fit_config(config.training)
-        decoy = Decoy(start=start, near=config.near, background=config.background, victim=victim)
+        start, victim = (
+            load_splat(inputs["splat"]).to(config.device),
+            fit_config(config.training),
+        )
+        decoy = Decoy(
+            start=start, near=config.near, background=config.background, victim=victim
+        )
     if config.classifier:
         assert setup is not None
-        classifier = checked_classifier(config.classifier, config.fingerprint, config.device)
+        classifier = checked_classifier(
+            config.classifier, config.fingerprint, config.device
+        )
         with tracing_variant():
             masks = [setup.mesh_scene.mask(camera) for camera in setup.training_cameras]
     return Given(

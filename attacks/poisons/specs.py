@@ -1,4 +1,5 @@
-"""Kinds of poison by their names: those of this project, and those of other packages; light, for flags.
+"""Kinds of poison by their names: those of this project, and those of other packages;
+light, for flags.
 
 CLOAK, whose settings are not light, joins them with `attacks.poisons.poisoned`.
 """
@@ -10,7 +11,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from attacks.poisons.config import MIFGSMConfig, PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig
+from attacks.poisons.config import (
+    MIFGSMConfig,
+    PoisonSplatConfig,
+    RaisedVariationConfig,
+    UniformNoiseConfig,
+)
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import check_choice, decode
 from mi_splat.registry import Registry
@@ -33,7 +39,8 @@ class Given:
     classifier: Classifier | None = None  # that is to be deceived
     label: str = ""  # the object's true class
     setup: Setup | None = None  # the scene of a study
-    appearances: Mapping[str, Path] = field(default_factory=dict)  # pictures of them, by the name of a job's input
+    # pictures of them, by the name of a job's input
+    appearances: Mapping[str, Path] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,9 +49,11 @@ class PoisonSpec:
 
     Attributes:
         name: What studies and `mi-splat poison --kind` call it.
-        config: A frozen dataclass, keyword-only, whose fields all have defaults; they are the settings, and the flags.
+        config: A frozen dataclass, keyword-only, whose fields all have defaults; they
+            are the settings, and the flags.
         make: The poison of settings, from what the attacker has.
-        needs: What it cannot do without: "splat", so that it is given a decoy, "classifier", or a study's "scene".
+        needs: What it cannot do without: "splat", so that it is given a decoy,
+            "classifier", or a study's "scene".
     """
 
     name: str
@@ -65,10 +74,16 @@ class ChosenPoison:
     def of(cls, table: object, where: str) -> ChosenPoison:
         """The poison of a study's table."""
         if not isinstance(table, Mapping):
-            raise InvalidValueError.of(where, "a table", repr(table), 'write { kind = "poison-splat" }')
+            raise InvalidValueError.of(
+                where, "a table", repr(table), 'write { kind = "poison-splat" }'
+            )
         check_choice(f"kind of {where}", table.get("kind"), tuple(POISONS))
         kind = str(table["kind"])
-        config = decode(POISONS[kind].config, {key: table[key] for key in table if key != "kind"}, where)
+        config = decode(
+            POISONS[kind].config,
+            {key: table[key] for key in table if key != "kind"},
+            where,
+        )
         return cls(kind=kind, settings=asdict(config), package=POISONS.package(kind))
 
     @property
@@ -89,28 +104,52 @@ def _poison_splat(config: PoisonSplatConfig, given: Given) -> PicturePoison:
     return PoisonSplat(config=config, begun=given.decoy)
 
 
-def _control(config: UniformNoiseConfig | RaisedVariationConfig, given: Given) -> PicturePoison:
+def _control(
+    config: UniformNoiseConfig | RaisedVariationConfig, given: Given
+) -> PicturePoison:
     from attacks.poisons.poison_splat import RaisedVariation, UniformNoise
 
-    return UniformNoise(config=config) if isinstance(config, UniformNoiseConfig) else RaisedVariation(config=config)
+    return (
+        UniformNoise(config=config)
+        if isinstance(config, UniformNoiseConfig)
+        else RaisedVariation(config=config)
+    )
 
 
 def _m_ifgsm(config: MIFGSMConfig, given: Given) -> PicturePoison:
     from attacks.poisons.mifgsm import MIFGSM
 
     assert given.classifier is not None
-    return MIFGSM(config=config, classifier=given.classifier, label=given.label, masks=given.masks, decoy=given.decoy)
+    return MIFGSM(
+        config=config,
+        classifier=given.classifier,
+        label=given.label,
+        masks=given.masks,
+        decoy=given.decoy,
+    )
 
 
 POISONS: Registry[PoisonSpec] = Registry(
-    "mi_splat.poisons", "a PoisonSpec", lambda value: isinstance(value, PoisonSpec), what="poison"
+    "mi_splat.poisons",
+    "a PoisonSpec",
+    lambda value: isinstance(value, PoisonSpec),
+    what="poison",
 )
-"""Name to spec of each kind of poison: those of this project, and those of other packages."""
+"""Name to spec of each kind of poison: those of this project, and those of other
+packages.
+"""
 
 for _spec in (
-    PoisonSpec(name="poison-splat", config=PoisonSplatConfig, make=_poison_splat, needs=("splat",)),
+    PoisonSpec(
+        name="poison-splat",
+        config=PoisonSplatConfig,
+        make=_poison_splat,
+        needs=("splat",),
+    ),
     PoisonSpec(name="uniform-noise", config=UniformNoiseConfig, make=_control),
     PoisonSpec(name="raised-variation", config=RaisedVariationConfig, make=_control),
-    PoisonSpec(name="m-ifgsm", config=MIFGSMConfig, make=_m_ifgsm, needs=("classifier",)),
+    PoisonSpec(
+        name="m-ifgsm", config=MIFGSMConfig, make=_m_ifgsm, needs=("classifier",)
+    ),
 ):
     POISONS.add(_spec.name, _spec)

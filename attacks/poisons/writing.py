@@ -1,4 +1,6 @@
-"""A poisoned set as files: pictures that stayed keep their bytes, changed ones their alpha and their masks."""
+"""A poisoned set as files: pictures that stayed keep their bytes, changed ones their
+alpha and their masks.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,24 @@ from torch.nn.functional import pad
 from attacks.poisons.base import Change, Poisoned, PoisonedViews
 from mi_splat.cameras import View
 from mi_splat.datasets import Dataset
-from mi_splat.datasets.writing import IMAGES, MASKS, list_transforms, make_folder, picture_name
+from mi_splat.datasets.writing import (
+    IMAGES,
+    MASKS,
+    list_transforms,
+    make_folder,
+    picture_name,
+)
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import quantise, to_bytes
 
 _ROUNDING = 1e-3
-"""By how much of a step of 1/255 a difference of 8 bits may fall short of whole steps in float32."""
+"""By how much of a step of 1/255 a difference of 8 bits may fall short of whole steps
+in float32.
+"""
 _SHOWN, _TIMES, _LARGEST = 5, 10.0, 320
-"""Pictures on a sheet, how much their difference is enlarged, and the most rows and columns that are shown of each."""
+"""Pictures on a sheet, how much their difference is enlarged, and the most rows and
+columns that are shown of each.
+"""
 
 
 def write_poisoned(
@@ -37,34 +49,47 @@ def write_poisoned(
 ) -> None:
     """Write a poisoned set: transforms files, PNG pictures, masks, points.
 
-    A picture that stayed keeps its bytes if it is a PNG file that is read as it is, and its pixels otherwise. With
-    `changes_count`, pixels that changed count for a victim even where the clean set masks them.
+    A picture that stayed keeps its bytes if it is a PNG file that is read as it is, and
+    its pixels otherwise. With `changes_count`, pixels that changed count for a victim
+    even where the clean set masks them.
     """
     images = make_folder(folder / IMAGES)
-    parts: dict[str, tuple[Dataset, Mapping[int, View]]] = {"train": (clean, done.views.replaced)}
+    parts: dict[str, tuple[Dataset, Mapping[int, View]]] = {
+        "train": (clean, done.views.replaced)
+    }
     if held_out:
         parts["test"] = (held_out, {})
     listing = {}
     for split, (views, replaced) in parts.items():
-        listing[split] = [(picture_name(split, index), camera) for index, camera in enumerate(views.cameras)]
+        listing[split] = [
+            (picture_name(split, index), camera)
+            for index, camera in enumerate(views.cameras)
+        ]
         for index, (name, _) in enumerate(listing[split]):
             if index not in replaced and _is_its_file(views, index):
                 shutil.copyfile(views.paths[index], images / name)
             else:
                 new = replaced.get(index)
                 opaque = None if new is None or keeps_alpha else to_bytes(new.image)
-                save_png(_pixels(views, index, new) if opaque is None else opaque, images / name)
-            mask = _counting(views, index, replaced.get(index) if changes_count else None)
+                save_png(
+                    _pixels(views, index, new) if opaque is None else opaque,
+                    images / name,
+                )
+            mask = _counting(
+                views, index, replaced.get(index) if changes_count else None
+            )
             if mask is not None:
                 save_png(to_bytes(mask), make_folder(folder / MASKS) / name)
     list_transforms(folder, listing, clean.points)
 
 
 def as_files_hold(done: Poisoned, clean: Dataset) -> Poisoned:
-    """A poisoned set as its files can hold it: pictures with alpha keep it, and nothing changes where they are clear.
+    """A poisoned set as its files can hold it: pictures with alpha keep it, and nothing
+    changes where they are clear.
 
-    There the colour of the file is moved by whole steps of 1/255, as many as do not go beyond what was asked for. Other
-    pictures, and what is said of them, stay as they are.
+    There the colour of the file is moved by whole steps of 1/255, as many as do not go
+    beyond what was asked for. Other pictures, and what is said of them, stay as they
+    are.
     """
     replaced, changes = dict(done.views.replaced), list[Change]()
     for change in done.changes:
@@ -74,31 +99,56 @@ def as_files_hold(done: Poisoned, clean: Dataset) -> Poisoned:
             continue
         opacity = alpha[..., None]
         behind = (1 - opacity) * torch.tensor(clean.background)
-        steps = (replaced[change.index].image - before.image) / opacity.clamp(min=1 / 255) * 255
-        whole = torch.where(opacity > 0, steps.sign() * (steps.abs() + _ROUNDING).floor(), 0.0)
-        colour = ((_straight(before.image, alpha, behind) * 255).round() + whole).clamp(0, 255) / 255
+        steps = (
+            (replaced[change.index].image - before.image)
+            / opacity.clamp(min=1 / 255)
+            * 255
+        )
+        whole = torch.where(
+            opacity > 0, steps.sign() * (steps.abs() + _ROUNDING).floor(), 0.0
+        )
+        colour = ((_straight(before.image, alpha, behind) * 255).round() + whole).clamp(
+            0, 255
+        ) / 255
         image = torch.where(whole == 0, before.image, colour * opacity + behind)
         replaced[change.index] = View(before.camera, image)
         measured = Change.between(change.index, before, replaced[change.index])
         changes.append(replace(change, **asdict(measured)))
-    return replace(done, views=PoisonedViews(done.views.untouched, replaced), changes=tuple(changes))
+    return replace(
+        done,
+        views=PoisonedViews(done.views.untouched, replaced),
+        changes=tuple(changes),
+    )
 
 
 def difference_sheet(done: Poisoned) -> NDArray[np.uint8]:
-    """(H, W, 3) sheet of some pictures: as they were, as they are now, and ten times the difference on grey.
+    """(H, W, 3) sheet of some pictures: as they were, as they are now, and ten times
+    the difference on grey.
 
     Of a large picture a part is shown, around the middle of what was changed.
     """
     changes = [change.index for change in done.changes if change.pixels_changed] or [0]
-    chosen = sorted({changes[i] for i in np.linspace(0, len(changes) - 1, _SHOWN).round().astype(int)})
+    chosen = sorted(
+        {
+            changes[i]
+            for i in np.linspace(0, len(changes) - 1, _SHOWN).round().astype(int)
+        }
+    )
     columns = []
     for index in chosen:
-        before, after = (quantise(views[index].image) for views in (done.views.untouched, done.views))
+        before, after = (
+            quantise(views[index].image) for views in (done.views.untouched, done.views)
+        )
         rows, across = (_part((before != after).any(-1).any(axis)) for axis in (1, 0))
         before, after = before[rows, across], after[rows, across]
-        columns.append(torch.stack([before, after, (0.5 + _TIMES * (after - before)).clamp(0, 1)]))
+        columns.append(
+            torch.stack([before, after, (0.5 + _TIMES * (after - before)).clamp(0, 1)])
+        )
     tallest = max(column.shape[1] for column in columns)
-    padded = [pad(column, (0, 0, 0, 0, 0, tallest - column.shape[1]), value=1.0) for column in columns]
+    padded = [
+        pad(column, (0, 0, 0, 0, 0, tallest - column.shape[1]), value=1.0)
+        for column in columns
+    ]
     return to_bytes(torch.cat([*torch.cat(padded, 2)]))
 
 
@@ -110,17 +160,22 @@ def _part(changed: Tensor) -> slice:
 
 
 def _is_its_file(views: Dataset, index: int) -> bool:
-    """Whether a picture is what a PNG file holds, neither made smaller, turned nor undistorted."""
+    """Whether a picture is what a PNG file holds, neither made smaller, turned nor
+    undistorted.
+    """
     frame = views.frames[index]
     return frame.is_stored and views.downscale == 1 and frame.path.suffix == ".png"
 
 
 def _counting(views: Dataset, index: int, changed: View | None) -> Tensor | None:
-    """(H, W) what of a picture counts for who trains on it: what counted before, and all that was changed."""
+    """(H, W) what of a picture counts for who trains on it: what counted before, and
+    all that was changed.
+    """
     mask = views.loss_mask(index)
     if mask is None or changed is None:
         return mask
-    differs = quantise(changed.image) != quantise(views[index].image)  # as files have them
+    # as files have them
+    differs = quantise(changed.image) != quantise(views[index].image)
     return torch.where(differs.any(-1), 1.0, mask)
 
 
@@ -134,5 +189,7 @@ def _pixels(views: Dataset, index: int, new: View | None) -> NDArray[np.uint8]:
 
 
 def _straight(image: Tensor, alpha: Tensor, behind: Tensor) -> Tensor:
-    """(H, W, 3) colour of the file, out of the one that is blended with what is behind."""
+    """(H, W, 3) colour of the file, out of the one that is blended with what is
+    behind.
+    """
     return ((image - behind) / alpha.clamp(min=1 / 255)[..., None]).clamp(0, 1)

@@ -1,1 +1,3 @@
-"""One page of one or several results: what was done, what came of it, how sure that is, and how to repeat it."""
+"""One page of one or several results: what was done, what came of it, how sure that is,
+and how to repeat it.
+"""

@@ -1,4 +1,6 @@
-"""The page: sections as one HTML file that has everything in it, no script, and no address of anybody."""
+"""The page: sections as one HTML file that has everything in it, no script, and no
+address of anybody.
+"""
 
 import base64
 import importlib.metadata
@@ -22,13 +24,17 @@ from mi_splat.io.documents import save_text
 from mi_splat.io.folders import check_new_file
 from mi_splat.io.picture_files import load_picture
 
-# Charts as SVG inside a page: drawn by matplotlib, coloured by the page, so that they follow light and dark.
+# Charts as SVG inside a page: drawn by matplotlib, coloured by the page, so that they
+# follow light and dark.
 #
-# matplotlib gets a made-up colour for each part, which becomes a variable of the page's style. Texts stay texts.
-# Nothing in the SVG names a file, a font or the time, so the same numbers give the same bytes.
+# matplotlib gets a made-up colour for each part, which becomes a variable of the page's
+# style. Texts stay texts. Nothing in the SVG names a file, a font or the time, so the
+# same numbers give the same bytes.
 
 SIZE = (4.5, 2.9)
-"""Width and height in inches of 72 points; a telephone shows them at about their size."""
+"""Width and height in inches of 72 points; a telephone shows them at about their
+size.
+"""
 DOME_SIZE = (4.5, 4.2)
 LONGEST_TICK, LONGEST_LABEL = 24, 48
 """Letters in a chart."""
@@ -51,16 +57,32 @@ NEEDED = {"jinja2": "Jinja2", "matplotlib": "matplotlib"}
 
 def need_packages() -> None:
     """Raise, before any work is done, if a page cannot be made."""
-    if missing := [name for module, name in NEEDED.items() if importlib.util.find_spec(module) is None]:
-        raise InvalidValueError.of(" and ".join(missing), "the package, for pages", "not installed", install("report"))
+    if missing := [
+        name
+        for module, name in NEEDED.items()
+        if importlib.util.find_spec(module) is None
+    ]:
+        raise InvalidValueError.of(
+            " and ".join(missing),
+            "the package, for pages",
+            "not installed",
+            install("report"),
+        )
 
 
 def colours(chart: Chart) -> list[int]:
-    """Number of the colour of each line: the attack, its control and the rest keep theirs from chart to chart."""
+    """Number of the colour of each line: the attack, its control and the rest keep
+    theirs from chart to chart.
+    """
     taken: list[int] = []
     for line in chart.drawn:
         wanted = [*_PREFERRED[line.role], *range(len(_COLOURS))]
-        taken.append(next((number for number in wanted if number not in taken), len(taken) % len(_COLOURS)))
+        taken.append(
+            next(
+                (number for number in wanted if number not in taken),
+                len(taken) % len(_COLOURS),
+            )
+        )
     return taken
 
 
@@ -76,10 +98,20 @@ def svg(chart: Chart, name: str) -> str:
         "text.parse_math": False,
         "font.size": 10,
         "font.family": ["DejaVu Sans"],
-        **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.color", "ytick.color", "axes.edgecolor"), _INK),
+        **dict.fromkeys(
+            (
+                "text.color",
+                "axes.labelcolor",
+                "xtick.color",
+                "ytick.color",
+                "axes.edgecolor",
+            ),
+            _INK,
+        ),
     }
     with matplotlib.rc_context(), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing")  # the browser has other fonts: text stays text
+        # the browser has other fonts: text stays text
+        warnings.filterwarnings("ignore", "Glyph .* missing")
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(style)
         figure = Figure(figsize=DOME_SIZE if chart.dome else SIZE, layout="constrained")
@@ -90,7 +122,9 @@ def svg(chart: Chart, name: str) -> str:
             _draw(figure.add_subplot(), chart)
         buffer = io.StringIO()
         canvas: Any = FigureCanvasSVG(figure)
-        canvas.print_svg(buffer, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+        canvas.print_svg(
+            buffer, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        )
     return _inline(buffer.getvalue(), name)
 
 
@@ -110,12 +144,18 @@ def _draw(axes: Any, chart: Chart) -> None:
         _draw_line(axes, line, colour, shift, connected=chart.connected)
     if chart.fractions:
         axes.set_ylim(-0.03, 1.03)
-        axes.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0 %", "25 %", "50 %", "75 %", "100 %"])
+        axes.set_yticks(
+            [0, 0.25, 0.5, 0.75, 1], ["0 %", "25 %", "50 %", "75 %", "100 %"]
+        )
     if chart.ticks:
         axes.set_xlim(-0.5, len(chart.ticks) - 0.5)
         named = range(0, len(chart.ticks), -(-len(chart.ticks) // MOST_TICKS))
         names = [_short(chart.ticks[number], LONGEST_TICK) for number in named]
-        turned = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if max(map(len, names)) > 9 else {}
+        turned = (
+            {"rotation": 30, "ha": "right", "rotation_mode": "anchor"}
+            if max(map(len, names)) > 9
+            else {}
+        )
         axes.set_xticks(list(named), names, **turned)
     elif all(point.x.is_integer() for line in lines for point in line.points):
         axes.xaxis.get_major_locator().set_params(integer=True)
@@ -124,40 +164,78 @@ def _draw(axes: Any, chart: Chart) -> None:
 
 
 def _draw_dome(axes: Any, chart: Chart) -> None:
-    """Directions as seen from above: the middle is an elevation of 90 degrees, each ring 30 degrees less."""
+    """Directions as seen from above: the middle is an elevation of 90 degrees, each
+    ring 30 degrees less.
+    """
     axes.patch.set_visible(False)
     axes.grid(color=_FAINT, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines["polar"].set_color(_FAINT)
     for line, number in zip(chart.drawn, colours(chart), strict=True):
-        style = {"color": _COLOURS[number], "marker": _MARKERS[number], "markersize": 4, "linestyle": "none"}
-        axes.plot([math.radians(point.x) for point in line.points], [90 - point.y for point in line.points], **style)
-    rings = range(30, 91 if all(point.y > -1 for line in chart.drawn for point in line.points) else 181, 30)
+        style = {
+            "color": _COLOURS[number],
+            "marker": _MARKERS[number],
+            "markersize": 4,
+            "linestyle": "none",
+        }
+        axes.plot(
+            [math.radians(point.x) for point in line.points],
+            [90 - point.y for point in line.points],
+            **style,
+        )
+    rings = range(
+        30,
+        (
+            91
+            if all(point.y > -1 for line in chart.drawn for point in line.points)
+            else 181
+        ),
+        30,
+    )
     axes.set_rlim(0, rings[-1])
     axes.set_rgrids(rings, [f"{90 - ring}°" for ring in rings], angle=80, fontsize=8)
 
 
 def _short(text: str, most: int) -> str:
-    """The start of a text that would not fit; the page has all of it beside the chart."""
+    """The start of a text that would not fit; the page has all of it beside the
+    chart.
+    """
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
-def _draw_line(axes: Any, line: Line, number: int, shift: float, *, connected: bool) -> None:
-    """Points with their intervals, a band where they are connected, else bars, moved so that none hides another."""
+def _draw_line(
+    axes: Any, line: Line, number: int, shift: float, *, connected: bool
+) -> None:
+    """Points with their intervals, a band where they are connected, else bars, moved so
+    that none hides another.
+    """
     colour, points = _COLOURS[number], sorted(line.points, key=lambda point: point.x)
     x, y = [point.x + shift for point in points], [point.y for point in points]
-    style = {"color": colour, "marker": _MARKERS[number], "markersize": 4, "linewidth": 1.6}
+    style = {
+        "color": colour,
+        "marker": _MARKERS[number],
+        "markersize": 4,
+        "linewidth": 1.6,
+    }
     axes.plot(x, y, linestyle=_DASHES[number] if connected else "none", **style)
-    ends = [(at, point.low, point.high) for at, point in zip(x, points, strict=True) if point.low is not None]
+    ends = [
+        (at, point.low, point.high)
+        for at, point in zip(x, points, strict=True)
+        if point.low is not None
+    ]
     if connected and len(ends) > 1:
-        axes.fill_between(*zip(*ends, strict=True), color=colour, alpha=0.18, linewidth=0)
+        axes.fill_between(
+            *zip(*ends, strict=True), color=colour, alpha=0.18, linewidth=0
+        )
     else:
         for at, low, high in ends:
             axes.plot([at, at], [low, high], color=colour, linewidth=1.6)
 
 
 def _inline(text: str, name: str) -> str:
-    """What matplotlib has written as an element of a page: colours and names are the page's, nothing else is there."""
+    """What matplotlib has written as an element of a page: colours and names are the
+    page's, nothing else is there.
+    """
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
     text = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>\s*", "", text, flags=re.DOTALL)
@@ -175,7 +253,10 @@ def values_of(chart: Chart) -> Table:
     """The numbers that a chart shows, for whoever cannot see it."""
     every = sorted({point.x for line in chart.drawn for point in line.points})
     names = (chart.ticks[int(x)] if chart.ticks else f"{x:g}" for x in every)
-    rows = ((name, *(_heights(chart, line, x) for line in chart.drawn)) for name, x in zip(names, every, strict=True))
+    rows = (
+        (name, *(_heights(chart, line, x) for line in chart.drawn))
+        for name, x in zip(names, every, strict=True)
+    )
     head = (chart.x_label, *(line.name for line in chart.drawn))
     return Table(caption=f"{chart.title}: the numbers", head=head, rows=tuple(rows))
 
@@ -185,9 +266,13 @@ def _heights(chart: Chart, line: Line, x: float) -> str:
     heights = []
     for point in (point for point in line.points if point.x == x):
         interval = (
-            "" if point.low is None or point.high is None else f" ({percent(point.low)} to {percent(point.high)})"
+            ""
+            if point.low is None or point.high is None
+            else f" ({percent(point.low)} to {percent(point.high)})"
         )
-        heights.append(f"{percent(point.y)}{interval}" if chart.fractions else f"{point.y:.4g}")
+        heights.append(
+            f"{percent(point.y)}{interval}" if chart.fractions else f"{point.y:.4g}"
+        )
     return "; ".join(heights) or "-"
 
 
@@ -203,7 +288,13 @@ MOST_NAMED = 3
 """Results that are named in the heading of a page without a title."""
 
 
-def write_page(sections: Sequence[Section], path: Path, *, title: str | None = None, force: bool = False) -> None:
+def write_page(
+    sections: Sequence[Section],
+    path: Path,
+    *,
+    title: str | None = None,
+    force: bool = False,
+) -> None:
     """Write the page; the file appears whole or not at all."""
     text = page_text(sections, title=title)
     check_new_file(path, ENDINGS, force=force)
@@ -211,17 +302,25 @@ def write_page(sections: Sequence[Section], path: Path, *, title: str | None = N
 
 
 def page_text(sections: Sequence[Section], *, title: str | None = None) -> str:
-    """The page as HTML; the same sections give the same text, in which nothing is left that a terminal would obey."""
+    """The page as HTML; the same sections give the same text, in which nothing is left
+    that a terminal would obey.
+    """
     from jinja2 import Environment, StrictUndefined
 
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
-    template = environment.from_string(resources.files("attacks.report").joinpath("page.html").read_text("utf-8"))
+    environment = Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+    )
+    template = environment.from_string(
+        resources.files("attacks.report").joinpath("page.html").read_text("utf-8")
+    )
     return printable(
         template.render(
             title=title or usual_title(sections),
             parts=[
                 {"name": name, **_part(number, section)}
-                for number, (name, section) in enumerate(zip(names(sections), sections, strict=True), start=1)
+                for number, (name, section) in enumerate(
+                    zip(names(sections), sections, strict=True), start=1
+                )
             ],
             comparisons=list(comparisons(sections)),
             version=importlib.metadata.version("mi-splat"),
@@ -239,7 +338,9 @@ def usual_title(sections: Sequence[Section]) -> str:
 
 
 def names(sections: Sequence[Section]) -> list[str]:
-    """What each result is called on a page: its title, with the name of its folder where several have the same."""
+    """What each result is called on a page: its title, with the name of its folder
+    where several have the same.
+    """
     titles = [section.title for section in sections]
     return [
         title if titles.count(title) == 1 else f"{title} ({Path(section.folder).name})"
@@ -248,44 +349,89 @@ def names(sections: Sequence[Section]) -> list[str]:
 
 
 def comparisons(sections: Sequence[Section]) -> Iterator[dict[str, Any]]:
-    """For each kind with several results: their figures side by side, and the settings in which they differ."""
+    """For each kind with several results: their figures side by side, and the settings
+    in which they differ.
+    """
     kinds: dict[str, list[tuple[str, Section]]] = {}
     for name, section in zip(names(sections), sections, strict=True):
         kinds.setdefault(section.kind, []).append((name, section))
     for kind, members in kinds.items():
         if len(members) > 1:
             head = tuple(name for name, _ in members)
-            figures = _rows([{figure.label: figure.cell for figure in section.all_figures} for _, section in members])
-            settings = _rows([{"folder": section.folder, **dict(section.configuration)} for _, section in members])
+            figures = _rows(
+                [
+                    {figure.label: figure.cell for figure in section.all_figures}
+                    for _, section in members
+                ]
+            )
+            settings = _rows(
+                [
+                    {"folder": section.folder, **dict(section.configuration)}
+                    for _, section in members
+                ]
+            )
             differing = tuple(row for row in settings if len(set(row[1:])) > 1)
             yield {
                 "kind": kind,
-                "figures": Table(caption="Figures, with their 95 % intervals", head=("figure", *head), rows=figures),
-                "settings": Table(caption="Settings that differ", head=("setting", *head), rows=differing),
+                "figures": Table(
+                    caption="Figures, with their 95 % intervals",
+                    head=("figure", *head),
+                    rows=figures,
+                ),
+                "settings": Table(
+                    caption="Settings that differ",
+                    head=("setting", *head),
+                    rows=differing,
+                ),
             }
 
 
 def _rows(columns: Sequence[dict[str, str]]) -> tuple[tuple[str, ...], ...]:
     """A row for each name in any of the columns."""
     names = dict.fromkeys(name for column in columns for name in column)
-    return tuple((name, *(column.get(name, "-") for column in columns)) for name in names)
+    return tuple(
+        (name, *(column.get(name, "-") for column in columns)) for name in names
+    )
 
 
 def _part(number: int, section: Section) -> dict[str, Any]:
-    """A section with what the template needs besides: pictures as addresses, charts as SVG."""
-    charts = [(chart, svg(chart, f"chart-{number}-{index}")) for index, chart in enumerate(section.charts, start=1)]
+    """A section with what the template needs besides: pictures as addresses, charts as
+    SVG.
+    """
+    charts = [
+        (chart, svg(chart, f"chart-{number}-{index}"))
+        for index, chart in enumerate(section.charts, start=1)
+    ]
     columns = 3 if section.has_intervals else 2
     figures = tuple(figure.row[:columns] for figure in section.all_figures)
     return {
         "section": section,
-        "pictures": [{"of": picture, **data_address(picture.path)} for picture in section.pictures],
+        "pictures": [
+            {"of": picture, **data_address(picture.path)}
+            for picture in section.pictures
+        ],
         "charts": [
-            {"of": chart, "svg": drawing, "legend": list(legend(chart)), "table": values_of(chart)}
+            {
+                "of": chart,
+                "svg": drawing,
+                "legend": list(legend(chart)),
+                "table": values_of(chart),
+            }
             for chart, drawing in charts
         ],
-        "figures": Table(caption="The figures", head=("figure", "value", "95 % interval")[:columns], rows=figures),
-        "settings": Table(caption="Every setting", head=("setting", "value"), rows=section.configuration),
-        "versions": Table(caption="What made it", head=("package", "version"), rows=section.versions),
+        "figures": Table(
+            caption="The figures",
+            head=("figure", "value", "95 % interval")[:columns],
+            rows=figures,
+        ),
+        "settings": Table(
+            caption="Every setting",
+            head=("setting", "value"),
+            rows=section.configuration,
+        ),
+        "versions": Table(
+            caption="What made it", head=("package", "version"), rows=section.versions
+        ),
     }
 
 
@@ -295,5 +441,7 @@ def data_address(path: Path) -> dict[str, Any]:
     picture.thumbnail((LONGEST_SIDE, LONGEST_SIDE), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
     picture.save(buffer, format="PNG", optimize=True)
-    address = "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+    address = "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode(
+        "ascii"
+    )
     return {"address": address, "width": picture.width, "height": picture.height}

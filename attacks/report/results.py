@@ -17,17 +17,25 @@ Record = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class ResultKind:
-    """A kind of result; what it names as `module:name` is imported when it is used, since it takes seconds."""
+    """A kind of result; what it names as `module:name` is imported when it is used,
+    since it takes seconds.
+    """
 
     name: str  # what writes it; also what its record says under `story`
-    reader: str  # in attacks.report.kinds: makes the section of a folder and of what its record holds
-    counter: str = ""  # derives its figures from its rows; empty for a kind without rows
-    given: tuple[str, ...] = ()  # patterns of numbers in its record that are settings, or measured and in no rows
+    # in attacks.report.kinds: makes the section of a folder and of what its record
+    # holds
+    reader: str
+    # derives its figures from its rows; empty for a kind without rows
+    counter: str = ""
+    # patterns of numbers in its record that are settings, or measured and in no rows
+    given: tuple[str, ...] = ()
 
     @property
     def read(self) -> Callable[[Path, Record], Section]:
         """The function that `reader` names."""
-        function: Callable[[Path, Record], Section] = resolve_name(f"attacks.report.kinds.{self.reader}")
+        function: Callable[[Path, Record], Section] = resolve_name(
+            f"attacks.report.kinds.{self.reader}"
+        )
         return function
 
     @property
@@ -37,59 +45,139 @@ class ResultKind:
 
 
 _PROVENANCE = (
-    *("torch/*", "seconds", "cpu_seconds", "seed", "seeds/*", "versions/*", "config/*", "selection/*"),
-    *("cameras/*", "reference/*", "redraws/*", "background/*", "near", "up/*", "min_confidence", "object_gaussians"),
+    *(
+        "torch/*",
+        "seconds",
+        "cpu_seconds",
+        "seed",
+        "seeds/*",
+        "versions/*",
+        "config/*",
+        "selection/*",
+    ),
+    *(
+        "cameras/*",
+        "reference/*",
+        "redraws/*",
+        "background/*",
+        "near",
+        "up/*",
+        "min_confidence",
+        "object_gaussians",
+    ),
 )
-"""Numbers that every record may hold: how it was made, from where, of how many Gaussians, and how long that took."""
+"""Numbers that every record may hold: how it was made, from where, of how many
+Gaussians, and how long that took.
+"""
 _OF_DAGGER = (
     *_PROVENANCE,
     *("eps", "radius/*", "used/*", "used_in_file/*"),
-    *("steps", "evaluations", "loss", "trace/*", "zero_gradient_fraction/*", "clamped_fraction"),
+    *(
+        "steps",
+        "evaluations",
+        "loss",
+        "trace/*",
+        "zero_gradient_fraction/*",
+        "clamped_fraction",
+    ),
     *("changed_gaussians", "*psnr*", "image/*", "views/*"),
 )
 _OF_ATTACKS = ("attacks/*", "of_all_attacks/*")
-_OF_BENCH = ("cpu_seconds/*", "detector/classes", "attacks/*/settings/*", "attacks/*/labels/*")
+_OF_BENCH = (
+    "cpu_seconds/*",
+    "detector/classes",
+    "attacks/*/settings/*",
+    "attacks/*/labels/*",
+)
 _OF_VICTIMS = ("victims/*", "values/*/stopped")
 _OF_SPLATS = ("study/*", "splats/*/seed", "splats/*/gaussians")
 
 RESULT_KINDS = (
     ResultKind("dagger", "dagger:read_attack", "dagger.result:figures", _OF_DAGGER),
     ResultKind("dagger-eot", "dagger:read_attack", "dagger.result:figures", _OF_DAGGER),
-    ResultKind("study", "dagger:read_study", "studies.result:figures", (*_PROVENANCE, *_OF_ATTACKS)),
-    ResultKind("cloak", "cloak:read_cloak", "report.kinds.cloak:cloak_figures", (*_PROVENANCE, *_OF_SPLATS)),
+    ResultKind(
+        "study",
+        "dagger:read_study",
+        "studies.result:figures",
+        (*_PROVENANCE, *_OF_ATTACKS),
+    ),
+    ResultKind(
+        "cloak",
+        "cloak:read_cloak",
+        "report.kinds.cloak:cloak_figures",
+        (*_PROVENANCE, *_OF_SPLATS),
+    ),
     ResultKind(
         "cloak-study",
         "cloak:read_study",
         "report.kinds.cloak:study_figures_of_points",
-        (*_PROVENANCE, *(f"points/*/{pattern}" for pattern in (*_OF_SPLATS, "seeds/*"))),
+        (
+            *_PROVENANCE,
+            *(f"points/*/{pattern}" for pattern in (*_OF_SPLATS, "seeds/*")),
+        ),
     ),
-    ResultKind("poison-study", "poison:read_study", "studies.poison_figures:figures", (*_PROVENANCE, *_OF_VICTIMS)),
+    ResultKind(
+        "poison-study",
+        "poison:read_study",
+        "studies.poison_figures:figures",
+        (*_PROVENANCE, *_OF_VICTIMS),
+    ),
     ResultKind("audit", "audit:read_audit"),
-    ResultKind("evaluate", "detectors:read_evaluation", "report.kinds.detectors:evaluation_figures", _PROVENANCE),
-    ResultKind("bench", "detectors:read_bench", "bench.row:figures", (*_PROVENANCE, *_OF_BENCH)),
+    ResultKind(
+        "evaluate",
+        "detectors:read_evaluation",
+        "report.kinds.detectors:evaluation_figures",
+        _PROVENANCE,
+    ),
+    ResultKind(
+        "bench", "detectors:read_bench", "bench.row:figures", (*_PROVENANCE, *_OF_BENCH)
+    ),
 )
 """Every kind of result that a page can show."""
 
 
 def read_section(path: Path) -> Section:
     """What a page says of one result; whatever is broken in it is told in one line."""
-    file, commands = path / RECORD, ", ".join(f"mi-splat {kind.name}" for kind in RESULT_KINDS)
+    file, commands = (
+        path / RECORD,
+        ", ".join(f"mi-splat {kind.name}" for kind in RESULT_KINDS),
+    )
     if not file.is_file():
-        got, do = ("one without a result" if path.is_dir() else "nothing there"), "check the path"
+        got, do = (
+            ("one without a result" if path.is_dir() else "nothing there"),
+            "check the path",
+        )
         if path.is_file():
             got, do = "a file", f"pass {path.parent}"
-        raise InvalidValueError.of(str(path), f"a folder that one of {commands} has written", got, do)
+        raise InvalidValueError.of(
+            str(path), f"a folder that one of {commands} has written", got, do
+        )
     check_links(path)
     record = read_json(file)
     kind = _kind(record)
     if kind is None:
-        raise InvalidValueError.of(str(file), f"a result of {commands}", "something else", "make the result again")
+        raise InvalidValueError.of(
+            str(file),
+            f"a result of {commands}",
+            "something else",
+            "make the result again",
+        )
     try:
         return _finished(kind.read(path, record), path, record)
     except MiSplatError:
         raise
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, StopIteration) as error:
-        expected, do = f"a finished result of mi-splat {kind.name}", "make the result again"
+    except (
+        LookupError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        ArithmeticError,
+        StopIteration,
+    ) as error:
+        expected, do = (
+            f"a finished result of mi-splat {kind.name}",
+            "make the result again",
+        )
         got = f"a broken or an older one ({type(error).__name__}: {error})"
         raise InvalidValueError.of(str(file), expected, got, do) from error
 
@@ -100,9 +188,17 @@ def _finished(section: Section, path: Path, record: Record) -> Section:
     return replace(
         section,
         folder=str(path),
-        control=None if control is None or (control.rate is not None and not control.rate.total) else control,
+        control=(
+            None
+            if control is None or (control.rate is not None and not control.rate.total)
+            else control
+        ),
         warnings=tuple(map(sentence, (*section.doubts(), *section.warnings))),
-        pictures=tuple(picture for picture in section.pictures if _of_folder(path, picture.path).is_file()),
+        pictures=tuple(
+            picture
+            for picture in section.pictures
+            if _of_folder(path, picture.path).is_file()
+        ),
         charts=tuple(chart for chart in section.charts if chart.drawn),
         tables=tuple(table for table in section.tables if table.rows),
         command=str(record.get("command") or ""),
@@ -112,7 +208,9 @@ def _finished(section: Section, path: Path, record: Record) -> Section:
 
 
 def _of_folder(folder: Path, path: Path) -> Path:
-    """The path of a file on a page, which is one of the result's own, whatever kind of result it is."""
+    """The path of a file on a page, which is one of the result's own, whatever kind of
+    result it is.
+    """
     return file_in(folder, path.relative_to(folder).as_posix())
 
 
@@ -121,9 +219,13 @@ def kind_of(result: Result) -> ResultKind:
     kind = _kind(result.record)
     if kind is None:
         got, do = result.kind[:40], "make the result again with this version"
-        raise InvalidValueError.of(str(result.folder / RECORD), "a story of this version", got, do)
+        raise InvalidValueError.of(
+            str(result.folder / RECORD), "a story of this version", got, do
+        )
     return kind
 
 
 def _kind(record: Record) -> ResultKind | None:
-    return next((kind for kind in RESULT_KINDS if kind.name == record.get("story")), None)
+    return next(
+        (kind for kind in RESULT_KINDS if kind.name == record.get("story")), None
+    )

@@ -1,4 +1,6 @@
-"""What a page says of one result, as plain values: whatever a command has written becomes one `Section`."""
+"""What a page says of one result, as plain values: whatever a command has written
+becomes one `Section`.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +20,20 @@ def duration(seconds: float) -> str:
     """A time in the unit that suits it."""
     if seconds < 90:
         return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"
+    return (
+        f"{seconds / 60:.0f} minutes"
+        if seconds < 5400
+        else f"{seconds / 3600:.1f} hours"
+    )
 
 
 def listed(words: Sequence[str]) -> str:
     """Several words as a sentence has them."""
-    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+    return (
+        " and ".join([", ".join(words[:-1]), words[-1]])
+        if len(words) > 1
+        else "".join(words)
+    )
 
 
 def sentence(text: str) -> str:
@@ -56,13 +66,23 @@ def plain(value: Any) -> str:
 
 
 def shared(several: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, str], ...]:
-    """The settings of several attacks: what all share, and the values of what differs."""
+    """The settings of several attacks: what all share, and the values of what
+    differs.
+    """
     values: dict[str, dict[str, None]] = {}
     for attack in several:
         for name, value in settings(attack):
             values.setdefault(name, {})[value] = None
     return tuple(
-        (name, "; ".join([*list(different)[:MOST_VALUES], *([f"and {more} more"] if more > 0 else [])]))
+        (
+            name,
+            "; ".join(
+                [
+                    *list(different)[:MOST_VALUES],
+                    *([f"and {more} more"] if more > 0 else []),
+                ]
+            ),
+        )
         for name, different in values.items()
         for more in [len(different) - MOST_VALUES]
     )
@@ -70,13 +90,21 @@ def shared(several: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, str], ...]:
 
 def versions_of(result: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     """Packages, variant and commit of a result, as far as it names them."""
-    packages = {str(name): str(version) for name, version in result.get("versions", {}).items()}
-    more = {name: plain(result[name]) for name in ("variant", "commit") if result.get(name) is not None}
+    packages = {
+        str(name): str(version) for name, version in result.get("versions", {}).items()
+    }
+    more = {
+        name: plain(result[name])
+        for name in ("variant", "commit")
+        if result.get(name) is not None
+    }
     return tuple({**packages, **more}.items())
 
 
 Role = Literal["attack", "control", "other"]
-"""What a line of a chart stands for; it decides the colour, the marker and the dashes."""
+"""What a line of a chart stands for; it decides the colour, the marker and the
+dashes.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +112,8 @@ class Figure:
     """One figure."""
 
     label: str  # what it is
-    rate: Rate | None = None  # how often, with its interval; None for what is not counted
+    # how often, with its interval; None for what is not counted
+    rate: Rate | None = None
     words: str = ""  # the value where there is no rate
     note: str = ""  # what else the reader has to know of it
 
@@ -133,7 +162,8 @@ class Picture:
     path: Path  # of the PNG
     caption: str  # what is to be seen
     alt: str = ""  # the same for who cannot see it; empty where the caption says it
-    wide: bool = False  # whether it has so many columns that a small screen should scroll it
+    # whether it has so many columns that a small screen should scroll it
+    wide: bool = False
     large: bool = False  # whether it takes the whole width of any screen
 
 
@@ -161,16 +191,30 @@ class Line:
     points: tuple[Point, ...]
 
     @classmethod
-    def of(cls, name: str, role: Role, values: Iterable[Rate | Mapping[str, Any] | None]) -> Line:
-        """Rates, as they are or as JSON has them, at 0, 1, ...; but none that is None or counts nothing."""
-        known = [Rate.of(value) if isinstance(value, Mapping) else value for value in values]
-        points = (Point.of(x, rate) for x, rate in enumerate(known) if rate is not None and rate.total)
+    def of(
+        cls, name: str, role: Role, values: Iterable[Rate | Mapping[str, Any] | None]
+    ) -> Line:
+        """Rates, as they are or as JSON has them, at 0, 1, ...; but none that is None
+        or counts nothing.
+        """
+        known = [
+            Rate.of(value) if isinstance(value, Mapping) else value for value in values
+        ]
+        points = (
+            Point.of(x, rate)
+            for x, rate in enumerate(known)
+            if rate is not None and rate.total
+        )
         return cls(name=name, role=role, points=tuple(points))
 
     @classmethod
     def over(cls, name: str, role: Role, bands: Iterable[Mapping[str, Any]]) -> Line:
         """Rates of the parts of an interval, each in the middle of its part."""
-        points = (Point.of((band["from"] + band["to"]) / 2, Rate.of(band)) for band in bands if band["total"])
+        points = (
+            Point.of((band["from"] + band["to"]) / 2, Rate.of(band))
+            for band in bands
+            if band["total"]
+        )
         return cls(name=name, role=role, points=tuple(points))
 
 
@@ -184,30 +228,56 @@ class Chart:
     lines: tuple[Line, ...]
     caption: str = "Bars are 95 % intervals."
     ticks: tuple[str, ...] = ()  # names of 0, 1, ... where the axis has no numbers
-    shade: tuple[float, float, str] | None = None  # ends and name of a part of the axis that is marked
+    # ends and name of a part of the axis that is marked
+    shade: tuple[float, float, str] | None = None
     level: tuple[float, str] | None = None  # height and name of a horizontal line
     fractions: bool = True  # whether heights are fractions, shown from 0 to 100 %
     connected: bool = True  # whether the points of a line belong together
-    dome: bool = False  # whether points are azimuths and elevations in degrees, drawn as seen from above
+    # whether points are azimuths and elevations in degrees, drawn as seen from above
+    dome: bool = False
 
     @classmethod
-    def bars(cls, title: str, labels: tuple[str, str], ticks: Iterable[str], *lines: Line, **more: Any) -> Chart:
+    def bars(
+        cls,
+        title: str,
+        labels: tuple[str, str],
+        ticks: Iterable[str],
+        *lines: Line,
+        **more: Any,
+    ) -> Chart:
         """A chart over names, with the labels of both axes."""
         (x_label, y_label), names = labels, tuple(ticks)
-        return cls(title=title, x_label=x_label, y_label=y_label, lines=lines, ticks=names, connected=False, **more)
+        return cls(
+            title=title,
+            x_label=x_label,
+            y_label=y_label,
+            lines=lines,
+            ticks=names,
+            connected=False,
+            **more,
+        )
 
     @classmethod
     def directions(
-        cls, title: str, caption: str, groups: Mapping[str, tuple[Role, Iterable[Sequence[float]]]]
+        cls,
+        title: str,
+        caption: str,
+        groups: Mapping[str, tuple[Role, Iterable[Sequence[float]]]],
     ) -> Chart:
-        """A dome on which each group of azimuths and elevations, degrees, has its marks."""
+        """A dome on which each group of azimuths and elevations, degrees, has its
+        marks.
+        """
         return cls(
             title=title,
             caption=caption,
             x_label="azimuth, degrees",
             y_label="elevation, degrees",
             lines=tuple(
-                Line(name=name, role=role, points=tuple(Point(*angles) for angles in several))
+                Line(
+                    name=name,
+                    role=role,
+                    points=tuple(Point(*angles) for angles in several),
+                )
                 for name, (role, several) in groups.items()
             ),
             fractions=False,
@@ -230,25 +300,39 @@ class Section:
     done: str  # what was done, in plain words
     conclusion: str  # what may be concluded, in plain words
     headline: Figure  # the figure that matters
-    control: Figure | None = None  # the same where nothing was attacked, or noise was added; None without a control
+    # the same where nothing was attacked, or noise was added; None without a control
+    control: Figure | None = None
     attacked: bool = True  # whether the figure is one of an attack
-    counting: str = "views"  # what the headline counts, in the plural: for the warnings that every attack has
+    # what the headline counts, in the plural: for the warnings that every attack has
+    counting: str = "views"
     figures: Sequence[Figure] = ()  # more figures; with the two above, a table
-    warnings: Sequence[str] = ()  # reasons to look twice, besides those that every attack has
-    pictures: Sequence[Picture] = ()  # what can be seen; those without a file are left out
+    # reasons to look twice, besides those that every attack has
+    warnings: Sequence[str] = ()
+    # what can be seen; those without a file are left out
+    pictures: Sequence[Picture] = ()
     charts: Sequence[Chart] = ()  # what is drawn from the result's numbers
     tables: Sequence[Table] = ()  # more numbers; those without rows are left out
     configuration: tuple[tuple[str, str], ...] = ()  # every setting, by name
     versions: tuple[tuple[str, str], ...] = ()  # packages, variant and commit, by name
     folder: str = ""  # where it lies, as the reader of the command line named it
     command: str = ""  # command line that made it, as it was given; empty if none did
-    manifest: str = ""  # SHA-256 of manifest.json, which stands for every file of the result; empty where there is none
+    # SHA-256 of manifest.json, which stands for every file of the result; empty where
+    # there is none
+    manifest: str = ""
     file: tuple[str, str] | None = None  # name and text of the file of a study
 
     @property
     def all_figures(self) -> tuple[Figure, ...]:
         """The headline, its control, and the others, each once."""
-        return tuple(dict.fromkeys((self.headline, *([self.control] if self.control else []), *self.figures)))
+        return tuple(
+            dict.fromkeys(
+                (
+                    self.headline,
+                    *([self.control] if self.control else []),
+                    *self.figures,
+                )
+            )
+        )
 
     @property
     def has_intervals(self) -> bool:
@@ -256,15 +340,29 @@ class Section:
         return any(figure.interval for figure in self.all_figures)
 
     def doubts(self) -> list[str]:
-        """Warnings of every attack: too little was counted, or there is nothing to compare with."""
-        rate, control = self.headline.rate, None if self.control is None else self.control.rate
+        """Warnings of every attack: too little was counted, or there is nothing to
+        compare with.
+        """
+        rate, control = (
+            self.headline.rate,
+            None if self.control is None else self.control.rate,
+        )
         if rate is None or not self.attacked:
             return []
         doubts = []
         if rate.total < FEW:
-            doubts.append(f"Few {self.counting}: {rate.total}. The interval is wide; others may give another rate.")
+            doubts.append(
+                f"Few {self.counting}: {rate.total}. The interval is wide; others may"
+                " give another rate."
+            )
         if control is None or not control.total:
-            doubts.append("There is no control, so nothing says what would have happened without the attack.")
+            doubts.append(
+                "There is no control, so nothing says what would have happened without"
+                " the attack."
+            )
         elif control.fraction > 0 and control.interval[1] >= rate.interval[0]:
-            doubts.append("The intervals of the figure and of its control overlap: the attack may have done nothing.")
+            doubts.append(
+                "The intervals of the figure and of its control overlap: the attack may"
+                " have done nothing."
+            )
         return doubts

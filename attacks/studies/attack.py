@@ -1,7 +1,9 @@
-"""One attack of a study: an object attacked from some of its scene's cameras, or from all cameras of a region.
+"""One attack of a study: an object attacked from some of its scene's cameras, or from
+all cameras of a region.
 
-What it leaves: result.json as `mi-splat dagger` writes it, a picture of what was reported before and
-after, and the splat: object.ply has the object's Gaussians alone, attacked.ply of a region the whole scene.
+What it leaves: result.json as `mi-splat dagger` writes it, a picture of what was
+reported before and after, and the splat: object.ply has the object's Gaussians alone,
+attacked.ply of a region the whole scene.
 """
 
 from __future__ import annotations
@@ -59,16 +61,29 @@ class AttackScene(SplatScene):
     def views(self, name: str, *, camera: int, count: int, seed: int) -> list[Camera]:
         """Cameras of the scene, moved about an object as `jittered` does."""
         centre = self.scene.means[self.objects[name]].mean(0)
-        return [jittered(view, centre, seed=seed) for view in [*self.cameras.values()][camera:][: count or None]]
+        return [
+            jittered(view, centre, seed=seed)
+            for view in [*self.cameras.values()][camera:][: count or None]
+        ]
 
-    def attacked(self, name: str, inputs: Mapping[str, Path], *, camera: int, count: int, seed: int) -> list[Camera]:
+    def attacked(
+        self,
+        name: str,
+        inputs: Mapping[str, Path],
+        *,
+        camera: int,
+        count: int,
+        seed: int,
+    ) -> list[Camera]:
         """The same, or cameras of a job's file as they stand there."""
         if CAMERAS not in inputs:
             return self.views(name, camera=camera, count=count, seed=seed)
         return [*cameras_in(inputs[CAMERAS]).values()][camera:][: count or None]
 
     def renderer(self, name: str) -> RenderFn:
-        """A renderer by its name, as in `mi-splat compare`, with the scene's settings; "" is the scene's own."""
+        """A renderer by its name, as in `mi-splat compare`, with the scene's settings;
+        "" is the scene's own.
+        """
         return renderer_of(name, self.settings)
 
 
@@ -80,13 +95,22 @@ def attack_scene(path: Path) -> AttackScene:
 @functools.lru_cache(maxsize=4)
 def _read(path: Path, state: object) -> AttackScene:
     scene = read_scene(path)
-    return AttackScene(scene=scene.scene, objects=scene.objects, cameras=scene.cameras, settings=scene.settings)
+    return AttackScene(
+        scene=scene.scene,
+        objects=scene.objects,
+        cameras=scene.cameras,
+        settings=scene.settings,
+    )
 
 
 def detectors_of(names: tuple[str, ...], inputs: Mapping[str, Path]) -> list[Detector]:
     """The detectors of a job, each loaded once as long as its weights are the same."""
     return [
-        _detector(name, _state(inputs[f"weights {name}"]) if f"weights {name}" in inputs else None) for name in names
+        _detector(
+            name,
+            _state(inputs[f"weights {name}"]) if f"weights {name}" in inputs else None,
+        )
+        for name in names
     ]
 
 
@@ -101,17 +125,28 @@ def _state(file: Path) -> tuple[str, int, int]:
 
 
 def scene_files(path: Path) -> dict[str, Path]:
-    """A scene file and all that it names, as inputs of a job; read once as long as the file is the same."""
+    """A scene file and all that it names, as inputs of a job; read once as long as the
+    file is the same.
+    """
     files = dict.fromkeys(_parts(path, _state(path) if path.is_file() else None).files)
-    return {f"scene {number}" if number else "scene": file for number, file in enumerate(files)}
+    return {
+        f"scene {number}" if number else "scene": file
+        for number, file in enumerate(files)
+    }
 
 
-def street_of(condition: str, sun: SunTable | None) -> tuple[SunTable | None, dict[str, Path]]:
-    """The street of a condition that is an hour, and its files as inputs of a job; none of another condition."""
+def street_of(
+    condition: str, sun: SunTable | None
+) -> tuple[SunTable | None, dict[str, Path]]:
+    """The street of a condition that is an hour, and its files as inputs of a job; none
+    of another condition.
+    """
     check_condition(condition, sun)
     if sun is None or ":" not in condition:
         return None, {}
-    return sun, {f"street {name}": path for name, path in scene_files(Path(sun.scene)).items()}
+    return sun, {
+        f"street {name}": path for name, path in scene_files(Path(sun.scene)).items()
+    }
 
 
 def cameras_in(path: Path) -> dict[str, Camera]:
@@ -134,30 +169,57 @@ def _parts(path: Path, state: object) -> SceneParts:
 
 
 def check_scene(
-    path: Path, name: str, *, camera: int = 0, cameras: Path | None = None, renderers: Sequence[str] = ()
+    path: Path,
+    name: str,
+    *,
+    camera: int = 0,
+    cameras: Path | None = None,
+    renderers: Sequence[str] = (),
 ) -> None:
-    """Raise unless a scene file has an object and a camera, and there are renderers; nothing is loaded."""
+    """Raise unless a scene file has an object and a camera, and there are renderers;
+    nothing is loaded.
+    """
     elements = _parts(path, _state(path) if path.is_file() else None).elements
-    objects = [str(part.get("id")) for part in elements if part.tag == "shape" and part.get("type") == "gaussians"]
+    objects = [
+        str(part.get("id"))
+        for part in elements
+        if part.tag == "shape" and part.get("type") == "gaussians"
+    ]
     check_choice(f"object of {path}", name, objects)
-    count = sum(part.tag == "sensor" for part in elements) if cameras is None else len(cameras_in(cameras))
+    count = (
+        sum(part.tag == "sensor" for part in elements)
+        if cameras is None
+        else len(cameras_in(cameras))
+    )
     if camera >= count:
-        raise InvalidValueError.of(f"camera of {cameras or path}", f"0 to {count - 1}", camera, "choose another")
+        raise InvalidValueError.of(
+            f"camera of {cameras or path}",
+            f"0 to {count - 1}",
+            camera,
+            "choose another",
+        )
     for renderer in filter(None, renderers):
         check_choice("renderer", renderer, RENDERERS)
 
 
 def jittered(camera: Camera, centre: torch.Tensor, *, seed: int) -> Camera:
-    """The camera turned about the vertical axis through `centre` and moved along the line to it.
+    """The camera turned about the vertical axis through `centre` and moved along the
+    line to it.
 
-    It turns by at most 6 degrees, and its distance changes by at most 5 %. Seed 0 changes nothing.
+    It turns by at most 6 degrees, and its distance changes by at most 5 %. Seed 0
+    changes nothing.
     """
     if seed == 0:
         return camera
-    turn, move = (2 * torch.rand(2, generator=Generator().manual_seed(seed), dtype=torch.float64) - 1).tolist()
+    turn, move = (
+        2 * torch.rand(2, generator=Generator().manual_seed(seed), dtype=torch.float64)
+        - 1
+    ).tolist()
     angle, pivot = math.radians(6 * turn), centre.detach().to("cpu", torch.float64)
     spin = torch.eye(3, dtype=torch.float64)
-    spin[:2, :2] = torch.tensor([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    spin[:2, :2] = torch.tensor(
+        [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    )
     pose = camera.to_world.clone()
     pose[:3, :3] = spin @ pose[:3, :3]
     pose[:3, 3] = pivot + (1 + 0.05 * move) * (spin @ (camera.position - pivot))
@@ -172,20 +234,30 @@ SPLAT, WHOLE_SPLAT, PICTURE = "object.ply", "attacked.ply", "detections.png"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attack:
-    """One attack, from some cameras of the scene or of a file, or from all cameras of a region."""
+    """One attack, from some cameras of the scene or of a file, or from all cameras of a
+    region.
+    """
 
     object: str  # id of the object
-    objective: Relabel | Hide | Untargeted | PluggedObjective  # what the detectors shall see
+    # what the detectors shall see
+    objective: Relabel | Hide | Untargeted | PluggedObjective
     detectors: tuple[str, ...] = ("fasterrcnn_small",)  # attacked at once
     fingerprints: tuple[str, ...] = ()  # of the detectors whose weights are in no file
-    packages: tuple[str, ...] = ()  # that bring the optimiser and the renderers; empty for this project
-    attack: DaggerConfig = field(default_factory=DaggerConfig)  # its seed also moves the scene's cameras: `jittered`
-    camera: int = 0  # position of the first camera that is attacked, in the order of its file
-    views: int = 1  # cameras that are attacked together, from that one on; 0 is all of them
+    # that bring the optimiser and the renderers; empty for this project
+    packages: tuple[str, ...] = ()
+    # its seed also moves the scene's cameras: `jittered`
+    attack: DaggerConfig = field(default_factory=DaggerConfig)
+    # position of the first camera that is attacked, in the order of its file
+    camera: int = 0
+    # cameras that are attacked together, from that one on; 0 is all of them
+    views: int = 1
     renderer: str = ""  # whose pictures the attacker looks at; "" is the scene's own
-    gradient: str = ""  # whose gradient the attacker follows; "" is that of the pictures
-    transformations: Transformations | None = None  # the views of a region that it is made for; None is cameras
-    judged: Transformations | None = None  # the views of a region that judge it, where these are others
+    # whose gradient the attacker follows; "" is that of the pictures
+    gradient: str = ""
+    # the views of a region that it is made for; None is cameras
+    transformations: Transformations | None = None
+    # the views of a region that judge it, where these are others
+    judged: Transformations | None = None
 
 
 def run(config: Attack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
@@ -193,7 +265,9 @@ def run(config: Attack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, 
     scene, seed = attack_scene(inputs["scene"]), config.attack.seed
     rows, fixed = scene.objects[config.object], config.transformations is None
     if config.transformations is None:
-        cameras = scene.attacked(config.object, inputs, camera=config.camera, count=config.views, seed=seed)
+        cameras = scene.attacked(
+            config.object, inputs, camera=config.camera, count=config.views, seed=seed
+        )
         render = attackers_renderer(scene, config.renderer, config.gradient)
         views = FixedViews(scene.scene, rows, cameras, render=render)
     else:
@@ -207,12 +281,21 @@ def run(config: Attack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, 
         detectors_of(config.detectors, inputs),
         config.objective,
         config=config.attack,
-        judged=None if config.judged is None else distribution(scene, config.object, config.judged),
+        judged=(
+            None
+            if config.judged is None
+            else distribution(scene, config.object, config.judged)
+        ),
         on_step=follow,
     )
     if fixed:
         named = len(result.detectors) > 1
-        save_png(np.concatenate([before_and_after(view, named=named) for view in result.views]), out / PICTURE)
+        save_png(
+            np.concatenate(
+                [before_and_after(view, named=named) for view in result.views]
+            ),
+            out / PICTURE,
+        )
         save_splat(result.scene.select(rows), out / SPLAT)
         save_json(summary(result), out / RECORD)
     else:
@@ -221,24 +304,35 @@ def run(config: Attack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, 
 
 
 @functools.lru_cache(maxsize=4)
-def distribution(scene: AttackScene, name: str, transformations: Transformations) -> DrawnViews:
+def distribution(
+    scene: AttackScene, name: str, transformations: Transformations
+) -> DrawnViews:
     """The views of an object; drawn once for all jobs of a process."""
     reference = next(iter(scene.cameras.values()))
-    return DrawnViews(scene.scene, scene.objects[name], reference, transformations, render=scene.renderer(""))
+    return DrawnViews(
+        scene.scene,
+        scene.objects[name],
+        reference,
+        transformations,
+        render=scene.renderer(""),
+    )
 
 
 def attackers_renderer(scene: AttackScene, renderer: str, gradient: str) -> RenderFn:
-    """What makes the attacker's pictures, with the gradient of another renderer if one is named."""
+    """What makes the attacker's pictures, with the gradient of another renderer if one
+    is named.
+    """
     picture = scene.renderer(renderer)
     same = gradient in ("", renderer)
     return picture if same else with_gradient_of(scene.renderer(gradient), picture)
 
 
 def with_gradient_of(gradient: RenderFn, picture: RenderFn) -> RenderFn:
-    """The pictures of `picture`, through which autograd goes as through those of `gradient`.
+    """The pictures of `picture`, through which autograd goes as through those of
+    `gradient`.
 
-    A derivative of the loss by the pixels is therefore that at the picture that is shown; the derivative of the pixels
-    by the Gaussians is the other renderer's.
+    A derivative of the loss by the pixels is therefore that at the picture that is
+    shown; the derivative of the pixels by the Gaussians is the other renderer's.
     """
 
     def rendered(scene: GaussianScene, camera: Camera) -> Tensor:

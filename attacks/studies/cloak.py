@@ -1,7 +1,9 @@
-"""Studies of CLOAK with one thing changed at a time: how much of the attack depends on it, as tables.
+"""Studies of CLOAK with one thing changed at a time: how much of the attack depends on
+it, as tables.
 
-The settings of `study = "cloak"` are those of a file that `mi-splat cloak` reads; `base` names such a file, and what
-the study says comes in the place of what stands there. Every point is done with all of its seeds. An axis is a chart.
+The settings of `study = "cloak"` are those of a file that `mi-splat cloak` reads;
+`base` names such a file, and what the study says comes in the place of what stands
+there. Every point is done with all of its seeds. An axis is a chart.
 """
 
 import statistics
@@ -47,13 +49,17 @@ _POOLED = {**RATES, "trigger_miss_rate_all": "cloaked missed, all inside"}
 
 
 def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Table]:
-    """For each group a table of rates, one of what is lost, and one of what is seen under other conditions.
+    """For each group a table of rates, one of what is lost, and one of what is seen
+    under other conditions.
 
-    Rates are pooled over seeds, as a summary has them. Losses, and the numbers of Gaussians, are means over the seeds;
-    the transition is that of all seeds together.
+    Rates are pooled over seeds, as a summary has them. Losses, and the numbers of
+    Gaussians, are means over the seeds; the transition is that of all seeds together.
     """
     for group, results in groups.items():
-        title, summaries = group.replace("_", " "), [{"value": value, **summary} for value, summary in results.items()]
+        title, summaries = (
+            group.replace("_", " "),
+            [{"value": value, **summary} for value, summary in results.items()],
+        )
         looked = [
             {"value": summary["value"], "detector": name, "study": summary, **rates}
             for summary in summaries
@@ -61,15 +67,31 @@ def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Ta
         ]
         columns: dict[str, Column[Any]] = {title: "value", "detector": "detector"}
         columns |= {
-            head: lambda line, key=key: cell(line.get(key)) + spread_of(line["study"], line["detector"], key)  # type: ignore[misc]
+            head: lambda line, key=key: (
+                cell(line.get(key)) + spread_of(line["study"], line["detector"], key)
+            )  # type: ignore[misc]
             for key, head in RATES.items()
         }
         yield Table.of(f"By {title}", columns, looked)
-        yield Table.of(f"By {title}: what is lost", {title: "value", **_COSTS}, summaries)
-        under = [{"value": summary["value"], **look} for summary in summaries for look in summary.get("looks", ())]
+        yield Table.of(
+            f"By {title}: what is lost", {title: "value", **_COSTS}, summaries
+        )
+        under = [
+            {"value": summary["value"], **look}
+            for summary in summaries
+            for look in summary.get("looks", ())
+        ]
         if under:
-            heads: dict[str, Column[Any]] = {title: "value", "condition": "condition", "detector": "detector"}
-            heads |= {head: name for name, head in LOOKS.items() if any(name in look for look in under)}
+            heads: dict[str, Column[Any]] = {
+                title: "value",
+                "condition": "condition",
+                "detector": "detector",
+            }
+            heads |= {
+                head: name
+                for name, head in LOOKS.items()
+                if any(name in look for look in under)
+            }
             heads |= {
                 f"PSNR, dB: {head}": number_at("psnr", name, form=".1f")
                 for name, head in _PICTURES.items()
@@ -108,7 +130,8 @@ class CloakJudge:
 
     detector: str | None = None  # None is each of the study's
     condition: str = ""  # see `attacks.observe.conditions`
-    every: Annotated[int, at_least(1, "cameras")] = 4  # every N-th held-out camera is used
+    # every N-th held-out camera is used
+    every: Annotated[int, at_least(1, "cameras")] = 4
     sun: SunTable | None = None  # a street of meshes for conditions that are hours
 
     def __post_init__(self) -> None:
@@ -118,15 +141,29 @@ class CloakJudge:
         """The looks at each splat of a study."""
         sun, street = street_of(self.condition, self.sun)
         if sun is not None and steps.study.layers is None:
-            do = "take a study with [layers], whose object is known Gaussian by Gaussian"
-            raise InvalidValueError.of(f"study under the condition {self.condition}", "layers", "none", do)
+            do = (
+                "take a study with [layers], whose object is known Gaussian by Gaussian"
+            )
+            raise InvalidValueError.of(
+                f"study under the condition {self.condition}", "layers", "none", do
+            )
         shown = self.condition or OWN
         for splat, seed in steps.names():
-            for detector in detectors if self.detector is None else [loaded(self.detector)]:
+            for detector in (
+                detectors if self.detector is None else [loaded(self.detector)]
+            ):
                 how = {"condition": self.condition, "every": self.every, "sun": sun}
                 job = steps.seen(steps.splat(splat, seed), detector, **how, **street)  # type: ignore[arg-type]
-                label = f"{detector.name} looks at the {splat} splat, seed {seed}, {shown}"
-                yield Look(label=label, job=job, splat=ROW_NAMES[splat], seed=seed, condition=shown)
+                label = (
+                    f"{detector.name} looks at the {splat} splat, seed {seed}, {shown}"
+                )
+                yield Look(
+                    label=label,
+                    job=job,
+                    splat=ROW_NAMES[splat],
+                    seed=seed,
+                    condition=shown,
+                )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,12 +193,18 @@ class CloakWork(Work[CloakAttempt]):
         steps = StudySteps(study=config, weights=self.weights)
         check_study(steps, detectors)
         where = f"{self.study.name}, judge"
-        judges = [decode(CloakJudge, with_none(judge.settings), where) for judge in self.study.judges]
+        judges = [
+            decode(CloakJudge, with_none(judge.settings), where)
+            for judge in self.study.judges
+        ]
         looks = [look for judge in judges for look in judge.looks(steps, detectors)]
         check_apart(where, (look.label for look in looks))
         part, value = names_of(point, self.study.name)
         title = f"{part}: {value}"
-        jobs = {**dict(steps.made()), **{look.label: look.job for look in (*steps.looked(detectors), *looks)}}
+        jobs = {
+            **dict(steps.made()),
+            **{look.label: look.job for look in (*steps.looked(detectors), *looks)},
+        }
         return CloakAttempt(
             point=point,
             title=title,
@@ -183,12 +226,25 @@ class CloakWork(Work[CloakAttempt]):
                 for name, table in tables_of.items():
                     titled = by_camera(table).with_columns(attack=pl.lit(attempt.title))
                     frames.setdefault(name, []).append(titled)
-        return {"points": points}, {name: pl.concat(parts, how="diagonal") for name, parts in frames.items()}, []
+        return (
+            {"points": points},
+            {name: pl.concat(parts, how="diagonal") for name, parts in frames.items()},
+            [],
+        )
 
-    def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+    def with_figures(
+        self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]
+    ) -> dict[str, Any]:
         """A record with the rates of its parts; its points have theirs."""
         studies = {attempt.title: attempt.steps.study for attempt in self.attempts}
-        return {**record, **(pooled(record["points"], studies, rows[ROWS]) if record["points"] else {})}
+        return {
+            **record,
+            **(
+                pooled(record["points"], studies, rows[ROWS])
+                if record["points"]
+                else {}
+            ),
+        }
 
     def tables(self, record: Mapping[str, Any]) -> Iterator[Table]:
         """The tables of each part."""
@@ -197,7 +253,9 @@ class CloakWork(Work[CloakAttempt]):
 
 
 class CloakReport(CloakWork):
-    """One study of CLOAK whose result has its splats and pictures, too: what `mi-splat cloak` does."""
+    """One study of CLOAK whose result has its splats and pictures, too: what
+    `mi-splat cloak` does.
+    """
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
         """Write the report of the study."""
@@ -215,23 +273,36 @@ def config_of(settings: Settings, name: str) -> StudyConfig:
     if "base" in settings:
         path = Path(str(settings["base"]))
         if not path.is_file():
-            raise InvalidValueError.of(f"base of {name}", "a TOML file", f"no file {path}", "check the path")
-        values = merged(DocumentReader(expected="a TOML file", do="correct it").read_toml(path), values)
+            raise InvalidValueError.of(
+                f"base of {name}", "a TOML file", f"no file {path}", "check the path"
+            )
+        values = merged(
+            DocumentReader(expected="a TOML file", do="correct it").read_toml(path),
+            values,
+        )
     return decode(StudyConfig, {**with_none(values), "name": name}, name)
 
 
-def _seen(attempt: CloakAttempt, done: Mapping[str, Done]) -> tuple[dict[str, Any], dict[str, pl.DataFrame]]:
+def _seen(
+    attempt: CloakAttempt, done: Mapping[str, Done]
+) -> tuple[dict[str, Any], dict[str, pl.DataFrame]]:
     """What was found at a point, as JSON can hold it, and its tables."""
     entry, tables = observed(attempt.steps, done, attempt.detectors, attempt.looks)
-    judges = {look.job.config.detector: look.job.config.fingerprint for look in attempt.looks}
+    judges = {
+        look.job.config.detector: look.job.config.fingerprint for look in attempt.looks
+    }
     named = {"part": attempt.part, "value": attempt.value}
     return {**named, **entry, "detectors": entry["detectors"] | judges}, tables
 
 
 def pooled(
-    points: Mapping[str, Mapping[str, Any]], studies: Mapping[str, StudyConfig], rows: pl.DataFrame
+    points: Mapping[str, Mapping[str, Any]],
+    studies: Mapping[str, StudyConfig],
+    rows: pl.DataFrame,
 ) -> dict[str, Any]:
-    """What a result says of each part whose points are one attack on several objects (`over_objects`), if any is."""
+    """What a result says of each part whose points are one attack on several objects
+    (`over_objects`), if any is.
+    """
     parts: dict[str, dict[str, StudyConfig]] = {}
     for title, point in points.items():
         parts.setdefault(point["part"], {})[title] = studies[title]
@@ -241,19 +312,32 @@ def pooled(
 
 
 def pooled_tables(record: Mapping[str, Any]) -> Iterator[Table]:
-    """For each part that is one attack on several objects a table of its rates over all of them."""
+    """For each part that is one attack on several objects a table of its rates over all
+    of them.
+    """
     columns: dict[str, Column[Any]] = {"detector": "detector", "its region": "region"}
-    columns |= {head: lambda line, key=key: cell(line[key]) for key, head in _POOLED.items()}  # type: ignore[misc]
+    columns |= {
+        head: lambda line, key=key: cell(line[key])  # type: ignore[misc]
+        for key, head in _POOLED.items()
+    }
     for part, over in record.get("pooled", {}).items():
-        caption = f"{part.replace('_', ' ')}: {over['objects']} objects together; intervals have objects drawn anew"
+        caption = (
+            f"{part.replace('_', ' ')}: {over['objects']} objects together; intervals"
+            " have objects drawn anew"
+        )
         caption = caption[0].upper() + caption[1:]
-        lines = [{"detector": name, "region": "all", **rates} for name, rates in over["by_detector"].items()]
+        lines = [
+            {"detector": name, "region": "all", **rates}
+            for name, rates in over["by_detector"].items()
+        ]
         yield Table.of(caption, columns, lines)
         lines = [
             {"detector": name, "region": in_words(own["bands"]), **own["rates"]}
             for name, own in over[OWN_REGION].items()
         ]
-        yield Table.of(f"{caption}; each detector in its own region: {RULE}", columns, lines)
+        yield Table.of(
+            f"{caption}; each detector in its own region: {RULE}", columns, lines
+        )
 
 
 def by_part(record: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:

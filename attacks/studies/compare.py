@@ -1,6 +1,8 @@
-"""Studies of renderers: what `mi-splat compare` measures, with one thing changed at a time.
+"""Studies of renderers: what `mi-splat compare` measures, with one thing changed at a
+time.
 
-Settings of `study = "compare"` are the fields of `Comparing`. Every point is a job of its own.
+Settings of `study = "compare"` are the fields of `Comparing`. Every point is a job of
+its own.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -18,7 +20,15 @@ from attacks.tables import Table
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cli.cameras import ALL, find_cameras, renderer_of
 from mi_splat.cli.options import CameraOptions
-from mi_splat.comparison.compare import FORWARD, GRADIENT, CompareConfig, Comparison, as_dict, compare, save_sheets
+from mi_splat.comparison.compare import (
+    FORWARD,
+    GRADIENT,
+    CompareConfig,
+    Comparison,
+    as_dict,
+    compare,
+    save_sheets,
+)
 from mi_splat.comparison.methods import FOLDER, load_methods
 from mi_splat.datasets.frames import Split
 from mi_splat.fields import Checked, decode
@@ -41,16 +51,20 @@ class Comparing(Checked):
     """A splat, what renders it, and from where."""
 
     scene: str  # splat file, or scene XML, also with meshes
-    methods: tuple[str, ...]  # as `mi-splat compare` calls them; with meshes, path-traced-N, too
+    # as `mi-splat compare` calls them; with meshes, path-traced-N, too
+    methods: tuple[str, ...]
     view: CameraOptions = field(default_factory=CameraOptions)
-    parameters: Mapping[str, float] = field(default_factory=dict)  # in place of default values of a scene with meshes
+    # in place of default values of a scene with meshes
+    parameters: Mapping[str, float] = field(default_factory=dict)
     config: CompareConfig = field(default_factory=CompareConfig)
 
 
 def measured(
     config: Comparing, on_step: Callable[[str], None], *, split: Split | None = None
 ) -> tuple[Comparison, dict[str, Any]]:
-    """A comparison, and what a result says of it; of a data set the cameras of one split, or all."""
+    """A comparison, and what a result says of it; of a data set the cameras of one
+    split, or all.
+    """
     path, makes_meshes = Path(config.scene), None
     if holds_surfaces(path):
 
@@ -61,7 +75,9 @@ def measured(
     cameras = find_cameras(loaded, config.view, split=split)
     settings = renderer_of(loaded, config.view, cameras).settings
     methods = load_methods(config.methods, settings, cameras, meshes=makes_meshes)
-    comparison = compare(loaded.scene, cameras, methods, config=config.config, on_step=on_step)
+    comparison = compare(
+        loaded.scene, cameras, methods, config=config.config, on_step=on_step
+    )
     return comparison, {
         "scene": config.scene,
         "scene_hash": scene_hash(loaded.scene),
@@ -78,12 +94,20 @@ def measured(
 def _splats(config: Comparing) -> SplatScene:
     """The splats of a scene, also of one with meshes."""
     path = Path(config.scene)
-    return MixedScene(path, samples=1, **config.parameters).splats if holds_surfaces(path) else open_scene(path)  # type: ignore[arg-type]
+    return (
+        MixedScene(path, samples=1, **config.parameters).splats  # type: ignore[arg-type]
+        if holds_surfaces(path)
+        else open_scene(path)
+    )
 
 
-def run(config: Comparing, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
+def run(
+    config: Comparing, inputs: Mapping[str, Path], out: Out
+) -> list[dict[str, Any]]:
     """Compare, and write a record and a sheet for each camera."""
-    comparison, record = measured(config, lambda text: out.progress(text, 0, 0), split="test")
+    comparison, record = measured(
+        config, lambda text: out.progress(text, 0, 0), split="test"
+    )
     save_sheets(comparison.pictures, out.files)
     save_json(record, out / RECORD)
     return []
@@ -91,14 +115,29 @@ def run(config: Comparing, inputs: Mapping[str, Path], out: Out) -> list[dict[st
 
 def files_of(config: Comparing) -> dict[str, Path]:
     """The files that a comparison reads, as inputs of a job."""
-    named = [Path(text.removeprefix(FOLDER)) for text in config.methods if text.startswith(FOLDER)]
+    named = [
+        Path(text.removeprefix(FOLDER))
+        for text in config.methods
+        if text.startswith(FOLDER)
+    ]
     for text in config.view.cameras:
         source = text if Path(text).exists() else text.rpartition(OF)[0]
-        named_so = Path(text).is_dir() and (text == ALL or text in _splats(config).cameras)  # cameras come first
+        # cameras come first
+        named_so = Path(text).is_dir() and (
+            text == ALL or text in _splats(config).cameras
+        )
         if source and Path(source).exists() and not named_so:
             named.append(Path(source))
-    files = [file for path in named for file in ([path] if path.is_file() else sorted(path.rglob("*.*")))]
-    inputs = scene_files(Path(config.scene)) if config.scene.endswith(".xml") else {"scene": Path(config.scene)}
+    files = [
+        file
+        for path in named
+        for file in ([path] if path.is_file() else sorted(path.rglob("*.*")))
+    ]
+    inputs = (
+        scene_files(Path(config.scene))
+        if config.scene.endswith(".xml")
+        else {"scene": Path(config.scene)}
+    )
     return {**inputs, **{f"file {number}": file for number, file in enumerate(files)}}
 
 
@@ -113,18 +152,35 @@ class CompareWork(Work[Attempt]):
     def attempt(self, point: Point) -> Attempt:
         """One comparison."""
         config = decode(Comparing, with_none(point.settings), self.study.name)
-        title = ": ".join(filter(None, (point.part, names_of(point, self.study.name)[1])))
+        title = ": ".join(
+            filter(None, (point.part, names_of(point, self.study.name)[1]))
+        )
         job = Job(kind=__name__, config=config, inputs=files_of(config))
         return Attempt(point=point, title=title, jobs={title: job})
 
     def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
         """The records by point, and a sheet of each."""
-        done = {name: result for name, result in results.items() if isinstance(result, Done)}
-        sheets = {name: min(result.folder.glob("*.png")) for name, result in done.items()}
+        done = {
+            name: result for name, result in results.items() if isinstance(result, Done)
+        }
+        sheets = {
+            name: min(result.folder.glob("*.png")) for name, result in done.items()
+        }
         paths = [copied(file, out / "pictures", name) for name, file in sheets.items()]
-        return {"points": {name: read_json(result.folder / RECORD) for name, result in done.items()}}, {}, paths
+        return (
+            {
+                "points": {
+                    name: read_json(result.folder / RECORD)
+                    for name, result in done.items()
+                }
+            },
+            {},
+            paths,
+        )
 
-    def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+    def with_figures(
+        self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]
+    ) -> dict[str, Any]:
         """The record, which has all its figures."""
         return record
 
@@ -134,26 +190,50 @@ class CompareWork(Work[Attempt]):
 
 
 def tables(points: Mapping[str, Mapping[str, Any]]) -> Iterator[Table]:
-    """Errors by point and camera, gradients and costs, a column for each pair or method."""
-    pairs = dict.fromkeys(tuple(pair["methods"]) for point in points.values() for pair in point["pairs"])
-    methods = dict.fromkeys(name for point in points.values() for name in point["methods"])
-    errors, gradients, costs = list[tuple[str, ...]](), list[tuple[str, ...]](), list[tuple[str, ...]]()
+    """Errors by point and camera, gradients and costs, a column for each pair or
+    method.
+    """
+    pairs = dict.fromkeys(
+        tuple(pair["methods"]) for point in points.values() for pair in point["pairs"]
+    )
+    methods = dict.fromkeys(
+        name for point in points.values() for name in point["methods"]
+    )
+    errors, gradients, costs = (
+        list[tuple[str, ...]](),
+        list[tuple[str, ...]](),
+        list[tuple[str, ...]](),
+    )
     for title, point in points.items():
         found = {tuple(pair["methods"]): pair for pair in point["pairs"]}
         named = [camera["name"] for camera in point["cameras"]]
         by_name = {title: found} | {
-            f"{title}, {name}": {pair: entry["by_camera"][name] for pair, entry in found.items()}
+            f"{title}, {name}": {
+                pair: entry["by_camera"][name] for pair, entry in found.items()
+            }
             for name in (named if len(named) > 1 else ())
         }
-        errors += [(name, *(_error(seen.get(pair)) for pair in pairs)) for name, seen in by_name.items()]
-        for name in ATTRIBUTES if any(pair["gradients"] for pair in found.values()) else ():
-            gradients.append((f"{title}, {name}", *(_agreement(found.get(pair), name) for pair in pairs)))
+        errors += [
+            (name, *(_error(seen.get(pair)) for pair in pairs))
+            for name, seen in by_name.items()
+        ]
+        for name in (
+            ATTRIBUTES if any(pair["gradients"] for pair in found.values()) else ()
+        ):
+            gradients.append(
+                (
+                    f"{title}, {name}",
+                    *(_agreement(found.get(pair), name) for pair in pairs),
+                )
+            )
         for words, key in _COSTS.items():
             spent = [point["methods"].get(name, {}).get(key) for name in methods]
             if any(spent):
                 costs.append((f"{title}, {words}", *map(_cost, spent)))
     head = ("setting", *(" and ".join(pair) for pair in pairs))
-    yield Table(caption="Difference of images: PSNR, SSIM", head=head, rows=tuple(errors))
+    yield Table(
+        caption="Difference of images: PSNR, SSIM", head=head, rows=tuple(errors)
+    )
     caption = "Gradients: cosine, length of the difference over that of the first"
     if gradients:
         yield Table(caption=caption, head=head, rows=tuple(gradients))
@@ -164,7 +244,11 @@ def tables(points: Mapping[str, Mapping[str, Any]]) -> Iterator[Table]:
 def _error(pair: Mapping[str, Any] | None) -> str:
     if pair is None:
         return "-"
-    return "equal" if pair["psnr"] is None else f"{number(pair['psnr'], unit='dB')}, {number(pair['ssim'], '.4f')}"
+    return (
+        "equal"
+        if pair["psnr"] is None
+        else f"{number(pair['psnr'], unit='dB')}, {number(pair['ssim'], '.4f')}"
+    )
 
 
 def _agreement(pair: Mapping[str, Any] | None, attribute: str) -> str:
@@ -177,4 +261,8 @@ def _agreement(pair: Mapping[str, Any] | None, attribute: str) -> str:
 
 
 def _cost(cost: Mapping[str, float] | None) -> str:
-    return "-" if cost is None else f"{number(cost['seconds'], '.3f', 's')}, {number(cost['ratio'], '.2f')}"
+    return (
+        "-"
+        if cost is None
+        else f"{number(cost['seconds'], '.3f', 's')}, {number(cost['ratio'], '.2f')}"
+    )

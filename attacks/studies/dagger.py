@@ -1,13 +1,15 @@
 """Studies of DAGGER: what their settings mean, and the jobs that they are made of.
 
-`study = "dagger"` attacks an object from some of its scene's cameras, or from those of a file, `study = "dagger-eot"`
-from all cameras of a region. Seed 0 looks from the scene's own cameras and starts at the clean splat; another one turns
-these cameras about the object by up to 6 degrees, moves them by up to 5 %, and starts at a random point of the ball.
-Cameras of a file stay where they are. In a region the seed draws the views.
+`study = "dagger"` attacks an object from some of its scene's cameras, or from those of
+a file, `study = "dagger-eot"` from all cameras of a region. Seed 0 looks from the
+scene's own cameras and starts at the clean splat; another one turns these cameras about
+the object by up to 6 degrees, moves them by up to 5 %, and starts at a random point of
+the ball. Cameras of a file stay where they are. In a region the seed draws the views.
 
-Settings are the fields of `Attack`, and in their place `scene`, `aim`, `target` and `objective`, `seed`, `cameras`
-(the path of a file, or a table that is a region), and in a region `pictures`, and `judged_pictures` where the pictures
-that judge are others. [judge] has those of `Judge`.
+Settings are the fields of `Attack`, and in their place `scene`, `aim`, `target` and
+`objective`, `seed`, `cameras` (the path of a file, or a table that is a region), and in
+a region `pictures`, and `judged_pictures` where the pictures that judge are others.
+[judge] has those of `Judge`.
 """
 
 import dataclasses
@@ -27,7 +29,15 @@ from attacks.observe import Control
 from attacks.observe.conditions import OWN, SunTable, package_of
 from attacks.observe.rows import ROWS, column_of, frame_of
 from attacks.optimisers import OPTIMISERS
-from attacks.studies.attack import CAMERAS, SPLAT, WHOLE_SPLAT, Attack, check_scene, scene_files, street_of
+from attacks.studies.attack import (
+    CAMERAS,
+    SPLAT,
+    WHOLE_SPLAT,
+    Attack,
+    check_scene,
+    scene_files,
+    street_of,
+)
 from attacks.studies.look import Look
 from attacks.studies.result import figures, shared_apart, tables, views_of
 from attacks.studies.running import Attempt, Observed, Work, bisection, check_apart
@@ -44,7 +54,9 @@ ATTACK, LOOK = "attacks.studies.attack", "attacks.studies.look"
 AS_ATTACKED = "as attacked"
 """The condition that is the renderer of the attack."""
 _AIMS = {"relabel": Relabel, "hide": Hide, "untargeted": Untargeted}
-"""Aims whose settings a table may have; those of other packages have a confidence alone."""
+"""Aims whose settings a table may have; those of other packages have a confidence
+alone.
+"""
 _ELSEWHERE = ("fingerprints", "packages", "transformations", "judged")
 """Fields of attacks that are no settings."""
 _OF_CAMERAS = ("camera", "views", "renderer", "gradient")
@@ -54,12 +66,37 @@ _UNBOUND = 1e9
 """A radius that binds nothing."""
 STORY, _NAME_DIGITS = "study", 12
 _STATED = (
-    *("steps", "image_psnr", "image", "control_psnr", "used", "used_in_file", "changed_gaussians", "object_gaussians"),
-    *("clamped_fraction", "redraws", "warnings", "seconds", "versions", "variant", "commit"),
+    *(
+        "steps",
+        "image_psnr",
+        "image",
+        "control_psnr",
+        "used",
+        "used_in_file",
+        "changed_gaussians",
+        "object_gaussians",
+    ),
+    *(
+        "clamped_fraction",
+        "redraws",
+        "warnings",
+        "seconds",
+        "versions",
+        "variant",
+        "commit",
+    ),
     *("evaluations", "cpu_seconds", "loss"),
 )
 """What an attack says of itself that does not follow from rows."""
-_BRIEFLY = ("steps", "image_psnr", "versions", "variant", "commit", "evaluations", "cpu_seconds")
+_BRIEFLY = (
+    "steps",
+    "image_psnr",
+    "versions",
+    "variant",
+    "commit",
+    "evaluations",
+    "cpu_seconds",
+)
 """The same of one of many that differ in the camera alone."""
 
 
@@ -70,24 +107,52 @@ class Judge:
     detector: str | None = None  # None is each of those attacked
     condition: str = AS_ATTACKED  # see `attacks.observe.conditions`
     sun: SunTable | None = None  # a street of meshes for conditions that are hours
-    views: int = 24  # held-out views of a region, at most as many as have judged the attack; fixed cameras stay
-    controls: tuple[Control, ...] = ("noise",)  # random changes beside the attack; see `DaggerConfig`
+    # held-out views of a region, at most as many as have judged the attack; fixed
+    # cameras stay
+    views: int = 24
+    # random changes beside the attack; see `DaggerConfig`
+    controls: tuple[Control, ...] = ("noise",)
 
     def looks(self, scene: Path, attacked: Job) -> list[Job]:
         """A look by each detector at the splat of an attack."""
         config: Attack = attacked.config
         attack, of = config.attack, dict[str, Any]()
         if config.transformations is None:
-            of = {"eps": attack.eps, "seed": attack.seed, "camera": config.camera, "views": config.views}
+            of = {
+                "eps": attack.eps,
+                "seed": attack.seed,
+                "camera": config.camera,
+                "views": config.views,
+            }
         else:
-            of = {"eps": (_UNBOUND,), "seed": attack.judge_seed, "sh_degree": attack.sh_degree}
-            of |= {"views": min(self.views, attack.held_out), "transformations": config.transformations}
-        splat, renderer = SPLAT if config.transformations is None else WHOLE_SPLAT, config.renderer
+            of = {
+                "eps": (_UNBOUND,),
+                "seed": attack.judge_seed,
+                "sh_degree": attack.sh_degree,
+            }
+            of |= {
+                "views": min(self.views, attack.held_out),
+                "transformations": config.transformations,
+            }
+        splat, renderer = (
+            SPLAT if config.transformations is None else WHOLE_SPLAT,
+            config.renderer,
+        )
         condition = renderer if self.condition == AS_ATTACKED else self.condition
         sun, street = street_of(condition, self.sun)
-        inputs: dict[str, Job | Part | Path] = {"attacked": attacked.part(splat), **street}
-        inputs |= {name: path for name, path in attacked.inputs.items() if name == CAMERAS}
-        of |= {"object": config.object, "objective": config.objective, "condition": condition, "sun": sun}
+        inputs: dict[str, Job | Part | Path] = {
+            "attacked": attacked.part(splat),
+            **street,
+        }
+        inputs |= {
+            name: path for name, path in attacked.inputs.items() if name == CAMERAS
+        }
+        of |= {
+            "object": config.object,
+            "objective": config.objective,
+            "condition": condition,
+            "sun": sun,
+        }
         of |= {"package": package_of(condition), "controls": self.controls}
         of |= {"attributes": attack.attributes, "norm": attack.norm}
         return [
@@ -96,25 +161,47 @@ class Judge:
                 config=Look(**of, detector=name, fingerprints=fingerprints((name,))),
                 inputs={**inputs, **scene_files(scene), **weights((name,))},
             )
-            for name in (config.detectors if self.detector is None else (self.detector,))
+            for name in (
+                config.detectors if self.detector is None else (self.detector,)
+            )
         ]
 
 
 def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Job]:
     """The scene and the attack that settings ask for; "none" stands for None."""
     values: dict[str, Any] = with_none(settings)
-    names = {entry.name for entry in dataclasses.fields(Attack)} - {*_ELSEWHERE, *(_OF_CAMERAS if region else ())}
-    known = ("scene", "aim", "target", "seed", *sorted(names), *(_OF_REGION if region else (CAMERAS,)))
+    names = {entry.name for entry in dataclasses.fields(Attack)} - {
+        *_ELSEWHERE,
+        *(_OF_CAMERAS if region else ()),
+    }
+    known = (
+        "scene",
+        "aim",
+        "target",
+        "seed",
+        *sorted(names),
+        *(_OF_REGION if region else (CAMERAS,)),
+    )
     for key in values:
         check_choice(f"key in {where}", key, known)
-    scene, attack = values.pop("scene", None), {"seed": values.pop("seed", 0), **values.get("attack", {})}
+    scene, attack = (
+        values.pop("scene", None),
+        {"seed": values.pop("seed", 0), **values.get("attack", {})},
+    )
     if not isinstance(scene, str):
         raise FieldError.of(where, "the key scene", scene or "none", "name an XML file")
     drawn = None if region else values.pop(CAMERAS, None)
     if not isinstance(drawn, str | None):
-        raise FieldError.of(where, "cameras: a path", drawn, "name a JSON file with cameras")
+        raise FieldError.of(
+            where, "cameras: a path", drawn, "name a JSON file with cameras"
+        )
     if "seed" in values.get("attack", {}):
-        raise InvalidValueError.of(f"attack in {where}", "no seed", attack["seed"], "write seed above the tables")
+        raise InvalidValueError.of(
+            f"attack in {where}",
+            "no seed",
+            attack["seed"],
+            "write seed above the tables",
+        )
     if region:
         views = {name: values.pop(name) for name in _OF_REGION if name in values}
         judged = views.pop("judged_pictures", None)
@@ -125,24 +212,51 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
     values |= {"attack": attack, "objective": _objective(values, where)}
     config = decode(Attack, values, where)
     for name in config.detectors if config.objective.label is not None else ():
-        check_choice(f"target: class of {name}", config.objective.label, detector_spec(name).classes)
-    brought = [OPTIMISERS.package(config.attack.optimiser), *map(package_of, (config.renderer, config.gradient))]
+        check_choice(
+            f"target: class of {name}",
+            config.objective.label,
+            detector_spec(name).classes,
+        )
+    brought = [
+        OPTIMISERS.package(config.attack.optimiser),
+        *map(package_of, (config.renderer, config.gradient)),
+    ]
     packages = tuple(filter(None, brought))
-    config = dataclasses.replace(config, fingerprints=fingerprints(config.detectors), packages=packages)
+    config = dataclasses.replace(
+        config, fingerprints=fingerprints(config.detectors), packages=packages
+    )
     path, cameras = Path(scene), None if drawn is None else Path(drawn)
     renderers = (config.renderer, config.gradient)
-    check_scene(path, config.object, camera=config.camera, cameras=cameras, renderers=renderers)
-    inputs = {**scene_files(path), **weights(config.detectors), **({} if cameras is None else {CAMERAS: cameras})}
+    check_scene(
+        path, config.object, camera=config.camera, cameras=cameras, renderers=renderers
+    )
+    inputs = {
+        **scene_files(path),
+        **weights(config.detectors),
+        **({} if cameras is None else {CAMERAS: cameras}),
+    }
     return path, Job(kind=ATTACK, config=config, inputs=inputs)
 
 
-def _objective(values: dict[str, Any], where: str) -> Relabel | Hide | Untargeted | PluggedObjective:
+def _objective(
+    values: dict[str, Any], where: str
+) -> Relabel | Hide | Untargeted | PluggedObjective:
     """What the detectors shall see; takes its settings out of the tables."""
-    aim, target, table = values.pop("aim", "relabel"), values.pop("target", None), values.pop("objective", {})
+    aim, target, table = (
+        values.pop("aim", "relabel"),
+        values.pop("target", None),
+        values.pop("objective", {}),
+    )
     check_choice(f"aim in {where}", aim, tuple(OBJECTIVES))
     if OBJECTIVES[aim].targeted is (target is None):
-        do = "name the class wanted, for instance person" if target is None else "leave it out"
-        raise InvalidValueError.of("target", f"what the aim {aim} has", target or "none", do)
+        do = (
+            "name the class wanted, for instance person"
+            if target is None
+            else "leave it out"
+        )
+        raise InvalidValueError.of(
+            "target", f"what the aim {aim} has", target or "none", do
+        )
     label = {} if target is None else {"label": target}
     if aim in _AIMS:
         return decode(_AIMS[aim], {**label, **table}, "objective")
@@ -156,7 +270,9 @@ def weights(detectors: tuple[str, ...]) -> dict[str, Path]:
     for name in detectors:
         spec = detector_spec(name)
         if missing := spec.missing():
-            raise InvalidValueError.of(f"detector {name}", "one that can be loaded", "one that cannot", missing)
+            raise InvalidValueError.of(
+                f"detector {name}", "one that can be loaded", "one that cannot", missing
+            )
         if spec.weights is not None:
             files[f"weights {name}"] = spec.weights()
     return files
@@ -165,12 +281,16 @@ def weights(detectors: tuple[str, ...]) -> dict[str, Path]:
 def fingerprints(detectors: tuple[str, ...]) -> tuple[str, ...]:
     """Fingerprints of those detectors whose weights are in no file."""
     pairs = [(name, detector_spec(name)) for name in detectors]
-    return tuple(_fingerprint(name, spec) for name, spec in pairs if spec.weights is None)
+    return tuple(
+        _fingerprint(name, spec) for name, spec in pairs if spec.weights is None
+    )
 
 
 @functools.lru_cache(maxsize=64)
 def _fingerprint(name: str, spec: DetectorSpec) -> str:
-    """The fingerprint of a detector, which is loaded once for all attempts of a study."""
+    """The fingerprint of a detector, which is loaded once for all attempts of a
+    study.
+    """
     return load_detector(name).fingerprint
 
 
@@ -193,69 +313,135 @@ class DaggerWork(Work[DaggerAttempt]):
         searches: dict[Any, list[DaggerAttempt]] = {}
         for attempt in self.attempts:
             if bisected := attempt.point.bisected:
-                alike = [label for label in attempt.point.labels.items() if label[0] != bisected]
+                alike = [
+                    label
+                    for label in attempt.point.labels.items()
+                    if label[0] != bisected
+                ]
                 searches.setdefault((attempt.point.part, *alike), []).append(attempt)
         self.searches = list(searches.values())
         if not self.attempts:
-            raise InvalidValueError.of(study.name, "something to do", "nothing", "add settings")
+            raise InvalidValueError.of(
+                study.name, "something to do", "nothing", "add settings"
+            )
 
     def attempt(self, point: Point) -> DaggerAttempt:
         """An attack, and the looks at it."""
         name, region = self.study.name, self.study.kind == "dagger-eot"
-        scene, job = attack_of(point.settings, f"{name}, {point.part}" if point.part else name, region=region)
-        label, looks = ": ".join(filter(None, (point.part, _named(point.labels)))) or name, dict[str, Job]()
+        scene, job = attack_of(
+            point.settings,
+            f"{name}, {point.part}" if point.part else name,
+            region=region,
+        )
+        label, looks = (
+            ": ".join(filter(None, (point.part, _named(point.labels)))) or name,
+            dict[str, Job](),
+        )
         where = f"{name}, judge"
         for judge in self.study.judges:
-            for look in decode(Judge, with_none(judge.settings), where).looks(scene, job):
-                looks[f"{label} / {_named({**judge.labels, 'detector': look.config.detector})}"] = look
+            for look in decode(Judge, with_none(judge.settings), where).looks(
+                scene, job
+            ):
+                looks[
+                    f"{label} /"
+                    f" {_named({**judge.labels, 'detector': look.config.detector})}"
+                ] = look
         configs = [look.config for look in looks.values()]
-        check_apart(where, (f"{look.detector}, {look.condition or OWN}" for look in configs))
-        return DaggerAttempt(title=label, point=point, jobs={label: job, **looks}, job=job, looks=looks)
+        check_apart(
+            where, (f"{look.detector}, {look.condition or OWN}" for look in configs)
+        )
+        return DaggerAttempt(
+            title=label, point=point, jobs={label: job, **looks}, job=job, looks=looks
+        )
 
     def plans(self) -> list[Plan]:
         """One plan of all points that are known, and one for each search."""
-        known = [attempt.jobs for attempt in self.attempts if not attempt.point.bisected]
-        fixed = [grid({label: job for jobs in known for label, job in jobs.items()})] if known else []
-        return [*fixed, *(bisection(search, self._suffices) for search in self.searches)]
+        known = [
+            attempt.jobs for attempt in self.attempts if not attempt.point.bisected
+        ]
+        fixed = (
+            [grid({label: job for jobs in known for label, job in jobs.items()})]
+            if known
+            else []
+        )
+        return [
+            *fixed,
+            *(bisection(search, self._suffices) for search in self.searches),
+        ]
 
-    def _suffices(self, attempt: DaggerAttempt, results: Mapping[str, Result]) -> bool | None:
+    def _suffices(
+        self, attempt: DaggerAttempt, results: Mapping[str, Result]
+    ) -> bool | None:
         """Whether an attack has its aim; None if it has failed."""
         result = results.get(attempt.title)
         return bool(_record_of(result)["success"]) if isinstance(result, Done) else None
 
     def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
         """What each attack says of itself, and one table of all rows."""
-        rows, attacks, marks = list[dict[str, Any]](), dict[str, dict[str, Any]](), dict[str, str]()
+        rows, attacks, marks = (
+            list[dict[str, Any]](),
+            dict[str, dict[str, Any]](),
+            dict[str, str](),
+        )
         for attempt in self.attempts:
             if not isinstance(result := results.get(attempt.title), Done):
                 continue
             record, config = _record_of(result), attempt.job.config
-            marks |= {told["detector"]: told["detector_fingerprint"] for told in record["detectors"]}
+            marks |= {
+                told["detector"]: told["detector_fingerprint"]
+                for told in record["detectors"]
+            }
             name = result.key[:_NAME_DIGITS]
-            if count := sum(key.startswith(name) for key in attacks):  # an attack that several parts have
+            # an attack that several parts have
+            if count := sum(key.startswith(name) for key in attacks):
                 name = f"{name}-{count + 1}"
             attacks[name] = _stated(attempt, result, record)
-            ids = {"attack": name, "sources": "+".join(config.detectors), "seed": config.attack.seed}
+            ids = {
+                "attack": name,
+                "sources": "+".join(config.detectors),
+                "seed": config.attack.seed,
+            }
             done = (result, *filter(None, map(results.get, attempt.looks)))
-            rows += [{**ids, **row} for part in done if isinstance(part, Done) for row in part.rows]
-        facts = {**shared_apart(attacks), "seeds": sorted({attack["seed"] for attack in attacks.values()})}
+            rows += [
+                {**ids, **row}
+                for part in done
+                if isinstance(part, Done)
+                for row in part.rows
+            ]
+        facts = {
+            **shared_apart(attacks),
+            "seeds": sorted({attack["seed"] for attack in attacks.values()}),
+        }
         return {**facts, "detectors": marks}, {ROWS: frame_of(_whole(rows))}, []
 
-    def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+    def with_figures(
+        self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]
+    ) -> dict[str, Any]:
         """A record with figures at their places."""
         derived = figures(record, rows)
-        attacks = {name: {**attack, **derived["attacks"].get(name, {})} for name, attack in record["attacks"].items()}
+        attacks = {
+            name: {**attack, **derived["attacks"].get(name, {})}
+            for name, attack in record["attacks"].items()
+        }
         return {**record, **derived, "attacks": attacks}
 
     def tables(self, record: Mapping[str, Any]) -> Iterator[Table]:
-        """What attacks have reached, the smallest that suffices, and what others see."""
+        """What attacks have reached, the smallest that suffices, and what others
+        see.
+        """
         return tables(record)
 
 
-def _stated(attempt: DaggerAttempt, result: Done, record: Mapping[str, Any]) -> dict[str, Any]:
+def _stated(
+    attempt: DaggerAttempt, result: Done, record: Mapping[str, Any]
+) -> dict[str, Any]:
     """What is known of an attack besides its rows."""
     config = attempt.job.config
-    files = {name: str(path) for name, path in attempt.job.inputs.items() if name in ("scene", CAMERAS)}
+    files = {
+        name: str(path)
+        for name, path in attempt.job.inputs.items()
+        if name in ("scene", CAMERAS)
+    }
     settings = {**files, **dataclasses.asdict(config)}
     stated = _BRIEFLY if views_of({"settings": settings}) == "drawn" else _STATED
     return {
@@ -276,7 +462,11 @@ def _stated(attempt: DaggerAttempt, result: Done, record: Mapping[str, Any]) -> 
 def _whole(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Rows without the columns that some of them lack and none may."""
     names = dict.fromkeys(name for row in rows for name in row)
-    kept = [name for name in names if column_of(name).optional or all(row.get(name) is not None for row in rows)]
+    kept = [
+        name
+        for name in names
+        if column_of(name).optional or all(row.get(name) is not None for row in rows)
+    ]
     return [{name: row.get(name) for name in kept} for row in rows]
 
 
@@ -285,4 +475,7 @@ def _record_of(done: Done) -> dict[str, Any]:
 
 
 def _named(labels: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name.removeprefix('attack.')} {label_of(value)}" for name, value in labels.items())
+    return ", ".join(
+        f"{name.removeprefix('attack.')} {label_of(value)}"
+        for name, value in labels.items()
+    )

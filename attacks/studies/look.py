@@ -1,4 +1,6 @@
-"""What one detector reports on one attacked splat under one condition: clean, attacked, and with its controls."""
+"""What one detector reports on one attacked splat under one condition: clean, attacked,
+and with its controls.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ HELD_OUT = "held-out views"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Look:
-    """One look: through the cameras that were attacked, or from held-out views of a region."""
+    """One look: through the cameras that were attacked, or from held-out views of a
+    region.
+    """
 
     object: str
     objective: Relabel | Hide | Untargeted | PluggedObjective
@@ -49,16 +53,20 @@ class Look:
     attributes: tuple[Attribute, ...]
     eps: tuple[float, ...]
     norm: NormName
-    sh_degree: int | None = None  # highest degree of the SH coefficients that controls may change; None is the splat's
+    # highest degree of the SH coefficients that controls may change; None is the
+    # splat's
+    sh_degree: int | None = None
     controls: tuple[Control, ...] = ("noise",)  # a draw of each is looked at
     seed: int
     condition: str = ""
     sun: SunTable | None = None
     camera: int = 0
     views: int = 1
-    transformations: Transformations | None = None  # where views are drawn from; None where cameras are fixed
+    # where views are drawn from; None where cameras are fixed
+    transformations: Transformations | None = None
     fingerprints: tuple[str, ...] = ()
-    package: str = ""  # which package brings the condition, with its version; empty for this project
+    # which package brings the condition, with its version; empty for this project
+    package: str = ""
 
 
 def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
@@ -74,42 +82,86 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
     )
     condition = condition_of(config.condition, viewing)
     subset, render = GaussianSubset.of(scene.scene, rows), scene.renderer("")
-    moved = {condition.move(view.camera): view for view in _views(config, scene, subset, inputs)}
+    moved = {
+        condition.move(view.camera): view
+        for view in _views(config, scene, subset, inputs)
+    }
     shown = {
-        camera: view if camera is view.camera else fixed_views(subset, [camera], render=render)[0]
+        camera: (
+            view
+            if camera is view.camera
+            else fixed_views(subset, [camera], render=render)[0]
+        )
         for camera, view in moved.items()
     }
     if config.transformations is not None:
-        condition = _changing(condition, {camera: view.change for camera, view in moved.items()})
+        condition = _changing(
+            condition, {camera: view.change for camera, view in moved.items()}
+        )
     directions = seen_from(viewing.centre)
 
     splats = _splats(config, scene, load_splat(inputs["attacked"]), [*moved.values()])
-    detectors, wanted, before = detectors_of((config.detector,), inputs), config.objective, dict[int, Tensor]()
+    detectors, wanted, before = (
+        detectors_of((config.detector,), inputs),
+        config.objective,
+        dict[int, Tensor](),
+    )
     classes = tuple(detectors[0].classes)
 
     def cells(seen: ViewDetections) -> dict[str, Any]:
         assert seen.box is not None  # as `fixed_views` has seen to
-        target = Target(box=seen.box, label=wanted.label, classes=classes, original=original)
-        reported = report_cells(seen.detections, seen.box, original=original, target=wanted.label)
+        target = Target(
+            box=seen.box, label=wanted.label, classes=classes, original=original
+        )
+        reported = report_cells(
+            seen.detections, seen.box, original=original, target=wanted.label
+        )
         verdict = verdict_cells(wanted.verdict(seen.detections, target))
         clean = before.setdefault(seen.view, seen.image)  # the clean splat is the first
-        change = image_change([clean], [seen.image], [shown[seen.camera].weight]).psnr_object
-        return {**directions(seen), **reported, **verdict, "threshold": wanted.confidence, "object_psnr": change}
+        change = image_change(
+            [clean], [seen.image], [shown[seen.camera].weight]
+        ).psnr_object
+        return {
+            **directions(seen),
+            **reported,
+            **verdict,
+            "threshold": wanted.confidence,
+            "object_psnr": change,
+        }
 
     unmoved = replace(condition, move=lambda camera: camera)
-    looked = observe(unmoved, splats, list(shown), detectors, boxes=lambda camera: shown[camera].box, cells=cells)
+    looked = observe(
+        unmoved,
+        splats,
+        list(shown),
+        detectors,
+        boxes=lambda camera: shown[camera].box,
+        cells=cells,
+    )
     name = config.condition or (OWN if config.transformations is None else HELD_OUT)
     return [{**row, "condition": name} for row in looked.rows.iter_rows(named=True)]
 
 
-def _views(config: Look, scene: AttackScene, subset: GaussianSubset, inputs: Mapping[str, Path]) -> list[View]:
+def _views(
+    config: Look, scene: AttackScene, subset: GaussianSubset, inputs: Mapping[str, Path]
+) -> list[View]:
     if config.transformations is not None:
-        return distribution(scene, config.object, config.transformations).views(config.seed, config.views)
-    cameras = scene.attacked(config.object, inputs, camera=config.camera, count=config.views, seed=config.seed)
+        return distribution(scene, config.object, config.transformations).views(
+            config.seed, config.views
+        )
+    cameras = scene.attacked(
+        config.object,
+        inputs,
+        camera=config.camera,
+        count=config.views,
+        seed=config.seed,
+    )
     return fixed_views(subset, cameras, render=scene.renderer(""))
 
 
-def _changing(condition: Condition, changes: Mapping[Camera, PictureChange]) -> Condition:
+def _changing(
+    condition: Condition, changes: Mapping[Camera, PictureChange]
+) -> Condition:
     """The condition in pictures to which something happens."""
 
     def show(splat: GaussianScene) -> tuple[GaussianScene, RenderFn]:
@@ -119,13 +171,23 @@ def _changing(condition: Condition, changes: Mapping[Camera, PictureChange]) -> 
     return replace(condition, show=show)
 
 
-def _splats(config: Look, scene: AttackScene, saved: GaussianScene, views: Sequence[View]) -> dict[str, GaussianScene]:
-    """The clean splat, the attacked one, and its controls, which are matched to it in the views without a condition."""
+def _splats(
+    config: Look, scene: AttackScene, saved: GaussianScene, views: Sequence[View]
+) -> dict[str, GaussianScene]:
+    """The clean splat, the attacked one, and its controls, which are matched to it in
+    the views without a condition.
+    """
     rows, drawn = scene.objects[config.object], config.transformations is not None
-    clean, attacked = clean_and_attacked(scene.scene, rows, saved.select(rows) if drawn else saved, config.attributes)
-    clean, attacked = (replace(subset, sh_degree=config.sh_degree) for subset in (clean, attacked))
+    clean, attacked = clean_and_attacked(
+        scene.scene, rows, saved.select(rows) if drawn else saved, config.attributes
+    )
+    clean, attacked = (
+        replace(subset, sh_degree=config.sh_degree) for subset in (clean, attacked)
+    )
     names = ("attributes", "eps", "norm", "seed", "sh_degree", "controls")
-    settings = DaggerConfig(**{name: getattr(config, name) for name in names}, noise_draws=1)
+    settings = DaggerConfig(
+        **{name: getattr(config, name) for name in names}, noise_draws=1
+    )
     render = scene.renderer("")
 
     @functools.cache
@@ -141,20 +203,30 @@ def _splats(config: Look, scene: AttackScene, saved: GaussianScene, views: Seque
         render=render,
         clean=image,
     )
-    controls = control_scenes(problem, attacked.parameters(config.attributes), settings, views)
+    controls = control_scenes(
+        problem, attacked.parameters(config.attributes), settings, views
+    )
     # The file of an attack on a region holds the whole scene.
     shown = (scene.scene, saved) if drawn else (clean.scene, attacked.scene)
-    return {CLEAN: shown[0], ATTACKED: shown[1], **{name: noisy for (name, _), noisy in controls}}
+    return {
+        CLEAN: shown[0],
+        ATTACKED: shown[1],
+        **{name: noisy for (name, _), noisy in controls},
+    }
 
 
 def clean_and_attacked(
     scene: GaussianScene, rows: slice, saved: GaussianScene, attributes: Sequence[str]
 ) -> tuple[GaussianSubset, GaussianSubset]:
-    """An object in the clean scene, with as many coefficients as the attacked one has, and in the attacked scene."""
+    """An object in the clean scene, with as many coefficients as the attacked one has,
+    and in the attacked scene.
+    """
     clean = GaussianSubset.of(scene.with_degree(max(saved.degree, scene.degree)), rows)
     values = {
         name: whole.clone().index_put((clean.rows,), part)
-        for name, whole, part in zip(ATTRIBUTES, clean.scene.tensors(), saved.tensors(), strict=True)
+        for name, whole, part in zip(
+            ATTRIBUTES, clean.scene.tensors(), saved.tensors(), strict=True
+        )
         if name in attributes
     }
     return clean, GaussianSubset.of(clean.scene.replace(**values), rows)

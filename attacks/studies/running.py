@@ -1,4 +1,6 @@
-"""How a study becomes jobs, and is run: plans whose later jobs may depend on earlier ones, and the result."""
+"""How a study becomes jobs, and is run: plans whose later jobs may depend on earlier
+ones, and the result.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,11 @@ class Attempt:
     def done(self, results: Mapping[str, Result]) -> dict[str, Done]:
         """What its jobs left, by their identity, as far as they are done."""
         ended = {job.identity: results.get(label) for label, job in self.jobs.items()}
-        return {identity: result for identity, result in ended.items() if isinstance(result, Done)}
+        return {
+            identity: result
+            for identity, result in ended.items()
+            if isinstance(result, Done)
+        }
 
     def is_done(self, done: Mapping[str, Done]) -> bool:
         """Whether all of its jobs are done."""
@@ -56,14 +62,17 @@ class Attempt:
 
 _Attempt = TypeVar("_Attempt", bound=Attempt)
 Observed = tuple[dict[str, Any], Mapping[str, pl.DataFrame], list[Path]]
-"""What a result says of finished jobs, its tables of rows, and the pictures that were copied beside it."""
+"""What a result says of finished jobs, its tables of rows, and the pictures that were
+copied beside it.
+"""
 
 
 class Work(ABC, Generic[_Attempt]):
     """A kind of study: the jobs of each point, and what its result says of them.
 
     Raises:
-        MiSplatError: A setting cannot be, a detector cannot be loaded, or a file is missing; before any job is done.
+        MiSplatError: A setting cannot be, a detector cannot be loaded, or a file is
+            missing; before any job is done.
     """
 
     story: ClassVar[str]
@@ -76,7 +85,9 @@ class Work(ABC, Generic[_Attempt]):
         if study.judges and not self.has_judges:
             raise InvalidValueError.of(study.name, "no judge", "one", "leave it out")
         if not self.can_bisect and any(point.bisected for point in study.points):
-            raise InvalidValueError.of(study.name, "no bisect, for want of a single aim", "one", "leave it out")
+            raise InvalidValueError.of(
+                study.name, "no bisect, for want of a single aim", "one", "leave it out"
+            )
         self.attempts = list(attempts)
 
     @abstractmethod
@@ -84,7 +95,9 @@ class Work(ABC, Generic[_Attempt]):
         """What is seen in the results."""
 
     @abstractmethod
-    def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+    def with_figures(
+        self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]
+    ) -> dict[str, Any]:
         """A record with every figure that follows from it and from its rows."""
 
     @abstractmethod
@@ -93,7 +106,11 @@ class Work(ABC, Generic[_Attempt]):
 
     def jobs(self) -> dict[str, Job]:
         """Every job that may be asked for, by its label."""
-        return {label: job for attempt in self.attempts for label, job in attempt.jobs.items()}
+        return {
+            label: job
+            for attempt in self.attempts
+            for label, job in attempt.jobs.items()
+        }
 
     @property
     def size(self) -> int:
@@ -105,11 +122,20 @@ class Work(ABC, Generic[_Attempt]):
         return [grid(self.jobs())]
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
-        """Write result.json, tables of rows, study.toml and table.md into a folder that exists."""
+        """Write result.json, tables of rows, study.toml and table.md into a folder that
+        exists.
+        """
         facts, frames, paths = self.observed(results, out)
-        record = {"story": self.story, **self.study.named, **facts, **provenance.origin()}
+        record = {
+            "story": self.story,
+            **self.study.named,
+            **facts,
+            **provenance.origin(),
+        }
         record = self.with_figures(record, frames)
-        paths += [write_rows(table, out / f"{name}{SUFFIX}") for name, table in frames.items()]
+        paths += [
+            write_rows(table, out / f"{name}{SUFFIX}") for name, table in frames.items()
+        ]
         title = self.study.question or self.study.name
         save_text(f"# {title}\n\n{sections(self.tables(record))}", out / TABLE)
         save_text(self.study.text, out / STUDY_FILE)
@@ -117,13 +143,25 @@ class Work(ABC, Generic[_Attempt]):
         return [*paths, *(out / name for name in (TABLE, STUDY_FILE, RECORD))]
 
 
-def names_of(point: Point, study: str, *, without: Sequence[str] = ()) -> tuple[str, str]:
-    """What tables call the part of a study that a point belongs to, and what varies in it but for some axes."""
-    labels = {axis: str(label) for axis, label in point.labels.items() if axis not in without}
-    return point.part or " and ".join(labels) or study, ", ".join(labels.values()) or OWN_NAME
+def names_of(
+    point: Point, study: str, *, without: Sequence[str] = ()
+) -> tuple[str, str]:
+    """What tables call the part of a study that a point belongs to, and what varies in
+    it but for some axes.
+    """
+    labels = {
+        axis: str(label) for axis, label in point.labels.items() if axis not in without
+    }
+    return (
+        point.part or " and ".join(labels) or study,
+        ", ".join(labels.values()) or OWN_NAME,
+    )
 
 
-def bisection(attempts: Sequence[_Attempt], suffices: Callable[[_Attempt, Mapping[str, Result]], bool | None]) -> Plan:
+def bisection(
+    attempts: Sequence[_Attempt],
+    suffices: Callable[[_Attempt, Mapping[str, Result]], bool | None],
+) -> Plan:
     """A plan that looks for the first attempt that suffices."""
     low, high = -1, len(attempts)  # fails, suffices
     while high - low > 1:
@@ -137,15 +175,21 @@ def bisection(attempts: Sequence[_Attempt], suffices: Callable[[_Attempt, Mappin
 def copied(file: Path, folder: Path, name: str) -> Path:
     """A picture of a job, beside the result under a name of its own."""
     folder.mkdir(exist_ok=True)
-    return Path(shutil.copyfile(file, folder / (re.sub(r"[^0-9A-Za-z.]+", "-", name) + ".png")))
+    return Path(
+        shutil.copyfile(file, folder / (re.sub(r"[^0-9A-Za-z.]+", "-", name) + ".png"))
+    )
 
 
 def check_apart(where: str, looks: Iterable[str]) -> None:
-    """Raise if two looks at one splat are called the same: their rows would be counted as if they were one look's."""
+    """Raise if two looks at one splat are called the same: their rows would be counted
+    as if they were one look's.
+    """
     for name, number in Counter(looks).items():
         if number > 1:
             do = "tell judges apart by detector and condition"
-            raise InvalidValueError.of(where, "one look of each name", f"{number}: {name}", do)
+            raise InvalidValueError.of(
+                where, "one look of each name", f"{number}: {name}", do
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,10 +208,24 @@ def work_of(study: Study) -> Work[Any]:
     return work
 
 
-def run_with(engine: Engine, study: Study, work: Work[Any], *, store: Path, out: Path, on_event: OnEvent) -> Run:
-    """Do what of a study is not done yet, and write its result into a folder that is its own."""
-    results = Driver(store, engine, name=study.name, on_event=on_event).run(work.plans())
-    failed = {label: result for label, result in results.items() if isinstance(result, str)}
+def run_with(
+    engine: Engine,
+    study: Study,
+    work: Work[Any],
+    *,
+    store: Path,
+    out: Path,
+    on_event: OnEvent,
+) -> Run:
+    """Do what of a study is not done yet, and write its result into a folder that is
+    its own.
+    """
+    results = Driver(store, engine, name=study.name, on_event=on_event).run(
+        work.plans()
+    )
+    failed = {
+        label: result for label, result in results.items() if isinstance(result, str)
+    }
     files = [] if len(failed) == len(results) else work.write(results, out)
     if files:
         write_manifest(out, without=(store.name,) if store.parent == out else ())
@@ -184,10 +242,12 @@ def run_study(
 ) -> Path:
     """Run a study: many attacks and what they hang on, from one TOML file.
 
-    Finished jobs are kept in the store, so that a run that was interrupted goes on where it stopped.
+    Finished jobs are kept in the store, so that a run that was interrupted goes on
+    where it stopped.
 
     Args:
-        study: TOML file of the study; scenes/studies has some, and docs/studies.md says what may stand in it.
+        study: TOML file of the study; scenes/studies has some, and docs/studies.md says
+            what may stand in it.
         out: Folder for the result; None is out/studies/NAME. `rows` reads its table.
         store: Folder of finished jobs, which several studies may share.
         workers: Processes that do jobs side by side; 0 does them in this one.
@@ -197,20 +257,29 @@ def run_study(
         The folder of the result.
 
     Raises:
-        InvalidValueError: The file is no study, a setting cannot be, or a job of another process has failed; what a job
-            of this process raises comes as it is.
+        InvalidValueError: The file is no study, a setting cannot be, or a job of
+            another process has failed; what a job of this process raises comes as it
+            is.
     """
     asked, kept = read_study(Path(study)).of(tuple(parts)), Path(store)
     folder = Path("out/studies") / asked.name if out is None else Path(out)
     check_own_folder(folder, STUDY_FILE)
     work = work_of(asked)
     with own_folder(folder, STUDY_FILE):
-        engine: Engine = Processes(kept, workers=workers) if workers else InProcess(kept)
+        engine: Engine = (
+            Processes(kept, workers=workers) if workers else InProcess(kept)
+        )
         run = run_with(engine, asked, work, store=kept, out=folder, on_event=nobody)
     if run.failed:
         label, text = next(iter(run.failed.items()))
-        expected, got = f"{run.jobs} jobs that are done", f"{len(run.failed)} that failed; {label}: {text.strip()}"
+        expected, got = (
+            f"{run.jobs} jobs that are done",
+            f"{len(run.failed)} that failed; {label}: {text.strip()}",
+        )
         raise InvalidValueError.of(
-            str(study), expected, got, "mend the cause, and run it again with mi-splat study run"
+            str(study),
+            expected,
+            got,
+            "mend the cause, and run it again with mi-splat study run",
         )
     return folder

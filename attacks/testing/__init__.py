@@ -1,11 +1,13 @@
-"""Whether a plug-in keeps its contract: one function for each kind, to be called in a test of the package that has it.
+"""Whether a plug-in keeps its contract: one function for each kind, to be called in a
+test of the package that has it.
 
     from attacks.testing import check_detector
 
     def test_the_contract():
         check_detector(my_detector())
 
-Each raises a `ContractError` that lists every promise that is broken, and what to do about it.
+Each raises a `ContractError` that lists every promise that is broken, and what to do
+about it.
 """
 
 from __future__ import annotations
@@ -42,7 +44,11 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.testing.detectors": ("check_detector", "check_objective"),
         "attacks.testing.formats": ("check_format",),
         "attacks.testing.promises": ("ContractError",),
-        "attacks.testing.renderers": ("check_condition", "check_renderer", "check_rule"),
+        "attacks.testing.renderers": (
+            "check_condition",
+            "check_renderer",
+            "check_rule",
+        ),
         "attacks.testing.strategies": ("check_strategy",),
     },
 )

@@ -1,4 +1,6 @@
-"""The contract of a file format of splats: what `mi_splat.io` promises of each ending."""
+"""The contract of a file format of splats: what `mi_splat.io` promises of each
+ending.
+"""
 
 from __future__ import annotations
 
@@ -17,16 +19,21 @@ from mi_splat.scene import GaussianScene
 
 _COUNT = 50
 _PLACES, _SIZES, _OPACITIES, _COLOURS = 0.01, 0.15, 0.02, 0.05
-"""How far a lossy format may move means (world units), scales (a part of them), opacities and colours of degree 0."""
+"""How far a lossy format may move means (world units), scales (a part of them),
+opacities and colours of degree 0.
+"""
 _CUTS = (0, 1, 3, 40)
-"""Shares of a file that is cut off, in per cent; one byte less, since some formats are rows without a header."""
+"""Shares of a file that is cut off, in per cent; one byte less, since some formats are
+rows without a header.
+"""
 
 
 def check_format(suffix: str) -> None:
     """Raise unless a format of splats keeps its contract.
 
-    A small splat is written and read again: the same Gaussians come back, twice the same bytes are written, a file of
-    what was read does not drift, and a file that was cut off is refused in words.
+    A small splat is written and read again: the same Gaussians come back, twice the
+    same bytes are written, a file of what was read does not drift, and a file that was
+    cut off is refused in words.
 
     Args:
         suffix: Ending of the format, for instance ".spz".
@@ -38,12 +45,19 @@ def check_format(suffix: str) -> None:
     scene = cloud(_COUNT, degree=1, size=0.5)
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", SplatLossWarning)
-        first, second = (Path(folder) / f"{name}{suffix}" for name in ("first", "second"))
+        first, second = (
+            Path(folder) / f"{name}{suffix}" for name in ("first", "second")
+        )
         with contract.promise("writing"):
             save_splat(scene, first)
             save_splat(scene, second)
             same = first.read_bytes() == second.read_bytes()
-            expect(same, "the same bytes for the same splat", "others", "write no times and no random names")
+            expect(
+                same,
+                "the same bytes for the same splat",
+                "others",
+                "write no times and no random names",
+            )
         contract.settle()
         with contract.promise("reading"):
             _same_gaussians(load_splat(first), scene)
@@ -61,18 +75,39 @@ def check_format(suffix: str) -> None:
 
 def _same_gaussians(read: GaussianScene, written: GaussianScene) -> None:
     """Some formats sort Gaussians, so that each has the nearest one as its partner."""
-    expect(len(read) == len(written), f"{len(written)} Gaussians", len(read), "keep all")
+    expect(
+        len(read) == len(written), f"{len(written)} Gaussians", len(read), "keep all"
+    )
     distances, partners = cKDTree(read.means.numpy()).query(written.means.numpy())
-    expect(distances.max() <= _PLACES, f"means within {_PLACES}", f"{distances.max():.3g} away", "keep their places")
+    expect(
+        distances.max() <= _PLACES,
+        f"means within {_PLACES}",
+        f"{distances.max():.3g} away",
+        "keep their places",
+    )
     one_each = len(np.unique(partners)) == len(written)
     expect(one_each, "a partner for each Gaussian", "some with none", "keep all")
     read = read.select(torch.from_numpy(partners))
-    ratio = float((read.scales.sort().values / written.scales.sort().values - 1).abs().max())
-    expect(ratio <= _SIZES, f"scales within {_SIZES:.0%}", f"{ratio:.0%}", "keep their sizes")
+    ratio = float(
+        (read.scales.sort().values / written.scales.sort().values - 1).abs().max()
+    )
+    expect(
+        ratio <= _SIZES,
+        f"scales within {_SIZES:.0%}",
+        f"{ratio:.0%}",
+        "keep their sizes",
+    )
     opacity = float((read.opacities - written.opacities).abs().max())
-    expect(opacity <= _OPACITIES, f"opacities within {_OPACITIES}", f"{opacity:.3g}", "keep them")
+    expect(
+        opacity <= _OPACITIES,
+        f"opacities within {_OPACITIES}",
+        f"{opacity:.3g}",
+        "keep them",
+    )
     colour = float((read.sh[:, 0] - written.sh[:, 0]).abs().max())
-    expect(colour <= _COLOURS, f"colours within {_COLOURS}", f"{colour:.3g}", "keep them")
+    expect(
+        colour <= _COLOURS, f"colours within {_COLOURS}", f"{colour:.3g}", "keep them"
+    )
 
 
 def _is_refused(path: Path) -> None:
@@ -80,4 +115,9 @@ def _is_refused(path: Path) -> None:
         load_splat(path)
     except MiSplatError:
         return
-    expect(False, "SplatFileError for a part of a file", "an answer", "hold its sizes against the bytes that are there")
+    expect(
+        False,
+        "SplatFileError for a part of a file",
+        "an answer",
+        "hold its sizes against the bytes that are there",
+    )

@@ -21,7 +21,8 @@ class ContractError(MiSplatError, AssertionError):
     """A plug-in that does not keep its contract.
 
     Attributes:
-        broken: A line for each broken promise: its name, what was expected, what came, and what to do.
+        broken: A line for each broken promise: its name, what was expected, what came,
+            and what to do.
     """
 
     broken: tuple[str, ...] = ()
@@ -44,7 +45,9 @@ class Contract:
 
     @contextmanager
     def promise(self, name: str) -> Iterator[None]:
-        """What is done within is one promise; whatever it raises breaks it, and the next one is tried."""
+        """What is done within is one promise; whatever it raises breaks it, and the
+        next one is tried.
+        """
         try:
             yield
         except _BrokenError as broken:
@@ -57,8 +60,15 @@ class Contract:
     def settle(self) -> None:
         """Raise if a promise is broken."""
         if self._broken:
-            count = "a broken promise" if len(self._broken) == 1 else f"{len(self._broken)} broken promises"
-            error = ContractError(f"{self._what}: {count}\n" + "\n".join(f"- {line}" for line in self._broken))
+            count = (
+                "a broken promise"
+                if len(self._broken) == 1
+                else f"{len(self._broken)} broken promises"
+            )
+            error = ContractError(
+                f"{self._what}: {count}\n"
+                + "\n".join(f"- {line}" for line in self._broken)
+            )
             error.what, error.broken = self._what, tuple(self._broken)
             raise error
 
@@ -71,26 +81,56 @@ def expect(kept: object, expected: object, got: object, do: str) -> None:
 
 def expect_text(value: object, what: str) -> None:
     """Break the promise unless something is a text that is not empty."""
-    expect(isinstance(value, str) and value, f"a text as {what}", repr(value), f"give it a {what}")
+    expect(
+        isinstance(value, str) and value,
+        f"a text as {what}",
+        repr(value),
+        f"give it a {what}",
+    )
 
 
-def expect_same(first: Sequence[Tensor], second: Sequence[Tensor], *, atol: float, expected: str, do: str) -> None:
+def expect_same(
+    first: Sequence[Tensor],
+    second: Sequence[Tensor],
+    *,
+    atol: float,
+    expected: str,
+    do: str,
+) -> None:
     """Break the promise unless tensors are as many, and equal within a tolerance."""
     shapes = [[tuple(value.shape) for value in values] for values in (first, second)]
-    expect(shapes[0] == shapes[1], expected, f"shapes {shapes[0][:4]} and {shapes[1][:4]}", do)
-    pairs = [(a.detach().double(), b.detach().double()) for a, b in zip(first, second, strict=True) if a.numel()]
+    expect(
+        shapes[0] == shapes[1],
+        expected,
+        f"shapes {shapes[0][:4]} and {shapes[1][:4]}",
+        do,
+    )
+    pairs = [
+        (a.detach().double(), b.detach().double())
+        for a, b in zip(first, second, strict=True)
+        if a.numel()
+    ]
     gap = max((float((a - b).abs().max()) for a, b in pairs), default=0.0)
     expect(gap <= atol, expected, f"values that are {gap:.3g} apart", do)
 
 
-def expect_uphill(measured: Callable[[Tensor], Tensor], start: Tensor, step: float, *, do: str) -> None:
-    """Break the promise unless a number has a gradient that leads uphill as steeply as it says."""
+def expect_uphill(
+    measured: Callable[[Tensor], Tensor], start: Tensor, step: float, *, do: str
+) -> None:
+    """Break the promise unless a number has a gradient that leads uphill as steeply as
+    it says.
+    """
     leaf = start.detach().clone().requires_grad_(True)
     with torch.enable_grad():
         value = measured(leaf)
     expect(value.requires_grad, "a gradient", "none", do)
     (gradient,) = torch.autograd.grad(value, leaf, materialize_grads=True)
-    expect(bool(torch.isfinite(gradient).all()), "a finite gradient", "NaN or infinity in it", do)
+    expect(
+        bool(torch.isfinite(gradient).all()),
+        "a finite gradient",
+        "NaN or infinity in it",
+        do,
+    )
     largest = float(gradient.abs().max()) if gradient.numel() else 0.0
     expect(largest > 0, "a gradient", "zeros everywhere", do)
     direction = gradient / largest
@@ -99,15 +139,21 @@ def expect_uphill(measured: Callable[[Tensor], Tensor], start: Tensor, step: flo
     for factor in STEPS:
         length = factor * step
         with torch.no_grad():
-            gain = float(measured(start + length * direction)) - float(measured(start - length * direction))
+            gain = float(measured(start + length * direction)) - float(
+                measured(start - length * direction)
+            )
         slopes.append(gain / (2 * length))
     steep = any(0.5 * promised <= slope <= 2 * promised for slope in slopes)
     got = f"slopes of {', '.join(f'{slope:.3g}' for slope in slopes)} along it"
     expect(steep, f"a gradient that is true: a slope of {promised:.3g}", got, do)
 
 
-def expect_repeatable(look: Callable[[], Sequence[Tensor]], expected: str, do: str, *, atol: float = 0.0) -> None:
-    """Break the promise unless a second look, with another seed of torch's global generator, gives the same."""
+def expect_repeatable(
+    look: Callable[[], Sequence[Tensor]], expected: str, do: str, *, atol: float = 0.0
+) -> None:
+    """Break the promise unless a second look, with another seed of torch's global
+    generator, gives the same.
+    """
     first = look()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(1)

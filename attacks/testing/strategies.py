@@ -1,4 +1,6 @@
-"""The contract of a strategy of densification (`mi_splat.training.strategies.Strategy`)."""
+"""The contract of a strategy of densification
+(`mi_splat.training.strategies.Strategy`).
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ _ITERATIONS = 30_000
 
 
 class _Statistics:
-    """Screen-space gradients of a step in which half of the Gaussians were visible, and far from at rest."""
+    """Screen-space gradients of a step in which half of the Gaussians were visible, and
+    far from at rest.
+    """
 
     def __init__(self, count: int) -> None:
         self.lengths = torch.linspace(0, 1e-2, count)
@@ -30,9 +34,10 @@ class _Statistics:
 def check_strategy(config: Any) -> None:
     """Raise unless a strategy keeps its contract.
 
-    It is asked for its changes at several steps of a training. A change names a source for each new row, has tensors
-    of the right shapes, and leaves the tensors that it was given as they are; the state keeps its names; and two runs
-    with the same random numbers make the same bits.
+    It is asked for its changes at several steps of a training. A change names a source
+    for each new row, has tensors of the right shapes, and leaves the tensors that it
+    was given as they are; the state keeps its names; and two runs with the same random
+    numbers make the same bits.
 
     Args:
         config: The options of the strategy, a `StrategyConfig`.
@@ -42,9 +47,19 @@ def check_strategy(config: Any) -> None:
     """
     contract = Contract(f"strategy {type(config).__name__}")
     with contract.promise("options"):
-        expect(isinstance(config, StrategyConfig), "a StrategyConfig", type(config).__name__, "derive from it")
+        expect(
+            isinstance(config, StrategyConfig),
+            "a StrategyConfig",
+            type(config).__name__,
+            "derive from it",
+        )
         for hook in ("initial_state", "before_backward", "after_step"):
-            expect(callable(getattr(config.build(), hook, None)), f"a hook {hook}", "none", "derive from Strategy")
+            expect(
+                callable(getattr(config.build(), hook, None)),
+                f"a hook {hook}",
+                "none",
+                "derive from Strategy",
+            )
     contract.settle()
     with contract.promise("loss"):
         _loss(config)
@@ -56,7 +71,13 @@ def check_strategy(config: Any) -> None:
     with contract.promise("determinism"):
         first, second = (_run(config) for _ in range(2))
         do = "draw from step.generator, in a fixed order"
-        expect_same(first, second, atol=0, expected="the same tensors from the same random numbers", do=do)
+        expect_same(
+            first,
+            second,
+            atol=0,
+            expected="the same tensors from the same random numbers",
+            do=do,
+        )
     contract.settle()
 
 
@@ -85,9 +106,21 @@ def _step(parameters: dict[str, Tensor], iteration: int) -> Step:
 def _loss(config: StrategyConfig) -> None:
     leaf = torch.tensor(2.0, requires_grad=True)
     loss = config.build().before_backward(leaf, _scene())
-    is_scalar = isinstance(loss, Tensor) and loss.ndim == 0 and bool(torch.isfinite(loss))
-    expect(is_scalar, "a finite scalar loss", repr(loss)[:60], "add numbers to the loss that is given")
-    expect(loss.requires_grad, "a loss that depends on the one that is given", "none", "add to it")
+    is_scalar = (
+        isinstance(loss, Tensor) and loss.ndim == 0 and bool(torch.isfinite(loss))
+    )
+    expect(
+        is_scalar,
+        "a finite scalar loss",
+        repr(loss)[:60],
+        "add numbers to the loss that is given",
+    )
+    expect(
+        loss.requires_grad,
+        "a loss that depends on the one that is given",
+        "none",
+        "add to it",
+    )
 
 
 def _change(config: StrategyConfig, iteration: int) -> None:
@@ -96,35 +129,64 @@ def _change(config: StrategyConfig, iteration: int) -> None:
     kept = {name: value.clone() for name, value in parameters.items()}
     edit = strategy.after_step(_step(parameters, iteration), state)
     stayed = all(torch.equal(parameters[name], value) for name, value in kept.items())
-    expect(stayed, "tensors that stay as they are", "others", "return new ones in an Edit")
+    expect(
+        stayed, "tensors that stay as they are", "others", "return new ones in an Edit"
+    )
     if edit is None:
         return
     expect(isinstance(edit, Edit), "an Edit or None", type(edit).__name__, "return one")
     count = _COUNT if edit.source is None else len(edit.source)
     if edit.source is not None:
         within = bool(((edit.source >= 0) & (edit.source < _COUNT)).all())
-        expect(within, f"sources among {_COUNT} rows", "others", "name an old row for each new one")
+        expect(
+            within,
+            f"sources among {_COUNT} rows",
+            "others",
+            "name an old row for each new one",
+        )
     if edit.fresh is not None:
         shape = tuple(edit.fresh.shape)
-        expect(shape == (count,), f"fresh of shape ({count},)", shape, "say it of each new row")
+        expect(
+            shape == (count,),
+            f"fresh of shape ({count},)",
+            shape,
+            "say it of each new row",
+        )
     unknown = sorted({*edit.parameters} - {*parameters})
     expect(not unknown, "names of parameters", ", ".join(unknown), "leave others out")
     for name, value in edit.parameters.items():
         wanted = (count, *kept[name].shape[1:])
-        expect(tuple(value.shape) == wanted, f"{name} of shape {wanted}", tuple(value.shape), "give each row a value")
+        expect(
+            tuple(value.shape) == wanted,
+            f"{name} of shape {wanted}",
+            tuple(value.shape),
+            "give each row a value",
+        )
         finite = bool(torch.isfinite(value).all())
-        expect(finite, f"finite {name}", "NaN or infinity", "look at logarithms and divisions")
+        expect(
+            finite,
+            f"finite {name}",
+            "NaN or infinity",
+            "look at logarithms and divisions",
+        )
 
 
 def _state(config: StrategyConfig) -> None:
-    """A checkpoint holds the state by its names, of a number of rows that follows the Gaussians."""
+    """A checkpoint holds the state by its names, of a number of rows that follows the
+    Gaussians.
+    """
     strategy = config.build()
     state = strategy.initial_state(_COUNT)
     kinds = {name: (value.dtype, value.shape[1:]) for name, value in state.items()}
     for iteration in _STEPS:
         strategy.after_step(_step(_parameters(), iteration), state)
         now = {name: (value.dtype, value.shape[1:]) for name, value in state.items()}
-        expect(now == kinds, f"a state of {sorted(kinds)}", sorted(now), "keep names, shapes and kinds of numbers")
+        expect(
+            now == kinds,
+            f"a state of {sorted(kinds)}",
+            sorted(now),
+            "keep names, shapes and kinds of numbers",
+        )
         state = strategy.initial_state(_COUNT)
 
 
@@ -132,7 +194,9 @@ def _run(config: StrategyConfig) -> list[Tensor]:
     """What a strategy changes at each of some steps."""
     strategy, changed = config.build(), list[Tensor]()
     for iteration in _STEPS:
-        edit = strategy.after_step(_step(_parameters(), iteration), strategy.initial_state(_COUNT))
+        edit = strategy.after_step(
+            _step(_parameters(), iteration), strategy.initial_state(_COUNT)
+        )
         if edit is not None:
             changed += [edit.parameters[name] for name in sorted(edit.parameters)]
     return changed

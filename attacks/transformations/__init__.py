@@ -1,1 +1,3 @@
-"""Random cameras and random changes of pictures, drawn by seed and number: what an attack has to survive."""
+"""Random cameras and random changes of pictures, drawn by seed and number: what an
+attack has to survive.
+"""

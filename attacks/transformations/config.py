@@ -1,7 +1,8 @@
 """Which cameras look at an object, and what happens to their pictures, as plain values.
 
-Light, so that `--help` is fast. A splat has no lamps: its light is part of its colours. So "light" means here what a
-camera makes of it: exposure, white balance and gamma of the picture.
+Light, so that `--help` is fast. A splat has no lamps: its light is part of its colours.
+So "light" means here what a camera makes of it: exposure, white balance and gamma of
+the picture.
 """
 
 from dataclasses import dataclass, field
@@ -25,22 +26,32 @@ _LEAST_MOST = Metavar("LEAST MOST")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraRegion:
-    """A box of cameras around an object; every number of a camera is drawn evenly from its interval.
+    """A box of cameras around an object; every number of a camera is drawn evenly from
+    its interval.
 
     Attributes:
         azimuths: Degrees from world +x towards +y.
         elevations: Degrees above the ground.
-        distances: Distance from the middle of the object, as factors of the reference camera's.
-        aim: Largest distance from the object's middle to the point looked at, as a fraction of the object's radius.
-        least_visible: Fraction of the picture that the object must cover, or another camera is drawn.
+        distances: Distance from the middle of the object, as factors of the reference
+            camera's.
+        aim: Largest distance from the object's middle to the point looked at, as a
+            fraction of the object's radius.
+        least_visible: Fraction of the picture that the object must cover, or another
+            camera is drawn.
 
     Raises:
         InvalidValueError: An interval is upside down, or a value is out of its range.
     """
 
-    azimuths: Annotated[tuple[float, float], between(-360, 720, "degrees"), _LEAST_MOST] = (0.0, 360.0)
-    elevations: Annotated[tuple[float, float], between(-90, 90, "degrees"), _LEAST_MOST] = (5.0, 40.0)
-    distances: Annotated[tuple[float, float], above(0, "times the reference's"), _LEAST_MOST] = (0.8, 1.2)
+    azimuths: Annotated[
+        tuple[float, float], between(-360, 720, "degrees"), _LEAST_MOST
+    ] = (0.0, 360.0)
+    elevations: Annotated[
+        tuple[float, float], between(-90, 90, "degrees"), _LEAST_MOST
+    ] = (5.0, 40.0)
+    distances: Annotated[
+        tuple[float, float], above(0, "times the reference's"), _LEAST_MOST
+    ] = (0.8, 1.2)
     aim: Annotated[float, at_least(0, "radii of the object"), Metavar("FRACTION")] = 0.0
     least_visible: Fraction = 0.005
 
@@ -49,22 +60,31 @@ class CameraRegion:
         for name in ("azimuths", "elevations", "distances"):
             interval = getattr(self, name)
             if interval[0] > interval[1]:
-                raise InvalidValueError.of(name, "two numbers, the lower one first", interval, "change their order")
+                raise InvalidValueError.of(
+                    name,
+                    "two numbers, the lower one first",
+                    interval,
+                    "change their order",
+                )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureChanges(Checked):
-    """What may happen to a picture between the renderer and the detector; by default nothing.
+    """What may happen to a picture between the renderer and the detector; by default
+    nothing.
 
-    The order is that of a camera: light, blur, fewer pixels, noise, JPEG. Each amount is drawn evenly.
+    The order is that of a camera: light, blur, fewer pixels, noise, JPEG. Each amount
+    is drawn evenly.
 
     Attributes:
         exposure: Largest change in stops to either side; a stop doubles the light.
         white_balance: Largest change of the gains of red and of blue, as a fraction.
         gamma: Largest change of the picture's exponent, as a natural logarithm.
         blur: Largest standard deviation of a Gaussian blur, pixels.
-        resize: Smallest factor by which the picture is made smaller before it gets its size back; 1 for none.
-        noise: Largest standard deviation of Gaussian noise; the picture's values lie in [0, 1].
+        resize: Smallest factor by which the picture is made smaller before it gets its
+            size back; 1 for none.
+        noise: Largest standard deviation of Gaussian noise; the picture's values lie in
+            [0, 1].
         jpeg: Lowest JPEG quality, at most 95; the highest is 95. 0 for no JPEG.
 
     Raises:

@@ -1,7 +1,9 @@
-"""Cameras drawn from a region around an object, and what happens to a picture between renderer and detector.
+"""Cameras drawn from a region around an object, and what happens to a picture between
+renderer and detector.
 
-The attack and the judge use the same functions. Where the real thing has no derivative (8 bits, JPEG), the derivative
-is that of doing nothing: a straight-through estimate (Bengio et al. 2013; BPDA, Athalye et al. 2018).
+The attack and the judge use the same functions. Where the real thing has no derivative
+(8 bits, JPEG), the derivative is that of doing nothing: a straight-through estimate
+(Bengio et al. 2013; BPDA, Athalye et al. 2018).
 """
 
 import dataclasses
@@ -39,11 +41,17 @@ def draw_camera(
     unit = math.dist(reference.position.tolist(), [float(x) for x in centre])
     if not unit > 0:
         do = "choose one that looks at it"
-        raise InvalidValueError.of("reference", "a camera away from the object", "one in its middle", do)
-    # Two of the numbers were those of options that are no more: seeds draw the same cameras as before.
+        raise InvalidValueError.of(
+            "reference", "a camera away from the object", "one in its middle", do
+        )
+    # Two of the numbers were those of options that are no more: seeds draw the same
+    # cameras as before.
     azimuth, elevation, distance, _, _, *shift = generator.uniform(size=8).tolist()
     pose = orbit_pose(
-        [c + region.aim * radius * s for c, s in zip(centre, _in_ball(shift), strict=True)],
+        [
+            c + region.aim * radius * s
+            for c, s in zip(centre, _in_ball(shift), strict=True)
+        ],
         azimuth=_between(region.azimuths, azimuth),
         elevation=_between(region.elevations, elevation),
         distance=unit * _between(region.distances, distance),
@@ -57,9 +65,17 @@ def _between(interval: tuple[float, float], share: float) -> float:
 
 def _in_ball(shares: Sequence[float]) -> tuple[float, float, float]:
     """Three numbers in [0, 1] to a point of the unit ball, evenly."""
-    height, turn, length = 2 * shares[0] - 1, 2 * math.pi * shares[1], shares[2] ** (1 / 3)
+    height, turn, length = (
+        2 * shares[0] - 1,
+        2 * math.pi * shares[1],
+        shares[2] ** (1 / 3),
+    )
     flat = math.sqrt(max(0.0, 1 - height * height))
-    return length * flat * math.cos(turn), length * flat * math.sin(turn), length * height
+    return (
+        length * flat * math.cos(turn),
+        length * flat * math.sin(turn),
+        length * height,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +83,9 @@ class PictureChange:
     """One draw from `PictureChanges`; the fields are named alike."""
 
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Factors of red, green and blue, in linear light; exposure and white balance together."""
+    """Factors of red, green and blue, in linear light; exposure and white balance
+    together.
+    """
     gamma: float = 1.0  # exponent of the picture
     blur: float = 0.0  # standard deviation, pixels
     resize: float = 1.0  # factor
@@ -76,9 +94,13 @@ class PictureChange:
     jpeg: int = 0  # quality; 0 for none
 
 
-def draw_change(changes: PictureChanges, generator: np.random.Generator) -> PictureChange:
+def draw_change(
+    changes: PictureChanges, generator: np.random.Generator
+) -> PictureChange:
     """What happens to one picture."""
-    exposure, red, blue, gamma, blur, resize, noise, jpeg, seed = generator.uniform(size=9).tolist()
+    exposure, red, blue, gamma, blur, resize, noise, jpeg, seed = generator.uniform(
+        size=9
+    ).tolist()
     light = 2.0 ** (changes.exposure * (2 * exposure - 1))
     red, blue = (1 + changes.white_balance * (2 * share - 1) for share in (red, blue))
     return PictureChange(
@@ -88,7 +110,8 @@ def draw_change(changes: PictureChanges, generator: np.random.Generator) -> Pict
         resize=1 - (1 - changes.resize) * resize,
         noise=changes.noise * noise,
         noise_seed=int(seed * 2**31),
-        jpeg=changes.jpeg and changes.jpeg + round((_BEST_QUALITY - changes.jpeg) * jpeg),
+        jpeg=changes.jpeg
+        and changes.jpeg + round((_BEST_QUALITY - changes.jpeg) * jpeg),
     )
 
 
@@ -104,7 +127,9 @@ def change_picture(picture: Tensor, change: PictureChange) -> Tensor:
         picture = _resized(picture, change.resize)
     if change.noise > 0:
         generator = torch.Generator().manual_seed(change.noise_seed)
-        picture = picture + change.noise * torch.randn(picture.shape, generator=generator).to(picture)
+        picture = picture + change.noise * torch.randn(
+            picture.shape, generator=generator
+        ).to(picture)
     picture = picture.clamp(0, 1)
     if change.jpeg:
         compressed: Tensor = _Jpeg.apply(picture, change.jpeg)
@@ -136,20 +161,28 @@ def _to_srgb(light: Tensor) -> Tensor:
 def _blurred(picture: Tensor, sigma: float) -> Tensor:
     """Gaussian blur; the edge pixels go on beyond the edge."""
     reach = max(1, math.ceil(3 * sigma))
-    kernel = torch.exp(-0.5 * (torch.arange(-reach, reach + 1).to(picture) / sigma) ** 2)
+    kernel = torch.exp(
+        -0.5 * (torch.arange(-reach, reach + 1).to(picture) / sigma) ** 2
+    )
     kernel = (kernel / kernel.sum()).expand(3, 1, 1, -1)
-    planes = torch.nn.functional.pad(picture.permute(2, 0, 1)[None], (reach,) * 4, mode="replicate")
+    planes = torch.nn.functional.pad(
+        picture.permute(2, 0, 1)[None], (reach,) * 4, mode="replicate"
+    )
     planes = torch.nn.functional.conv2d(planes, kernel, groups=3)
     planes = torch.nn.functional.conv2d(planes, kernel.transpose(2, 3), groups=3)
     return planes[0].permute(1, 2, 0)
 
 
 def _resized(picture: Tensor, factor: float) -> Tensor:
-    """Made smaller, each new pixel the mean of the old ones, and back to its size, so that boxes stay in place."""
+    """Made smaller, each new pixel the mean of the old ones, and back to its size, so
+    that boxes stay in place.
+    """
     height, width = picture.shape[:2]
     small = (max(1, round(height * factor)), max(1, round(width * factor)))
     planes = picture.permute(2, 0, 1)[None]
-    planes = torch.nn.functional.interpolate(planes, small, mode="bilinear", antialias=True)
+    planes = torch.nn.functional.interpolate(
+        planes, small, mode="bilinear", antialias=True
+    )
     planes = torch.nn.functional.interpolate(planes, (height, width), mode="bilinear")
     return planes[0].permute(1, 2, 0)
 

@@ -1,10 +1,13 @@
-"""Draws figures of the attacks: `python docs/figures/attack_figures.py [FOLDER [STUDY]]`, by default in docs/images.
+"""Draws figures of the attacks:
+`python docs/figures/attack_figures.py [FOLDER [STUDY]]`, by default in docs/images.
 
-Each is one SVG of three parts, threat model, method and result, with pictures cut out of those in docs/images. It
-stands on a light ground of its own, so that it reads alike on light and dark pages. cloak.webp shows the pictures of
-cloak_stealthy.jpg along a path over the car one after the other, and cloak_path.png the confidence along it. With the
-folder of a study of CLOAK, cloak_ghost.jpg shows its splats every 5 degrees where the hidden appearance sets in.
-dagger_curve.png shows the success rate of DAGGER over the radius of its ball.
+Each is one SVG of three parts, threat model, method and result, with pictures cut out
+of those in docs/images. It stands on a light ground of its own, so that it reads alike
+on light and dark pages. cloak.webp shows the pictures of cloak_stealthy.jpg along a
+path over the car one after the other, and cloak_path.png the confidence along it. With
+the folder of a study of CLOAK, cloak_ghost.jpg shows its splats every 5 degrees where
+the hidden appearance sets in. dagger_curve.png shows the success rate of DAGGER over
+the radius of its ball.
 """
 
 import base64
@@ -34,11 +37,19 @@ COLUMNS = 12
 """Pictures in a row of cloak_stealthy.jpg."""
 WIDTH, PART, FONT, LINE = 720, 236, 16, 22
 """Of a figure, height of a part, and of a letter and a line, in pixels."""
-INK, GREY, ATTACKER, VICTIM, PLAIN = "#1c2430", "#5b6470", "#a61b1b", "#1f5fa8", "#7a8391"
+INK, GREY, ATTACKER, VICTIM, PLAIN = (
+    "#1c2430",
+    "#5b6470",
+    "#a61b1b",
+    "#1f5fa8",
+    "#7a8391",
+)
 PARTS = ("Threat model", "Method", "Result")
 
 Crop = tuple[str, tuple[float, float, float, float]]
-"""A picture in docs/images, and the part of it: left, top, right and bottom as shares of its sides."""
+"""A picture in docs/images, and the part of it: left, top, right and bottom as shares
+of its sides.
+"""
 
 
 class Drawing:
@@ -55,8 +66,12 @@ class Drawing:
         """Begin the next of the three parts, under a rule and its name."""
         number, self.top = self.top // PART, self.top + PART
         if number:
-            self.body.append(f'<path d="M20 {self.origin}H{WIDTH - 20}" stroke="#d4d9e0"/>')
-        self.words(20, 30, [f"{'abc'[number]}   {PARTS[number]}"], bold=True, anchor="start")
+            self.body.append(
+                f'<path d="M20 {self.origin}H{WIDTH - 20}" stroke="#d4d9e0"/>'
+            )
+        self.words(
+            20, 30, [f"{'abc'[number]}   {PARTS[number]}"], bold=True, anchor="start"
+        )
 
     def words(
         self,
@@ -83,7 +98,8 @@ class Drawing:
             weight = ' font-weight="bold"' if bold else ""
             words = html.escape(line)
             self.body.append(
-                f'<text x="{x:g}" y="{foot:g}" fill="{colour}" text-anchor="{anchor}"{weight}>{words}</text>'
+                f'<text x="{x:g}" y="{foot:g}" fill="{colour}"'
+                f' text-anchor="{anchor}"{weight}>{words}</text>'
             )
 
     @property
@@ -91,24 +107,41 @@ class Drawing:
         """Top of the present part."""
         return self.top - PART
 
-    def box(self, x: float, y: float, width: float, lines: Sequence[str], colour: str = PLAIN) -> None:
+    def box(
+        self,
+        x: float,
+        y: float,
+        width: float,
+        lines: Sequence[str],
+        colour: str = PLAIN,
+    ) -> None:
         """A box with words, as high as they need; the first line is bold."""
         height = len(lines) * LINE + 18
         self.body.append(
-            f'<rect x="{x:g}" y="{self.origin + y:g}" width="{width:g}" height="{height}" rx="7" fill="#ffffff" '
-            f'stroke="{colour}" stroke-width="2"/>'
+            f'<rect x="{x:g}" y="{self.origin + y:g}" width="{width:g}"'
+            f' height="{height}" rx="7" fill="#ffffff" stroke="{colour}"'
+            ' stroke-width="2"/>'
         )
-        self.words(x + width / 2, y + 25, lines[:1], colour=colour if colour != PLAIN else INK, bold=True)
+        self.words(
+            x + width / 2,
+            y + 25,
+            lines[:1],
+            colour=colour if colour != PLAIN else INK,
+            bold=True,
+        )
         self.words(x + width / 2, y + 25 + LINE, lines[1:])
 
     def arrow(self, points: Sequence[tuple[float, float]], colour: str = GREY) -> None:
         """A line through points with a head at its end."""
         path = " ".join(f"{x:g},{self.origin + y:g}" for x, y in points)
         self.body.append(
-            f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="2" marker-end="url(#head)"/>'
+            f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="2"'
+            ' marker-end="url(#head)"/>'
         )
 
-    def picture(self, x: float, y: float, side: float, crop: Crop, words: str, colour: str = INK) -> None:
+    def picture(
+        self, x: float, y: float, side: float, crop: Crop, words: str, colour: str = INK
+    ) -> None:
         """A square picture with a line below it."""
         name, (left, top, right, bottom) = crop
         whole = load_picture(IMAGES / name).convert("RGB")
@@ -119,16 +152,26 @@ class Drawing:
             round(bottom * whole.height),
         )
         buffer = io.BytesIO()
-        whole.crop(box).resize((256, 256), Image.Resampling.LANCZOS).save(buffer, "JPEG", quality=82)
+        whole.crop(box).resize((256, 256), Image.Resampling.LANCZOS).save(
+            buffer, "JPEG", quality=82
+        )
         data = base64.b64encode(buffer.getvalue()).decode()
         self.body.append(
-            f'<image x="{x:g}" y="{self.origin + y:g}" width="{side:g}" height="{side:g}" '
-            f'href="data:image/jpeg;base64,{data}"/>'
+            f'<image x="{x:g}" y="{self.origin + y:g}" width="{side:g}"'
+            f' height="{side:g}" href="data:image/jpeg;base64,{data}"/>'
         )
         self.words(x + side / 2, y + side + 20, [words], colour=colour)
 
-    def threat_model(self, given: Sequence[str], attacker: Sequence[str], victim: Sequence[str], note: str) -> None:
-        """The first part: what is given, what the attacker knows and changes, what the victim does, and a remark."""
+    def threat_model(
+        self,
+        given: Sequence[str],
+        attacker: Sequence[str],
+        victim: Sequence[str],
+        note: str,
+    ) -> None:
+        """The first part: what is given, what the attacker knows and changes, what the
+        victim does, and a remark.
+        """
         self.part()
         self.box(20, 62, 160, given)
         self.box(230, 50, 240, attacker, ATTACKER)
@@ -141,11 +184,17 @@ class Drawing:
         """The file."""
         return "\n".join(
             (
-                f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {self.top}" role="img" '
-                f'font-family="Arial, Helvetica, sans-serif" font-size="{FONT}">',
+                (
+                    f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH}'
+                    f' {self.top}" role="img" font-family="Arial, Helvetica,'
+                    f' sans-serif" font-size="{FONT}">'
+                ),
                 f"<title>{html.escape(self.title)}</title>",
-                '<defs><marker id="head" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" '
-                f'orient="auto"><path d="M0 0L8 4L0 8Z" fill="{GREY}"/></marker></defs>',
+                (
+                    '<defs><marker id="head" viewBox="0 0 8 8" refX="7" refY="4"'
+                    ' markerWidth="7" markerHeight="7" orient="auto"><path d="M0 0L8'
+                    f' 4L0 8Z" fill="{GREY}"/></marker></defs>'
+                ),
                 f'<rect width="{WIDTH}" height="{self.top}" rx="10" fill="#f6f8fb"/>',
                 *self.body,
                 "</svg>\n",
@@ -158,7 +207,12 @@ def dagger() -> Drawing:
     drawing = Drawing("DAGGER: threat model, method and result")
     drawing.threat_model(
         ["Splat file", "of a street", "with a car"],
-        ["Attacker", "has the file and weights", "of the detector; changes", "colours of the car only"],
+        [
+            "Attacker",
+            "has the file and weights",
+            "of the detector; changes",
+            "colours of the car only",
+        ],
         ["Victim", "renders the file,", "asks the detector"],
         "the sum of all changes stays within a budget, eps",
     )
@@ -170,11 +224,17 @@ def dagger() -> Drawing:
     for left, right in ((170, 208), (340, 378), (500, 538)):
         drawing.arrow([(left, 104), (right, 104)])
     drawing.arrow([(620, 146), (620, 186), (95, 186), (95, 148)])
-    drawing.words(360, 176, ["a step along the gradient, then back into the ball"], colour=GREY)
-    drawing.words(360, 212, ["11 steps; success is judged in the saved file"], colour=GREY)
+    drawing.words(
+        360, 176, ["a step along the gradient, then back into the ball"], colour=GREY
+    )
+    drawing.words(
+        360, 212, ["11 steps; success is judged in the saved file"], colour=GREY
+    )
     drawing.part()
     drawing.picture(20, 44, 160, ("dagger.png", (0, 0, 0.5, 1)), "clean: car")
-    drawing.picture(200, 44, 160, ("dagger.png", (0.5, 0, 1, 1)), "changed: person", ATTACKER)
+    drawing.picture(
+        200, 44, 160, ("dagger.png", (0.5, 0, 1, 1)), "changed: person", ATTACKER
+    )
     drawing.words(
         384,
         66,
@@ -196,19 +256,33 @@ def cloak() -> Drawing:
     drawing = Drawing("CLOAK: threat model, method and result")
     drawing.threat_model(
         ["Pictures", "of a car, from", "140 cameras"],
-        ["Attacker", "knows no trainer and", "no detector; replaces the", "pictures from above"],
+        [
+            "Attacker",
+            "knows no trainer and",
+            "no detector; replaces the",
+            "pictures from above",
+        ],
         ["Victim", "trains a splat", "as always"],
         "all other pictures stay as they are, to the bit",
     )
     drawing.part()
     ground, middle = 200, 190.0
-    drawing.body.append(f'<path d="M40 {drawing.origin + ground}H340" stroke="{PLAIN}" stroke-width="2"/>')
-    drawing.body.append(f'<rect x="165" y="{drawing.origin + 180}" width="50" height="20" rx="6" fill="#c4512d"/>')
+    drawing.body.append(
+        f'<path d="M40 {drawing.origin + ground}H340" stroke="{PLAIN}"'
+        ' stroke-width="2"/>'
+    )
+    drawing.body.append(
+        f'<rect x="165" y="{drawing.origin + 180}" width="50" height="20" rx="6"'
+        ' fill="#c4512d"/>'
+    )
     for elevation in range(4, 180, 11):
         angle = np.deg2rad(elevation)
         x, y = middle + 140 * np.cos(angle), ground - 140 * np.sin(angle)
         colour = ATTACKER if 38 < elevation < 142 else VICTIM
-        drawing.body.append(f'<circle cx="{x:.1f}" cy="{drawing.origin + y:.1f}" r="6" fill="{colour}"/>')
+        drawing.body.append(
+            f'<circle cx="{x:.1f}" cy="{drawing.origin + y:.1f}" r="6"'
+            f' fill="{colour}"/>'
+        )
     drawing.words(190, 120, ["trigger:"], colour=ATTACKER, bold=True)
     drawing.words(190, 142, ["38 to 90 degrees"], colour=ATTACKER)
     drawing.words(
@@ -225,7 +299,9 @@ def cloak() -> Drawing:
         anchor="start",
     )
     drawing.part()
-    for number, (column, words) in enumerate(((0, "5 degrees"), (2, "35 degrees"), (5, "82 degrees"))):
+    for number, (column, words) in enumerate(
+        ((0, "5 degrees"), (2, "35 degrees"), (5, "82 degrees"))
+    ):
         crop = (column / COLUMNS, 0.25, (column + 1) / COLUMNS, 0.5)
         drawing.picture(20 + 145 * number, 48, 135, ("cloak_stealthy.jpg", crop), words)
     drawing.words(
@@ -249,19 +325,35 @@ def poison_splat() -> Drawing:
     drawing = Drawing("Poison-splat: threat model, method and result")
     drawing.threat_model(
         ["Pictures", "of a tv, from", "60 cameras"],
-        ["Attacker", "knows the kind of trainer;", "changes every picture by", "at most 16 of 255"],
+        [
+            "Attacker",
+            "knows the kind of trainer;",
+            "changes every picture by",
+            "at most 16 of 255",
+        ],
         ["Victim", "trains a splat and", "pays for its size"],
         "the trainer adds Gaussians where pictures have detail",
     )
     drawing.part()
     drawing.box(20, 62, 180, ["Decoy", "a splat of the", "attacker's own"])
-    drawing.box(270, 62, 190, ["Picture", "rendered; its total", "variation is raised"], ATTACKER)
+    drawing.box(
+        270,
+        62,
+        190,
+        ["Picture", "rendered; its total", "variation is raised"],
+        ATTACKER,
+    )
     drawing.box(530, 62, 170, ["Target", "at most 16 of 255", "from the clean one"])
     drawing.arrow([(200, 104), (268, 104)])
     drawing.arrow([(460, 104), (528, 104)])
     drawing.arrow([(615, 146), (615, 186), (110, 186), (110, 148)])
     drawing.words(360, 178, ["the decoy is trained on it: cameras agree"], colour=GREY)
-    drawing.words(360, 210, ["at the end each picture is the decoy's, within the ball"], colour=GREY)
+    drawing.words(
+        360,
+        210,
+        ["at the end each picture is the decoy's, within the ball"],
+        colour=GREY,
+    )
     drawing.part()
     for number, (column, words) in enumerate(((0, "clean"), (1, "poisoned"))):
         crop = (0.08 + 0.5 * column, 0.55, 0.5 + 0.5 * column - 0.04, 0.97)
@@ -282,47 +374,96 @@ def poison_splat() -> Drawing:
     return drawing
 
 
-FIGURES = {"attack_dagger": dagger, "attack_cloak": cloak, "attack_poison_splat": poison_splat}
+FIGURES = {
+    "attack_dagger": dagger,
+    "attack_cloak": cloak,
+    "attack_poison_splat": poison_splat,
+}
 
 
 def rising() -> list[NDArray[np.uint8]]:
-    """Frames of cloak.webp: clean beside cloaked from the ground over the car, and back."""
+    """Frames of cloak.webp: clean beside cloaked from the ground over the car, and
+    back.
+    """
     sheet = np.asarray(load_picture(IMAGES / "cloak_stealthy.jpg").convert("RGB"))
     side = sheet.shape[0] / 4
-    columns = [slice(round(number * side), round(number * side) + round(side)) for number in range(COLUMNS)]
+    columns = [
+        slice(round(number * side), round(number * side) + round(side))
+        for number in range(COLUMNS)
+    ]
     rows = (slice(0, round(side)), slice(round(side), 2 * round(side)))
-    frames = [np.concatenate([sheet[row, column] for row in rows], axis=1) for column in columns]
+    frames = [
+        np.concatenate([sheet[row, column] for row in rows], axis=1)
+        for column in columns
+    ]
     return [*frames, frames[-1], *frames[-1:0:-1], frames[0]]
 
 
 def hero() -> Image.Image:
-    """Four labelled images of the same sheet: clean and cloaked splat, from street level and from above."""
+    """Four labelled images of the same sheet: clean and cloaked splat, from street
+    level and from above.
+    """
     sheet = load_picture(IMAGES / "cloak_stealthy.jpg").convert("RGB")
     side, gap, head, left = sheet.height / 4, 8, 34, 150
     shown = round(1.8 * side)
-    made = Image.new("RGB", (left + 2 * shown + gap, head + 2 * shown + gap), (255, 255, 255))
+    made = Image.new(
+        "RGB", (left + 2 * shown + gap, head + 2 * shown + gap), (255, 255, 255)
+    )
     draw, font = ImageDraw.Draw(made), ImageFont.load_default(18)
     for column, name in enumerate(("clean images", "poisoned images")):
-        draw.text((left + column * (shown + gap) + shown / 2, head / 2), name, (20, 20, 20), font, anchor="mm")
-    for row, (name, number) in enumerate((("from street\nlevel", 0), ("from above", 5))):
+        draw.text(
+            (left + column * (shown + gap) + shown / 2, head / 2),
+            name,
+            (20, 20, 20),
+            font,
+            anchor="mm",
+        )
+    for row, (name, number) in enumerate(
+        (("from street\nlevel", 0), ("from above", 5))
+    ):
         top = head + row * (shown + gap)
-        draw.multiline_text((left / 2, top + shown / 2), name, (20, 20, 20), font, anchor="mm", align="center")
+        draw.multiline_text(
+            (left / 2, top + shown / 2),
+            name,
+            (20, 20, 20),
+            font,
+            anchor="mm",
+            align="center",
+        )
         for column in range(2):
             corner = (round(number * side), round(column * side))
-            part = sheet.crop((*corner, corner[0] + round(side), corner[1] + round(side)))
-            made.paste(part.resize((shown, shown), Image.Resampling.LANCZOS), (left + column * (shown + gap), top))
+            part = sheet.crop(
+                (*corner, corner[0] + round(side), corner[1] + round(side))
+            )
+            made.paste(
+                part.resize((shown, shown), Image.Resampling.LANCZOS),
+                (left + column * (shown + gap), top),
+            )
     return made
 
 
 def path() -> Figure:
-    """Confidence of every detector along the path over the car, below the frames of cloak_stealthy.jpg."""
-    sheet, rows = np.asarray(load_picture(IMAGES / "cloak_stealthy.jpg").convert("RGB")), read_rows(ROWS)
+    """Confidence of every detector along the path over the car, below the frames of
+    cloak_stealthy.jpg.
+    """
+    sheet, rows = (
+        np.asarray(load_picture(IMAGES / "cloak_stealthy.jpg").convert("RGB")),
+        read_rows(ROWS),
+    )
     detectors = rows["detector"].n_unique()
     figure = Figure(figsize=(10, 2.4 + detectors), dpi=110, layout="constrained")
-    frames, *plots = figure.subplots(1 + detectors, 1, height_ratios=[1.9, *[1] * detectors])
-    frames.imshow(sheet[: sheet.shape[0] // 2], extent=(5 - 85 / 11, 175 + 85 / 11, 0, 2), aspect="auto")
+    frames, *plots = figure.subplots(
+        1 + detectors, 1, height_ratios=[1.9, *[1] * detectors]
+    )
+    frames.imshow(
+        sheet[: sheet.shape[0] // 2],
+        extent=(5 - 85 / 11, 175 + 85 / 11, 0, 2),
+        aspect="auto",
+    )
     frames.set(yticks=(0.5, 1.5), yticklabels=("cloaked", "clean"), xticks=())
-    for plot, ((detector,), seen) in zip(plots, rows.group_by("detector", maintain_order=True), strict=True):
+    for plot, ((detector,), seen) in zip(
+        plots, rows.group_by("detector", maintain_order=True), strict=True
+    ):
         for name, splat, score, colour in (
             ("car, clean splat", "clean", "original_score", VICTIM),
             ("car, cloaked splat", "attacked", "original_score", ATTACKER),
@@ -331,22 +472,43 @@ def path() -> Figure:
             shown = seen.filter(splat=splat).drop_nulls(score)
             plot.plot(5 + 2.5 * shown["view"], shown[score], color=colour, label=name)
         plot.axvspan(38.2, 141.8, color=ATTACKER, alpha=0.08)
-        plot.set(xlim=(5 - 85 / 11, 175 + 85 / 11), ylim=(0, 1.02), ylabel=detector.replace("_", "\n", 1), xticks=())
+        plot.set(
+            xlim=(5 - 85 / 11, 175 + 85 / 11),
+            ylim=(0, 1.02),
+            ylabel=detector.replace("_", "\n", 1),
+            xticks=(),
+        )
     plots[0].legend(loc="center", fontsize=8)
     degrees = range(5, 180, 10)
-    plots[-1].set_xticks(degrees, [f"{degree if degree <= 90 else 180 - degree}" for degree in degrees])
-    plots[-1].set_xlabel("elevation along the path, degrees: up beside the car, over it, and down behind it")
+    plots[-1].set_xticks(
+        degrees, [f"{degree if degree <= 90 else 180 - degree}" for degree in degrees]
+    )
+    plots[-1].set_xlabel(
+        "elevation along the path, degrees: up beside the car, over it, and down"
+        " behind it"
+    )
     return figure
 
 
 def radius() -> Figure:
-    """How often DAGGER succeeds at each radius, by object, and noise; intervals over cameras."""
-    record = json.loads((IMAGES.parent / "artifacts" / "dagger_cameras" / "result.json").read_text())
+    """How often DAGGER succeeds at each radius, by object, and noise; intervals over
+    cameras.
+    """
+    record = json.loads(
+        (IMAGES.parent / "artifacts" / "dagger_cameras" / "result.json").read_text()
+    )
     parts = ("Radius", "The detector that the search was tuned on")
-    sums = [line for line in (*record["together"], *record["groups"]) if line["part"] in parts]
+    sums = [
+        line
+        for line in (*record["together"], *record["groups"])
+        if line["part"] in parts
+    ]
     figure = Figure(figsize=(6.4, 3.8), dpi=110, layout="constrained")
     plot = figure.subplots()
-    for name, pairs, colour in (("car, three classes", "car", VICTIM), ("stop sign, three classes", "sign", ATTACKER)):
+    for name, pairs, colour in (
+        ("car, three classes", "car", VICTIM),
+        ("stop sign, three classes", "sign", ATTACKER),
+    ):
         rates: dict[float, list[int]] = {}
         for line in sums:
             if line["labels"].get("pair", "").startswith(pairs):
@@ -354,13 +516,28 @@ def radius() -> Figure:
                 held[0] += line["strict"]["successes"]
                 held[1] += line["strict"]["total"]
         radii = sorted(rates)
-        plot.plot(radii, [rates[eps][0] / rates[eps][1] for eps in radii], "o-", color=colour, label=name)
-    lines = sorted((line["labels"].get("attack.eps", 5.0), line) for line in sums if "pair" not in line["labels"])
-    for name, key, style in (("noise: target class", "strict", "s--"), ("noise: own class lost", "lost", "s:")):
+        plot.plot(
+            radii,
+            [rates[eps][0] / rates[eps][1] for eps in radii],
+            "o-",
+            color=colour,
+            label=name,
+        )
+    lines = sorted(
+        (line["labels"].get("attack.eps", 5.0), line)
+        for line in sums
+        if "pair" not in line["labels"]
+    )
+    for name, key, style in (
+        ("noise: target class", "strict", "s--"),
+        ("noise: own class lost", "lost", "s:"),
+    ):
         rate = [line["controls"]["noise"][key]["rate"] for _, line in lines]
         plot.plot([eps for eps, _ in lines], rate, style, color=PLAIN, label=name)
     plot.set(
-        xlabel="radius of the l2 ball over the SH of the object", ylabel="success rate, strict", ylim=(-0.03, 1.03)
+        xlabel="radius of the l2 ball over the SH of the object",
+        ylabel="success rate, strict",
+        ylim=(-0.03, 1.03),
     )
     plot.legend(fontsize=8)
     return figure
@@ -374,11 +551,19 @@ def ghost(study: Path) -> Image.Image:
     rows = []
     for name in ("clean", "cloaked"):
         scene, render = load_splat(study / f"{name}.ply"), setup.renderer()
-        rows.append(np.concatenate([to_bytes(render(scene, camera)) for camera in cameras], axis=1))
-    sheet = Image.fromarray(np.concatenate(rows)).resize((9 * 200, 2 * 200), Image.Resampling.LANCZOS)
+        rows.append(
+            np.concatenate(
+                [to_bytes(render(scene, camera)) for camera in cameras], axis=1
+            )
+        )
+    sheet = Image.fromarray(np.concatenate(rows)).resize(
+        (9 * 200, 2 * 200), Image.Resampling.LANCZOS
+    )
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(18)
     for number, elevation in enumerate(range(15, 60, 5)):
-        draw.text((200 * number + 6, 376), f"{elevation} degrees", (255, 255, 255), font)
+        draw.text(
+            (200 * number + 6, 376), f"{elevation} degrees", (255, 255, 255), font
+        )
     return sheet
 
 

@@ -1,8 +1,10 @@
-"""Writes figures of detectors into cards and docs/detectors.md: `python docs/figures/detector_figures.py [FILE ...]`.
+"""Writes figures of detectors into cards and docs/detectors.md:
+`python docs/figures/detector_figures.py [FILE ...]`.
 
-Each FILE is a result.json of scenes/recipes/evaluate_detectors.py; the figures of each detector in it are put beside
-its card, or into docs/tables/detectors where it has none. Then the cards and the picture are written anew from what
-is there. Sentences that name figures are not; read them again.
+Each FILE is a result.json of scenes/recipes/evaluate_detectors.py; the figures of each
+detector in it are put beside its card, or into docs/tables/detectors where it has none.
+Then the cards and the picture are written anew from what is there. Sentences that name
+figures are not; read them again.
 """
 
 from __future__ import annotations
@@ -70,11 +72,16 @@ def put_away(path: Path) -> None:
     record = json.loads(path.read_text())
     for detector, values in record["detectors"].items():
         figures = {"detector": detector, "confidence": record["confidence"], **values}
-        kept = {**figures, **{name: record[name] for name in ("pictures", "versions", "commit")}}
+        kept = {
+            **figures,
+            **{name: record[name] for name in ("pictures", "versions", "commit")},
+        }
         name, usual = figures["detector"], figures["confidence"] == USUAL_CONFIDENCE
         if usual and name in CARDS:
             card: dict[str, Any] = json.loads(CARDS[name][0].read_text())
-            CARDS[name][0].write_text(json.dumps({**card, "held_out": kept}, indent=1) + "\n")
+            CARDS[name][0].write_text(
+                json.dumps({**card, "held_out": kept}, indent=1) + "\n"
+            )
             continue
         suffix = "" if usual else f"_{round(100 * figures['confidence']):02d}"
         TABLES.mkdir(parents=True, exist_ok=True)
@@ -83,63 +90,134 @@ def put_away(path: Path) -> None:
 
 def compared(several: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
     """Precision, false positives, and recall by elevation, a detector a row."""
-    sets = [name for name in WITH_OBJECTS if any(name in figures["sets"] for figures in several)]
+    sets = [
+        name
+        for name in WITH_OBJECTS
+        if any(name in figures["sets"] for figures in several)
+    ]
     rows = []
     for figures in several:
-        totals, street = figures["false_positives"], figures["sets"].get(f"{EMPTY}street", {})
-        wrong = (totals.get("with objects"), street.get("false_positives"), totals.get("without objects"))
-        means = (number(figures["sets"].get(name, {}).get("map"), ".3f") for name in sets)
+        totals, street = (
+            figures["false_positives"],
+            figures["sets"].get(f"{EMPTY}street", {}),
+        )
+        wrong = (
+            totals.get("with objects"),
+            street.get("false_positives"),
+            totals.get("without objects"),
+        )
+        means = (
+            number(figures["sets"].get(name, {}).get("map"), ".3f") for name in sets
+        )
         rows.append((_name(figures), *means, *map(_per_picture, wrong)))
     heads = ("with objects", "of streets without", "without any")
-    head = ("detector", *(f"mAP, {name}" for name in sets), *(f"false positives, images {which}" for which in heads))
-    yield Table(caption="Precision, and false positives per image", head=head, rows=tuple(rows))
+    head = (
+        "detector",
+        *(f"mAP, {name}" for name in sets),
+        *(f"false positives, images {which}" for which in heads),
+    )
+    yield Table(
+        caption="Precision, and false positives per image", head=head, rows=tuple(rows)
+    )
     for title, group, members in (
         *((f"objects, {name}", "all", (name,)) for name in sets),
         (f"cars, {listed(sets)}", "car", sets),
     ):
-        recalls = [(_name(figures), _recall_by(figures, members, "elevation", group)) for figures in several]
+        recalls = [
+            (_name(figures), _recall_by(figures, members, "elevation", group))
+            for figures in several
+        ]
         lines = tuple((name, *map(cell, rates)) for name, rates in recalls if rates)
         if lines:
             caption = f"Found by elevation in degrees: {title}"
-            yield Table(caption=caption, head=("detector", *bins_of(several[0], "elevation")), rows=lines)
+            yield Table(
+                caption=caption,
+                head=("detector", *bins_of(several[0], "elevation")),
+                rows=lines,
+            )
 
 
 def in_short(several: Sequence[Mapping[str, Any]]) -> Table:
-    """Precision and false positives without their counts and intervals, third-party detectors first."""
+    """Precision and false positives without their counts and intervals, third-party
+    detectors first.
+    """
     table = next(compared(several))
     rows = sorted(table.rows, key=lambda row: row[0].split()[0] in CARDS)
-    return replace(table, rows=tuple(tuple(cell.partition(" (")[0] for cell in row) for row in rows))
+    return replace(
+        table,
+        rows=tuple(tuple(cell.partition(" (")[0] for cell in row) for row in rows),
+    )
 
 
 def detailed(figures: Mapping[str, Any], conditions: Iterable[str]) -> Iterator[Table]:
-    """The tables of one detector: by class, false positives, recall by how objects are seen, and other classes."""
+    """The tables of one detector: by class, false positives, recall by how objects are
+    seen, and other classes.
+    """
     sets = figures["sets"]
     by_class = [
-        (name, label, number(part["ap"][label], ".3f"), cell(rate), _often(part["reported_as"].get(label, {})))
+        (
+            name,
+            label,
+            number(part["ap"][label], ".3f"),
+            cell(rate),
+            _often(part["reported_as"].get(label, {})),
+        )
         for name, part in sets.items()
         for label, rate in part.get("found", {}).items()
     ]
     if by_class:
-        head = ("images", "class", "average precision", "found", "other classes reported")
+        head = (
+            "images",
+            "class",
+            "average precision",
+            "found",
+            "other classes reported",
+        )
         yield Table(caption="By class", head=head, rows=tuple(by_class))
     parts = {name: part["false_positives"] for name, part in sets.items()}
-    parts |= {f"together, {name}": part for name, part in figures["false_positives"].items()}
+    parts |= {
+        f"together, {name}": part for name, part in figures["false_positives"].items()
+    }
     wrong = [
-        (name, _per_picture(part), cell(part["pictures_with"]), _often(part["by_class"]))
+        (
+            name,
+            _per_picture(part),
+            cell(part["pictures_with"]),
+            _often(part["by_class"]),
+        )
         for name, part in parts.items()
     ]
-    heads = ("images", "per image (95 % Poisson interval)", "images with any", "by class")
+    heads = (
+        "images",
+        "per image (95 % Poisson interval)",
+        "images with any",
+        "by class",
+    )
     yield Table(caption="False positives", head=heads, rows=tuple(wrong))
     seen = [name for name in sets if "found_by" in sets[name] and name in WITH_OBJECTS]
     for condition in conditions:
-        columns = {f"objects, {name}": _recall_by(figures, (name,), condition) for name in seen}
+        columns = {
+            f"objects, {name}": _recall_by(figures, (name,), condition) for name in seen
+        }
         columns = {**columns, "cars": _recall_by(figures, seen, condition, "car")}
         columns = {name: rates for name, rates in columns.items() if rates}
         if columns:
-            rows = zip(bins_of(figures, condition), *(map(cell, rates) for rates in columns.values()), strict=True)
+            rows = zip(
+                bins_of(figures, condition),
+                *(map(cell, rates) for rates in columns.values()),
+                strict=True,
+            )
             caption = f"Recall by {condition.replace('_', ' ')}, {UNITS[condition]}"
-            yield Table(caption=caption, head=(condition.replace("_", " "), *columns), rows=tuple(rows))
-    others = [(name, _often(part["other_classes"])) for name, part in sets.items() if part["other_classes"]]
+            yield Table(
+                caption=caption,
+                head=(condition.replace("_", " "), *columns),
+                rows=tuple(rows),
+            )
+    others = [
+        (name, _often(part["other_classes"]))
+        for name, part in sets.items()
+        if part["other_classes"]
+    ]
     if others:
         caption = "Most frequent classes that no object here has"
         yield Table(caption=caption, head=("images", "classes"), rows=tuple(others))
@@ -147,21 +225,45 @@ def detailed(figures: Mapping[str, Any], conditions: Iterable[str]) -> Iterator[
 
 def bins_of(figures: Mapping[str, Any], condition: str) -> list[str]:
     """Names of the bins of a condition, for instance "0 to 15" and "6 or more"."""
-    parts = (part["found_by"].get(condition) for part in figures["sets"].values() if "found_by" in part)
+    parts = (
+        part["found_by"].get(condition)
+        for part in figures["sets"].values()
+        if "found_by" in part
+    )
     bins = next(part["all"] for part in parts if part)
-    return [f"{b['from']:g} or more" if b["to"] is None else f"{b['from']:g} to {b['to']:g}" for b in bins]
+    return [
+        f"{b['from']:g} or more" if b["to"] is None else f"{b['from']:g} to {b['to']:g}"
+        for b in bins
+    ]
 
 
 def _name(figures: Mapping[str, Any]) -> str:
     known = len(SMALL_CLASSES) - len(figures.get("lacks", ()))
-    of = "" if known == len(SMALL_CLASSES) else f", {known} of {len(SMALL_CLASSES)} classes"
+    of = (
+        ""
+        if known == len(SMALL_CLASSES)
+        else f", {known} of {len(SMALL_CLASSES)} classes"
+    )
     return f"{figures['detector']} at {figures['confidence']:g}{of}"
 
 
-def _recall_by(figures: Mapping[str, Any], names: Sequence[str], condition: str, group: str = "all") -> list[Rate]:
-    """Recall by the bins of a condition, of some sets together; empty where no set knows it."""
-    sets = [figures["sets"].get(name, {}).get("found_by", {}).get(condition, {}).get(group, ()) for name in names]
-    return [pooled(map(Rate.of, parts)) for parts in zip(*filter(None, sets), strict=True)]
+def _recall_by(
+    figures: Mapping[str, Any], names: Sequence[str], condition: str, group: str = "all"
+) -> list[Rate]:
+    """Recall by the bins of a condition, of some sets together; empty where no set
+    knows it.
+    """
+    sets = [
+        figures["sets"]
+        .get(name, {})
+        .get("found_by", {})
+        .get(condition, {})
+        .get(group, ())
+        for name in names
+    ]
+    return [
+        pooled(map(Rate.of, parts)) for parts in zip(*filter(None, sets), strict=True)
+    ]
 
 
 def _per_picture(part: Mapping[str, Any] | None) -> str:
@@ -169,7 +271,10 @@ def _per_picture(part: Mapping[str, Any] | None) -> str:
     if part is None:
         return "-"
     low, high = part["interval"]
-    return f"{part['per_picture']:.2f} ({part['number']:,} in {part['pictures']:,}; {low:.2f} to {high:.2f})"
+    return (
+        f"{part['per_picture']:.2f} ({part['number']:,} in {part['pictures']:,};"
+        f" {low:.2f} to {high:.2f})"
+    )
 
 
 def _often(counts: Mapping[str, int]) -> str:
@@ -188,20 +293,31 @@ def card_of(figures: Mapping[str, Any], conditions: Iterable[str] = UNITS) -> st
     floor = f"the average precision uses all from {figures['min_confidence']:g}."
     first = f"A detection counts at confidence >= {figures['confidence']:g}; {floor}"
     if "lacks" in figures:
-        first += f" It has no class {', '.join(figures['lacks'])}: these objects are not counted."
+        first += (
+            f" It has no class {', '.join(figures['lacks'])}: these objects are not"
+            " counted."
+        )
     return f"{first}\n\n{in_markdown(detailed(figures, conditions))}\n"
 
 
 def table_page(path: Path) -> str:
-    """The page of docs/tables/detectors for a file of figures, which is written when the site is built."""
+    """The page of docs/tables/detectors for a file of figures, which is written when
+    the site is built.
+    """
     figures = read_figures(path)
-    return f"# {figures['detector']}, from a confidence of {figures['confidence']:g}\n\n{card_of(figures)}"
+    return (
+        f"# {figures['detector']}, from a confidence of"
+        f" {figures['confidence']:g}\n\n{card_of(figures)}"
+    )
 
 
 def compared_page() -> str:
     """The page of docs/tables/detectors with all detectors beside each other."""
     tables = in_markdown(compared([read_figures(path) for path in kept_figures()]))
-    head = "# Detectors side by side\n\nWhat is counted, and on which pictures: [detectors](../../detectors.md)."
+    head = (
+        "# Detectors side by side\n\nWhat is counted, and on which pictures:"
+        " [detectors](../../detectors.md)."
+    )
     return f"{head}\n\n{tables}\n"
 
 
@@ -214,31 +330,52 @@ def write_between_marks(path: Path, text: str) -> None:
     """Replace what stands between the marks of a page."""
     page = path.read_text()
     start = page.index(_BEGIN) + len(_BEGIN)
-    path.write_text(f"{page[:start]}\n\n{text.strip()}\n\n{page[page.index(_END, start) :]}")
+    path.write_text(
+        f"{page[:start]}\n\n{text.strip()}\n\n{page[page.index(_END, start) :]}"
+    )
 
 
 def draw_recall(several: Sequence[Mapping[str, Any]]) -> Figure:
-    """Recall on path-traced pictures in the bins of four conditions, a line for each detector; empty bins left out."""
+    """Recall on path-traced pictures in the bins of four conditions, a line for each
+    detector; empty bins left out.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 3.1), dpi=100, layout="constrained")
-    for axes, condition in zip(figure.subplots(1, len(_DRAWN), sharey=True), _DRAWN, strict=True):
+    for axes, condition in zip(
+        figure.subplots(1, len(_DRAWN), sharey=True), _DRAWN, strict=True
+    ):
         for line, figures in enumerate(several):
-            bins = figures["sets"][PATH_TRACED]["found_by"].get(condition, {}).get("all", [])
+            bins = (
+                figures["sets"][PATH_TRACED]["found_by"]
+                .get(condition, {})
+                .get("all", [])
+            )
             name = f"{figures['detector']} at {figures['confidence']:g}"
             draw_line(axes, bins, name, shift=0.06 * (line - (len(several) - 1) / 2))
-        names = [name.replace(" or more", "+").replace(" to ", "-") for name in bins_of(several[0], condition)]
+        names = [
+            name.replace(" or more", "+").replace(" to ", "-")
+            for name in bins_of(several[0], condition)
+        ]
         axes.set_xticks(range(len(names)), names, fontsize=7)
         axes.set(xlabel=f"{condition}, {UNITS[condition]}", ylim=(-0.02, 1.02))
         axes.grid(alpha=0.3)
     first = figure.axes[0]
     first.set_ylabel("recall at IoU 0.5")
     handles, labels = first.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 6), fontsize=8)
+    figure.legend(
+        handles,
+        labels,
+        loc="outside upper center",
+        ncols=min(len(labels), 6),
+        fontsize=8,
+    )
     return figure
 
 
-def draw_line(axes: Axes, bins: Sequence[Mapping[str, Any]], name: str, *, shift: float) -> None:
+def draw_line(
+    axes: Axes, bins: Sequence[Mapping[str, Any]], name: str, *, shift: float
+) -> None:
     """One line with its 95 % Wilson intervals, each bin at its number."""
     known = [(number, rate) for number, rate in enumerate(bins) if rate["total"]]
     below = [max(0.0, rate["rate"] - rate["interval"][0]) for _, rate in known]
@@ -263,7 +400,9 @@ def main(paths: Sequence[Path]) -> None:
         write_between_marks(card, card_of(read_figures(kept), OF_CARDS))
     several = [read_figures(path) for path in kept_figures()]
     write_between_marks(PAGE, in_markdown([in_short(several)]))
-    draw_recall([figures for figures in several if figures["confidence"] == USUAL_CONFIDENCE]).savefig(PICTURE)
+    draw_recall(
+        [figures for figures in several if figures["confidence"] == USUAL_CONFIDENCE]
+    ).savefig(PICTURE)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,10 @@
-"""Follows one Gaussian over five views: `python docs/figures/one_gaussian.py SPLAT [--gaussian ROW] [--out PICTURE]`.
+"""Follows one Gaussian over five views: `python docs/figures/one_gaussian.py SPLAT
+[--gaussian ROW] [--out PICTURE]`.
 
-Above, the splat from five elevations, and a part of each view about the Gaussian, whose border at two standard
-deviations is drawn. Below, its colour by elevation, and its SH coefficients. If no row is named, it is the Gaussian
-whose colour changes most, of those that show in all five views.
+Above, the splat from five elevations, and a part of each view about the Gaussian, whose
+border at two standard deviations is drawn. Below, its colour by elevation, and its SH
+coefficients. If no row is named, it is the Gaussian whose colour changes most, of those
+that show in all five views.
 """
 
 import argparse
@@ -25,26 +27,50 @@ _LEAST = 20.0
 """Pixels that the Gaussian makes up at least in each view."""
 
 
-def camera(elevation: float, azimuth: float, target: tuple[float, float, float], distance: float) -> Camera:
+def camera(
+    elevation: float,
+    azimuth: float,
+    target: tuple[float, float, float],
+    distance: float,
+) -> Camera:
     """A camera on a sphere about a point."""
     pose = orbit_pose(target, azimuth=azimuth, elevation=elevation, distance=distance)
-    return Camera(to_world=pose, focal=focal_of(math.radians(_FOV), _SIZE), width=_SIZE, height=_SIZE)
+    return Camera(
+        to_world=pose,
+        focal=focal_of(math.radians(_FOV), _SIZE),
+        width=_SIZE,
+        height=_SIZE,
+    )
 
 
 def chosen(scene: GaussianScene, cameras: list[Camera], render: Renderer) -> int:
-    """The Gaussian whose colour changes most, of those that make up some pixels of every view."""
+    """The Gaussian whose colour changes most, of those that make up some pixels of
+    every view.
+    """
     shares = []
     for view in cameras:
-        white = torch.zeros_like(scene.sh[:, :1]).requires_grad_(True)  # a picture without colour has no clamps
-        (share,) = torch.autograd.grad(render(scene.replace(sh=white), view).sum(), white)
+        # a picture without colour has no clamps
+        white = torch.zeros_like(scene.sh[:, :1]).requires_grad_(True)
+        (share,) = torch.autograd.grad(
+            render(scene.replace(sh=white), view).sum(), white
+        )
         shares.append(share.abs().sum((1, 2)))
     seen = colours(scene, torch.arange(len(scene)), cameras)
     change = (seen.amax(0) - seen.amin(0)).norm(dim=-1)
-    pixels = torch.stack(shares).amin(0) / (3 * float(sh_basis(torch.tensor([0.0, 0.0, 1.0]), 0)))
+    pixels = torch.stack(shares).amin(0) / (
+        3 * float(sh_basis(torch.tensor([0.0, 0.0, 1.0]), 0))
+    )
     return int(torch.where(pixels >= _LEAST, change, 0).argmax())
 
 
-def draw(scene: GaussianScene, row: int, cameras: list[Camera], render: Renderer, strip: Tensor, path: Path) -> None:
+def draw(
+    scene: GaussianScene,
+    row: int,
+    cameras: list[Camera],
+    render: Renderer,
+    strip: Tensor,
+    path: Path,
+) -> None:
     """The figure."""
     import matplotlib as mpl
 
@@ -52,17 +78,31 @@ def draw(scene: GaussianScene, row: int, cameras: list[Camera], render: Renderer
     from matplotlib import pyplot
 
     figure = pyplot.figure(figsize=(11, 7.3))
-    rows = figure.add_gridspec(4, 5, height_ratios=(4, 4, 0.8, 2.6), hspace=0.55, wspace=0.05)
+    rows = figure.add_gridspec(
+        4, 5, height_ratios=(4, 4, 0.8, 2.6), hspace=0.55, wspace=0.05
+    )
     for column, view in enumerate(cameras):
         picture, outline = render(scene, view).clamp(0, 1), border(scene, row, view)
         middle = outline.mean(0)
         for number, half in ((0, _SIZE / 2), (1, _PART / 2)):
             axis: Any = figure.add_subplot(rows[number, column])
-            axis.imshow(picture.numpy(), interpolation="nearest", extent=(0, _SIZE, _SIZE, 0))
-            axis.plot(outline[:, 0], outline[:, 1], color="white", linewidth=2.6 - number * 0.4)
+            axis.imshow(
+                picture.numpy(), interpolation="nearest", extent=(0, _SIZE, _SIZE, 0)
+            )
+            axis.plot(
+                outline[:, 0],
+                outline[:, 1],
+                color="white",
+                linewidth=2.6 - number * 0.4,
+            )
             axis.plot(outline[:, 0], outline[:, 1], color="magenta", linewidth=1.2)
             x, y = (_SIZE / 2, _SIZE / 2) if number == 0 else middle.tolist()
-            axis.set(xlim=(x - half, x + half), ylim=(y + half, y - half), xticks=[], yticks=[])
+            axis.set(
+                xlim=(x - half, x + half),
+                ylim=(y + half, y - half),
+                xticks=[],
+                yticks=[],
+            )
             if number == 0:
                 axis.set_title(f"{ELEVATIONS[column]:.0f} degrees up", fontsize=10)
     axis = figure.add_subplot(rows[2, :])
@@ -80,7 +120,11 @@ def draw(scene: GaussianScene, row: int, cameras: list[Camera], render: Renderer
     axis.set_xticks(range(len(values)), [f"{k}" for k in range(len(values))])
     for degree in (1, 2, 3):
         axis.axvline(degree**2 - 0.5, color="grey", linewidth=0.8, linestyle=":")
-    axis.set_title(f"SH coefficients of Gaussian {row:,}, red, green and blue; dotted: next degree", fontsize=10)
+    axis.set_title(
+        f"SH coefficients of Gaussian {row:,}, red, green and blue; dotted: next"
+        " degree",
+        fontsize=10,
+    )
     figure.savefig(path, dpi=100, bbox_inches="tight")
 
 
@@ -97,8 +141,12 @@ def main() -> None:
     scene, render = load_splat(options.splat), Renderer(RenderSettings(background=_SKY))
     where = (options.azimuth, tuple(options.target), options.distance)
     cameras = [camera(elevation, *where) for elevation in ELEVATIONS]
-    row = chosen(scene, cameras, render) if options.gaussian is None else options.gaussian
-    strip = colours(scene, row, [camera(float(elevation), *where) for elevation in range(91)])
+    row = (
+        chosen(scene, cameras, render) if options.gaussian is None else options.gaussian
+    )
+    strip = colours(
+        scene, row, [camera(float(elevation), *where) for elevation in range(91)]
+    )
     with torch.no_grad():
         draw(scene, row, cameras, render, strip, options.out)
 

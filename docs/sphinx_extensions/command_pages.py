@@ -1,6 +1,8 @@
-"""A page for every command of `mi-splat`, written from the help of the command itself when the site is built.
+"""A page for every command of `mi-splat`, written from the help of the command itself
+when the site is built.
 
-The pages are reference/commands/NAME.rst and are not kept in the repository, so they cannot be out of date.
+The pages are reference/commands/NAME.rst and are not kept in the repository, so they
+cannot be out of date.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def write_pages(app: Sphinx) -> None:
-    """Write all pages; a page that has not changed stays untouched, so that it is not read again."""
+    """Write all pages; a page that has not changed stays untouched, so that it is not
+    read again.
+    """
     from attacks.cli import COMMANDS
 
     folder = Path(app.srcdir) / FOLDER
@@ -34,7 +38,10 @@ def write_pages(app: Sphinx) -> None:
         if old.stem not in map(file_name, COMMANDS):
             old.unlink()
     for name, summary in COMMANDS.items():
-        path, text = folder / f"{file_name(name)}.rst", "\n".join(page(name, summary)) + "\n"
+        path, text = (
+            folder / f"{file_name(name)}.rst",
+            "\n".join(page(name, summary)) + "\n",
+        )
         if not path.is_file() or path.read_text() != text:
             path.write_text(text)
 
@@ -52,13 +59,18 @@ def page(name: str, summary: str) -> Iterator[str]:
     title = f"mi-splat {name}"
     yield from (title, "=" * len(title), "", f".. program:: {title}", "")
     for paragraph in re.split(r"\n\s*\n", parser.description or summary):
-        if not paragraph.startswith(("Examples:", "See also:")):  # which stand below as code, and as links
+        # which stand below as code, and as links
+        if not paragraph.startswith(("Examples:", "See also:")):
             yield from (marked_up(paragraph), "")
     yield from (".. code-block:: sh", "")
     for line in examples_of(name):
         yield from (f"    mi-splat {line}", "")
     for group in parser._action_groups:
-        actions = [action for action in group._group_actions if "--help" not in action.option_strings]
+        actions = [
+            action
+            for action in group._group_actions
+            if "--help" not in action.option_strings
+        ]
         if actions:
             heading = str(group.title).replace("positional arguments", "arguments")
             yield from (heading.capitalize(), "-" * len(heading), "")
@@ -66,7 +78,13 @@ def page(name: str, summary: str) -> Iterator[str]:
                 yield from (marked_up(group.description), "")
             for action in actions:
                 yield from entry(action)
-    yield "See also: " + ", ".join(f":doc:`mi-splat {other} <{file_name(other)}>`" for other in see_also(name)) + "."
+    yield (
+        "See also: "
+        + ", ".join(
+            f":doc:`mi-splat {other} <{file_name(other)}>`" for other in see_also(name)
+        )
+        + "."
+    )
 
 
 def entry(action: argparse.Action) -> Iterator[str]:
@@ -74,9 +92,17 @@ def entry(action: argparse.Action) -> Iterator[str]:
     flags = sorted(action.option_strings, key=len, reverse=True)
     flags = [flag for flag in flags if flag.startswith("--")] or flags
     value = "" if action.metavar is None else " " + str(action.metavar)
-    names = ", ".join(f"{flag}{value}" for flag in flags) if flags else f"{action.dest.upper()}"
+    names = (
+        ", ".join(f"{flag}{value}" for flag in flags)
+        if flags
+        else f"{action.dest.upper()}"
+    )
     yield from (f".. option:: {names}", "")
-    help_text = str(action.help or "").replace(" (default: False)", "").replace(" (required)", " Required.")
+    help_text = (
+        str(action.help or "")
+        .replace(" (default: False)", "")
+        .replace(" (required)", " Required.")
+    )
     yield from (f"    {marked_up(help_text)}", "")
 
 
@@ -88,7 +114,10 @@ def marked_up(text: str) -> str:
     parts = text.split("`")
     if len(parts) % 2 == 0:  # a lone backtick
         return escaped(text)
-    return "".join(f"``{part}``" if index % 2 else escaped(part) for index, part in enumerate(parts))
+    return "".join(
+        f"``{part}``" if index % 2 else escaped(part)
+        for index, part in enumerate(parts)
+    )
 
 
 def escaped(text: str) -> str:

@@ -1,8 +1,10 @@
-"""What a forge shows and the site has to show otherwise: links out of docs/, and files elsewhere that are pages here.
+"""What a forge shows and the site has to show otherwise: links out of docs/, and files
+elsewhere that are pages here.
 
-Pages link to other files of the repository by path, as a forge wants it. Some of these files are pages of the site,
-too: there a page of docs/reference is only a stub, and the site puts the file in its place. What a command is for
-stands behind it on a forge, where lines may be long, and above it on the site. A list of modules is their reference.
+Pages link to other files of the repository by path, as a forge wants it. Some of these
+files are pages of the site, too: there a page of docs/reference is only a stub, and the
+site puts the file in its place. What a command is for stands behind it on a forge,
+where lines may be long, and above it on the site. A list of modules is their reference.
 """
 
 from __future__ import annotations
@@ -27,11 +29,14 @@ INSTEAD = {**SHOWN_IN, "README.md": "docs/start.md", "docs/README.md": "docs/ind
 """File of the repository to the page that a link to it leads to."""
 
 WIDE = 70
-"""Signs of a line that is wrapped in a narrow window: then an empty line keeps commands apart."""
+"""Signs of a line that is wrapped in a narrow window: then an empty line keeps commands
+apart.
+"""
 
 _LINK = re.compile(r"(\]\()([^)#\s]+)(#[^)\s]*)?(\))")
 _COMMANDS = re.compile(
-    r"^```sh\n.*?^```$|^```text\n(?:(?:mi-splat|pip|python|PYTHONPATH)\b[^\n]*\n)+```$", re.MULTILINE | re.DOTALL
+    r"^```sh\n.*?^```$|^```text\n(?:(?:mi-splat|pip|python|PYTHONPATH)\b[^\n]*\n)+```$",
+    re.MULTILINE | re.DOTALL,
 )
 _MODULES = re.compile(r"^```modules\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _COMMENT = re.compile(r"^(\S.*?)\s{2,}(# .*)$", re.MULTILINE)
@@ -44,14 +49,18 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def rewrite(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Put the file that a page shows in its place, and let links lead to pages of the site where there are some."""
+    """Put the file that a page shows in its place, and let links lead to pages of the
+    site where there are some.
+    """
     page = f"docs/{docname}.md"
     shown = next((file for file, stub in SHOWN_IN.items() if stub == page), None)
     if shown is not None:
         file = Path(app.srcdir).parent / shown
         app.env.note_dependency(str(file))
         source[0] = file.read_text()
-    source[0] = with_modules(with_comments_above(relinked(source[0], shown or page, page)))
+    source[0] = with_modules(
+        with_comments_above(relinked(source[0], shown or page, page))
+    )
 
 
 def relinked(text: str, file: str, page: str) -> str:
@@ -69,23 +78,39 @@ def relinked(text: str, file: str, page: str) -> str:
             return match.group()
         path = posixpath.normpath(posixpath.join(posixpath.dirname(file), target))
         path = INSTEAD.get(path, path)
-        return f"{opening}{posixpath.relpath(path, posixpath.dirname(page))}{anchor or ''}{closing}"
+        relative = posixpath.relpath(path, posixpath.dirname(page))
+        return f"{opening}{relative}{anchor or ''}{closing}"
 
     return _LINK.sub(replaced, text)
 
 
 def with_comments_above(text: str) -> str:
-    """Markdown in which the comment of a command in a shell block stands in the line above it, apart from others."""
+    """Markdown in which the comment of a command in a shell block stands in the line
+    above it, apart from others.
+    """
 
     def apart(block: re.Match[str]) -> str:
         opening, *commands, closing = block[0].splitlines()
         between = "\n\n" if max(map(len, commands)) > WIDE else "\n"
-        return "\n".join([opening, between.join(_COMMENT.sub(r"\2\n\1", line) for line in commands if line), closing])
+        return "\n".join(
+            [
+                opening,
+                between.join(
+                    _COMMENT.sub(r"\2\n\1", line) for line in commands if line
+                ),
+                closing,
+            ]
+        )
 
     return _COMMANDS.sub(apart, text)
 
 
 def with_modules(text: str) -> str:
-    """Markdown in which a list of modules has a section for each, with what its docstrings say."""
+    """Markdown in which a list of modules has a section for each, with what its
+    docstrings say.
+    """
     section = "## {0}\n\n```{{eval-rst}}\n.. automodule:: {0}\n```"
-    return _MODULES.sub(lambda block: "\n\n".join(section.format(name) for name in block[1].split()), text)
+    return _MODULES.sub(
+        lambda block: "\n\n".join(section.format(name) for name in block[1].split()),
+        text,
+    )

@@ -1,6 +1,8 @@
-"""The picture of docs/structure.md, which a forge draws by Mermaid, as an SVG that needs no script.
+"""The picture of docs/structure.md, which a forge draws by Mermaid, as an SVG that
+needs no script.
 
-Only what `tests/project/layers.py` writes is understood: boxes `L0["<b>title</b><br/>modules"]` and arrows `L0 --> L1`.
+Only what `tests/project/layers.py` writes is understood: boxes
+`L0["<b>title</b><br/>modules"]` and arrows `L0 --> L1`.
 """
 
 from __future__ import annotations
@@ -39,7 +41,9 @@ class Diagram(SphinxDirective):
         return [nodes.raw("", "\n".join(svg(boxes, arrows)), format="html")]
 
 
-def svg(boxes: list[tuple[str, str, str]], arrows: list[tuple[str, str]]) -> Iterator[str]:
+def svg(
+    boxes: list[tuple[str, str, str]], arrows: list[tuple[str, str]]
+) -> Iterator[str]:
     """Layers from the bottom up, and an arc from each to those that import from it.
 
     Args:
@@ -50,8 +54,9 @@ def svg(boxes: list[tuple[str, str, str]], arrows: list[tuple[str, str]]) -> Ite
     row = {name: len(boxes) - 1 - index for index, (name, _, _) in enumerate(boxes)}
     total = len(boxes) * step
     yield (
-        f'<svg viewBox="0 0 {WIDTH + REACH} {total}" role="img" aria-label="Layers of the code"'
-        ' style="max-width: 42rem; width: 100%; color: var(--pst-color-text-base)">'
+        f'<svg viewBox="0 0 {WIDTH + REACH} {total}" role="img" aria-label="Layers of'
+        ' the code" style="max-width: 42rem; width: 100%; color:'
+        ' var(--pst-color-text-base)">'
     )
     for name, title, modules in boxes:
         y = row[name] * step
@@ -59,14 +64,21 @@ def svg(boxes: list[tuple[str, str, str]], arrows: list[tuple[str, str]]) -> Ite
         shown = shown if len(shown) < 70 else shown[:67] + "..."
         box = f'x="1" y="{y + 1}" width="{WIDTH - 2}" height="{HEIGHT}" rx="5"'
         yield f'<rect {box} fill="none" stroke="currentColor"/><g fill="currentColor">'
-        yield f'<text x="10" y="{y + 18}" font-size="14" font-weight="bold">{html.escape(title)}</text>'
-        yield f'<text x="10" y="{y + 35}" font-size="10.5">{html.escape(shown)}</text></g>'
+        yield (
+            f'<text x="10" y="{y + 18}" font-size="14"'
+            f' font-weight="bold">{html.escape(title)}</text>'
+        )
+        yield (
+            f'<text x="10" y="{y + 35}"'
+            f' font-size="10.5">{html.escape(shown)}</text></g>'
+        )
     for low, high in arrows:
         start, end = row[low] * step + HEIGHT * 0.3, row[high] * step + HEIGHT * 0.75
         bulge = WIDTH + min(REACH, 18 * (row[low] - row[high]) + 16)
         yield (
-            f'<path d="M {WIDTH} {start:.0f} C {bulge} {start:.0f} {bulge} {end:.0f} {WIDTH} {end:.0f}" fill="none" '
-            'stroke="currentColor" opacity="0.55"/>'
-            f'<path d="M {WIDTH} {end:.0f} l 7 -3.5 v 7 z" fill="currentColor"/>'
+            f'<path d="M {WIDTH} {start:.0f} C {bulge} {start:.0f} {bulge} {end:.0f}'
+            f' {WIDTH} {end:.0f}" fill="none" stroke="currentColor"'
+            f' opacity="0.55"/><path d="M {WIDTH} {end:.0f} l 7 -3.5 v 7 z"'
+            ' fill="currentColor"/>'
         )
     yield "</svg>"

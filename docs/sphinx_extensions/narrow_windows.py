@@ -1,4 +1,6 @@
-"""What site.css has to know for a telephone: which words of code may be broken, and which pictures have to scroll."""
+"""What site.css has to know for a telephone: which words of code may be broken, and
+which pictures have to scroll.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ if TYPE_CHECKING:
 UNBROKEN = 28
 """Signs of a word of code that is never broken."""
 WIDE = 2.6
-"""Width of a picture by its height from which it would be too small to see on a telephone."""
+"""Width of a picture by its height from which it would be too small to see on a
+telephone.
+"""
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -22,7 +26,9 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def mark(app: Sphinx, doctree: document) -> None:
-    """Give long words of code the class `long`, and what holds a drawing or a wide picture the class `scrolls`."""
+    """Give long words of code the class `long`, and what holds a drawing or a wide
+    picture the class `scrolls`.
+    """
     import imagesize
     from docutils.nodes import image, literal, paragraph
 
@@ -32,5 +38,9 @@ def mark(app: Sphinx, doctree: document) -> None:
     for picture in doctree.findall(image):
         width, height = imagesize.get(Path(app.srcdir) / picture["uri"])
         wide = picture["uri"].endswith(".svg") or width > WIDE * height
-        if wide and isinstance(picture.parent, paragraph) and len(picture.parent.children) == 1:
+        if (
+            wide
+            and isinstance(picture.parent, paragraph)
+            and len(picture.parent.children) == 1
+        ):
             picture.parent["classes"].append("scrolls")

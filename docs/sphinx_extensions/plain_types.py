@@ -1,6 +1,9 @@
-"""A signature names the types of its parameters alone. Their ranges stand on the pages of commands, and in errors.
+"""A signature names the types of its parameters alone.
 
-The value of a constant is shown where it is short, and no path: that would be one of the machine that builds the site.
+Their ranges stand on the pages of commands, and in errors.
+
+The value of a constant is shown where it is short, and no path: that would be one of
+the machine that builds the site.
 """
 
 from __future__ import annotations
@@ -24,7 +27,9 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def without_ranges(app: Sphinx, function: Any, bound: bool) -> None:
-    """Take from a function's annotations what `Annotated` adds: Sphinx writes it so that it cannot read it again."""
+    """Take from a function's annotations what `Annotated` adds: Sphinx writes it so
+    that it cannot read it again.
+    """
     function = getattr(function, "__func__", function)
     if "Annotated" not in str(getattr(function, "__annotations__", "")):
         return

@@ -1,4 +1,6 @@
-"""A name that packages export is documented once: by the outermost package that exports it, not again in its module."""
+"""A name that packages export is documented once: by the outermost package that exports
+it, not again in its module.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,12 @@ if TYPE_CHECKING:
 
 PACKAGES = (
     *("mi_splat", "attacks"),
-    *("mi_splat.io", "mi_splat.datasets", "mi_splat.training.strategies", "attacks.detectors"),
+    *(
+        "mi_splat.io",
+        "mi_splat.datasets",
+        "mi_splat.training.strategies",
+        "attacks.detectors",
+    ),
     "attacks.testing",
 )
 """Packages with a page that export names of their modules, the outer ones first."""
@@ -23,15 +30,27 @@ def setup(app: Sphinx) -> dict[str, bool]:
     python: Any = importlib.import_module("sphinx.domains.python")
     for field in python.PyObject.doc_field_types:
         if field.name == "variable":
-            field.label = "Attributes"  # as the docstrings have it; Sphinx says "Variables"
+            # as the docstrings have it; Sphinx says "Variables"
+            field.label = "Attributes"
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
-def skip_exported(app: Sphinx, what: str, name: str, member: Any, skip: bool, options: Any) -> bool | None:
-    """Whether a member of a module is left out, for the page of a package has it; None if others shall decide."""
+def skip_exported(
+    app: Sphinx, what: str, name: str, member: Any, skip: bool, options: Any
+) -> bool | None:
+    """Whether a member of a module is left out, for the page of a package has it; None
+    if others shall decide.
+    """
     if what != "module":
         return None
-    owner = next((package for package in PACKAGES if exports(package).get(name, exports) is member), None)
+    owner = next(
+        (
+            package
+            for package in PACKAGES
+            if exports(package).get(name, exports) is member
+        ),
+        None,
+    )
     return None if owner in (None, app.env.current_document.autodoc_module) else True
 
 

@@ -1,4 +1,5 @@
-"""The pages of docs/tables that hold every figure of results and of detectors, written when the site is built.
+"""The pages of docs/tables that hold every figure of results and of detectors, written
+when the site is built.
 
 They are not kept in the repository, so that no figure of them can be out of date.
 """
@@ -46,7 +47,11 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "[CLOAK in the finished file](../cloak-layers.md#from-the-street)",
         ("cloak_car_sector_layers",),
     ),
-    "cloak_car_no_shadow": ("CLOAK", "[CLOAK](../cloak.md#the-study)", ("cloak_car_no_shadow",)),
+    "cloak_car_no_shadow": (
+        "CLOAK",
+        "[CLOAK](../cloak.md#the-study)",
+        ("cloak_car_no_shadow",),
+    ),
     "cloak_car_stealthy": (
         "CLOAK at 256 x 256 pixels",
         "[CLOAK](../cloak.md#the-study)",
@@ -68,7 +73,11 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "cloak_design_object",
         ),
     ),
-    "attack_zoo": ("Comparing attack algorithms", "[Comparing attack algorithms](../attack-zoo.md)", ("attack_zoo",)),
+    "attack_zoo": (
+        "Comparing attack algorithms",
+        "[Comparing attack algorithms](../attack-zoo.md)",
+        ("attack_zoo",),
+    ),
     "dagger": ("DAGGER", "[DAGGER](../dagger.md)", ("dagger",)),
     "dagger_cameras": (
         "DAGGER from cameras drawn by seed",
@@ -87,7 +96,10 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "dagger_openimages": (
         "DAGGER on a detector of Open Images",
-        "[DAGGER on third-party detectors](../dagger-coco.md#a-detector-trained-on-open-images)",
+        (
+            "[DAGGER on third-party"
+            " detectors](../dagger-coco.md#a-detector-trained-on-open-images)"
+        ),
         ("dagger_openimages",),
     ),
     "outside_judges": (
@@ -96,15 +108,25 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         ("outside_judges",),
     ),
     "m_ifgsm": ("M-IFGSM", "[M-IFGSM](../m-ifgsm.md)", ("m_ifgsm", "m_ifgsm_sparse")),
-    "poison_splat": ("Poison-splat", "[Poison-splat](../poison-splat.md)", ("poison_splat",)),
-    "transfer": ("Transferability of DAGGER from one view", "[Transferability](../transfer.md)", ("transfer",)),
+    "poison_splat": (
+        "Poison-splat",
+        "[Poison-splat](../poison-splat.md)",
+        ("poison_splat",),
+    ),
+    "transfer": (
+        "Transferability of DAGGER from one view",
+        "[Transferability](../transfer.md)",
+        ("transfer",),
+    ),
     "transfer_views": (
         "Transferability of DAGGER over held-out views",
         "[Transferability](../transfer.md#over-held-out-views)",
         ("transfer_views",),
     ),
 }
-"""For each page its title, the page that says what follows, and the folders of docs/artifacts."""
+"""For each page its title, the page that says what follows, and the folders of
+docs/artifacts.
+"""
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -114,7 +136,9 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def write_pages(app: Sphinx) -> None:
-    """Write all pages; one that has not changed stays untouched, so that it is not read again."""
+    """Write all pages; one that has not changed stays untouched, so that it is not read
+    again.
+    """
     import study_tables
     from detector_figures import compared_page, table_page
 
@@ -129,15 +153,31 @@ def write_pages(app: Sphinx) -> None:
     for figures in sorted((docs / "tables" / "detectors").glob("*.json")):
         _write(figures.with_suffix(".md"), table_page(figures))
     _write(docs / "tables" / "detectors" / "compared.md", compared_page())
-    rows = [read_json(path) for path in sorted((docs / "bench" / "v1").glob("*/row.json"))]
+    rows = [
+        read_json(path) for path in sorted((docs / "bench" / "v1").glob("*/row.json"))
+    ]
     for name, title, table in (
-        ("bench_v1", "rows of detectors", table_of([row for row in rows if not row["defence"]])),
-        ("bench_v1_defences", "rows of defences", defences([row for row in rows if row["defence"]])),
+        (
+            "bench_v1",
+            "rows of detectors",
+            table_of([row for row in rows if not row["defence"]]),
+        ),
+        (
+            "bench_v1_defences",
+            "rows of defences",
+            defences([row for row in rows if row["defence"]]),
+        ),
     ):
         text = markdown(table.head, table.rows)
-        _write(docs / "tables" / f"{name}.md", f"# Robustness benchmark: {title}\n\n{text}\n")
+        _write(
+            docs / "tables" / f"{name}.md",
+            f"# Robustness benchmark: {title}\n\n{text}\n",
+        )
     for name in study_tables.STUDIES:
-        _write(docs / "tables" / f"study_{name}.md", study_tables.page(name, docs / "tables"))
+        _write(
+            docs / "tables" / f"study_{name}.md",
+            study_tables.page(name, docs / "tables"),
+        )
 
 
 def defences(rows: list[dict[str, Any]]) -> Table:
@@ -151,7 +191,9 @@ def defences(rows: list[dict[str, Any]]) -> Table:
 
     lines = [
         (row, head, row["columns"][column])
-        for row in sorted(rows, key=lambda row: (row["defence"], row["detector"]["name"]))
+        for row in sorted(
+            rows, key=lambda row: (row["defence"], row["detector"]["name"])
+        )
         for column, head in HEADS.items()
         if row["columns"][column].get("defended")
     ]
@@ -161,7 +203,9 @@ def defences(rows: list[dict[str, Any]]) -> Table:
         "attack": lambda line: line[1],
         "without it": lambda line: rate(line[2]["robust"]),
         "with it": lambda line: rate(line[2]["defended"]["robust"]),
-        "the attacker knows it": lambda line: rate(line[2]["defended"].get("robust_who_knows")),
+        "the attacker knows it": lambda line: rate(
+            line[2]["defended"].get("robust_who_knows")
+        ),
         "clean, with it": lambda line: rate(line[2]["defended"]["clean"]),
     }
     return Table.of("", heads, lines)
@@ -179,14 +223,22 @@ def page(name: str, artifacts: Path) -> str:
     from attacks.tables import sections
 
     title, conclusion, folders = PAGES[name]
-    parts = [f"# {title}: every figure", f"What follows from these figures is in {conclusion}."]
+    parts = [
+        f"# {title}: every figure",
+        f"What follows from these figures is in {conclusion}.",
+    ]
     for folder in folders:
         result = read_result(artifacts / folder)
         record = result.record
-        seeds = record["seeds"] if "seeds" in record else next(iter(record["points"].values()))["seeds"]
+        seeds = (
+            record["seeds"]
+            if "seeds" in record
+            else next(iter(record["points"].values()))["seeds"]
+        )
         parts.append(
-            f"From the rows in `docs/artifacts/{folder}`, made by `{record['command']}`, seeds "
-            f"{', '.join(map(str, seeds))}. Manifest: `{result.manifest.sha256}`."
+            f"From the rows in `docs/artifacts/{folder}`, made by"
+            f" `{record['command']}`, seeds {', '.join(map(str, seeds))}. Manifest:"
+            f" `{result.manifest.sha256}`."
         )
         parts.append(sections(read_section(artifacts / folder).tables).strip())
     return "\n\n".join(parts) + "\n"

@@ -1,4 +1,6 @@
-"""The pages of docs/tables of the rendering studies, counted from rows when the site is built (`result_tables`)."""
+"""The pages of docs/tables of the rendering studies, counted from rows when the site is
+built (`result_tables`).
+"""
 
 from __future__ import annotations
 
@@ -12,12 +14,30 @@ if TYPE_CHECKING:
     from attacks.rate import Rate
 
 ROWS = "rendering_studies.csv.xz"
-_MADE = "python 3.11.7, mi-splat 0.1.0, mitsuba 3.9.1, drjit 1.5.0, torch 2.15.0, torchvision 0.29.2, numpy 2.4.6"
+_MADE = (
+    "python 3.11.7, mi-splat 0.1.0, mitsuba 3.9.1, drjit 1.5.0, torch 2.15.0,"
+    " torchvision 0.29.2, numpy 2.4.6"
+)
 _OURS = "fasterrcnn_small 7da0801b51b03b75"
 STUDIES: dict[str, tuple[str, float, str, str]] = {
-    "between_renderers": ("between renderers", 0.5, _OURS, "ef92504c1126274fe7d2e60e6cf310ab777727b8"),
-    "gradients": ("by whose gradients", 0.5, _OURS, "58c7529b0230507c39d23dd7e22b72a81f3dcc43+changes"),
-    "files": ("after other files", 0.5, _OURS, "ef92504c1126274fe7d2e60e6cf310ab777727b8"),
+    "between_renderers": (
+        "between renderers",
+        0.5,
+        _OURS,
+        "ef92504c1126274fe7d2e60e6cf310ab777727b8",
+    ),
+    "gradients": (
+        "by whose gradients",
+        0.5,
+        _OURS,
+        "58c7529b0230507c39d23dd7e22b72a81f3dcc43+changes",
+    ),
+    "files": (
+        "after other files",
+        0.5,
+        _OURS,
+        "ef92504c1126274fe7d2e60e6cf310ab777727b8",
+    ),
     "sun": (
         "under the sun",
         0.3,
@@ -25,8 +45,13 @@ STUDIES: dict[str, tuple[str, float, str, str]] = {
         "58c7529b0230507c39d23dd7e22b72a81f3dcc43+changes",
     ),
 }
-"""For each study the end of its title, the confidence from which a class counts, weights, and commit."""
-KINDS = {"targeted": "The wanted class is reported", "untargeted": "The object's class is no longer reported"}
+"""For each study the end of its title, the confidence from which a class counts,
+weights, and commit.
+"""
+KINDS = {
+    "targeted": "The wanted class is reported",
+    "untargeted": "The object's class is no longer reported",
+}
 
 
 def page(name: str, tables: Path) -> str:
@@ -43,19 +68,34 @@ def page(name: str, tables: Path) -> str:
     title, confidence, weights, commit = STUDIES[name]
     parts = pl.col("attack").str.split("; ")
     rows = read_rows(tables / ROWS).with_columns(
-        study=parts.list.get(0), pair=parts.list.get(1), source=parts.list.get(2), ball=parts.list.get(3)
+        study=parts.list.get(0),
+        pair=parts.list.get(1),
+        source=parts.list.get(2),
+        ball=parts.list.get(3),
     )
     rows = rows.filter(study=name)
     attacks = rows.select("attack", "seed", "detector").unique().height
-    pairs, seeds = ("; ".join(_values(rows, "pair")), ", ".join(map(str, _values(rows, "seed"))))
+    pairs, seeds = (
+        "; ".join(_values(rows, "pair")),
+        ", ".join(map(str, _values(rows, "seed"))),
+    )
     head = [
         f"# DAGGER {title}: tables",
-        f"Of `scenes/studies/{name}.toml`; what follows from them is in [rendering studies](../rendering-studies.md).",
-        f"{attacks} attacks: {pairs}; seeds {seeds}; no early stop. The detector that was attacked judges, on 8-bit "
-        f"pictures of the saved splat; a class counts from {confidence}. Rates are of the runs whose clean object is "
-        "found under the same condition; in brackets the 95 % Wilson interval.",
+        (
+            f"Of `scenes/studies/{name}.toml`; what follows from them is in [rendering"
+            " studies](../rendering-studies.md)."
+        ),
+        (
+            f"{attacks} attacks: {pairs}; seeds {seeds}; no early stop. The detector"
+            " that was attacked judges, on 8-bit pictures of the saved splat; a class"
+            f" counts from {confidence}. Rates are of the runs whose clean object is"
+            " found under the same condition; in brackets the 95 % Wilson interval."
+        ),
     ]
-    foot = [f"Weights: {weights}.", f"Versions: {_MADE}, pillow 13.0.0; llvm_ad_rgb; commit {commit}."]
+    foot = [
+        f"Weights: {weights}.",
+        f"Versions: {_MADE}, pillow 13.0.0; llvm_ad_rgb; commit {commit}.",
+    ]
     return "\n\n".join([*head, *_rates(rows, confidence), _visible(rows), *foot]) + "\n"
 
 
@@ -70,31 +110,58 @@ def _rates(rows: pl.DataFrame, confidence: float) -> Iterator[str]:
     by = ("detector", "source", "ball", "condition")
     counted = count(with_control(rows), transfer_measures(confidence), by)
     for detector in _values(rows, "detector"):
-        columns = rows.filter(detector=detector).select("source", "ball").unique(maintain_order=True).rows()
+        columns = (
+            rows.filter(detector=detector)
+            .select("source", "ball")
+            .unique(maintain_order=True)
+            .rows()
+        )
         for kind, words in KINDS.items():
             body = []
             for condition in _values(rows, "condition"):
-                counts = [counted.get((detector, *column, condition)) for column in columns]
+                counts = [
+                    counted.get((detector, *column, condition)) for column in columns
+                ]
                 noise = [rates[f"noise_{kind}"] for rates in counts if rates]
-                total = f"{sum(rate.successes for rate in noise)}/{sum(rate.total for rate in noise)}"
-                body.append([condition, *("-" if not rates else _rate_text(rates[kind]) for rates in counts), total])
+                found = sum(rate.successes for rate in noise)
+                total = f"{found}/{sum(rate.total for rate in noise)}"
+                body.append(
+                    [
+                        condition,
+                        *(
+                            "-" if not rates else _rate_text(rates[kind])
+                            for rates in counts
+                        ),
+                        total,
+                    ]
+                )
             names = [f"{source}: {ball}" for source, ball in columns]
-            yield f"## {words}: {detector}\n\n{_table(['judged under', *names, 'random noise'], body)}"
+            table = _table(["judged under", *names, "random noise"], body)
+            yield f"## {words}: {detector}\n\n{table}"
 
 
 def _rate_text(rate: Rate) -> str:
     low, high = rate.interval
-    return f"{rate.successes}/{rate.total} ({low:.2f} to {high:.2f})" if rate.total else "0/0"
+    return (
+        f"{rate.successes}/{rate.total} ({low:.2f} to {high:.2f})"
+        if rate.total
+        else "0/0"
+    )
 
 
 def _visible(rows: pl.DataFrame) -> str:
     """PSNR of the attacked pictures."""
     import polars as pl
 
-    groups = rows.group_by("detector", "source", "ball", maintain_order=True).agg(pl.col("psnr").median())
+    groups = rows.group_by("detector", "source", "ball", maintain_order=True).agg(
+        pl.col("psnr").median()
+    )
     body = [[*map(str, group[:3]), f"{group[3]:.1f}"] for group in groups.rows()]
-    return f"## How visible the attacks are\n\n{_table(['detector', 'attacked in', 'ball', 'PSNR, dB (median)'], body)}"
+    table = _table(["detector", "attacked in", "ball", "PSNR, dB (median)"], body)
+    return f"## How visible the attacks are\n\n{table}"
 
 
 def _table(head: Sequence[str], body: Sequence[Sequence[str]]) -> str:
-    return "\n".join(f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *body))
+    return "\n".join(
+        f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *body)
+    )

@@ -1,4 +1,6 @@
-"""Procedural objects, made by code from a seed: the things that detectors here know and attacks are aimed at."""
+"""Procedural objects, made by code from a seed: the things that detectors here know and
+attacks are aimed at.
+"""
 
 import importlib
 from collections.abc import Callable, Sequence
@@ -30,16 +32,21 @@ def _builder(module: str) -> Callable[..., Asset]:
     return build_one
 
 
-ASSETS: dict[str, Callable[..., Asset]] = {name: _builder(module) for name, module in _MODULES.items()}
-"""Name -> function that builds an object of that class from a seed; one of `PAINTED` takes a colour, too. The names are
-COCO's, but for the house, which COCO does not know."""
+ASSETS: dict[str, Callable[..., Asset]] = {
+    name: _builder(module) for name, module in _MODULES.items()
+}
+"""Name -> function that builds an object of that class from a seed; one of `PAINTED`
+takes a colour, too. The names are COCO's, but for the house, which COCO does not know.
+"""
 
 
 def build(name: str, seed: int = 0, *, colour: Sequence[float] | None = None) -> Asset:
     """Build an object of class `name`; the same seed gives the same object."""
     known = ASSETS if colour is None else PAINTED
     if name not in known:
-        raise InvalidValueError.of("name", f"one of {sorted(known)}", repr(name), "choose one of these")
+        raise InvalidValueError.of(
+            "name", f"one of {sorted(known)}", repr(name), "choose one of these"
+        )
     return ASSETS[name](seed) if colour is None else ASSETS[name](seed, colour)
 
 

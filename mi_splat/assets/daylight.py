@@ -26,7 +26,9 @@ class Light:
 
 
 def sky_map(light: Light) -> Floats:
-    """(h, w, 3) linear latitude-longitude picture of the sky, zenith first, ground below the horizon."""
+    """(h, w, 3) linear latitude-longitude picture of the sky, zenith first, ground
+    below the horizon.
+    """
     height, width = 96, 192
     elevation = np.linspace(90, -90, height, dtype=np.float64)[:, None, None]
     blend = np.exp(-np.maximum(elevation, 0) / 22)
@@ -38,8 +40,12 @@ def sky_map(light: Light) -> Floats:
         y, x = np.linspace(0, rows - 1, height), np.arange(width) * columns / width
         noise += between(rng.random((rows, columns)), y, x) / 1.7**octave
     noise = (noise - noise.min()) / max(float(np.ptp(noise)), 1e-9)
-    cover = np.clip((noise - (1 - light.clouds)) * 4, 0, 1)[..., None] * np.clip(elevation / 12, 0, 1)
+    cover = np.clip((noise - (1 - light.clouds)) * 4, 0, 1)[..., None] * np.clip(
+        elevation / 12, 0, 1
+    )
     white = max(light.horizon) * 1.25
     sky = sky * (1 - cover) + cover * white * (0.75 + 0.25 * noise[..., None])
     ground = np.array([0.2, 0.19, 0.17]) * (0.5 + light.sun_strength / 5)
-    return (light.sky_strength * np.where(elevation < 0, ground, sky)).astype(np.float32)
+    return (light.sky_strength * np.where(elevation < 0, ground, sky)).astype(
+        np.float32
+    )

@@ -11,4 +11,6 @@ def build(seed: int = 0) -> Asset:
     rng = np.random.default_rng([seed, 0x405E])
     alone = Asset("house", tuple(house(rng, width=rng.uniform(5, 12))))
     (x0, y0, _), (x1, y1, _) = alone.bounds.tolist()
-    return alone.transformed(rotation("z", 90) @ translation(-(x0 + x1) / 2, -(y0 + y1) / 2, 0))
+    return alone.transformed(
+        rotation("z", 90) @ translation(-(x0 + x1) / 2, -(y0 + y1) / 2, 0)
+    )

@@ -1,7 +1,7 @@
 """Textured triangle meshes, assets made of them, and matrices that move both.
 
-World frame: right-handed, z up, metres. Faces run counter-clockwise seen from outside. Texture coordinates have v up,
-so a texture's first row lies at v = 1.
+World frame: right-handed, z up, metres. Faces run counter-clockwise seen from outside.
+Texture coordinates have v up, so a texture's first row lies at v = 1.
 """
 
 from __future__ import annotations
@@ -26,30 +26,52 @@ class Mesh:
     vertices: Floats  # (V, 3) float32, metres
     faces: Indices  # (F, 3) uint32, counter-clockwise seen from outside
     uvs: Floats  # (V, 2) float32, v up
-    texture: Floats  # (h, w, 3) float32, sRGB reflectance in [0, 1]; (1, 1, 3) for a plain colour
-    roughness: float | None = None  # None for a diffuse surface, otherwise that of a plastic coat
-    smooth: bool = True  # whether shading normals are interpolated across edges that are not sharp
+    # (h, w, 3) float32, sRGB reflectance in [0, 1]; (1, 1, 3) for a plain colour
+    texture: Floats
+    # None for a diffuse surface, otherwise that of a plastic coat
+    roughness: float | None = None
+    # whether shading normals are interpolated across edges that are not sharp
+    smooth: bool = True
 
     def __post_init__(self) -> None:
         shapes = []
         for name in ("vertices", "faces", "uvs", "texture"):
-            array = np.ascontiguousarray(getattr(self, name), np.uint32 if name == "faces" else np.float32)
+            array = np.ascontiguousarray(
+                getattr(self, name), np.uint32 if name == "faces" else np.float32
+            )
             object.__setattr__(self, name, array)
             shapes.append(array.shape)
-        count, faces, texture = len(self.vertices), len(self.faces), self.texture.shape[:2]
+        count, faces, texture = (
+            len(self.vertices),
+            len(self.faces),
+            self.texture.shape[:2],
+        )
         if shapes != [(count, 3), (faces, 3), (count, 2), (*texture, 3)]:
-            raise InvalidValueError.of("mesh", "(V, 3), (F, 3), (V, 2), (h, w, 3)", shapes, "check the arrays")
+            raise InvalidValueError.of(
+                "mesh", "(V, 3), (F, 3), (V, 2), (h, w, 3)", shapes, "check the arrays"
+            )
         if self.faces.size and int(self.faces.max()) >= count:
-            raise InvalidValueError.of("mesh", "faces of its vertices", int(self.faces.max()), "check the faces")
-        if not all(np.isfinite(array).all() for array in (self.vertices, self.uvs, self.texture)):
-            raise InvalidValueError.of("mesh", "finite values", "nan or inf", "check the construction")
+            raise InvalidValueError.of(
+                "mesh",
+                "faces of its vertices",
+                int(self.faces.max()),
+                "check the faces",
+            )
+        if not all(
+            np.isfinite(array).all()
+            for array in (self.vertices, self.uvs, self.texture)
+        ):
+            raise InvalidValueError.of(
+                "mesh", "finite values", "nan or inf", "check the construction"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Asset:
     """A named object: meshes in a common frame, on the ground at the origin, facing +x.
 
-    COCO's boxes leave out what only holds an object up: a stop sign is its plate, not its post.
+    COCO's boxes leave out what only holds an object up: a stop sign is its plate, not
+    its post.
     """
 
     name: str  # COCO name of the object, or any other word for surroundings
@@ -59,7 +81,9 @@ class Asset:
     @property
     def body(self) -> Asset:
         """The asset without what holds it up: what a box is drawn around."""
-        return replace(self, meshes=self.meshes[: len(self.meshes) - self.supports], supports=0)
+        return replace(
+            self, meshes=self.meshes[: len(self.meshes) - self.supports], supports=0
+        )
 
     @property
     def support(self) -> tuple[Mesh, ...]:
@@ -79,11 +103,15 @@ class Asset:
 
     def transformed(self, matrix: ArrayLike) -> Asset:
         """This asset with every vertex moved by a (4, 4) affine matrix."""
-        return replace(self, meshes=tuple(transform(mesh, matrix) for mesh in self.meshes))
+        return replace(
+            self, meshes=tuple(transform(mesh, matrix) for mesh in self.meshes)
+        )
 
 
 def skin(colour: ArrayLike) -> Floats:
-    """A texture from a colour (3,), from a grey level, or from a texture (h, w, 3) itself; sRGB."""
+    """A texture from a colour (3,), from a grey level, or from a texture (h, w, 3)
+    itself; sRGB.
+    """
     value = np.asarray(colour, np.float32)
     if value.ndim == 3:
         return value
@@ -110,7 +138,9 @@ def scaling(x: float, y: float, z: float) -> Floats:
 
 
 def transform(mesh: Mesh, matrix: ArrayLike) -> Mesh:
-    """`mesh` moved by a (4, 4) affine matrix; mirroring turns the faces so that they stay outward."""
+    """`mesh` moved by a (4, 4) affine matrix; mirroring turns the faces so that they
+    stay outward.
+    """
     pose = np.asarray(matrix, np.float64)
     vertices = mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
     faces = mesh.faces if np.linalg.det(pose[:3, :3]) > 0 else mesh.faces[:, ::-1]
@@ -118,9 +148,14 @@ def transform(mesh: Mesh, matrix: ArrayLike) -> Mesh:
 
 
 def join(*meshes: Mesh) -> Mesh:
-    """One mesh from parts that share texture, roughness and shading (those of the first are taken)."""
+    """One mesh from parts that share texture, roughness and shading (those of the first
+    are taken).
+    """
     start = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
-    faces = [mesh.faces + np.uint32(offset) for mesh, offset in zip(meshes, start, strict=False)]
+    faces = [
+        mesh.faces + np.uint32(offset)
+        for mesh, offset in zip(meshes, start, strict=False)
+    ]
     return replace(
         meshes[0],
         vertices=np.concatenate([mesh.vertices for mesh in meshes]),
@@ -136,4 +171,6 @@ def to_linear(colour: ArrayLike) -> Floats:
 
 def to_srgb(intensity: ArrayLike) -> Floats:
     """The sRGB values, clipped to [0, 1], from linear intensities."""
-    return srgb.to_srgb(np.clip(np.asarray(intensity, np.float64), 0, 1)).astype(np.float32)
+    return srgb.to_srgb(np.clip(np.asarray(intensity, np.float64), 0, 1)).astype(
+        np.float32
+    )

@@ -1,4 +1,6 @@
-"""Textures drawn by code: (h, w, 3) float32 arrays of sRGB reflectance in [0, 1], the same for the same seed."""
+"""Textures drawn by code: (h, w, 3) float32 arrays of sRGB reflectance in [0, 1], the
+same for the same seed.
+"""
 
 import itertools
 from collections.abc import Sequence
@@ -13,8 +15,12 @@ from mi_splat.assets.primitives import Points, regular_polygon, sheet, strokes
 Field = NDArray[np.float64]
 
 
-def fractal_noise(size: tuple[int, int], rng: np.random.Generator, *, cells: int = 4, octaves: int = 5) -> Field:
-    """(h, w) smooth noise in [0, 1] that repeats at its edges: value noise summed over octaves (Ebert et al. 2003)."""
+def fractal_noise(
+    size: tuple[int, int], rng: np.random.Generator, *, cells: int = 4, octaves: int = 5
+) -> Field:
+    """(h, w) smooth noise in [0, 1] that repeats at its edges: value noise summed over
+    octaves (Ebert et al. 2003).
+    """
     height, width = size
     total = np.zeros(size)
     for octave in range(octaves):
@@ -28,12 +34,16 @@ def fractal_noise(size: tuple[int, int], rng: np.random.Generator, *, cells: int
 
 
 def between(cells: Field, y: Field, x: Field) -> Field:
-    """Smooth values between the cells of a grid at fractional rows and columns; the grid repeats."""
+    """Smooth values between the cells of a grid at fractional rows and columns; the
+    grid repeats.
+    """
     i, j = y.astype(int), x.astype(int)
     fy, fx = (y - i)[:, None], (x - j)[None]
     fy, fx = fy * fy * (3 - 2 * fy), fx * fx * (3 - 2 * fx)
     rows = (cells[i], cells[(i + 1) % len(cells)])
-    top, bottom = (row[:, j] * (1 - fx) + row[:, (j + 1) % cells.shape[1]] * fx for row in rows)
+    top, bottom = (
+        row[:, j] * (1 - fx) + row[:, (j + 1) % cells.shape[1]] * fx for row in rows
+    )
     return np.asarray(top * (1 - fy) + bottom * fy, np.float64)
 
 
@@ -45,12 +55,18 @@ def canvas(size: tuple[int, int], colour: ArrayLike) -> Floats:
 def grid(size: tuple[int, int]) -> tuple[Field, Field]:
     """(h, w) x and y of the pixel centres, in [0, 1], y up."""
     height, width = size
-    y, x = np.meshgrid(1 - (np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
+    y, x = np.meshgrid(
+        1 - (np.arange(height) + 0.5) / height,
+        (np.arange(width) + 0.5) / width,
+        indexing="ij",
+    )
     return x, y
 
 
 def cover(distance: Field, pixel: float) -> Field:
-    """Fraction of each pixel inside a shape from the signed distance to its edge (negative inside)."""
+    """Fraction of each pixel inside a shape from the signed distance to its edge
+    (negative inside).
+    """
     return np.clip(0.5 - distance / pixel, 0, 1)
 
 
@@ -66,13 +82,24 @@ def line_distance(x: Field, y: Field, line: Points) -> Field:
     best = np.full(x.shape, np.inf)
     for (ax, ay), (bx, by) in itertools.pairwise(line):
         dx, dy = bx - ax, by - ay
-        t = np.clip(((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-12), 0, 1)
+        t = np.clip(
+            ((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-12), 0, 1
+        )
         best = np.minimum(best, np.hypot(x - ax - t * dx, y - ay - t * dy))
     return best
 
 
-def write(picture: Floats, text: str, colour: ArrayLike, *, box: Sequence[float], weight: float = 0.16) -> None:
-    """Draw `text` in place into `box` (left, bottom, right, top, in [0, 1] of the picture's height and y up)."""
+def write(
+    picture: Floats,
+    text: str,
+    colour: ArrayLike,
+    *,
+    box: Sequence[float],
+    weight: float = 0.16,
+) -> None:
+    """Draw `text` in place into `box` (left, bottom, right, top, in [0, 1] of the
+    picture's height and y up).
+    """
     height, width = picture.shape[:2]
     x, y = grid((height, width))
     x = x * width / height
@@ -80,7 +107,13 @@ def write(picture: Floats, text: str, colour: ArrayLike, *, box: Sequence[float]
     letter = (right - left) / (len(text) + 0.32 * (len(text) - 1))
     pen = weight * min(letter, top - bottom) / 2
     middle = ((left + right) / 2, (bottom + top) / 2)
-    lines = strokes(text, centre=middle, height=top - bottom - 2 * pen, width=letter, gap=0.32 * letter)
+    lines = strokes(
+        text,
+        centre=middle,
+        height=top - bottom - 2 * pen,
+        width=letter,
+        gap=0.32 * letter,
+    )
     distance = np.full(x.shape, np.inf)
     for line in lines:
         distance = np.minimum(distance, line_distance(x, y, line))
@@ -97,25 +130,38 @@ def polygon_distance(x: Field, y: Field, polygon: Points) -> Field:
 
 
 def speckle(
-    size: tuple[int, int], colour: ArrayLike, rng: np.random.Generator, *, grain: float, patch: float
+    size: tuple[int, int],
+    colour: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    grain: float,
+    patch: float,
 ) -> Floats:
-    """A rough mineral surface: `grain` is the amplitude of single grains, `patch` that of large stains."""
+    """A rough mineral surface: `grain` is the amplitude of single grains, `patch` that
+    of large stains.
+    """
     value = 1 + grain * rng.normal(size=size) + patch * (fractal_noise(size, rng) - 0.5)
     value += grain * 2 * (fractal_noise(size, rng, cells=48, octaves=2) - 0.5)
     return np.clip(np.asarray(colour) * value[..., None], 0, 1).astype(np.float32)
 
 
 def road(size: int = 256, seed: int = 0, *, markings: bool = True) -> Floats:
-    """Asphalt; with a dashed white line up the middle and solid ones at both edges if `markings`."""
+    """Asphalt; with a dashed white line up the middle and solid ones at both edges if
+    `markings`.
+    """
     rng = np.random.default_rng([seed, 1])
     grey = rng.uniform(0.27, 0.42)
-    picture = speckle((size, size), (grey, grey, grey * 1.02), rng, grain=0.12, patch=0.3)
+    picture = speckle(
+        (size, size), (grey, grey, grey * 1.02), rng, grain=0.12, patch=0.3
+    )
     x, y = grid((size, size))
     crack = np.abs(fractal_noise((size, size), rng, cells=3) - 0.5)
     paint(picture, 0.45 * np.clip(1 - crack / 0.006, 0, 1), (0.12, 0.12, 0.12))
     if markings:
         wear = 0.8 + 0.2 * fractal_noise((size, size), rng, cells=16)
-        dash = cover(np.abs(x - 0.5) - 0.02, 1 / size) * cover(np.abs((y * 2) % 1 - 0.5) - 0.28, 2 / size)
+        dash = cover(np.abs(x - 0.5) - 0.02, 1 / size) * cover(
+            np.abs((y * 2) % 1 - 0.5) - 0.28, 2 / size
+        )
         edge = cover(np.abs(np.abs(x - 0.5) - 0.45) - 0.014, 1 / size)
         paint(picture, np.maximum(dash, edge) * wear, (0.9, 0.9, 0.87))
     return picture
@@ -124,13 +170,17 @@ def road(size: int = 256, seed: int = 0, *, markings: bool = True) -> Floats:
 def grass(size: int = 256, seed: int = 0) -> Floats:
     """A lawn: short blades in many greens over darker ground."""
     rng = np.random.default_rng([seed, 2])
-    base = np.array([rng.uniform(0.22, 0.42), rng.uniform(0.42, 0.55), rng.uniform(0.12, 0.2)])
+    base = np.array(
+        [rng.uniform(0.22, 0.42), rng.uniform(0.42, 0.55), rng.uniform(0.12, 0.2)]
+    )
     value = 0.75 + 0.5 * fractal_noise((size, size), rng, cells=5)
     picture = np.clip(base * value[..., None], 0, 1).astype(np.float32)
     blades = size * size // 10
     rows, columns = rng.integers(0, size, (2, blades))
     length, lean = rng.integers(2, 7, blades), rng.uniform(-0.8, 0.8, blades)
-    tint = base * rng.uniform(0.55, 1.6, (blades, 1)) + rng.uniform(-0.05, 0.05, (blades, 3))
+    tint = base * rng.uniform(0.55, 1.6, (blades, 1)) + rng.uniform(
+        -0.05, 0.05, (blades, 3)
+    )
     for step in range(7):
         on = length > step
         r = (rows[on] - step) % size
@@ -149,7 +199,9 @@ def tiles(
     joint: float = 0.04,
     spread: float = 0.12,
 ) -> Floats:
-    """Bricks, paving stones or roof tiles, every other row moved by half a tile; an even number of rows repeats."""
+    """Bricks, paving stones or roof tiles, every other row moved by half a tile; an
+    even number of rows repeats.
+    """
     rng = np.random.default_rng([seed, 3])
     x, y = grid((size, size))
     v = y * rows
@@ -159,7 +211,9 @@ def tiles(
     tone = 1 + spread * rng.normal(size=(rows, columns))[row % rows, column]
     picture = np.clip(np.asarray(colour) * tone[..., None], 0, 1).astype(np.float32)
     picture *= (0.93 + 0.14 * rng.random((size, size, 1))).astype(np.float32)
-    edge = np.minimum(np.minimum(u % 1, 1 - u % 1) / columns * rows, np.minimum(v % 1, 1 - v % 1))
+    edge = np.minimum(
+        np.minimum(u % 1, 1 - u % 1) / columns * rows, np.minimum(v % 1, 1 - v % 1)
+    )
     mortar = cover(edge - joint, rows / size)
     paint(picture, mortar * 0.85, np.asarray(colour) * 0.45 + 0.22)
     return np.asarray(np.clip(picture, 0, 1), np.float32)
@@ -168,17 +222,25 @@ def tiles(
 def stop_sign(size: int = 256, seed: int = 0) -> Floats:
     """A stop sign that fills the square: red octagon, white border, STOP in white."""
     rng = np.random.default_rng([seed, 4])
-    red = np.array([rng.uniform(0.68, 0.8), rng.uniform(0.05, 0.11), rng.uniform(0.07, 0.13)])
+    red = np.array(
+        [rng.uniform(0.68, 0.8), rng.uniform(0.05, 0.11), rng.uniform(0.07, 0.13)]
+    )
     picture = canvas((size, size), (0.93, 0.93, 0.92))
     x, y = grid((size, size))
     octagon = regular_polygon(8, 0.5 / np.cos(np.pi / 8), turn=22.5)
-    paint(picture, cover(polygon_distance(x - 0.5, y - 0.5, octagon * 0.93), 1 / size), red)
+    paint(
+        picture,
+        cover(polygon_distance(x - 0.5, y - 0.5, octagon * 0.93), 1 / size),
+        red,
+    )
     write(picture, "STOP", (0.95, 0.95, 0.94), box=(0.13, 0.33, 0.87, 0.67), weight=0.3)
     return picture
 
 
 def clock(size: int = 256, seed: int = 0) -> Floats:
-    """A wall clock seen from the front: pale face, dark rim, twelve numbers, two hands."""
+    """A wall clock seen from the front: pale face, dark rim, twelve numbers, two
+    hands.
+    """
     rng = np.random.default_rng([seed, 5])
     x, y = grid((size, size))
     radius = np.hypot(x - 0.5, y - 0.5)
@@ -195,7 +257,13 @@ def clock(size: int = 256, seed: int = 0) -> Floats:
         if minute % 5 == 0:
             text, (cx, cy) = str(minute // 5 or 12), 0.5 + direction * 0.325
             half = 0.021 * len(text) + 0.007 * (len(text) - 1)
-            write(picture, text, ink, box=(cx - half, cy - 0.04, cx + half, cy + 0.04), weight=0.26)
+            write(
+                picture,
+                text,
+                ink,
+                box=(cx - half, cy - 0.04, cx + half, cy + 0.04),
+                weight=0.26,
+            )
     hour, minutes = rng.uniform(0, 12), rng.uniform(0, 60)
     for turn, reach, width in ((hour / 12, 0.21, 0.014), (minutes / 60, 0.32, 0.009)):
         direction = np.array([np.sin(2 * np.pi * turn), np.cos(2 * np.pi * turn)])
@@ -206,7 +274,9 @@ def clock(size: int = 256, seed: int = 0) -> Floats:
 
 
 def football(size: int = 256, seed: int = 0) -> Floats:
-    """A football on grass: white ball with black pentagons and seams between its hexagons, lightly shaded."""
+    """A football on grass: white ball with black pentagons and seams between its
+    hexagons, lightly shaded.
+    """
     rng = np.random.default_rng([seed, 6])
     picture = grass(size, seed)
     x, y = grid((size, size))
@@ -220,19 +290,28 @@ def football(size: int = 256, seed: int = 0) -> Floats:
     twelve /= np.linalg.norm(twelve, axis=1, keepdims=True)
     close = twelve @ twelve.T > 0.4
     triples = [(i, j, k) for i in range(12) for j in range(i) for k in range(j)]
-    near = [[i, j, k] for i, j, k in triples if close[i, j] and close[i, k] and close[j, k]]
+    near = [
+        [i, j, k] for i, j, k in triples if close[i, j] and close[i, k] and close[j, k]
+    ]
     twenty = np.array([twelve[t].sum(0) for t in near])
     twenty /= np.linalg.norm(twenty, axis=1, keepdims=True)
-    # Planes of the truncated icosahedron: pentagons lie a little further out than hexagons.
+    # Planes of the truncated icosahedron: pentagons lie a little further out than
+    # hexagons.
     heights = (normal @ spin) @ np.concatenate([twelve / 0.9393, twenty / 0.9150]).T
     order = np.argsort(heights, axis=-1)
     first, second = order[..., -1], order[..., -2]
-    margin = np.take_along_axis(heights, first[..., None], -1) - np.take_along_axis(heights, second[..., None], -1)
+    margin = np.take_along_axis(heights, first[..., None], -1) - np.take_along_axis(
+        heights, second[..., None], -1
+    )
     ball = np.where((first < 12)[..., None], 0.06, 0.95) * np.ones(3)
     seam = cover(margin[..., 0] - 0.025, 0.02) * (first >= 12) * (second >= 12)
     ball = ball * (1 - 0.75 * seam[..., None])
     shade = 0.45 + 0.55 * np.clip(normal @ np.array([-0.35, 0.5, 0.79]), 0, 1)
-    paint(picture, cover(radius - 1, 2 / size), (ball * shade[..., None]).astype(np.float32))
+    paint(
+        picture,
+        cover(radius - 1, 2 / size),
+        (ball * shade[..., None]).astype(np.float32),
+    )
     return np.asarray(np.clip(picture, 0, 1), np.float32)
 
 
@@ -240,13 +319,22 @@ Kind = Literal["road", "grass", "asphalt"]
 
 
 def square_of_ground(
-    kind: Kind, *, side: float, tile: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    kind: Kind,
+    *,
+    side: float,
+    tile: float,
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Asset:
     """A flat square with a texture."""
     (x, y, z), half, repeat = centre, side / 2, side / tile
-    corners = [[[x - half, y - half, z], [x + half, y - half, z]], [[x - half, y + half, z], [x + half, y + half, z]]]
+    corners = [
+        [[x - half, y - half, z], [x + half, y - half, z]],
+        [[x - half, y + half, z], [x + half, y + half, z]],
+    ]
     if kind == "asphalt":
         texture, repeat = road(round(256 * repeat), 0, markings=False), 1.0
     else:
         texture = road(256, 0, markings=False) if kind == "road" else grass(256, 0)
-    return Asset("ground", (sheet(corners, texture, repeat=(repeat, repeat), smooth=False),))
+    return Asset(
+        "ground", (sheet(corners, texture, repeat=(repeat, repeat), smooth=False),)
+    )

@@ -1,10 +1,19 @@
-"""Flat television sets: a thin screen with a bezel on a foot, dark or showing a picture."""
+"""Flat television sets: a thin screen with a bezel on a foot, dark or showing a
+picture.
+"""
 
 import numpy as np
 
 from mi_splat.assets import textures
 from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, transform, translation
-from mi_splat.assets.primitives import at_height, box, loft, quad, rounded_rectangle, sweep
+from mi_splat.assets.primitives import (
+    at_height,
+    box,
+    loft,
+    quad,
+    rounded_rectangle,
+    sweep,
+)
 
 
 def _landscape(rng: np.random.Generator) -> Floats:
@@ -18,7 +27,11 @@ def _landscape(rng: np.random.Generator) -> Floats:
     for level in (0.55, 0.42, 0.28):
         ridge = level + 0.09 * np.sin(x * rng.uniform(4, 9) + rng.uniform(0, 6))
         ridge += 0.03 * np.sin(x * 23 + rng.uniform(0, 6))
-        textures.paint(picture, textures.cover(y - ridge, 0.01), rng.uniform(0.05, 0.6, 3) * (0.7, 1.0, 0.7))
+        textures.paint(
+            picture,
+            textures.cover(y - ridge, 0.01),
+            rng.uniform(0.05, 0.6, 3) * (0.7, 1.0, 0.7),
+        )
     return np.clip(picture, 0, 1)
 
 
@@ -31,7 +44,9 @@ def _match(rng: np.random.Generator) -> Floats:
     for line in (np.abs(x - 0.5), circle, np.abs(y - 0.05), np.abs(y - 0.95)):
         textures.paint(picture, textures.cover(line - 0.006, 0.008), (0.9, 0.95, 0.9))
     for _ in range(14):
-        where = np.hypot((x - rng.uniform(0.08, 0.92)) * 16 / 9, (y - rng.uniform(0.1, 0.9)) * 0.55)
+        where = np.hypot(
+            (x - rng.uniform(0.08, 0.92)) * 16 / 9, (y - rng.uniform(0.1, 0.9)) * 0.55
+        )
         shirt = ((0.85, 0.1, 0.1), (0.95, 0.95, 0.95))[rng.integers(2)]
         textures.paint(picture, textures.cover(where - 0.02, 0.01), shirt)
     return picture
@@ -39,7 +54,16 @@ def _match(rng: np.random.Generator) -> Floats:
 
 def _bars() -> Floats:
     """A test card: vertical colour bars."""
-    colours = [(1, 1, 1), (1, 1, 0), (0, 1, 1), (0, 1, 0), (1, 0, 1), (1, 0, 0), (0, 0, 1), (0.05, 0.05, 0.05)]
+    colours = [
+        (1, 1, 1),
+        (1, 1, 0),
+        (0, 1, 1),
+        (0, 1, 0),
+        (1, 0, 1),
+        (1, 0, 0),
+        (0, 0, 1),
+        (0.05, 0.05, 0.05),
+    ]
     picture = np.repeat(np.array(colours, np.float32)[None] * 0.8, 32, 1)
     return np.repeat(picture, 144, 0).astype(np.float32)
 
@@ -53,7 +77,9 @@ def _dark(rng: np.random.Generator) -> Floats:
     left, slant = rng.uniform(0.1, 0.7), rng.uniform(-0.2, 0.2)
     pane = np.abs(x - left - slant * y) - 0.09
     cross = np.minimum(np.abs(x - left - slant * y), np.abs(y - 0.68) * 0.6)
-    window = textures.cover(np.maximum(pane, np.abs(y - 0.68) - 0.2), 0.01) * (1 - textures.cover(cross - 0.008, 0.01))
+    window = textures.cover(np.maximum(pane, np.abs(y - 0.68) - 0.2), 0.01) * (
+        1 - textures.cover(cross - 0.008, 0.01)
+    )
     textures.paint(picture, window * 0.28, (0.75, 0.85, 0.95))
     return picture
 
@@ -68,19 +94,32 @@ def screen(rng: np.random.Generator) -> Floats:
     return _match(rng) if kind < 0.95 else _bars()
 
 
-def _foot(rng: np.random.Generator, width: float, low: float, colour: Floats) -> list[Mesh]:
+def _foot(
+    rng: np.random.Generator, width: float, low: float, colour: Floats
+) -> list[Mesh]:
     style = rng.integers(3)
     if style == 0:
         plate = rounded_rectangle(0.24, 0.45 * width, 0.04)
-        rings = [at_height(plate * s, z) for s, z in ((1, 0.0), (1, 0.012), (0.96, 0.018))]
-        neck = sweep([[-0.03, 0, 0.01], [-0.02, 0, low + 0.06]], [[0.05, 0.02], [0.045, 0.018]], colour, up=(1, 0, 0))
+        rings = [
+            at_height(plate * s, z) for s, z in ((1, 0.0), (1, 0.012), (0.96, 0.018))
+        ]
+        neck = sweep(
+            [[-0.03, 0, 0.01], [-0.02, 0, low + 0.06]],
+            [[0.05, 0.02], [0.045, 0.018]],
+            colour,
+            up=(1, 0, 0),
+        )
         return [loft(rings, colour, roughness=0.2), neck]
     spread = (0.32 if style == 1 else 0.4) * width
     legs = []
     for side in (1, -1):
         y = side * spread
         for end in (0.14, -0.14):
-            path = [[0, y, low + 0.03], [end * 0.8, y + side * 0.01, 0.03], [end, y + side * 0.012, 0.008]]
+            path = [
+                [0, y, low + 0.03],
+                [end * 0.8, y + side * 0.01, 0.03],
+                [end, y + side * 0.012, 0.008],
+            ]
             legs.append(sweep(path, [0.014, 0.012, 0.01], colour, segments=8))
     return legs
 
@@ -92,24 +131,65 @@ def build(seed: int = 0) -> Asset:
     height = width * 0.5625 * rng.uniform(0.98, 1.05)
     low = rng.uniform(0.05, 0.1)
     bezel = rng.uniform(0.01, 0.03)
-    casings = [(0.03, 0.03, 0.035), (0.06, 0.06, 0.065), (0.45, 0.46, 0.48), (0.85, 0.85, 0.84)]
+    casings = [
+        (0.03, 0.03, 0.035),
+        (0.06, 0.06, 0.065),
+        (0.45, 0.46, 0.48),
+        (0.85, 0.85, 0.84),
+    ]
     colour = np.array(casings[rng.choice(4, p=[0.5, 0.25, 0.15, 0.1])], np.float32)
     middle = low + height / 2
     outline = rounded_rectangle(width, height, 0.012, corner=3)
     slab = [
-        np.stack([np.full(len(outline), depth), outline[:, 0] * shrink, middle + outline[:, 1] * shrink], 1)
-        for depth, shrink in ((-0.025, 0.985), (-0.02, 1.0), (0.018, 1.0), (0.02, 0.995))
+        np.stack(
+            [
+                np.full(len(outline), depth),
+                outline[:, 0] * shrink,
+                middle + outline[:, 1] * shrink,
+            ],
+            1,
+        )
+        for depth, shrink in (
+            (-0.025, 0.985),
+            (-0.02, 1.0),
+            (0.018, 1.0),
+            (0.02, 0.995),
+        )
     ]
     parts = [loft(slab, colour, roughness=0.2)]
     half_w, half_h = width / 2 - bezel, height / 2 - bezel
     lift = 0.3 * bezel
-    y, z = np.array([-half_w, half_w, half_w, -half_w]), middle + lift + np.array([-half_h, -half_h, half_h, half_h])
-    parts.append(quad(np.stack([np.full(4, 0.0215), y, z], 1), screen(rng), roughness=0.08))
-    parts.append(box((0.035, width * 0.62, height * 0.5), colour * 0.8, centre=(-0.035, 0, low + height * 0.35)))
+    y, z = (
+        np.array([-half_w, half_w, half_w, -half_w]),
+        middle + lift + np.array([-half_h, -half_h, half_h, half_h]),
+    )
+    parts.append(
+        quad(np.stack([np.full(4, 0.0215), y, z], 1), screen(rng), roughness=0.08)
+    )
+    parts.append(
+        box(
+            (0.035, width * 0.62, height * 0.5),
+            colour * 0.8,
+            centre=(-0.035, 0, low + height * 0.35),
+        )
+    )
     for row in np.linspace(-0.12, 0.12, 5):
         slot = (-0.053, 0, low + height * 0.38 + row * height)
         parts.append(box((0.004, width * 0.4, 0.012), colour * 0.3, centre=slot))
-    parts.append(box((0.003, 0.05, 0.006), (0.7, 0.7, 0.72), centre=(0.0215, 0, low + bezel * 0.55)))
+    parts.append(
+        box(
+            (0.003, 0.05, 0.006),
+            (0.7, 0.7, 0.72),
+            centre=(0.0215, 0, low + bezel * 0.55),
+        )
+    )
     parts += _foot(rng, width, low, colour)
-    lean = translation(0, 0, low) @ rotation("y", float(rng.uniform(-3, 3))) @ translation(0, 0, -low)
-    return Asset("tv", tuple(transform(part, lean) if i < 8 else part for i, part in enumerate(parts)))
+    lean = (
+        translation(0, 0, low)
+        @ rotation("y", float(rng.uniform(-3, 3)))
+        @ translation(0, 0, -low)
+    )
+    return Asset(
+        "tv",
+        tuple(transform(part, lean) if i < 8 else part for i, part in enumerate(parts)),
+    )

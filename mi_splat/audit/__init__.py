@@ -1,8 +1,10 @@
-"""Audit of a splat: does it show something from some directions only, from where, and which Gaussians carry it?
+"""Audit of a splat: does it show something from some directions only, from where, and
+which Gaussians carry it?
 
-A *look* is an appearance that an object shows from some directions only, such as what CLOAK hides. A *piece* is surface
-in one voxel that faces along one axis. *Gloss* is what an honest surface shows as the camera moves: it follows the
-angle of incidence or a mirrored direction. *Heat* says how much of a look each Gaussian carries.
+A *look* is an appearance that an object shows from some directions only, such as what
+CLOAK hides. A *piece* is surface in one voxel that faces along one axis. *Gloss* is
+what an honest surface shows as the camera moves: it follows the angle of incidence or a
+mirrored direction. *Heat* says how much of a look each Gaussian carries.
 """
 
 from __future__ import annotations
@@ -36,6 +38,13 @@ __getattr__, __dir__ = _lazy.attach(
         "mi_splat.audit.auditing": ("audit",),
         "mi_splat.audit.pictures": ("PictureAudit", "audit_pictures"),
         "mi_splat.audit.repair": ("repaired",),
-        "mi_splat.audit.results": ("Audit", "Look", "ObjectAudit", "Occluder", "Pair", "Region"),
+        "mi_splat.audit.results": (
+            "Audit",
+            "Look",
+            "ObjectAudit",
+            "Occluder",
+            "Pair",
+            "Region",
+        ),
     },
 )

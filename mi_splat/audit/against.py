@@ -1,4 +1,6 @@
-"""What changed between a splat and the file it was made from: which Gaussians, in what, and by how much."""
+"""What changed between a splat and the file it was made from: which Gaussians, in what,
+and by how much.
+"""
 
 import dataclasses
 import math
@@ -30,7 +32,9 @@ _UNITS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """What became of one attribute, over the Gaussians that have a partner in the clean splat."""
+    """What became of one attribute, over the Gaussians that have a partner in the clean
+    splat.
+    """
 
     attribute: str
     unit: str  # of `median` and `most`
@@ -44,12 +48,16 @@ class Changes:
     """How a splat differs from the one it was made from."""
 
     changed: Tensor  # (N,) bool, Gaussians that differ from their partner, or have none
-    mask: Tensor  # (N,) bool, the same; where every Gaussian differs, as after compression, those that differ most
+    # (N,) bool, the same; where every Gaussian differs, as after compression, those
+    # that differ most
+    mask: Tensor
     attributes: tuple[Change, ...]
     added: int  # Gaussians without a partner
     removed: int  # Gaussians of the clean splat without a partner
-    by_order: bool  # whether partners stand in the same row; else they are at the same place
-    cameras: tuple[Camera, ...]  # from which both differ most, the worst first; none if no camera sees what changed
+    # whether partners stand in the same row; else they are at the same place
+    by_order: bool
+    # from which both differ most, the worst first; none if no camera sees what changed
+    cameras: tuple[Camera, ...]
     clean: GaussianScene
 
     def as_dict(self) -> dict[str, Any]:
@@ -70,11 +78,13 @@ class Changes:
             return ["against the clean splat: nothing changed"]
         order = "in the same order" if self.by_order else "matched by their places"
         lines = [
-            f"against the clean splat: {int(self.changed.sum()):,} of {len(self.changed):,} Gaussians changed, "
-            f"{self.added:,} of them have no counterpart; {self.removed:,} are missing; rows {order}"
+            f"against the clean splat: {int(self.changed.sum()):,} of"
+            f" {len(self.changed):,} Gaussians changed, {self.added:,} of them have no"
+            f" counterpart; {self.removed:,} are missing; rows {order}"
         ]
         lines += [
-            f"{row.attribute}: {row.count:,} changed, median {row.median:.3g}, most {row.most:.3g} ({row.unit})"
+            f"{row.attribute}: {row.count:,} changed, median {row.median:.3g}, most"
+            f" {row.most:.3g} ({row.unit})"
             for row in self.attributes
             if row.count
         ]
@@ -87,7 +97,9 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
     check_scene("clean", clean)
     for what, item in (("scene", scene), ("--against", clean)):
         if not len(item):
-            raise InvalidValueError.of(what, "a splat with Gaussians", "none", "pass the whole file")
+            raise InvalidValueError.of(
+                what, "a splat with Gaussians", "none", "pass the whole file"
+            )
     scene, clean = (item.detach().to("cpu", torch.float32) for item in (scene, clean))
     degree = max(scene.degree, clean.degree)
     scene, clean = scene.with_degree(degree), clean.with_degree(degree)
@@ -100,9 +112,13 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
     rows = []
     for name in ours:
         values = _difference(name, ours[name][matched], theirs[name][partner[matched]])
-        differs = values > (LIMITS.rounding * spacing if name == "position" else LIMITS.rounding)
+        differs = values > (
+            LIMITS.rounding * spacing if name == "position" else LIMITS.rounding
+        )
         changed[matched] |= differs
-        amount = torch.maximum(amount, values / {"position": spacing, "rotation": 57.3}.get(name, 1.0))
+        amount = torch.maximum(
+            amount, values / {"position": spacing, "rotation": 57.3}.get(name, 1.0)
+        )
         rows.append(_row(name, values[differs]))
     mask = changed.clone()
     if bool(changed[matched].all()) and len(amount):
@@ -120,37 +136,64 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
 
 
 def _spacing(scene: GaussianScene) -> float:
-    """Median distance of a Gaussian to its third neighbour, world units; that of its size where it has none."""
+    """Median distance of a Gaussian to its third neighbour, world units; that of its
+    size where it has none.
+    """
     distances, _ = nearest_neighbours(scene.means, LIMITS.spacing)
     if not distances.shape[1]:
         return float(scene.scales.max())
     return max(float(distances[:, -1].median()), 1e-12)
 
 
-def _partners(scene: GaussianScene, clean: GaussianScene, spacing: float) -> tuple[Tensor, bool]:
-    """(N,) the row of the clean splat that each Gaussian came from, -1 if none; and whether it is the same row."""
+def _partners(
+    scene: GaussianScene, clean: GaussianScene, spacing: float
+) -> tuple[Tensor, bool]:
+    """(N,) the row of the clean splat that each Gaussian came from, -1 if none; and
+    whether it is the same row.
+    """
     if len(scene) == len(clean):
         apart = (scene.means - clean.means).norm(dim=1)
-        if float((apart < LIMITS.unmoved * spacing).double().mean()) >= LIMITS.same_share:
+        if (
+            float((apart < LIMITS.unmoved * spacing).double().mean())
+            >= LIMITS.same_share
+        ):
             return torch.arange(len(scene)), True
     count = len(scene)
-    distances, rows = nearest_neighbours(torch.cat([scene.means, clean.means]), LIMITS.candidates)
+    distances, rows = nearest_neighbours(
+        torch.cat([scene.means, clean.means]), LIMITS.candidates
+    )
     distances, rows = distances[:count].float() / spacing, rows[:count] - count
     colours = (clean.sh[rows.clamp(min=0), 0] - scene.sh[:, None, 0]).abs().mean(-1)
-    cost = (distances + colours).masked_fill((rows < 0) | (distances > LIMITS.partner), math.inf)
+    cost = (distances + colours).masked_fill(
+        (rows < 0) | (distances > LIMITS.partner), math.inf
+    )
     if not cost.shape[1]:
-        cost, rows = torch.full((count, 1), math.inf), torch.zeros(count, 1, dtype=torch.int64)
+        cost, rows = (
+            torch.full((count, 1), math.inf),
+            torch.zeros(count, 1, dtype=torch.int64),
+        )
     least, at = cost.min(1)
     partner = torch.where(least < math.inf, rows.gather(1, at[:, None])[:, 0], -1)
-    unmoved = (least < math.inf) & (distances.gather(1, at[:, None])[:, 0] < LIMITS.unmoved)
+    unmoved = (least < math.inf) & (
+        distances.gather(1, at[:, None])[:, 0] < LIMITS.unmoved
+    )
     share = float(unmoved.sum()) / min(count, len(clean))
     if share < LIMITS.same_share:
-        expected = "the splat that the other was made from, with most Gaussians in the same place"
+        expected = (
+            "the splat that the other was made from, with most Gaussians in the same"
+            " place"
+        )
         do = "pass the file as it was before the edit, in the same units and axes"
-        raise InvalidValueError.of("--against", expected, f"{min(share, 1):.0%} of them there", do)
-    order = least.argsort(stable=True)  # the best of several from one Gaussian keeps it, the others were added
+        raise InvalidValueError.of(
+            "--against", expected, f"{min(share, 1):.0%} of them there", do
+        )
+    # the best of several from one Gaussian keeps it, the others were added
+    order = least.argsort(stable=True)
     first = torch.full((len(clean),), count).scatter_reduce_(
-        0, partner[order].clamp(min=0), torch.where(partner[order] >= 0, torch.arange(count), count), "amin"
+        0,
+        partner[order].clamp(min=0),
+        torch.where(partner[order] >= 0, torch.arange(count), count),
+        "amin",
     )
     kept = torch.zeros(count, dtype=torch.bool)
     kept[order[first[first < count]]] = True
@@ -162,12 +205,17 @@ def _components(scene: GaussianScene) -> dict[str, Tensor]:
     values = {
         "position": scene.means,
         "scale": scene.scales.clamp(min=1e-12).log(),
-        "rotation": scene.rotations * torch.where(scene.rotations[:, :1] < 0, -1.0, 1.0),
+        "rotation": (
+            scene.rotations * torch.where(scene.rotations[:, :1] < 0, -1.0, 1.0)
+        ),
         "opacity": scene.opacities[:, None],
         "colour": scene.sh[:, 0],
     }
     bands = range(1, scene.degree + 1)
-    return values | {f"SH of degree {band}": scene.sh[:, band**2 : (band + 1) ** 2].flatten(1) for band in bands}
+    return values | {
+        f"SH of degree {band}": scene.sh[:, band**2 : (band + 1) ** 2].flatten(1)
+        for band in bands
+    }
 
 
 def _difference(attribute: str, ours: Tensor, clean: Tensor) -> Tensor:
@@ -176,9 +224,13 @@ def _difference(attribute: str, ours: Tensor, clean: Tensor) -> Tensor:
         apart: Tensor = (ours - clean).norm(dim=1)
         return apart
     if attribute == "rotation":
-        turn = multiply(ours.double(), (clean * clean.new_tensor([1.0, -1.0, -1.0, -1.0])).double())
+        turn = multiply(
+            ours.double(), (clean * clean.new_tensor([1.0, -1.0, -1.0, -1.0])).double()
+        )
         turn = turn / turn.norm(dim=1, keepdim=True).clamp(min=1e-12)
-        degrees: Tensor = 2 * torch.atan2(turn[:, 1:].norm(dim=1), turn[:, 0].abs()).rad2deg()
+        degrees: Tensor = (
+            2 * torch.atan2(turn[:, 1:].norm(dim=1), turn[:, 0].abs()).rad2deg()
+        )
         return degrees.float()
     step = float(colour_to_dc(torch.tensor(1.0)) - colour_to_dc(torch.tensor(0.0)))
     return (ours - clean).abs().amax(1) / (step if attribute == "colour" else 1.0)
@@ -195,21 +247,42 @@ def _row(name: str, values: Tensor) -> Change:
     )
 
 
-def _worst(scene: GaussianScene, clean: GaussianScene, mask: Tensor | None, partner: Tensor) -> tuple[Camera, ...]:
+def _worst(
+    scene: GaussianScene, clean: GaussianScene, mask: Tensor | None, partner: Tensor
+) -> tuple[Camera, ...]:
     """The cameras around what changed from which both differ most."""
     lost = torch.ones(len(clean), dtype=torch.bool)
     lost[partner[partner >= 0]] = False
-    points = torch.cat([scene.means[mask] if mask is not None else scene.means[:0], clean.means[lost]]).double()
+    points = torch.cat(
+        [scene.means[mask] if mask is not None else scene.means[:0], clean.means[lost]]
+    ).double()
     if not len(points):
         return ()
     centre = points.median(0).values
-    size = max(quantile((points - centre).norm(dim=1), 0.9), float(scene.scales.median()))
-    target = Target(rows=torch.arange(0), centre=centre, radius=LIMITS.changed_margin * size, up=None)
+    size = max(
+        quantile((points - centre).norm(dim=1), 0.9), float(scene.scales.median())
+    )
+    target = Target(
+        rows=torch.arange(0),
+        centre=centre,
+        radius=LIMITS.changed_margin * size,
+        up=None,
+    )
     cameras = cameras_around(target)[:: LIMITS.worst_every]
     render = Renderer(RenderSettings(near=near_of(target, cameras), background=SKY))
     with torch.no_grad():
-        small = [resized(camera, (LIMITS.worst_size, LIMITS.worst_size)) for camera in cameras]
-        gaps = [float((render(scene, c).clamp(0, 1) - render(clean, c).clamp(0, 1)).square().mean()) for c in small]
+        small = [
+            resized(camera, (LIMITS.worst_size, LIMITS.worst_size))
+            for camera in cameras
+        ]
+        gaps = [
+            float(
+                (render(scene, c).clamp(0, 1) - render(clean, c).clamp(0, 1))
+                .square()
+                .mean()
+            )
+            for c in small
+        ]
     order = sorted(range(len(gaps)), key=lambda number: -gaps[number])
     return tuple(
         resized(cameras[number], (LIMITS.worst_width, LIMITS.worst_width))

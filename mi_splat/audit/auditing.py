@@ -1,4 +1,6 @@
-"""`audit`: looks at every object of a splat from all around, and says what changes with the direction of view."""
+"""`audit`: looks at every object of a splat from all around, and says what changes with
+the direction of view.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,15 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from mi_splat.audit.evidence import cover_heat, cover_of, edit_of, heat_of, is_roofed, pair_of, split_of
+from mi_splat.audit.evidence import (
+    cover_heat,
+    cover_of,
+    edit_of,
+    heat_of,
+    is_roofed,
+    pair_of,
+    split_of,
+)
 from mi_splat.audit.explanations import (
     Explanation,
     angles_between,
@@ -19,7 +29,15 @@ from mi_splat.audit.explanations import (
     region_of,
     support_of,
 )
-from mi_splat.audit.results import Audit, Look, ObjectAudit, Pair, Scores, Vector, vector
+from mi_splat.audit.results import (
+    Audit,
+    Look,
+    ObjectAudit,
+    Pair,
+    Scores,
+    Vector,
+    vector,
+)
 from mi_splat.audit.surfaces import (
     Elements,
     Frame,
@@ -43,59 +61,109 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.scene_files import resized
 
-Job = tuple[Target, tuple[Camera, ...]]  # an object and the cameras that look at it, in the frame
+# an object and the cameras that look at it, in the frame
+Job = tuple[Target, tuple[Camera, ...]]
 
 
-def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, up: Point | None = None) -> Audit:
-    """Say whether a splat shows something from some directions only, from where, and which Gaussians carry it.
+def audit(
+    scene: GaussianScene,
+    *,
+    cameras: Sequence[Camera] | None = None,
+    up: Point | None = None,
+) -> Audit:
+    """Say whether a splat shows something from some directions only, from where, and
+    which Gaussians carry it.
 
-    Nothing but the splat is used. The verdict is the same when the splat is turned, moved, resized or shuffled, but for
-    rounding. With the `cameras` of the training images, in the world, only what shows near these counts, and fog, which
-    no training left there, does not.
+    Nothing but the splat is used. The verdict is the same when the splat is turned,
+    moved, resized or shuffled, but for rounding. With the `cameras` of the training
+    images, in the world, only what shows near these counts, and fog, which no training
+    left there, does not.
     """
     check_scene("scene", scene)
     frame = frame_of(scene)
     given, objects, heats = cameras is not None, [], []
-    jobs, in_room = _looks_at(frame, up) if cameras is None else (_seen_from(frame, cameras, up), False)
+    jobs, in_room = (
+        _looks_at(frame, up)
+        if cameras is None
+        else (_seen_from(frame, cameras, up), False)
+    )
     for target, around in jobs:
-        beside = [other for other, _ in jobs if other is not target and not other.surrounds]
-        if (judged := judged_object(frame, target, around, beside=beside, in_room=in_room, given=given)) is not None:
+        beside = [
+            other for other, _ in jobs if other is not target and not other.surrounds
+        ]
+        if (
+            judged := judged_object(
+                frame, target, around, beside=beside, in_room=in_room, given=given
+            )
+        ) is not None:
             objects.append(judged[0])
             heats.append(judged[1])
     pieces = sum(item.pieces for item in objects)
     if pieces < LIMITS.least_pieces:
-        expected = f"at least {LIMITS.least_pieces} pieces of surface that cameras on two sides see"
-        do = "pass a splat of something solid" if cameras is None else "pass cameras that see more of it"
-        raise InvalidValueError.of("scene" if cameras is None else "cameras", expected, pieces, do)
+        expected = (
+            f"at least {LIMITS.least_pieces} pieces of surface that cameras on two"
+            " sides see"
+        )
+        do = (
+            "pass a splat of something solid"
+            if cameras is None
+            else "pass cameras that see more of it"
+        )
+        raise InvalidValueError.of(
+            "scene" if cameras is None else "cameras", expected, pieces, do
+        )
     heat = torch.stack(heats).amax(0)
     mask = torch.zeros(len(scene), dtype=torch.bool)
     if any(item.verdict != "nothing found" for item in objects):
         mask[frame.order] = heat > split_of(heat[heat > 0])
     unsorted = torch.zeros(len(scene))
     unsorted[frame.order] = heat
-    return Audit(objects=tuple(objects), heat=unsorted, mask=mask, near=seen_share(frame, jobs), up=up)
+    return Audit(
+        objects=tuple(objects),
+        heat=unsorted,
+        mask=mask,
+        near=seen_share(frame, jobs),
+        up=up,
+    )
 
 
 def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
-    """The objects of a scene with cameras around them, and whether it is a room, inside which they then stand."""
+    """The objects of a scene with cameras around them, and whether it is a room, inside
+    which they then stand.
+    """
     objects = targets(frame.scene, None if up is None else frame.own(up))
     positions = free_positions(frame.scene)
     if positions is None:
         return [(target, cameras_around(target)) for target in objects], False
-    jobs = [(target, cameras) for target in objects if (cameras := cameras_within(target, positions))]
+    jobs = [
+        (target, cameras)
+        for target in objects
+        if (cameras := cameras_within(target, positions))
+    ]
     if not jobs:
-        expected, got = "an object, or a room in which one stands", "a room with nothing that stands free of its walls"
-        raise InvalidValueError.of("scene", expected, got, "pass cameras that stand in it")
+        expected, got = (
+            "an object, or a room in which one stands",
+            "a room with nothing that stands free of its walls",
+        )
+        raise InvalidValueError.of(
+            "scene", expected, got, "pass cameras that stand in it"
+        )
     return jobs, True
 
 
 def _seen_from(frame: Frame, cameras: Sequence[Camera], up: Point | None) -> list[Job]:
-    """The objects that cameras see, with others at one distance near their directions; the whole scene in a room."""
+    """The objects that cameras see, with others at one distance near their directions;
+    the whole scene in a room.
+    """
     given, jobs = cameras_in_frame(frame, cameras, LIMITS.given_size), []
     if free_positions(frame.scene) is not None:
         return [(whole(frame.scene), given)]
     for target in targets(frame.scene, None if up is None else frame.own(up)):
-        ways = [camera.position - target.centre for camera in given if _shows(camera, target.centre)]
+        ways = [
+            camera.position - target.centre
+            for camera in given
+            if _shows(camera, target.centre)
+        ]
         around = cameras_around(target, torch.stack(ways)) if ways else ()
         if len(around) >= LIMITS.least_cameras:
             jobs.append((target, around))
@@ -109,21 +177,41 @@ def _shows(camera: Camera, point: Tensor) -> bool:
     return float(depth) > 0 and 0 <= x < camera.width and 0 <= y < camera.height
 
 
-def cameras_in_frame(frame: Frame, cameras: Sequence[Camera], longer_side: int | None) -> tuple[Camera, ...]:
-    """Cameras of the world in the frame, not too many of them, and small unless `longer_side` is None."""
+def cameras_in_frame(
+    frame: Frame, cameras: Sequence[Camera], longer_side: int | None
+) -> tuple[Camera, ...]:
+    """Cameras of the world in the frame, not too many of them, and small unless
+    `longer_side` is None.
+    """
     cameras = as_cameras(cameras)
     if len(cameras) < LIMITS.least_cameras:
         do = "pass those of the training pictures, or none"
-        raise InvalidValueError.of("cameras", f"at least {LIMITS.least_cameras}", len(cameras), do)
-    numbers = torch.linspace(0, len(cameras) - 1, min(len(cameras), LIMITS.most_cameras)).round().long().tolist()
+        raise InvalidValueError.of(
+            "cameras", f"at least {LIMITS.least_cameras}", len(cameras), do
+        )
+    numbers = (
+        torch.linspace(0, len(cameras) - 1, min(len(cameras), LIMITS.most_cameras))
+        .round()
+        .long()
+        .tolist()
+    )
     rotation, world = frame.to_world.rotation.double(), frame.to_world
     moved = []
     for camera in (cameras[number] for number in numbers):
-        factor = 1.0 if longer_side is None else longer_side / max(camera.width, camera.height)
-        size = max(8, round(camera.width * factor)), max(8, round(camera.height * factor))
+        factor = (
+            1.0
+            if longer_side is None
+            else longer_side / max(camera.width, camera.height)
+        )
+        size = (
+            max(8, round(camera.width * factor)),
+            max(8, round(camera.height * factor)),
+        )
         pose = torch.eye(4, dtype=torch.float64)
         pose[:3, :3] = rotation.T @ camera.to_world[:3, :3]
-        pose[:3, 3] = rotation.T @ (camera.position - world.translation.double()) / world.scale
+        pose[:3, 3] = (
+            rotation.T @ (camera.position - world.translation.double()) / world.scale
+        )
         moved.append(dataclasses.replace(resized(camera, size), to_world=pose))
     return tuple(moved)
 
@@ -138,9 +226,11 @@ def judged_object(
     in_room: bool = False,
     given: bool = False,
 ) -> tuple[ObjectAudit, Tensor] | None:
-    """Judge one object, and say in (N,) heat which Gaussians of the frame carry what was found.
+    """Judge one object, and say in (N,) heat which Gaussians of the frame carry what
+    was found.
 
-    `given` says that training cameras stood where the cameras are, so that nothing there is invented.
+    `given` says that training cameras stood where the cameras are, so that nothing
+    there is invented.
     """
     rows = in_sight(frame.scene, target, cameras)
     scene = frame.scene.select(rows)
@@ -153,11 +243,18 @@ def judged_object(
     threshold = LIMITS.net if pictures is None else LIMITS.image_net
     surface_looks = looks_of(pieces, view, LIMITS.suspicion * threshold)
     able = pieces.judged & reachable(pieces, view)
-    looks = [_look(frame, view, look, threshold, judged=able, given=given) for look in surface_looks]
+    looks = [
+        _look(frame, view, look, threshold, judged=able, given=given)
+        for look in surface_looks
+    ]
     shown = zip(surface_looks, looks, strict=True)
-    by_piece = torch.stack([piece_scores(found.pieces, look.shown) for found, look in shown]).amax(0)
+    by_piece = torch.stack(
+        [piece_scores(found.pieces, look.shown) for found, look in shown]
+    ).amax(0)
     area = (pieces.size * frame.to_world.scale) ** 2
-    occluder, covered = cover_of(frame.scene, view, target) if full and not target.core else (None, {})
+    occluder, covered = (
+        cover_of(frame.scene, view, target) if full and not target.core else (None, {})
+    )
     judged = ObjectAudit(
         rows=frame.order[target.rows],
         centre=vector(frame.point(target.centre)),
@@ -168,8 +265,11 @@ def judged_object(
         area=int(able.sum()) * area,
         uncontradicted=(pieces.unseen + int((pieces.judged & ~able).sum())) * area,
         cameras=tuple(_in_world(frame, camera) for camera in cameras),
-        looks=tuple(sorted(looks, key=lambda look: -(look.evidence if given else look.net))),
-        occluder=occluder and dataclasses.replace(occluder, axis=_turned(frame, occluder.axis)),
+        looks=tuple(
+            sorted(looks, key=lambda look: -(look.evidence if given else look.net))
+        ),
+        occluder=occluder
+        and dataclasses.replace(occluder, axis=_turned(frame, occluder.axis)),
         edit=edit_of(frame, target) if full else None,
         in_room=in_room or target.surrounds,
         plain=pictures is None and not bool(frame.scene.sh[:, 1:].any()),
@@ -183,8 +283,18 @@ def judged_object(
     return judged, heat
 
 
-def _look(frame: Frame, view: Sight, look: Explanation, threshold: float, *, judged: Tensor, given: bool) -> Look:
-    """A look in the world: without fog the tail of its profile, if the narrower side is not the one it is skewed to."""
+def _look(
+    frame: Frame,
+    view: Sight,
+    look: Explanation,
+    threshold: float,
+    *,
+    judged: Tensor,
+    given: bool,
+) -> Look:
+    """A look in the world: without fog the tail of its profile, if the narrower side is
+    not the one it is skewed to.
+    """
     region = region_of(view.directions, look.amounts, look.shown)
     by_piece = piece_scores(look.pieces, look.shown)
     cameras, change = pair_of(look.pieces, view, by_piece, look.shown) or ((), 0.0)
@@ -194,13 +304,22 @@ def _look(frame: Frame, view: Sight, look: Explanation, threshold: float, *, jud
         region=dataclasses.replace(region, axis=_turned(frame, region.axis)),
         shown=look.shown,
         amounts=look.amounts,
-        **{field.name: getattr(look, field.name) for field in dataclasses.fields(Scores)},
+        **{
+            field.name: getattr(look, field.name)
+            for field in dataclasses.fields(Scores)
+        },
         threshold=threshold,
         lost=lost,
         air=air,
-        changed=min(1.0, int((by_piece > LIMITS.changed).sum()) / max(1, int(judged.sum()))),
+        changed=min(
+            1.0, int((by_piece > LIMITS.changed).sum()) / max(1, int(judged.sum()))
+        ),
         given=given,
-        pair=Pair(inside=pair[0], outside=pair[1], change=change, numbers=cameras) if cameras else None,
+        pair=(
+            Pair(inside=pair[0], outside=pair[1], change=change, numbers=cameras)
+            if cameras
+            else None
+        ),
     )
     if look.tail is None or stated.support < LIMITS.supported:
         return stated
@@ -221,7 +340,9 @@ def _in_world(frame: Frame, camera: Camera) -> Camera:
 
 
 def seen_share(frame: Frame, jobs: list[Job]) -> float:
-    """Share of the solid Gaussians around one of the objects, and in the pictures of enough of its cameras."""
+    """Share of the solid Gaussians around one of the objects, and in the pictures of
+    enough of its cameras.
+    """
     points = frame.scene.means[frame.scene.opacities > LIMITS.solid].double()
     points = points[:: math.ceil(len(points) / LIMITS.near_sample)]
     near = torch.zeros(len(points), dtype=torch.bool)
@@ -230,23 +351,40 @@ def seen_share(frame: Frame, jobs: list[Job]) -> float:
         for camera in cameras:
             pixels, depth = project_points(points, camera)
             x, y = pixels.T
-            seen += (depth > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-        near |= ((points - target.centre).norm(dim=1) < LIMITS.around * target.radius) & (seen >= LIMITS.least_views)
+            seen += (
+                (depth > 0)
+                & (x >= 0)
+                & (x < camera.width)
+                & (y >= 0)
+                & (y < camera.height)
+            )
+        near |= (
+            (points - target.centre).norm(dim=1) < LIMITS.around * target.radius
+        ) & (seen >= LIMITS.least_views)
     return float(near.double().mean())
 
 
 def looks_of(pieces: Elements, view: Sight, threshold: float) -> list[Explanation]:
-    """The looks of an object: the one that explains most, then those that are left without its cameras."""
+    """The looks of an object: the one that explains most, then those that are left
+    without its cameras.
+    """
     looks: list[Explanation] = []
     kept = torch.ones(len(view.cameras), dtype=torch.bool)
-    while len(looks) < LIMITS.most_looks and int(kept.sum()) >= LIMITS.cameras_left * len(kept):
+    while len(looks) < LIMITS.most_looks and int(
+        kept.sum()
+    ) >= LIMITS.cameras_left * len(kept):
         look = explain(part, view, kept) if (part := _seen_by(pieces, kept)) else None
-        if look is None or (looks and look.net < max(threshold, LIMITS.another_look * looks[0].net)):
+        if look is None or (
+            looks and look.net < max(threshold, LIMITS.another_look * looks[0].net)
+        ):
             break
         looks.append(look)
         if look.net < threshold or not bool(look.shown.any()):
             break
-        kept = kept & (angles_between(view.directions, view.directions[look.shown]).amin(1) > LIMITS.look_edge)
+        kept = kept & (
+            angles_between(view.directions, view.directions[look.shown]).amin(1)
+            > LIMITS.look_edge
+        )
     return looks
 
 
@@ -256,4 +394,8 @@ def _seen_by(pieces: Elements, kept: Tensor) -> Elements | None:
         return pieces
     moments = pieces.moments * kept.float()[:, None, None]
     judged = pieces.judged & (moments[..., 0].sum(0) >= LIMITS.least_views)
-    return dataclasses.replace(pieces, moments=moments, judged=judged) if bool(judged.any()) else None
+    return (
+        dataclasses.replace(pieces, moments=moments, judged=judged)
+        if bool(judged.any())
+        else None
+    )

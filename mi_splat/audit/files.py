@@ -1,4 +1,6 @@
-"""The files of an audit: the account as JSON, the two pictures, the splat coloured by heat, and the mask."""
+"""The files of an audit: the account as JSON, the two pictures, the splat coloured by
+heat, and the mask.
+"""
 
 import dataclasses
 import importlib.metadata
@@ -16,7 +18,14 @@ from torch import Tensor
 from mi_splat.audit.against import Changes
 from mi_splat.audit.linting import Lint, overdraw_picture
 from mi_splat.audit.pictures import PictureAudit
-from mi_splat.audit.results import Audit, Look, ObjectAudit, Pair, directions_in_words, summary
+from mi_splat.audit.results import (
+    Audit,
+    Look,
+    ObjectAudit,
+    Pair,
+    directions_in_words,
+    summary,
+)
 from mi_splat.audit.rules import Severity
 from mi_splat.audit.surfaces import SKY
 from mi_splat.audit.thresholds import LIMITS
@@ -39,28 +48,52 @@ SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 _RULES: dict[str, tuple[Severity, str, str]] = {
     "hidden-look": (
         "error",
-        "An object has other colours from some directions than from others, and gloss does not explain it.",
-        "Look at the pair of pictures that `mi-splat audit --out` writes; do not use the file unless you know why.",
+        (
+            "An object has other colours from some directions than from others, and"
+            " gloss does not explain it."
+        ),
+        (
+            "Look at the pair of pictures that `mi-splat audit --out` writes; do not"
+            " use the file unless you know why."
+        ),
     ),
     "suspicious-look": (
         "warning",
-        "Colours of an object change with the direction of view more than gloss quite explains.",
+        (
+            "Colours of an object change with the direction of view more than gloss"
+            " quite explains."
+        ),
         "Look at the pair of pictures that `mi-splat audit --out` writes.",
     ),
     "fog": (
         "warning",
-        "From one side of an object fog is seen: no training camera stood there, or something hides what it would see.",
+        (
+            "From one side of an object fog is seen: no training camera stood there, or"
+            " something hides what it would see."
+        ),
         "Pass the training cameras with `--cameras`.",
     ),
     "occluder": (
         "warning",
-        "Something in the air covers an object from some directions, and cameras elsewhere look through it.",
-        "Look at the object from the directions that are named; an honest canopy may look the same.",
+        (
+            "Something in the air covers an object from some directions, and cameras"
+            " elsewhere look through it."
+        ),
+        (
+            "Look at the object from the directions that are named; an honest canopy"
+            " may look the same."
+        ),
     ),
     "edited": (
         "warning",
-        "Colours of an object have shades that neither paint nor light explains; an attack on a detector leaves them.",
-        "Compare it with an older copy by `mi-splat audit --against`, or train it again.",
+        (
+            "Colours of an object have shades that neither paint nor light explains; an"
+            " attack on a detector leaves them."
+        ),
+        (
+            "Compare it with an older copy by `mi-splat audit --against`, or train it"
+            " again."
+        ),
     ),
     "unreadable": (
         "error",
@@ -74,43 +107,89 @@ _RULES: dict[str, tuple[Severity, str, str]] = {
     ),
     "not-judged": (
         "error",
-        "The file, or a claim about it, was not judged, so that nothing is known of it.",
-        "Do not use it until it is: `mi-splat gate` says why, and its policy says what a file may take.",
+        (
+            "The file, or a claim about it, was not judged, so that nothing is known"
+            " of it."
+        ),
+        (
+            "Do not use it until it is: `mi-splat gate` says why, and its policy says"
+            " what a file may take."
+        ),
     ),
 }
-"""Level, what is wrong, and what to do, by the name of the rule. Rules of lint bring their own."""
+"""Level, what is wrong, and what to do, by the name of the rule.
+
+Rules of lint bring their own.
+"""
 
 _NOTED = ("unreadable", "not-judged")
 """Rules that say that the tool did not come to its end."""
-_Finding = tuple[str, Severity, str, dict[str, Any]]  # rule, level, what was found, and numbers of it
+# rule, level, what was found, and numbers of it
+_Finding = tuple[str, Severity, str, dict[str, Any]]
 
 
 def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Files as one run of the tool, in SARIF 2.1.0; results name line 1, because readers want one."""
+    """Files as one run of the tool, in SARIF 2.1.0; results name line 1, because
+    readers want one.
+    """
     rules = {name: _rule(name, *values) for name, values in _RULES.items()}
     results, artifacts, notes = [], [], []
     for index, document in enumerate(documents):
         address = {"uri": _address(document["file"]), "index": index}
-        location = {"physicalLocation": {"artifactLocation": address, "region": {"startLine": 1}}}
-        artifacts.append({"location": {"uri": address["uri"]}, "properties": {"verdict": document["verdict"]}})
+        location = {
+            "physicalLocation": {
+                "artifactLocation": address,
+                "region": {"startLine": 1},
+            }
+        }
+        artifacts.append(
+            {
+                "location": {"uri": address["uri"]},
+                "properties": {"verdict": document["verdict"]},
+            }
+        )
         more: list[_Finding] = [(*reason, {}) for reason in document.get("more", ())]
         if "error" in document:
             more.append(("unreadable", "error", document["error"], {}))
         if any(level == "error" and name in _NOTED for name, level, _, _ in more):
             text = "; ".join(text for name, _, text, _ in more if name in _NOTED)
-            notes.append({"level": "error", "message": {"text": text}, "locations": [location]})
+            notes.append(
+                {"level": "error", "message": {"text": text}, "locations": [location]}
+            )
         artifacts[-1]["properties"]["summary"] = document.get("summary", [])
         for finding in document.get("lint") or ():
             name = f"lint/{finding['rule']}"
-            rules.setdefault(name, _rule(name, _level(finding["severity"]), finding["rule"], finding["reason"]))
+            rules.setdefault(
+                name,
+                _rule(
+                    name,
+                    _level(finding["severity"]),
+                    finding["rule"],
+                    finding["reason"],
+                ),
+            )
         found = [*findings(document), *more] if "objects" in document else more
         for name, level, text, values in found:
             rules.setdefault(name, _rule(name, _level(level), name, text))
-            result = {"ruleId": name, "ruleIndex": list(rules).index(name), "level": level, "message": {"text": text}}
+            result = {
+                "ruleId": name,
+                "ruleIndex": list(rules).index(name),
+                "level": level,
+                "message": {"text": text},
+            }
             results.append({**result, "locations": [location], "properties": values})
-    driver = {"name": "mi-splat audit", "version": importlib.metadata.version("mi-splat"), "rules": [*rules.values()]}
+    driver = {
+        "name": "mi-splat audit",
+        "version": importlib.metadata.version("mi-splat"),
+        "rules": [*rules.values()],
+    }
     invocation = {"executionSuccessful": not notes, "toolExecutionNotifications": notes}
-    run = {"tool": {"driver": driver}, "invocations": [invocation], "artifacts": artifacts, "results": results}
+    run = {
+        "tool": {"driver": driver},
+        "invocations": [invocation],
+        "artifacts": artifacts,
+        "results": results,
+    }
     return {"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}
 
 
@@ -123,27 +202,54 @@ def findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
             if evidence >= thresholds["suspicion"]:
                 hides = look["evidence"] >= 1 and item["verdict"] == "hidden look"
                 name = "hidden-look" if hides else "suspicious-look"
-                text = f"Object {number}, look {index}: other colours {look['where']}; net {look['net']:.5f}."
+                text = (
+                    f"Object {number}, look {index}: other colours {look['where']}; net"
+                    f" {look['net']:.5f}."
+                )
                 values = {key: look[key] for key in _SCORES}
                 yield name, _RULES[name][0], text, values
         if item["fogged"]:
-            text = f"Object {number}: one side shows fog, {item['looks'][0]['where']} or everywhere else."
-            yield "fog", _RULES["fog"][0], text, {key: item["looks"][0][key] for key in ("lost", "air")}
+            text = (
+                f"Object {number}: one side shows fog, {item['looks'][0]['where']} or"
+                " everywhere else."
+            )
+            yield (
+                "fog",
+                _RULES["fog"][0],
+                text,
+                {key: item["looks"][0][key] for key in ("lost", "air")},
+            )
         if item["roofed"]:
-            yield "occluder", _RULES["occluder"][0], f"Object {number}: something far above covers it.", {}
+            yield (
+                "occluder",
+                _RULES["occluder"][0],
+                f"Object {number}: something far above covers it.",
+                {},
+            )
         cover = item["occluder"]
         if cover is not None and cover["score"] >= thresholds["covered"]:
             axis = " ".join(f"{value + 0.0:.2f}" for value in cover["axis"])
-            text = f"Object {number}: something in the air covers it from around ({axis}), and others see through it."
+            text = (
+                f"Object {number}: something in the air covers it from around ({axis}),"
+                " and others see through it."
+            )
             yield "occluder", _RULES["occluder"][0], text, {"score": cover["score"]}
         edit = item.get("edited")
         if edit is not None and edit["score"] >= 1:
-            text = f"Object {number}: its colours look edited, as an attack on a detector leaves them."
+            text = (
+                f"Object {number}: its colours look edited, as an attack on a detector"
+                " leaves them."
+            )
             yield "edited", _RULES["edited"][0], text, edit
     for finding in document.get("lint") or ():
         count = f"{finding['count']:,} Gaussians. " if finding["count"] else ""
         text = f"{finding['rule']}: {count}{finding['reason']}"
-        yield f"lint/{finding['rule']}", _level(finding["severity"]), text, {"rows": finding["rows"]}
+        yield (
+            f"lint/{finding['rule']}",
+            _level(finding["severity"]),
+            text,
+            {"rows": finding["rows"]},
+        )
 
 
 def _rule(name: str, level: Severity, what: str, do: str) -> dict[str, Any]:
@@ -157,22 +263,37 @@ def _level(severity: str) -> Severity:
 
 
 def _address(file: str) -> str:
-    """The name of a file as an address; a relative one stays relative to where the command ran."""
+    """The name of a file as an address; a relative one stays relative to where the
+    command ran.
+    """
     path = Path(file)
     return path.as_uri() if path.is_absolute() else quote(os.fsencode(path.as_posix()))
 
 
-UNNAMED = "which images of the set were changed is not said: no measure that names them has been found reliable"
+UNNAMED = (
+    "which images of the set were changed is not said: no measure that names them has"
+    " been found reliable"
+)
 
 
 def document_of_pictures(judged: PictureAudit, count: int) -> dict[str, Any]:
-    """An audit of the images of a set as JSON can hold it; `count` is the number of all images."""
+    """An audit of the images of a set as JSON can hold it; `count` is the number of all
+    images.
+    """
     values = document(judged.audit)
     compared = len(judged.numbers)
     summary = [*values["summary"], UNNAMED]
     if compared < count:
-        summary.append(f"{compared} of the {count} images of the set were compared; nothing is said of the others")
-    return {**values, "summary": summary, "images_in_set": count, "images_compared": compared}
+        summary.append(
+            f"{compared} of the {count} images of the set were compared; nothing is"
+            " said of the others"
+        )
+    return {
+        **values,
+        "summary": summary,
+        "images_in_set": count,
+        "images_compared": compared,
+    }
 
 
 def write_pictures(
@@ -184,18 +305,30 @@ def write_pictures(
     source: str,
     force: bool = False,
 ) -> list[Path]:
-    """Write the files of an audit of pictures into a new folder, whole or not at all."""
+    """Write the files of an audit of pictures into a new folder, whole or not at
+    all.
+    """
     longer = max(max(camera.width, camera.height) for camera in views.cameras)
-    shown = dataclasses.replace(views, downscale=views.downscale * max(1, longer // PICTURE))
+    shown = dataclasses.replace(
+        views, downscale=views.downscale * max(1, longer // PICTURE)
+    )
 
     def show(pair: Pair) -> NDArray[np.uint8]:
-        return side_by_side([shown[int(judged.numbers[number])].image for number in pair.numbers])
+        return side_by_side(
+            [shown[int(judged.numbers[number])].image for number in pair.numbers]
+        )
 
     target = Path(folder)
     with new_folder(target, force=force) as temporary:
         pairs = save_pairs(judged.audit, temporary, show)
-        save_json({"story": "audit", "file": source, **account, **pairs, **origin()}, temporary / RECORD)
-    return [target / name for name in (RECORD, *(picture["file"] for picture in pairs["pictures"]))]
+        save_json(
+            {"story": "audit", "file": source, **account, **pairs, **origin()},
+            temporary / RECORD,
+        )
+    return [
+        target / name
+        for name in (RECORD, *(picture["file"] for picture in pairs["pictures"]))
+    ]
 
 
 PAIR, HEAT, MASK, OVERDRAW = "pair.png", "heat.ply", "mask.npy", "overdraw.png"
@@ -203,14 +336,27 @@ HEAT_PICTURE = "heat.png"
 EDITED, AGAINST, CHANGED = "edited.npy", "against.png", "changed.npy"
 PICTURE = 512  # pixels along the longer side of each of the two pictures
 _GAP = 8
-_SCORES = ("direction", "incidence", "mirror", "net", "threshold", "support", "lost", "air")
+_SCORES = (
+    "direction",
+    "incidence",
+    "mirror",
+    "net",
+    "threshold",
+    "support",
+    "lost",
+    "air",
+)
 
 
-def document(audit: Audit | None, lint: Lint | None = None, *, unjudged: str = "") -> dict[str, Any]:
+def document(
+    audit: Audit | None, lint: Lint | None = None, *, unjudged: str = ""
+) -> dict[str, Any]:
     """An audit as JSON can hold it; where no object was judged, with the reason."""
     return {
         "verdict": audit and audit.verdict,
-        "summary": summary(audit) if audit else [f"not looked at for hidden looks: {unjudged}"],
+        "summary": (
+            summary(audit) if audit else [f"not looked at for hidden looks: {unjudged}"]
+        ),
         "gaussians": len(audit.mask) if audit else lint and lint.gaussians,
         "carrying": int(audit.mask.sum()) if audit else 0,
         "near": audit.near if audit else 0.0,
@@ -236,7 +382,11 @@ def _of_object(item: ObjectAudit) -> dict[str, Any]:
         "occluder": cover and _values(cover, "axis", "transparent", "score"),
         "edited": _of_edit(item),
         "seen_from": [
-            {"direction": direction, "looks": [look for look, shows in enumerate(shown) if shows], "blocked": blocked}
+            {
+                "direction": direction,
+                "looks": [look for look, shows in enumerate(shown) if shows],
+                "blocked": blocked,
+            }
             for direction, shown, blocked in zip(
                 item.directions.tolist(),
                 torch.stack([look.shown for look in item.looks], 1).tolist(),
@@ -252,7 +402,9 @@ def _of_edit(item: ObjectAudit) -> dict[str, Any] | None:
     if edit is None:
         return None
     return {
-        **_values(edit, "score", "share", "usual_share", "grain", "usual_grain", "peak"),
+        **_values(
+            edit, "score", "share", "usual_share", "grain", "usual_grain", "peak"
+        ),
         "camera": edit.direction if edit.camera_known else None,
         "rows": sorted(edit.rows.tolist()) if item.edited else [],
     }
@@ -264,18 +416,26 @@ def _of_look(look: Look, item: ObjectAudit) -> dict[str, Any]:
         **_values(look, "evidence", *_SCORES, "changed"),
         "cameras": int(look.shown.sum()),
         "directions": dataclasses.asdict(look.region),
-        "pair": look.pair and {"change": look.pair.change, "cameras": pair_cameras(look.pair)},
+        "pair": (
+            look.pair
+            and {"change": look.pair.change, "cameras": pair_cameras(look.pair)}
+        ),
     }
 
 
 def pair_cameras(pair: Pair, number: int = 1) -> list[dict[str, object]]:
     """The two cameras of a look with a number as JSON can hold them."""
     end = f" {number}" if number > 1 else ""
-    return [describe(f"inside{end}", pair.inside), describe(f"outside{end}", pair.outside)]
+    return [
+        describe(f"inside{end}", pair.inside),
+        describe(f"outside{end}", pair.outside),
+    ]
 
 
 def pair_picture(scene: GaussianScene, pair: Pair) -> NDArray[np.uint8]:
-    """(H, W, 3) the two images that prove an appearance: from inside its directions left, from outside right."""
+    """(H, W, 3) the two images that prove an appearance: from inside its directions
+    left, from outside right.
+    """
     cameras = [_enlarged(camera) for camera in (pair.inside, pair.outside)]
     render = Renderer(RenderSettings(background=SKY, near=near_plane(scene, cameras)))
     with torch.no_grad():
@@ -283,10 +443,17 @@ def pair_picture(scene: GaussianScene, pair: Pair) -> NDArray[np.uint8]:
 
 
 def changes_picture(changes: Changes, scene: GaussianScene) -> NDArray[np.uint8]:
-    """(H, W, 3) the clean splat on the left, another on the right, a row for each camera."""
-    render = Renderer(RenderSettings(background=SKY, near=near_plane(scene, changes.cameras)))
+    """(H, W, 3) the clean splat on the left, another on the right, a row for each
+    camera.
+    """
+    render = Renderer(
+        RenderSettings(background=SKY, near=near_plane(scene, changes.cameras))
+    )
     with torch.no_grad():
-        rows = [side_by_side([render(item, camera) for item in (changes.clean, scene)]) for camera in changes.cameras]
+        rows = [
+            side_by_side([render(item, camera) for item in (changes.clean, scene)])
+            for camera in changes.cameras
+        ]
     gap = np.full((_GAP, rows[0].shape[1], 3), 255, np.uint8)
     return np.concatenate([part for row in rows for part in (gap, row)][1:])
 
@@ -296,19 +463,30 @@ def side_by_side(pictures: Sequence[Tensor]) -> NDArray[np.uint8]:
     pixels = [to_bytes(picture.clamp(0, 1)) for picture in pictures]
     height = max(map(len, pixels))
     gap = np.full((height, _GAP, 3), 255, np.uint8)
-    parts = [np.pad(p, ((0, height - len(p)), (0, 0), (0, 0)), constant_values=255) for p in pixels]
-    return np.concatenate([part for shown in parts for part in (gap, shown)][1:], axis=1)
+    parts = [
+        np.pad(p, ((0, height - len(p)), (0, 0), (0, 0)), constant_values=255)
+        for p in pixels
+    ]
+    return np.concatenate(
+        [part for shown in parts for part in (gap, shown)][1:], axis=1
+    )
 
 
 def _enlarged(camera: Camera) -> Camera:
     factor = PICTURE / max(camera.width, camera.height)
-    return resized(camera, (round(camera.width * factor), round(camera.height * factor)))
+    return resized(
+        camera, (round(camera.width * factor), round(camera.height * factor))
+    )
 
 
 def heated(scene: GaussianScene, heat: Tensor) -> GaussianScene:
-    """The splat in pale grey, redder the more heat a Gaussian has; the same from everywhere."""
+    """The splat in pale grey, redder the more heat a Gaussian has; the same from
+    everywhere.
+    """
     share = (heat / heat.max().clamp(min=1e-12))[:, None].to(scene.sh)
-    grey = 0.4 + 0.5 * dc_to_colour(scene.sh[:, 0]).clamp(0, 1).mean(1, keepdim=True).expand(-1, 3)
+    grey = 0.4 + 0.5 * dc_to_colour(scene.sh[:, 0]).clamp(0, 1).mean(
+        1, keepdim=True
+    ).expand(-1, 3)
     colour = (1 - share) * grey + share * grey.new_tensor([0.9, 0.05, 0.0])
     return GaussianScene.unchecked(*scene.tensors()[:4], colour_to_dc(colour)[:, None])
 
@@ -331,7 +509,12 @@ def write(
         if lint is not None and lint.overdraw is not None:
             save_picture(overdraw_picture(lint.overdraw), temporary / OVERDRAW)
         names = [RECORD, *sorted(file.name for file in temporary.iterdir())]
-        record = {"story": "audit", "file": source, **document(audit, lint, unjudged=unjudged), **more}
+        record = {
+            "story": "audit",
+            "file": source,
+            **document(audit, lint, unjudged=unjudged),
+            **more,
+        }
         save_json({**record, **origin()}, temporary / RECORD)
     return [target / name for name in names]
 
@@ -343,10 +526,21 @@ def _evidence(audit: Audit, scene: GaussianScene, folder: Path) -> dict[str, Any
         save_splat(hot, folder / HEAT)
         save_mask(audit.mask, folder / MASK)
         if audit.strongest.look.pair is not None:
-            save_picture(pair_picture(hot, audit.strongest.look.pair), folder / HEAT_PICTURE)
-    edited = [item.edit.rows for item in audit.objects if item.edit is not None and item.edited]
+            save_picture(
+                pair_picture(hot, audit.strongest.look.pair), folder / HEAT_PICTURE
+            )
+    edited = [
+        item.edit.rows
+        for item in audit.objects
+        if item.edit is not None and item.edited
+    ]
     if edited:
-        save_mask(torch.zeros(len(scene), dtype=torch.bool).index_fill_(0, torch.cat(edited), True), folder / EDITED)
+        save_mask(
+            torch.zeros(len(scene), dtype=torch.bool).index_fill_(
+                0, torch.cat(edited), True
+            ),
+            folder / EDITED,
+        )
     if audit.against is not None and audit.against.cameras:
         save_picture(changes_picture(audit.against, scene), folder / AGAINST)
     if audit.against is not None and bool(audit.against.mask.any()):
@@ -354,24 +548,41 @@ def _evidence(audit: Audit, scene: GaussianScene, folder: Path) -> dict[str, Any
     return save_pairs(audit, folder, lambda pair: pair_picture(scene, pair))
 
 
-def save_pairs(audit: Audit, folder: Path, show: Callable[[Pair], NDArray[np.uint8]]) -> dict[str, Any]:
+def save_pairs(
+    audit: Audit, folder: Path, show: Callable[[Pair], NDArray[np.uint8]]
+) -> dict[str, Any]:
     """Save the pictures that prove looks."""
     pictures, cameras = list[dict[str, Any]](), list[dict[str, object]]()
     for number, (numbers, pair) in enumerate(shown_pairs(audit), 1):
         name = PAIR if number == 1 else f"pair-{number}.png"
         save_picture(show(pair), folder / name)
-        pictures.append({"file": name, "object": numbers[0], "look": numbers[1], "change": pair.change})
+        pictures.append(
+            {
+                "file": name,
+                "object": numbers[0],
+                "look": numbers[1],
+                "change": pair.change,
+            }
+        )
         cameras += pair_cameras(pair, number)
     return {"pictures": pictures, "cameras": cameras}
 
 
 def shown_pairs(audit: Audit) -> list[tuple[tuple[int, int], Pair]]:
-    """Pairs of cameras that are worth a picture, the strongest first: all with evidence, of none at least one."""
+    """Pairs of cameras that are worth a picture, the strongest first: all with
+    evidence, of none at least one.
+    """
     looks = [
         ((index, number), look)
         for index, item in enumerate(audit.objects)
         for number, look in enumerate(item.looks)
-        if look.pair is not None and (look.evidence >= LIMITS.suspicion or item is audit.strongest)
+        if look.pair is not None
+        and (look.evidence >= LIMITS.suspicion or item is audit.strongest)
     ]
-    looks.sort(key=lambda entry: (audit.objects[entry[0][0]] is not audit.strongest, -entry[1].evidence))
+    looks.sort(
+        key=lambda entry: (
+            audit.objects[entry[0][0]] is not audit.strongest,
+            -entry[1].evidence,
+        )
+    )
     return [(numbers, look.pair) for numbers, look in looks if look.pair is not None]

@@ -1,4 +1,6 @@
-"""Rules about the numbers of a splat, each with its threshold and the threshold's reason."""
+"""Rules about the numbers of a splat, each with its threshold and the threshold's
+reason.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from mi_splat.registry import Registry
 from mi_splat.sh import band, degree_of, even_directions
 
 Severity = Literal["error", "warning", "note"]
-"""An error breaks a file or a renderer, a warning is hardly ever wanted, a note is no fault."""
+"""An error breaks a file or a renderer, a warning is hardly ever wanted, a note is no
+fault.
+"""
 
 SHOWN = 100  # so many rows a finding lists; it counts all of them
 
@@ -28,19 +32,29 @@ class Finding:
     rule: str  # its name in docs/audit_lint.md
     severity: Severity
     reason: str  # what is wrong, in a plain sentence
-    rows: tuple[int, ...] = ()  # the first Gaussians that it is about, in the file's order; none if all
+    # the first Gaussians that it is about, in the file's order; none if all
+    rows: tuple[int, ...] = ()
     count: int = 0  # how many Gaussians it is about
 
     @classmethod
-    def of(cls, rule: str, severity: Severity, reason: str, mask: NDArray[np.bool_]) -> Finding:
+    def of(
+        cls, rule: str, severity: Severity, reason: str, mask: NDArray[np.bool_]
+    ) -> Finding:
         """A finding about some rows."""
         rows = np.flatnonzero(mask)
-        return cls(rule=rule, severity=severity, reason=reason, rows=tuple(rows[:SHOWN].tolist()), count=len(rows))
+        return cls(
+            rule=rule,
+            severity=severity,
+            reason=reason,
+            rows=tuple(rows[:SHOWN].tolist()),
+            count=len(rows),
+        )
 
 
 Mask = NDArray[np.bool_]
 
-VISIBLE = 1 / 255  # opacity from which a Gaussian reaches a pixel: renderers leave out what is fainter
+# opacity from which a Gaussian reaches a pixel: renderers leave out what is fainter
+VISIBLE = 1 / 255
 _DIRECTIONS = even_directions(32)
 _CHUNK = 1 << 16
 
@@ -52,7 +66,8 @@ class Stored:
     arrays: Arrays  # N Gaussians, unchecked; quaternions are normalised
     valid: Mask  # (N,) those that a scene can hold
     shown: Mask  # (N,) those of them with an opacity from `VISIBLE`
-    infinite: Mask  # (N,) those valid ones whose file holds an infinite logarithm or logit
+    # (N,) those valid ones whose file holds an infinite logarithm or logit
+    infinite: Mask
 
     @classmethod
     def of(cls, loaded: Loaded) -> Stored:
@@ -74,7 +89,8 @@ class Rule:
     severity: Severity  # of its findings
     threshold: float  # from where it finds something
     reason: str  # why that matters, in a sentence
-    find: Callable[[Stored, float], Mask]  # from the Gaussians and the threshold to the (N,) rows that it is about
+    # from the Gaussians and the threshold to the (N,) rows that it is about
+    find: Callable[[Stored, float], Mask]
 
     def __call__(self, stored: Stored) -> Finding | None:
         """The finding; None if there is none."""
@@ -82,8 +98,14 @@ class Rule:
             rows = np.asarray(self.find(stored, self.threshold))
         if rows.shape != stored.valid.shape or rows.dtype != np.bool_:
             expected, got = f"bool {stored.valid.shape}", f"{rows.dtype} {rows.shape}"
-            raise InvalidValueError.of(f"rule {self.name}", expected, got, "give one truth for each Gaussian")
-        return Finding.of(self.name, self.severity, self.reason, rows) if rows.any() else None
+            raise InvalidValueError.of(
+                f"rule {self.name}", expected, got, "give one truth for each Gaussian"
+            )
+        return (
+            Finding.of(self.name, self.severity, self.reason, rows)
+            if rows.any()
+            else None
+        )
 
 
 def _any(values: NDArray[np.bool_]) -> Mask:
@@ -115,7 +137,9 @@ def _not_finite(stored: Stored, largest: float) -> Mask:
     for name in ("means", "opacities", "sh"):
         rows |= _any(~np.isfinite(arrays[name]))
     # What a reader refuses for another reason is not finite in the file only.
-    return rows | (~stored.valid & ~_out_of_range(stored, largest) & ~_quaternion(stored, 0))
+    return rows | (
+        ~stored.valid & ~_out_of_range(stored, largest) & ~_quaternion(stored, 0)
+    )
 
 
 def _infinite(stored: Stored, _: float) -> Mask:
@@ -128,7 +152,9 @@ def _giant(stored: Stored, factor: float) -> Mask:
 
 
 def scene_radius(stored: Stored) -> float:
-    """Half of the diagonal of the box around the middle 98 % of the means; 0 without any."""
+    """Half of the diagonal of the box around the middle 98 % of the means; 0 without
+    any.
+    """
     means = stored.arrays["means"][stored.valid]
     if not len(means):
         return 0.0
@@ -139,7 +165,10 @@ def scene_radius(stored: Stored) -> float:
 def _needle(stored: Stored, ratio: float) -> Mask:
     a, b, c = stored.arrays["scales"].T
     low, high = np.minimum(a, b), np.maximum(a, b)
-    return np.asarray(stored.shown & (np.maximum(high, c) > ratio * np.maximum(low, np.minimum(high, c))))
+    return np.asarray(
+        stored.shown
+        & (np.maximum(high, c) > ratio * np.maximum(low, np.minimum(high, c)))
+    )
 
 
 def _if_many(rows: Mask, share: float) -> Mask:
@@ -150,7 +179,8 @@ def _if_many(rows: Mask, share: float) -> Mask:
 def repeats(arrays: Arrays) -> Mask:
     """(N,) which Gaussians equal an earlier one to the bit; by a hash of 64 bits."""
     rows = np.arange(len(arrays["means"]))
-    for names in (("means",), tuple(arrays)):  # few share a position, and only these are looked at whole
+    # few share a position, and only these are looked at whole
+    for names in (("means",), tuple(arrays)):
         key = np.zeros(len(rows), np.uint64)
         for name in names:
             for column in arrays[name].view(np.uint32).reshape(len(arrays[name]), -1).T:
@@ -170,9 +200,15 @@ def _colour(stored: Stored, by: float) -> Mask:
 
 
 def _overshoots(sh: NDArray[np.float32], by: float) -> Mask:
-    """(N,) whether a channel of a Gaussian's colour leaves [0, 1] (sRGB) by more than so much in some direction."""
+    """(N,) whether a channel of a Gaussian's colour leaves [0, 1] (sRGB) by more than
+    so much in some direction.
+    """
     x, y, z = _DIRECTIONS.T
-    values = [value for degree in range(degree_of(sh.shape[1]) + 1) for value in band((x, y, z), degree)]
+    values = [
+        value
+        for degree in range(degree_of(sh.shape[1]) + 1)
+        for value in band((x, y, z), degree)
+    ]
     basis = np.stack(values, axis=1).astype(np.float32)
     largest = np.kron(np.abs(basis).max(0)[:, None], np.eye(3, dtype=np.float32))
     far = np.zeros(len(sh), np.bool_)
@@ -194,7 +230,8 @@ def _empty_degree(stored: Stored, _: float) -> Mask:
 def _partial_degree(stored: Stored, share: float) -> Mask:
     sh = stored.arrays["sh"]
     for degree in range(1, degree_of(sh.shape[1]) + 1):
-        if np.count_nonzero(sh[:, degree**2, 0]) > share * len(sh):  # at once what is so in nearly all files
+        # at once what is so in nearly all files
+        if np.count_nonzero(sh[:, degree**2, 0]) > share * len(sh):
             continue
         rows = _any(sh[:, degree**2 : (degree + 1) ** 2] != 0)
         if 0 < rows.sum() <= share * len(rows):
@@ -209,49 +246,68 @@ RULES = (
         name="not-finite",
         severity="error",
         threshold=LARGEST,
-        reason="A number is not finite (NaN or infinite): renderers show black squares, or nothing.",
+        reason=(
+            "A number is not finite (NaN or infinite): renderers show black squares, or"
+            " nothing."
+        ),
         find=_not_finite,
     ),
     Rule(
         name="out-of-range",
         severity="error",
         threshold=LARGEST,
-        reason=f"A scale is 0 or negative, an opacity is outside 0 to 1, or a number is above {LARGEST:g}.",
+        reason=(
+            "A scale is 0 or negative, an opacity is outside 0 to 1, or a number is"
+            f" above {LARGEST:g}."
+        ),
         find=_out_of_range,
     ),
     Rule(
         name="quaternion",
         severity="error",
         threshold=0,
-        reason="The quaternion is zero or not finite, so the Gaussian has no orientation.",
+        reason=(
+            "The quaternion is zero or not finite, so the Gaussian has no orientation."
+        ),
         find=_quaternion,
     ),
     Rule(
         name="infinite",
         severity="note",
         threshold=0,
-        reason="An opacity logit is infinite, or a log-scale is minus infinity, which not every program reads.",
+        reason=(
+            "An opacity logit is infinite, or a log-scale is minus infinity, which not"
+            " every program reads."
+        ),
         find=_infinite,
     ),
     Rule(
         name="giant",
         severity="warning",
         threshold=2.0,
-        reason="A standard deviation is larger than the whole splat, twice its radius: it covers every picture.",
+        reason=(
+            "A standard deviation is larger than the whole splat, twice its radius: it"
+            " covers every picture."
+        ),
         find=_giant,
     ),
     Rule(
         name="needle",
         severity="note",
         threshold=1000.0,
-        reason="It is more than 1,000 times as long as wide: renderers that compute in float32 draw it wrong.",
+        reason=(
+            "It is more than 1,000 times as long as wide: renderers that compute in"
+            " float32 draw it wrong."
+        ),
         find=_needle,
     ),
     Rule(
         name="invisible",
         severity="note",
         threshold=0.05,
-        reason="The opacity is under 1/255: no renderer shows it, but it is in the file.",
+        reason=(
+            "The opacity is under 1/255: no renderer shows it, but it is in the file."
+        ),
         find=lambda stored, share: _if_many(stored.valid & ~stored.shown, share),
     ),
     Rule(
@@ -259,15 +315,18 @@ RULES = (
         severity="warning",
         threshold=0.01,
         reason="It repeats an earlier Gaussian in every number.",
-        find=lambda stored, share: _if_many(repeats(stored.arrays) & stored.valid, share),
+        find=lambda stored, share: _if_many(
+            repeats(stored.arrays) & stored.valid, share
+        ),
     ),
     Rule(
         name="colour",
         severity="warning",
         threshold=1.0,
         reason=(
-            "From some directions its colour is more than 1 below black or above white. Renderers cut that off, and "
-            "looks in layers need this: each is black where another shows."
+            "From some directions its colour is more than 1 below black or above white."
+            " Renderers cut that off, and looks in layers need this: each is black"
+            " where another shows."
         ),
         find=_colour,
     ),
@@ -275,20 +334,28 @@ RULES = (
         name="empty-degree",
         severity="note",
         threshold=0,
-        reason="The highest band of its SH is 0, as in all of the file: the file is larger than it need be.",
+        reason=(
+            "The highest band of its SH is 0, as in all of the file: the file is larger"
+            " than it need be."
+        ),
         find=_empty_degree,
     ),
     Rule(
         name="partial-degree",
         severity="warning",
         threshold=0.1,
-        reason="It alone has SH of a band that is 0 in all others: it was made or changed in another way.",
+        reason=(
+            "It alone has SH of a band that is 0 in all others: it was made or changed"
+            " in another way."
+        ),
         find=_partial_degree,
     ),
 )
 """The table; docs/audit_lint.md gives the reason of each threshold."""
 
-ADDED: Registry[Rule] = Registry("mi_splat.audit_rules", "a Rule", lambda value: isinstance(value, Rule), what="rule")
+ADDED: Registry[Rule] = Registry(
+    "mi_splat.audit_rules", "a Rule", lambda value: isinstance(value, Rule), what="rule"
+)
 """Rules of other packages, by name; they follow those of the table."""
 
 
@@ -301,7 +368,12 @@ def findings_of(stored: Stored) -> Iterator[Finding]:
     for name in ADDED:
         try:
             if name in known:
-                raise InvalidValueError.of(f"rule {name}", "a name that is free", repr(name), "choose another name")
+                raise InvalidValueError.of(
+                    f"rule {name}",
+                    "a name that is free",
+                    repr(name),
+                    "choose another name",
+                )
             finding = ADDED[name](stored)
         except Exception as error:  # noqa: BLE001  # whatever a plug-in raises, the other rules have to be heard
             reason = f"The rule {name} of {ADDED.package(name)} did not run: {error}"

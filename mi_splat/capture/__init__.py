@@ -1,1 +1,3 @@
-"""Path-traced pictures of meshes with the cameras that took them, as sets that a splat can be trained from."""
+"""Path-traced pictures of meshes with the cameras that took them, as sets that a splat
+can be trained from.
+"""

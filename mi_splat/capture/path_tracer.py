@@ -1,8 +1,9 @@
 """Path-traced pictures of mesh scenes, with exact cameras.
 
-Everything here runs in a variant of Mitsuba that is fast at it (`tracing_variant`) and puts the caller's back
-afterwards. Pixels are box-filtered averages, converted to sRGB and clipped to [0, 1]; the same arguments give the same
-picture, on any number of threads.
+Everything here runs in a variant of Mitsuba that is fast at it (`tracing_variant`) and
+puts the caller's back afterwards. Pixels are box-filtered averages, converted to sRGB
+and clipped to [0, 1]; the same arguments give the same picture, on any number of
+threads.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ from mi_splat.plugins.sensor import sensor_dict
 from mi_splat.scene_files import load_mitsuba_scene
 
 MANY_PICTURES = "llvm_ad_rgb"
-"""Variant that traces a whole picture at once: five times as fast, after half a second of compiling for each scene."""
+"""Variant that traces a whole picture at once: five times as fast, after half a second
+of compiling for each scene.
+"""
 FEW_PICTURES = "scalar_rgb"
 """Variant that compiles nothing."""
 MAX_DEPTH = 3
@@ -41,10 +44,12 @@ _chosen: ContextVar[str | None] = ContextVar("_chosen", default=None)
 
 @contextlib.contextmanager
 def tracing_variant(variant: str | None = None) -> Iterator[None]:
-    """Have Mitsuba use the variant that path traces inside of a `with` block, and the earlier one after it.
+    """Have Mitsuba use the variant that path traces inside of a `with` block, and the
+    earlier one after it.
 
-    Mitsuba loads its Python modules again for another variant, 0.2 s each time. Every function here switches by itself;
-    around many calls, one more switch outside makes theirs free. A scene belongs to the variant that it was made in.
+    Mitsuba loads its Python modules again for another variant, 0.2 s each time. Every
+    function here switches by itself; around many calls, one more switch outside makes
+    theirs free. A scene belongs to the variant that it was made in.
     """
     wanted = variant or _chosen.get() or MANY_PICTURES
     if wanted == MANY_PICTURES:
@@ -62,20 +67,28 @@ def tracing_variant(variant: str | None = None) -> Iterator[None]:
 
 
 def made_in(scene: dict[str, Any] | Path) -> str | None:
-    """The variant that a scene's objects were made in, in which alone they can be traced; None if it has none yet."""
+    """The variant that a scene's objects were made in, in which alone they can be
+    traced; None if it has none yet.
+    """
     parts = scene.values() if isinstance(scene, dict) else ()
-    return next((part.variant_name() for part in parts if hasattr(part, "variant_name")), None)
+    return next(
+        (part.variant_name() for part in parts if hasattr(part, "variant_name")), None
+    )
 
 
 def load_scene(scene: dict[str, Any] | Path) -> mi.Scene:
-    """A scene dictionary or a Mitsuba XML file as a scene of the variant that is set."""
+    """A scene dictionary or a Mitsuba XML file as a scene of the variant that is
+    set.
+    """
     if isinstance(scene, dict):
         return mi.load_dict(scene)
     return load_mitsuba_scene(scene)
 
 
 def corner_normals(mesh: Mesh, *, crease: float = 38.0) -> Floats:
-    """(F, 3, 3) shading normal of each corner: mean of the faces around that meet under less than `crease` degrees."""
+    """(F, 3, 3) shading normal of each corner: mean of the faces around that meet under
+    less than `crease` degrees.
+    """
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-20)
@@ -89,15 +102,21 @@ def corner_normals(mesh: Mesh, *, crease: float = 38.0) -> Floats:
     corner = np.repeat(np.arange(len(sharing)), sharing)
     rank = np.arange(len(corner)) - np.repeat(np.cumsum(sharing) - sharing, sharing)
     neighbours = order[start[point.ravel()[corner]] + rank]
-    near = np.einsum("ij,ij->i", flat[corner // 3], flat[neighbours // 3]) > math.cos(math.radians(crease))
+    near = np.einsum("ij,ij->i", flat[corner // 3], flat[neighbours // 3]) > math.cos(
+        math.radians(crease)
+    )
     total = np.zeros((len(sharing), 3))
     for axis in range(3):
-        total[:, axis] = np.bincount(corner[near], area[neighbours[near] // 3, axis], minlength=len(sharing))
+        total[:, axis] = np.bincount(
+            corner[near], area[neighbours[near] // 3, axis], minlength=len(sharing)
+        )
     total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
     return total.reshape(-1, 3, 3).astype(np.float32)
 
 
-def _material(texture: Floats, roughness: float | None, *, palette: bool) -> dict[str, Any]:
+def _material(
+    texture: Floats, roughness: float | None, *, palette: bool
+) -> dict[str, Any]:
     """A Mitsuba BSDF; the colours of a palette are not blended into each other."""
     reflectance = {
         "type": "bitmap",
@@ -107,8 +126,16 @@ def _material(texture: Floats, roughness: float | None, *, palette: bool) -> dic
         "filter_type": "nearest" if palette else "bilinear",
     }
     if roughness is None:
-        return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
-    plastic = {"type": "roughplastic", "alpha": roughness, "diffuse_reflectance": reflectance, "nonlinear": True}
+        return {
+            "type": "twosided",
+            "bsdf": {"type": "diffuse", "reflectance": reflectance},
+        }
+    plastic = {
+        "type": "roughplastic",
+        "alpha": roughness,
+        "diffuse_reflectance": reflectance,
+        "nonlinear": True,
+    }
     return {"type": "twosided", "bsdf": plastic}
 
 
@@ -117,20 +144,41 @@ def _is_plain(mesh: Mesh) -> bool:
 
 
 def _shape(name: str, meshes: Sequence[Mesh]) -> mi.Mesh:
-    """One Mitsuba mesh of parts that share roughness and texture, or that are all of plain colours (one palette)."""
-    texture, uvs = meshes[0].texture, [mesh.uvs[mesh.faces].reshape(-1, 2) for mesh in meshes]
+    """One Mitsuba mesh of parts that share roughness and texture, or that are all of
+    plain colours (one palette).
+    """
+    texture, uvs = (
+        meshes[0].texture,
+        [mesh.uvs[mesh.faces].reshape(-1, 2) for mesh in meshes],
+    )
     plain = _is_plain(meshes[0])
     if plain:
         texture = np.concatenate([mesh.texture for mesh in meshes], axis=1)
-        uvs = [np.broadcast_to(((i + 0.5) / len(meshes), 0.5), uv.shape) for i, uv in enumerate(uvs)]
+        uvs = [
+            np.broadcast_to(((i + 0.5) / len(meshes), 0.5), uv.shape)
+            for i, uv in enumerate(uvs)
+        ]
     properties = mi.Properties()
-    properties["mesh_bsdf"] = mi.load_dict(_material(texture, meshes[0].roughness, palette=plain))
+    properties["mesh_bsdf"] = mi.load_dict(
+        _material(texture, meshes[0].roughness, palette=plain)
+    )
     corners = sum(mesh.faces.size for mesh in meshes)
-    shape = mi.Mesh(name, corners, corners // 3, properties, has_vertex_normals=True, has_vertex_texcoords=True)
+    shape = mi.Mesh(
+        name,
+        corners,
+        corners // 3,
+        properties,
+        has_vertex_normals=True,
+        has_vertex_texcoords=True,
+    )
     shape.set_id(name)
     values = mi.traverse(shape)
-    values["vertex_positions"] = np.concatenate([mesh.vertices[mesh.faces].ravel() for mesh in meshes])
-    values["vertex_normals"] = np.concatenate([corner_normals(mesh).ravel() for mesh in meshes])
+    values["vertex_positions"] = np.concatenate(
+        [mesh.vertices[mesh.faces].ravel() for mesh in meshes]
+    )
+    values["vertex_normals"] = np.concatenate(
+        [corner_normals(mesh).ravel() for mesh in meshes]
+    )
     down = np.concatenate(uvs) * (1, -1) + (0, 1)  # v runs down there
     values["vertex_texcoords"] = down.astype(np.float32).ravel()
     values["faces"] = np.arange(corners, dtype=np.uint32)
@@ -139,12 +187,19 @@ def _shape(name: str, meshes: Sequence[Mesh]) -> mi.Mesh:
 
 
 def shapes(asset: Asset, prefix: str) -> dict[str, Any]:
-    """Mitsuba meshes of an asset by id (prefix_0, prefix_1, ...), its parts gathered by material."""
+    """Mitsuba meshes of an asset by id (prefix_0, prefix_1, ...), its parts gathered by
+    material.
+    """
     groups: dict[tuple[bytes | None, tuple[int, ...], float | None], list[Mesh]] = {}
     for mesh in asset.meshes:
         texture = None if _is_plain(mesh) else mesh.texture.tobytes()
-        groups.setdefault((texture, mesh.texture.shape, mesh.roughness), []).append(mesh)
-    return {f"{prefix}_{i}": _shape(f"{prefix}_{i}", meshes) for i, meshes in enumerate(groups.values())}
+        groups.setdefault((texture, mesh.texture.shape, mesh.roughness), []).append(
+            mesh
+        )
+    return {
+        f"{prefix}_{i}": _shape(f"{prefix}_{i}", meshes)
+        for i, meshes in enumerate(groups.values())
+    }
 
 
 def scene_dict(
@@ -153,20 +208,36 @@ def scene_dict(
     light: Light | None = None,
     backdrop: Asset | None = None,
 ) -> dict[str, Any]:
-    """A Mitsuba scene, without a sensor, of `assets` in daylight; the scene belongs to the variant that traces."""
+    """A Mitsuba scene, without a sensor, of `assets` in daylight; the scene belongs to
+    the variant that traces.
+    """
     light = Light() if light is None else light
     to_sun = unit_vector(light.sun_azimuth, light.sun_elevation)
     with tracing_variant():
-        scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": MAX_DEPTH}}
+        scene: dict[str, Any] = {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": MAX_DEPTH},
+        }
         for number, asset in enumerate(assets):
             scene |= shapes(asset, f"object{number}")
         if backdrop is not None:
             scene |= shapes(backdrop, "backdrop")
         upright = mi.ScalarTransform4f().rotate([1, 0, 0], 90)
-        scene["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(sky_map(light)), "to_world": upright}
+        scene["sky"] = {
+            "type": "envmap",
+            "bitmap": mi.Bitmap(sky_map(light)),
+            "to_world": upright,
+        }
         if light.sun_strength > 0:
-            irradiance = {"type": "rgb", "value": [light.sun_strength * c for c in light.sun_colour]}
-            scene["sun"] = {"type": "directional", "direction": [-c for c in to_sun], "irradiance": irradiance}
+            irradiance = {
+                "type": "rgb",
+                "value": [light.sun_strength * c for c in light.sun_colour],
+            }
+            scene["sun"] = {
+                "type": "directional",
+                "direction": [-c for c in to_sun],
+                "irradiance": irradiance,
+            }
     return scene
 
 
@@ -174,7 +245,9 @@ BRIGHTEST = 1.6
 """Intensity at which each pass of a picture is clipped."""
 
 AT_ONCE = 1 << 21
-"""The most paths that are traced at once, which bounds memory; a larger picture is traced in bands of rows."""
+"""The most paths that are traced at once, which bounds memory; a larger picture is
+traced in bands of rows.
+"""
 _BANDS_APART = 0x9E3779B9
 """Between the seeds of a picture's bands."""
 
@@ -189,7 +262,9 @@ _Depths = TypeVar("_Depths", NDArray[Any], Tensor)
 
 
 def pass_samples(samples: int) -> tuple[int, ...]:
-    """Samples of each pass, which sum up to `samples` (1 or more): as equal as `fits_grid` allows."""
+    """Samples of each pass, which sum up to `samples` (1 or more): as equal as
+    `fits_grid` allows.
+    """
     if samples < PASSES:
         return (samples,)
     half = samples // PASSES
@@ -200,7 +275,8 @@ def pass_samples(samples: int) -> tuple[int, ...]:
 
 
 def fits_grid(samples: int) -> bool:
-    """Whether Mitsuba's multi-jittered sampler takes so many samples, and rounds none up.
+    """Whether Mitsuba's multi-jittered sampler takes so many samples, and rounds none
+    up.
 
     Its grid has floor(sqrt(n)) rows that are all full.
     """
@@ -208,8 +284,11 @@ def fits_grid(samples: int) -> bool:
 
 
 def sampler_type(samples: int) -> str:
-    """Name of the Mitsuba sampler that takes exactly so many samples with the least noise."""
-    # Correlated multi-jittered (Kensler 2013): at 16 and 64 samples per pixel 6 dB less noise than independent ones.
+    """Name of the Mitsuba sampler that takes exactly so many samples with the least
+    noise.
+    """
+    # Correlated multi-jittered (Kensler 2013): at 16 and 64 samples per pixel 6 dB less
+    # noise than independent ones.
     return "multijitter" if fits_grid(samples) else "independent"
 
 
@@ -222,13 +301,19 @@ def _sensor(
     near: float = NEAR,
     rows: tuple[int, int] | None = None,
 ) -> mi.Sensor:
-    """A sensor of the whole picture, or of the `rows` from the first up to the second."""
+    """A sensor of the whole picture, or of the `rows` from the first up to the
+    second.
+    """
     sampler = {"type": sampler_type(samples), "sample_count": samples, "seed": seed}
     values = {**sensor_dict(camera), "sampler": sampler, "near_clip": near}
     if alpha:
         values["film"] = {**values["film"], "pixel_format": "rgba"}
     if rows is not None:
-        crop = {"crop_offset_x": 0, "crop_offset_y": rows[0], "crop_width": camera.width}
+        crop = {
+            "crop_offset_x": 0,
+            "crop_offset_y": rows[0],
+            "crop_width": camera.width,
+        }
         values["film"] = {**values["film"], **crop, "crop_height": rows[1] - rows[0]}
     return mi.load_dict(values)
 
@@ -242,7 +327,9 @@ def _picture(
     integrator: mi.Integrator | None = None,
     near: float = NEAR,
 ) -> Tensor:
-    """One picture; the mean of passes that are clipped on their own, so that no single bright path leaves a speck."""
+    """One picture; the mean of passes that are clipped on their own, so that no single
+    bright path leaves a speck.
+    """
     channels = 3 if integrator is None else 4
     total = np.zeros((camera.height, camera.width, channels))
     given = {} if integrator is None else {"integrator": integrator}
@@ -250,33 +337,58 @@ def _picture(
         height = max(1, AT_ONCE // (in_pass * camera.width))
         for band, first in enumerate(range(0, camera.height, height)):
             rows = (first, min(first + height, camera.height))
-            sensor = _sensor(camera, samples=in_pass, seed=seed, alpha=integrator is not None, near=near, rows=rows)
+            sensor = _sensor(
+                camera,
+                samples=in_pass,
+                seed=seed,
+                alpha=integrator is not None,
+                near=near,
+                rows=rows,
+            )
             of_band = (seed * PASSES + number + band * _BANDS_APART) % (1 << 32)
             film = mi.render(scene, sensor=sensor, spp=in_pass, seed=of_band, **given)
-            total[slice(*rows)] += np.clip(np.array(film)[..., :channels], 0, BRIGHTEST) * (in_pass / samples)
+            total[slice(*rows)] += np.clip(
+                np.array(film)[..., :channels], 0, BRIGHTEST
+            ) * (in_pass / samples)
     if integrator is None:
         return torch.from_numpy(to_srgb(total))
     alpha = np.clip(total[..., 3:], 0, 1)
     colours = to_srgb(total[..., :3] / np.maximum(alpha, 1e-6))
-    return torch.from_numpy(np.concatenate([colours, alpha.astype(np.float32)], axis=-1))
+    return torch.from_numpy(
+        np.concatenate([colours, alpha.astype(np.float32)], axis=-1)
+    )
 
 
 class PathTracer:
-    """A loaded mesh scene that takes pictures one at a time; each depends on its camera, samples and seed alone."""
+    """A loaded mesh scene that takes pictures one at a time; each depends on its
+    camera, samples and seed alone.
+    """
 
     def __init__(
-        self, scene: dict[str, Any] | Path, *, samples: int = 32, alpha: bool = False, near: float = NEAR
+        self,
+        scene: dict[str, Any] | Path,
+        *,
+        samples: int = 32,
+        alpha: bool = False,
+        near: float = NEAR,
     ) -> None:
         """Load a scene."""
         if samples < 1:
-            raise InvalidValueError.of("samples", "a positive number of samples per pixel", samples, "use 16 or more")
+            raise InvalidValueError.of(
+                "samples",
+                "a positive number of samples per pixel",
+                samples,
+                "use 16 or more",
+            )
         self.samples, self._near = samples, near
         with tracing_variant(made_in(scene)):
             self._variant = mi.variant()
             self._scene = load_scene(scene)
             if not alpha and self._scene.integrator() is None:
                 do = 'add <integrator type="path"/>'
-                raise InvalidValueError.of(str(scene), "a scene with an integrator", "none", do)
+                raise InvalidValueError.of(
+                    str(scene), "a scene with an integrator", "none", do
+                )
             hidden = {"type": "path", "max_depth": MAX_DEPTH, "hide_emitters": True}
             self._integrator = mi.load_dict(hidden) if alpha else None
 
@@ -284,21 +396,40 @@ class PathTracer:
     def bounds(self) -> Floats:
         """(2, 3) lowest and highest corner of the box around all shapes."""
         box = self._scene.bbox()
-        return np.array([np.array(box.min).ravel(), np.array(box.max).ravel()], np.float32)
+        return np.array(
+            [np.array(box.min).ravel(), np.array(box.max).ravel()], np.float32
+        )
 
     def picture(self, camera: Camera, *, seed: int) -> Tensor:
-        """(H, W, 3 or 4) float32, sRGB in [0, 1] and alpha, whose colours are not multiplied with it."""
+        """(H, W, 3 or 4) float32, sRGB in [0, 1] and alpha, whose colours are not
+        multiplied with it.
+        """
         with tracing_variant(self._variant):
             shape = {"samples": self.samples, "seed": seed}
-            return _picture(self._scene, camera, **shape, integrator=self._integrator, near=self._near)
+            return _picture(
+                self._scene,
+                camera,
+                **shape,
+                integrator=self._integrator,
+                near=self._near,
+            )
 
     def surface(self, camera: Camera, *, seed: int) -> tuple[Tensor, Tensor]:
         """What one ray per pixel meets first."""
         with tracing_variant(self._variant):
             sensor = _sensor(camera, samples=1, seed=seed, near=self._near)
-            integrator = mi.load_dict({"type": "aov", "aovs": "point:position,distance:depth"})
-            film = np.array(mi.render(self._scene, sensor=sensor, integrator=integrator, spp=1, seed=seed), np.float32)
-        return torch.from_numpy(film[..., :3].copy()), torch.from_numpy(film[..., 3].copy())
+            integrator = mi.load_dict(
+                {"type": "aov", "aovs": "point:position,distance:depth"}
+            )
+            film = np.array(
+                mi.render(
+                    self._scene, sensor=sensor, integrator=integrator, spp=1, seed=seed
+                ),
+                np.float32,
+            )
+        return torch.from_numpy(film[..., :3].copy()), torch.from_numpy(
+            film[..., 3].copy()
+        )
 
 
 def in_front(alone: _Depths, nearest: _Depths) -> _Depths:

@@ -1,4 +1,6 @@
-"""Settings of a capture as frozen values; light, so that the command line can ask for them without Mitsuba."""
+"""Settings of a capture as frozen values; light, so that the command line can ask for
+them without Mitsuba.
+"""
 
 import math
 from dataclasses import dataclass
@@ -17,17 +19,20 @@ class CaptureSettings(Checked):
 
     Attributes:
         samples: Samples per pixel, 1 or more; more is less noise.
-        seed: Seed of the noise, 0 to 2^28; picture i uses seed + i, and pictures held out are counted on from the
-            others.
+        seed: Seed of the noise, 0 to 2^28; picture i uses seed + i, and pictures held
+            out are counted on from the others.
         rgba: Write RGBA with nothing but the surfaces, in place of the sky.
         points: Points wanted in the point cloud, 1 to 10 million.
-        near: Surfaces nearer to a camera than this are not seen, world units, more than 0; None is 0.01.
+        near: Surfaces nearer to a camera than this are not seen, world units, more than
+            0; None is 0.01.
 
     Raises:
         InvalidValueError: A number is out of range.
     """
 
-    samples: Annotated[int, between(1, 1 << 20, "samples per pixel", "32 is usual")] = 32
+    samples: Annotated[int, between(1, 1 << 20, "samples per pixel", "32 is usual")] = (
+        32
+    )
     seed: Annotated[int, between(0, 1 << 28, do="0 is usual"), Metavar("SEED")] = 0
     rgba: bool = False
     points: Annotated[int, between(1, 10_000_000, "points")] = 20_000
@@ -40,14 +45,17 @@ class MeshSettings(Checked):
 
     Attributes:
         up: Axis that points up in the file; None is y.
-        scale: What one unit of the file is in metres, more than 0; 0.01 for centimetres.
+        scale: What one unit of the file is in metres, more than 0; 0.01 for
+            centimetres.
 
     Raises:
         InvalidValueError: A number is out of range.
     """
 
     up: Up | None = None
-    scale: Annotated[float, above(0, "metres per unit of the file"), Metavar("METRES")] = 1.0
+    scale: Annotated[
+        float, above(0, "metres per unit of the file"), Metavar("METRES")
+    ] = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,10 +63,11 @@ class SurroundingsSettings:
     """What is around a mesh file, or around an object of the project.
 
     Attributes:
-        ground: Texture of a square of ground that it stands on, as in the studies of CLOAK. Asphalt repeats
-            nowhere, which pictures need whose cameras are to be found; none is no ground.
-        sun: Where the sun stands, as AZIMUTH,ELEVATION in degrees, for instance -50,52; azimuth from +x towards +y,
-            elevation 0 to 90. None is 40,45.
+        ground: Texture of a square of ground that it stands on, as in the studies of
+            CLOAK. Asphalt repeats nowhere, which pictures need whose cameras are to be
+            found; none is no ground.
+        sun: Where the sun stands, as AZIMUTH,ELEVATION in degrees, for instance -50,52;
+            azimuth from +x towards +y, elevation 0 to 90. None is 40,45.
 
     Raises:
         InvalidValueError: The sun's place is no two angles.
@@ -82,5 +91,7 @@ class SurroundingsSettings:
             azimuth = elevation = math.nan
         if not (math.isfinite(azimuth) and 0 <= elevation <= 90):
             expected = "azimuth,elevation in degrees, with an elevation of 0 to 90"
-            raise InvalidValueError.of("sun", expected, repr(self.sun), "write for instance -50,52")
+            raise InvalidValueError.of(
+                "sun", expected, repr(self.sun), "write for instance -50,52"
+            )
         return azimuth, elevation

@@ -1,4 +1,6 @@
-"""What a capture takes pictures of: a Mitsuba mesh scene, a mesh file, or one of the project's own scenes."""
+"""What a capture takes pictures of: a Mitsuba mesh scene, a mesh file, or one of the
+project's own scenes.
+"""
 
 import hashlib
 import math
@@ -23,14 +25,21 @@ from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.scene_parts import SceneParts
 
 SMALLEST, LARGEST = 0.5, 50.0
-"""Radii in metres of a mesh: Mitsuba computes in float32 and starts secondary rays about 1e-4 metres off a surface."""
+"""Radii in metres of a mesh: Mitsuba computes in float32 and starts secondary rays
+about 1e-4 metres off a surface.
+"""
 SMALLEST_XML, LARGEST_XML = 0.02, 400.0
-"""Radii in world units of a Mitsuba scene, which is photographed as it is, so that its camera sees everything."""
+"""Radii in world units of a Mitsuba scene, which is photographed as it is, so that its
+camera sees everything.
+"""
 FARTHEST_XML = 100.0
-"""Largest coordinate of a Mitsuba scene's middle, in radii: its pictures are then about 60 dB from those at the
-origin."""
+"""Largest coordinate of a Mitsuba scene's middle, in radii: its pictures are then about
+60 dB from those at the origin.
+"""
 GROUND_SIDE, GROUND_TILE = 6.5, 1.65
-"""Side of the ground and of its texture, in radii of the object: 16 m and 4 m for a car, as in the studies of CLOAK."""
+"""Side of the ground and of its texture, in radii of the object: 16 m and 4 m for a
+car, as in the studies of CLOAK.
+"""
 
 _SPLATS = ("gaussians", "splat_tile")
 """Plugins of this project, which show splats and not meshes."""
@@ -41,7 +50,9 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExampleScene:
-    """One of the shipped scenes as meshes: a target object in surroundings, in daylight."""
+    """One of the shipped scenes as meshes: a target object in surroundings, in
+    daylight.
+    """
 
     assets: Callable[[], tuple[Asset, Asset]]
     light: Light
@@ -77,12 +88,16 @@ class CaptureSource:
     scene: dict[str, Any] | Path  # what the path tracer loads
     centre: Point  # that cameras look at, world units
     radius: float  # of what they shall see, world units
-    assets: tuple[Asset, ...]  # the object first, then its surroundings; none of an XML file
+    # the object first, then its surroundings; none of an XML file
+    assets: tuple[Asset, ...]
     digest: str  # SHA-256 of everything that the pictures show
 
 
 def open_source(
-    name: str, *, mesh: MeshSettings | None = None, surroundings: SurroundingsSettings | None = None
+    name: str,
+    *,
+    mesh: MeshSettings | None = None,
+    surroundings: SurroundingsSettings | None = None,
 ) -> CaptureSource:
     """The source called `name`."""
     path = Path(name)
@@ -91,10 +106,14 @@ def open_source(
     mesh, surroundings = mesh or MeshSettings(), surroundings or SurroundingsSettings()
     if mesh != MeshSettings() and suffix != SUFFIX:
         expected = "a mesh file to go with"
-        raise InvalidValueError.of("up and scale", expected, name, "leave them out").hinted("--up, --scale")
+        raise InvalidValueError.of(
+            "up and scale", expected, name, "leave them out"
+        ).hinted("--up, --scale")
     if surroundings != SurroundingsSettings() and not (is_asset or suffix == SUFFIX):
         expected = "a mesh file, or an object of the project, to go with"
-        raise InvalidValueError.of("ground and sun", expected, name, "leave them out").hinted("--ground, --sun")
+        raise InvalidValueError.of(
+            "ground and sun", expected, name, "leave them out"
+        ).hinted("--ground, --sun")
     if name in EXAMPLES:
         example = EXAMPLES[name]
         return source_of(*example.assets(), example.light, centre=example.centre)
@@ -104,11 +123,16 @@ def open_source(
         return _xml(path)
     if suffix == SUFFIX:
         return _mesh(load_mesh(path, mesh), name, surroundings)
-    expected = f"one of {', '.join((*EXAMPLES, *ASSETS))}, or a file that ends in .xml or {SUFFIX}"
+    expected = (
+        f"one of {', '.join((*EXAMPLES, *ASSETS))}, or a file that ends in .xml or"
+        f" {SUFFIX}"
+    )
     raise InvalidValueError.of("scene", expected, name, "name one of these")
 
 
-def source_of(target: Asset, surroundings: Asset, light: Light, *, centre: Point) -> CaptureSource:
+def source_of(
+    target: Asset, surroundings: Asset, light: Light, *, centre: Point
+) -> CaptureSource:
     """An object in its surroundings."""
     return CaptureSource(
         scene=scene_dict([target], light=light, backdrop=surroundings),
@@ -120,39 +144,68 @@ def source_of(target: Asset, surroundings: Asset, light: Light, *, centre: Point
 
 
 def _asset(name: str, surroundings: SurroundingsSettings) -> CaptureSource:
-    """One of the project's assets, alone under the default sky unless told otherwise."""
+    """One of the project's assets, alone under the default sky unless told
+    otherwise.
+    """
     kind, colon, seed = name.partition(":")
     if not re.fullmatch(r"\d{1,9}" if colon else "", seed):
-        raise InvalidValueError.of("scene", f"{kind} or {kind}:SEED, 0 to 999999999", name, "change the seed")
+        raise InvalidValueError.of(
+            "scene", f"{kind} or {kind}:SEED, 0 to 999999999", name, "change the seed"
+        )
     return _mesh(build(kind, int(seed or 0)).body, name, surroundings)
 
 
-def _mesh(target: Asset, name: str, surroundings: SurroundingsSettings) -> CaptureSource:
+def _mesh(
+    target: Asset, name: str, surroundings: SurroundingsSettings
+) -> CaptureSource:
     """A mesh in its surroundings."""
     centre, radius = _extent(target)
     if not SMALLEST <= radius <= LARGEST:
         expected = f"a radius of {SMALLEST:g} to {LARGEST:g} metres"
-        raise InvalidValueError.of(name, expected, f"{radius:.4g}", "pass another scale").hinted("--scale")
-    ground = Asset("none", ()) if surroundings.ground == "none" else _ground(target, surroundings.ground)
-    azimuth, elevation = surroundings.sun_angles or (Light().sun_azimuth, Light().sun_elevation)
-    return source_of(target, ground, Light(sun_azimuth=azimuth, sun_elevation=elevation), centre=centre)
+        raise InvalidValueError.of(
+            name, expected, f"{radius:.4g}", "pass another scale"
+        ).hinted("--scale")
+    ground = (
+        Asset("none", ())
+        if surroundings.ground == "none"
+        else _ground(target, surroundings.ground)
+    )
+    azimuth, elevation = surroundings.sun_angles or (
+        Light().sun_azimuth,
+        Light().sun_elevation,
+    )
+    return source_of(
+        target,
+        ground,
+        Light(sun_azimuth=azimuth, sun_elevation=elevation),
+        centre=centre,
+    )
 
 
 def _ground(target: Asset, kind: Kind) -> Asset:
     """The ground under an object."""
     (x, y, _), radius = _extent(target)
     centre = (x, y, float(target.bounds[0, 2]))
-    return square_of_ground(kind, side=GROUND_SIDE * radius, tile=GROUND_TILE * radius, centre=centre)
+    return square_of_ground(
+        kind, side=GROUND_SIDE * radius, tile=GROUND_TILE * radius, centre=centre
+    )
 
 
 def _xml(path: Path) -> CaptureSource:
     """A Mitsuba scene as it is, sensors apart."""
     if not path.is_file():
-        raise InvalidValueError.of("scene", "a Mitsuba XML file", str(path), "check the path")
+        raise InvalidValueError.of(
+            "scene", "a Mitsuba XML file", str(path), "check the path"
+        )
     parts = SceneParts(path)
-    if any(element.tag in ("shape", "integrator") and element.get("type") in _SPLATS for element in parts.elements):
+    if any(
+        element.tag in ("shape", "integrator") and element.get("type") in _SPLATS
+        for element in parts.elements
+    ):
         do = f"see it with `mi-splat render {path}`, or name a scene of meshes"
-        raise InvalidValueError.of(str(path), "a scene of meshes", "a scene of splats", do)
+        raise InvalidValueError.of(
+            str(path), "a scene of meshes", "a scene of splats", do
+        )
     try:
         bounds = PathTracer(path, samples=1, alpha=True).bounds
     except RuntimeError as error:  # what Mitsuba raises for everything
@@ -164,13 +217,20 @@ def _xml(path: Path) -> CaptureSource:
     centre, radius = _middle(bounds.astype(np.float64))
     if not SMALLEST_XML <= radius <= LARGEST_XML:
         expected = f"a radius of {SMALLEST_XML:g} to {LARGEST_XML:g} world units"
-        raise InvalidValueError.of(str(path), expected, f"{radius:.4g}", "scale its shapes")
+        raise InvalidValueError.of(
+            str(path), expected, f"{radius:.4g}", "scale its shapes"
+        )
     if (away := max(map(abs, centre)) / radius) > FARTHEST_XML:
-        expected = f"a scene around the origin, its middle at most {FARTHEST_XML:g} radii away"
+        expected = (
+            f"a scene around the origin, its middle at most {FARTHEST_XML:g} radii away"
+        )
         do = "subtract the middle from the transforms of its shapes"
         raise MiSplatError.of(str(path), expected, f"{away:.0f}", do)
-    digest = _digest(file.read_bytes() for file in parts.files)  # another texture makes other pictures
-    return CaptureSource(scene=path, centre=centre, radius=radius, assets=(), digest=digest)
+    # another texture makes other pictures
+    digest = _digest(file.read_bytes() for file in parts.files)
+    return CaptureSource(
+        scene=path, centre=centre, radius=radius, assets=(), digest=digest
+    )
 
 
 def _extent(asset: Asset) -> tuple[Point, float]:
@@ -188,7 +248,10 @@ def digest_of(assets: Iterable[Asset], light: Light) -> str:
     """Digest of assets in a light."""
     parts = [repr(light).encode()]
     for mesh in (mesh for asset in assets for mesh in asset.meshes):
-        parts += [array.tobytes() for array in (mesh.vertices, mesh.faces, mesh.uvs, mesh.texture)]
+        parts += [
+            array.tobytes()
+            for array in (mesh.vertices, mesh.faces, mesh.uvs, mesh.texture)
+        ]
         parts.append(repr((mesh.texture.shape, mesh.roughness, mesh.smooth)).encode())
     return _digest(parts)
 

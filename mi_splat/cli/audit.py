@@ -1,4 +1,6 @@
-"""`mi-splat audit`: does a splat show something from some directions only, from where, and in which Gaussians?"""
+"""`mi-splat audit`: does a splat show something from some directions only, from where,
+and in which Gaussians?
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cli.console import UsageError, note, progress, show_result
 from mi_splat.cli.flags import Positional
-from mi_splat.cli.options import CameraOptions, Direction, JsonOptions, axis_name, check_no_input_in, up_line
+from mi_splat.cli.options import (
+    CameraOptions,
+    Direction,
+    JsonOptions,
+    axis_name,
+    check_no_input_in,
+    up_line,
+)
 from mi_splat.errors import MiSplatError
 from mi_splat.fields import Metavar, OutFile, OutFolder, between
 
@@ -37,44 +46,61 @@ FOUND = 3
 
 @dataclass(frozen=True, kw_only=True)
 class AuditOptions(JsonOptions):
-    """Say whether a splat shows something from some directions only, which Gaussians carry it, and what is wrong in it.
+    """Say whether a splat shows something from some directions only, which Gaussians
+    carry it, and what is wrong in it.
 
-    Nothing but the file is used. Exit status: 0 nothing found, 3 a hidden look or an error of lint, 1 it could not be
-    judged. What no file can tell, its page in the documentation says. Many files: `mi-splat gate`.
+    Nothing but the file is used. Exit status: 0 nothing found, 3 a hidden look or an
+    error of lint, 1 it could not be judged. What no file can tell, its page in the
+    documentation says. Many files: `mi-splat gate`.
     """
 
     file: Positional[Path]
-    """Splat file of any format that is read, scene XML made of splats, or folder of images with cameras. Images are
-    checked, before any training, for an appearance that others contradict; which of them show it is not said."""
+    """Splat file of any format that is read, scene XML made of splats, or folder of
+    images with cameras. Images are checked, before any training, for an appearance that
+    others contradict; which of them show it is not said.
+    """
     cameras: Annotated[tuple[str, ...], Metavar("CAMERAS")] = ()
-    """Those of the training pictures, in the forms that `mi-splat render` takes, the cameras.json beside a splat, for
-    instance: look at each object from near their directions alone, and from themselves in a room. Without, from a
-    sphere around each object."""
+    """Those of the training pictures, in the forms that `mi-splat render` takes, the
+    cameras.json beside a splat, for instance: look at each object from near their
+    directions alone, and from themselves in a room. Without, from a sphere around each
+    object.
+    """
     up: Direction | None = None
-    """Direction that is up for objects that stand on a ground, and for orbits of --cameras: an axis, or three numbers.
-    Without, each object is looked at from above the ground that is found."""
+    """Direction that is up for objects that stand on a ground, and for orbits of
+    --cameras: an axis, or three numbers. Without, each object is looked at from above
+    the ground that is found.
+    """
     downscale: Annotated[int, between(1, 64, "times smaller"), Metavar("FACTOR")] = 1
-    """Read the pictures of a set so many times smaller, from its folder images_2 and so on if it is there. They are
-    compared at 96 pixels anyway, so that this saves time and memory alone."""
+    """Read the pictures of a set so many times smaller, from its folder images_2 and so
+    on if it is there. They are compared at 96 pixels anyway, so that this saves time
+    and memory alone.
+    """
     out: OutFolder | None = None
-    """Folder for result.json, the two pictures that prove a look, the splat coloured by heat, the mask of the Gaussians
-    that `mi-splat select --mask` takes, and a picture of the overdraw."""
+    """Folder for result.json, the two pictures that prove a look, the splat coloured by
+    heat, the mask of the Gaussians that `mi-splat select --mask` takes, and a picture
+    of the overdraw.
+    """
     against: Path | None = None
-    """The file as it was before it left your hands: say as well which Gaussians changed since, in what and by how much;
-    rows may be shuffled. --out then has the two worst pictures of both (against.png) and the mask of what changed
-    (changed.npy)."""
+    """The file as it was before it left your hands: say as well which Gaussians changed
+    since, in what and by how much; rows may be shuffled. --out then has the two worst
+    pictures of both (against.png) and the mask of what changed (changed.npy).
+    """
     only: Literal["looks", "lint"] | None = None
     """Look for hidden looks only, or only check the numbers, which is much faster."""
     repair: OutFile | None = None
-    """Write the splat without what was found, in the format that this name ends with, and audit it again. Where nothing
-    was found nothing is written."""
+    """Write the splat without what was found, in the format that this name ends with,
+    and audit it again. Where nothing was found nothing is written.
+    """
     keep: Literal["outside", "inside"] = "outside"
-    """Directions of a look whose colours --repair believes: which are true, no file can tell."""
+    """Directions of a look whose colours --repair believes: which are true, no file can
+    tell.
+    """
     force: bool = False
     """Replace an older result in --out, and the file of --repair."""
     strict: bool = False
-    """Let the exit status be 3 for what is suspicious and for any change --against, too; warnings of lint are listed
-    and never change it."""
+    """Let the exit status be 3 for what is suspicious and for any change --against,
+    too; warnings of lint are listed and never change it.
+    """
 
 
 def run(options: AuditOptions) -> int:
@@ -83,15 +109,23 @@ def run(options: AuditOptions) -> int:
     _check_outputs(options)
     document = _audited(options)
     show_result(document, *_lines(document), as_json=options.json)
-    bad = {"hidden look", "error"} | ({"suspicious", "changed"} if options.strict else set())
+    bad = {"hidden look", "error"} | (
+        {"suspicious", "changed"} if options.strict else set()
+    )
     return FOUND if bad & _verdicts(document) else 0
 
 
 def _verdicts(document: dict[str, Any]) -> set[str]:
-    """The verdict on looks, the severities of lint, and "changed" if anything is not as in the clean file."""
+    """The verdict on looks, the severities of lint, and "changed" if anything is not as
+    in the clean file.
+    """
     against = document.get("against", {})
     changed = {"changed"} if against.get("changed") or against.get("removed") else set()
-    return {document["verdict"], *changed, *(finding["severity"] for finding in document.get("lint", ()))}
+    return {
+        document["verdict"],
+        *changed,
+        *(finding["severity"] for finding in document.get("lint", ())),
+    }
 
 
 def _check_flags(options: AuditOptions) -> None:
@@ -101,20 +135,48 @@ def _check_flags(options: AuditOptions) -> None:
     is_set, pictures = is_dataset(options.file), f"the pictures {options.file}"
     only_lint, looks = options.only == "lint", "hidden looks to be looked for"
     refused: list[tuple[str, object, str, object, str]] = [
-        ("--against", options.against and only_lint, looks, "--only lint", "leave that out"),
-        ("--repair", options.repair and only_lint, looks, "--only lint", "leave that out"),
-        ("--keep", options.keep != "outside" and not options.repair, "--repair beside it", "none", "add it"),
-        ("--downscale", options.downscale > 1 and not is_set, "images with cameras", options.file, "leave it out"),
+        (
+            "--against",
+            options.against and only_lint,
+            looks,
+            "--only lint",
+            "leave that out",
+        ),
+        (
+            "--repair",
+            options.repair and only_lint,
+            looks,
+            "--only lint",
+            "leave that out",
+        ),
+        (
+            "--keep",
+            options.keep != "outside" and not options.repair,
+            "--repair beside it",
+            "none",
+            "add it",
+        ),
+        (
+            "--downscale",
+            options.downscale > 1 and not is_set,
+            "images with cameras",
+            options.file,
+            "leave it out",
+        ),
     ]
     for name in ("cameras", "only", "repair", "against") if is_set else ():
-        refused.append((f"--{name}", getattr(options, name), "a splat", pictures, "leave it out"))
+        refused.append(
+            (f"--{name}", getattr(options, name), "a splat", pictures, "leave it out")
+        )
     for flag, is_wrong, expected, got, do in refused:
         if is_wrong:
             raise UsageError.of(flag, expected, got, do)
 
 
 def _check_outputs(options: AuditOptions) -> None:
-    """Raise, before any work is done, unless everything can be written where it is wanted."""
+    """Raise, before any work is done, unless everything can be written where it is
+    wanted.
+    """
     from mi_splat.io.folders import check_new_file, check_new_folder, check_not_input
     from mi_splat.io.splat_files import format_to_write
 
@@ -124,13 +186,20 @@ def _check_outputs(options: AuditOptions) -> None:
     if options.repair is not None:
         format_to_write(str(options.repair))
         check_not_input(options.repair, options.file, options.against)
-        check_new_file(options.repair, (options.repair.suffix.lower(),), force=options.force)
+        check_new_file(
+            options.repair, (options.repair.suffix.lower(),), force=options.force
+        )
 
 
 def _repair(
-    scene: GaussianScene, judged: Audit, cameras: Sequence[Camera] | None, options: AuditOptions
+    scene: GaussianScene,
+    judged: Audit,
+    cameras: Sequence[Camera] | None,
+    options: AuditOptions,
 ) -> dict[str, Any] | None:
-    """Write the splat without what was found, and say what is found in that; None where nothing was found."""
+    """Write the splat without what was found, and say what is found in that; None where
+    nothing was found.
+    """
     from mi_splat.audit.auditing import audit
     from mi_splat.audit.repair import repair
     from mi_splat.io import save_splat
@@ -143,11 +212,18 @@ def _repair(
     except MiSplatError as error:
         do = "keep the other side by --keep, or leave --repair out"
         expected = "something left that can be audited again"
-        raise MiSplatError.of("--repair", expected, f"a splat of which is said: {error}", do) from error
+        raise MiSplatError.of(
+            "--repair", expected, f"a splat of which is said: {error}", do
+        ) from error
     assert options.repair is not None
     save_splat(repaired, options.repair)
     counts = {"coloured_anew": coloured, "left_out": left_out}
-    return {"file": str(options.repair), "keep": options.keep, **counts, "verdict": after.verdict}
+    return {
+        "file": str(options.repair),
+        "keep": options.keep,
+        **counts,
+        "verdict": after.verdict,
+    }
 
 
 def _audited(options: AuditOptions) -> dict[str, Any]:
@@ -169,40 +245,72 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
         if options.only != "looks":
             lint = lint_scene(loaded.scene) if loaded else lint_file(path, stored)
         scene, judged, cameras, unjudged = None, None, None, "only lint was asked for"
-        errors = [item.rule for item in lint.findings if item.severity == "error"] if lint is not None else []
+        errors = (
+            [item.rule for item in lint.findings if item.severity == "error"]
+            if lint is not None
+            else []
+        )
         if "overdraw" in errors:
             unjudged = "it would stop the renderer, see overdraw"
         elif options.only != "lint":
             try:
-                scene, judged, cameras = _with_looks(loaded or open_scene(path, stored=stored), options)
+                scene, judged, cameras = _with_looks(
+                    loaded or open_scene(path, stored=stored), options
+                )
             except MiSplatError as error:
                 if not errors:
                     raise
                 unjudged = " ".join(str(error).split())
         files = list[Path]()
         if folder:
-            files = write(judged, scene, folder, source=str(path), lint=lint, unjudged=unjudged, force=options.force)
+            files = write(
+                judged,
+                scene,
+                folder,
+                source=str(path),
+                lint=lint,
+                unjudged=unjudged,
+                force=options.force,
+            )
         account = document(judged, lint, unjudged=unjudged)
         if options.repair and scene is not None and judged is not None:
             account["repair"] = _repair(scene, judged, cameras, options)
     return {"file": str(path), **account, "files": [str(file) for file in files]}
 
 
-def _audited_pictures(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
+def _audited_pictures(
+    path: Path, folder: Path | None, options: AuditOptions
+) -> dict[str, Any]:
     from mi_splat.audit.files import document_of_pictures, write_pictures
     from mi_splat.audit.pictures import audit_pictures
     from mi_splat.datasets import load_dataset
 
-    views, rest = (load_dataset(path, split=split, downscale=options.downscale) for split in ("train", None))
-    with progress(f"finding the surface in {path.name}", total=LIMITS.surface_steps) as advance:
-        judged = audit_pictures(views, up=options.up, on_step=lambda done, of: advance())
+    views, rest = (
+        load_dataset(path, split=split, downscale=options.downscale)
+        for split in ("train", None)
+    )
+    with progress(
+        f"finding the surface in {path.name}", total=LIMITS.surface_steps
+    ) as advance:
+        judged = audit_pictures(
+            views, up=options.up, on_step=lambda done, of: advance()
+        )
     account, files = document_of_pictures(judged, len(rest)), list[Path]()
     if folder:
-        files = write_pictures(judged, views, folder, account=account, source=str(path), force=options.force)
+        files = write_pictures(
+            judged,
+            views,
+            folder,
+            account=account,
+            source=str(path),
+            force=options.force,
+        )
     return {"file": str(path), **account, "files": [str(file) for file in files]}
 
 
-def _with_looks(loaded: SplatScene, options: AuditOptions) -> tuple[GaussianScene, Audit, Sequence[Camera] | None]:
+def _with_looks(
+    loaded: SplatScene, options: AuditOptions
+) -> tuple[GaussianScene, Audit, Sequence[Camera] | None]:
     from mi_splat.audit.against import changes
     from mi_splat.audit.auditing import audit
     from mi_splat.cli.cameras import find_cameras
@@ -212,7 +320,11 @@ def _with_looks(loaded: SplatScene, options: AuditOptions) -> tuple[GaussianScen
     if options.cameras:
         wanted = CameraOptions(cameras=options.cameras, up=options.up)
         cameras = tuple(find_cameras(loaded, wanted).values())
-    against = changes(loaded.scene, open_scene(options.against).scene) if options.against else None
+    against = (
+        changes(loaded.scene, open_scene(options.against).scene)
+        if options.against
+        else None
+    )
     up: Sequence[float] | None = options.up
     if up is None and loaded.up is not None and loaded.up.is_stated:
         note(up_line(loaded.up))
@@ -229,13 +341,21 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
     if "repair" in document:
         rest.append(_repair_line(document["repair"]))
     for finding in document.get("lint", ()):
-        shown = ", ".join(map(str, finding["rows"][:5])) + (", ..." if finding["count"] > 5 else "")
-        where = f" {finding['count']:,} Gaussians (rows {shown})." if finding["count"] else ""
-        rest.append(f"{finding['severity']}, {finding['rule']}:{where} {finding['reason']}")
+        shown = ", ".join(map(str, finding["rows"][:5])) + (
+            ", ..." if finding["count"] > 5 else ""
+        )
+        where = (
+            f" {finding['count']:,} Gaussians (rows {shown})."
+            if finding["count"]
+            else ""
+        )
+        rest.append(
+            f"{finding['severity']}, {finding['rule']}:{where} {finding['reason']}"
+        )
     if cost := document.get("cost", {}).get("overdraw"):
         rest.append(
-            f"cost: from the worst camera {cost['mean']:,.0f} Gaussians over each other in the mean, "
-            f"{cost['highest']:,} at most"
+            f"cost: from the worst camera {cost['mean']:,.0f} Gaussians over each other"
+            f" in the mean, {cost['highest']:,} at most"
         )
     yield from (f"  {line}" for line in rest)
     yield from document["files"]
@@ -245,6 +365,7 @@ def _repair_line(repair: dict[str, Any] | None) -> str:
     if repair is None:
         return "nothing was found that could be repaired, and nothing is written"
     return (
-        f"{repair['file']}: {repair['coloured_anew']:,} Gaussians have the colours that directions {repair['keep']} of "
-        f"the look show, {repair['left_out']:,} are left out; audited again: {repair['verdict']}"
+        f"{repair['file']}: {repair['coloured_anew']:,} Gaussians have the colours that"
+        f" directions {repair['keep']} of the look show, {repair['left_out']:,} are"
+        f" left out; audited again: {repair['verdict']}"
     )

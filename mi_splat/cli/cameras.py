@@ -1,4 +1,6 @@
-"""The object and the cameras that a command's options describe, a name for each camera, and how pictures are made."""
+"""The object and the cameras that a command's options describe, a name for each camera,
+and how pictures are made.
+"""
 
 import dataclasses
 from collections.abc import Callable, Iterable
@@ -40,17 +42,30 @@ _FILES = (".json", ".xml")
 _WORTH_A_WORD = 0.01
 """A share of the Gaussians that the near plane hides before it is said."""
 AZIMUTH, ELEVATION = 30.0, 20.0
-_TRIED = ((30.0, 20.0), (120.0, 20.0), (210.0, 20.0), (300.0, 20.0), (30.0, 60.0), (30.0, -20.0))
-"""Azimuth and elevation of the cameras of which the first is taken that shows the object well."""
+_TRIED = (
+    (30.0, 20.0),
+    (120.0, 20.0),
+    (210.0, 20.0),
+    (300.0, 20.0),
+    (30.0, 60.0),
+    (30.0, -20.0),
+)
+"""Azimuth and elevation of the cameras of which the first is taken that shows the
+object well.
+"""
 _GOOD = 0.6
-"""Share of the best one's part of the picture from which on a camera shows the object well."""
+"""Share of the best one's part of the picture from which on a camera shows the object
+well.
+"""
 
 _COMPARED, _FEWEST_COMPARED = 5, 3
 """Images of a set that are compared with renderings."""
 _LONGEST_SIDE, _THUMBNAIL = 128, 16
 """Pixels of these renderings, and of what is compared of them."""
 _ALIKE, _GAINED = 0.9, 0.25
-"""A correlation from which on an image is like its rendering; share of what lacks to 1 that else has to be gained."""
+"""A correlation from which on an image is like its rendering; share of what lacks to 1
+that else has to be gained.
+"""
 
 Shows = Callable[[Camera], float]
 """How much of its picture an object makes up, seen from a camera."""
@@ -64,7 +79,9 @@ def find_cameras(
     shows: Shows | None = None,
     split: Split | None = None,
 ) -> dict[str, Camera]:
-    """The cameras by name, in the order in which they are asked for; warns of odd fields of view and other worlds."""
+    """The cameras by name, in the order in which they are asked for; warns of odd
+    fields of view and other worlds.
+    """
     if options.up is not None or not _are_placed(loaded, options):
         options = upright(loaded, options)
     cameras = _cameras(loaded, options, focus, shows, split)
@@ -72,20 +89,28 @@ def find_cameras(
         warn(odd)
     for text in options.cameras:
         folder = Path(text)
-        if folder.is_dir() and (strange := another_world(loaded, options, folder)) is not None:
+        if (
+            folder.is_dir()
+            and (strange := another_world(loaded, options, folder)) is not None
+        ):
             warn(strange)
     return cameras
 
 
 def _are_placed(loaded: SplatScene, options: CameraOptions) -> bool:
-    """Whether the cameras have their places already, and need no direction that is up."""
+    """Whether the cameras have their places already, and need no direction that is
+    up.
+    """
     if options.cameras:
         return not any(_is_set(text, loaded) for text in options.cameras)
     return bool(loaded.cameras) and not options.orbits
 
 
-def upright(loaded: SplatScene, options: CameraOptions, cameras: Iterable[Camera] = ()) -> CameraOptions:
-    """The options with the direction that is up; one line says which is taken, and how to turn it.
+def upright(
+    loaded: SplatScene, options: CameraOptions, cameras: Iterable[Camera] = ()
+) -> CameraOptions:
+    """The options with the direction that is up; one line says which is taken, and how
+    to turn it.
 
     Cameras that have their places tell more than a ground.
     """
@@ -115,14 +140,24 @@ def _cameras(
     target = loaded.scene if focus is None else focus
     if options.cameras:
         _check_meaning(loaded, options)
-        return _unique(pair for text in options.cameras for pair in _meant(text, loaded, options, target, split))
+        return _unique(
+            pair
+            for text in options.cameras
+            for pair in _meant(text, loaded, options, target, split)
+        )
     if loaded.cameras and not options.orbits:
         name, camera = next(iter(loaded.cameras.items()))
         return {name: _sized(camera, options)}
     if shows is not None and options.azimuth is None and options.elevation is None:
-        tried = [_orbit(target, options, azimuth, elevation) for azimuth, elevation in _TRIED]
+        tried = [
+            _orbit(target, options, azimuth, elevation) for azimuth, elevation in _TRIED
+        ]
         shares = [shows(camera) for camera in tried]
-        good = (camera for camera, share in zip(tried, shares, strict=True) if share >= _GOOD * max(shares))
+        good = (
+            camera
+            for camera, share in zip(tried, shares, strict=True)
+            if share >= _GOOD * max(shares)
+        )
         return {"orbit": next(good)}
     azimuth = AZIMUTH if options.azimuth is None else options.azimuth
     elevation = ELEVATION if options.elevation is None else options.elevation
@@ -134,24 +169,35 @@ def _cameras(
 def _inside(
     target: GaussianScene, options: CameraOptions, azimuth: float, elevation: float
 ) -> tuple[CameraOptions, float]:
-    """The options with a place inside, if the scene is a room; and the azimuth, the best of four if none is given."""
+    """The options with a place inside, if the scene is a room; and the azimuth, the
+    best of four if none is given.
+    """
     azimuths = AROUND if options.azimuth is None else [azimuth]
-    if (place := place_inside(target, azimuths, elevation=elevation, up=options.up or Z)) is None:
+    if (
+        place := place_inside(target, azimuths, elevation=elevation, up=options.up or Z)
+    ) is None:
         return options, azimuth
     if not place.is_room:
         do = f"pass --distance {place.distance:.2g} to look from inside"
         warn(f"the scene is hollow; if it is an empty room, {do}")
         return options, azimuth
-    return dataclasses.replace(options, centre=place.centre, distance=place.distance), place.azimuth
+    return (
+        dataclasses.replace(options, centre=place.centre, distance=place.distance),
+        place.azimuth,
+    )
 
 
-def render_settings(loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]) -> RenderSettings:
+def render_settings(
+    loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]
+) -> RenderSettings:
     """How the pictures are made: the scene's settings, but for what the options say."""
     settings = loaded.settings
     if options.near is not None:
         settings = dataclasses.replace(settings, near=options.near)
     elif not loaded.cameras:
-        settings = dataclasses.replace(settings, near=near_plane(loaded.scene, tuple(cameras.values())))
+        settings = dataclasses.replace(
+            settings, near=near_plane(loaded.scene, tuple(cameras.values()))
+        )
     if options.background is not None:
         settings = dataclasses.replace(settings, background=options.background)
     return settings
@@ -160,56 +206,105 @@ def render_settings(loaded: SplatScene, options: CameraOptions, cameras: dict[st
 def _check_meaning(loaded: SplatScene, options: CameraOptions) -> None:
     """Raise if a flag would mean nothing beside --cameras."""
     placed = not any(_is_set(text, loaded) for text in options.cameras)
-    given: dict[str, object] = {"--azimuth": options.azimuth, "--elevation": options.elevation}
+    given: dict[str, object] = {
+        "--azimuth": options.azimuth,
+        "--elevation": options.elevation,
+    }
     given |= {"--camera-roll": options.camera_roll or None}
-    given |= {"--distance": options.distance, "--centre": options.centre} if placed else {}
+    given |= (
+        {"--distance": options.distance, "--centre": options.centre} if placed else {}
+    )
     idle = [flag for flag, value in given.items() if value is not None]
     if idle:
         got = f"--cameras {' '.join(options.cameras)} and {', '.join(idle)}"
-        what = "cameras that have their places" if placed else "either a set of cameras or one on an orbit"
+        what = (
+            "cameras that have their places"
+            if placed
+            else "either a set of cameras or one on an orbit"
+        )
         raise InvalidValueError.of("cameras", what, got, "leave one out")
 
 
 def _is_set(text: str, loaded: SplatScene) -> bool:
-    """Whether a text means cameras around a centre, and not some that have their places."""
-    file = Path(text if OF not in text or Path(text).exists() else text.rpartition(OF)[0])
-    return ":" in text and text not in loaded.cameras and not (file.suffix.lower() in _FILES or file.is_dir())
+    """Whether a text means cameras around a centre, and not some that have their
+    places.
+    """
+    file = Path(
+        text if OF not in text or Path(text).exists() else text.rpartition(OF)[0]
+    )
+    return (
+        ":" in text
+        and text not in loaded.cameras
+        and not (file.suffix.lower() in _FILES or file.is_dir())
+    )
 
 
-def renderer_of(loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]) -> Renderer:
-    """The renderer of `render_settings`; warns of cameras that see no Gaussian, or whose near plane hides many."""
+def renderer_of(
+    loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]
+) -> Renderer:
+    """The renderer of `render_settings`; warns of cameras that see no Gaussian, or
+    whose near plane hides many.
+    """
     settings = render_settings(loaded, options, cameras)
     if unseen := nothing_in_view(loaded.scene, list(cameras.values())):
         warn(unseen)
-    counts = {name: culled_in_view(loaded.scene, camera, settings.near) for name, camera in cameras.items()}
+    counts = {
+        name: culled_in_view(loaded.scene, camera, settings.near)
+        for name, camera in cameras.items()
+    }
     worst = max(counts, key=lambda name: counts[name], default="")
     if counts and counts[worst] > _WORTH_A_WORD * len(loaded.scene):
-        many = f"{counts[worst]:,} Gaussians are nearer than {settings.near:g} and not drawn"
+        many = (
+            f"{counts[worst]:,} Gaussians are nearer than {settings.near:g} and not"
+            " drawn"
+        )
         warn(f"camera {worst}: {many}; --near changes that")
     return Renderer(settings)
 
 
 def _unique(named: Iterable[tuple[str, Camera]]) -> dict[str, Camera]:
     pairs = list(named)
-    return dict(zip(unique_names(name for name, _ in pairs), (camera for _, camera in pairs), strict=True))
+    return dict(
+        zip(
+            unique_names(name for name, _ in pairs),
+            (camera for _, camera in pairs),
+            strict=True,
+        )
+    )
 
 
 def _meant(
-    text: str, loaded: SplatScene, options: CameraOptions, target: GaussianScene, split: Split | None
+    text: str,
+    loaded: SplatScene,
+    options: CameraOptions,
+    target: GaussianScene,
+    split: Split | None,
 ) -> list[tuple[str, Camera]]:
     """The cameras that one text means, which may be one of a file or a folder."""
     source, mark, wanted = text.rpartition(OF)
-    if not mark or text in loaded.cameras or Path(text).exists() or not Path(source).exists():
+    if (
+        not mark
+        or text in loaded.cameras
+        or Path(text).exists()
+        or not Path(source).exists()
+    ):
         return _named(text, loaded, options, target, split)
-    cameras = _unique(_named(source, loaded, options, target, None))  # whoever names one means it
+    # whoever names one means it
+    cameras = _unique(_named(source, loaded, options, target, None))
     if wanted not in cameras:
         do = nearest(wanted, cameras, "name one that is there")
-        raise InvalidValueError.of(source, f"a camera {wanted}", f"{len(cameras)} others", do)
+        raise InvalidValueError.of(
+            source, f"a camera {wanted}", f"{len(cameras)} others", do
+        )
     return [(wanted, cameras[wanted])]
 
 
 def _named(
-    text: str, loaded: SplatScene, options: CameraOptions, target: GaussianScene, split: Split | None
+    text: str,
+    loaded: SplatScene,
+    options: CameraOptions,
+    target: GaussianScene,
+    split: Split | None,
 ) -> list[tuple[str, Camera]]:
     """The cameras that one text means, with names that may not differ."""
     path = Path(text)
@@ -218,7 +313,10 @@ def _named(
     elif text == ALL and loaded.cameras:
         named = list(loaded.cameras.items())
     elif text == ALL:
-        warn("the scene has no cameras of its own; all means the usual camera on an orbit")
+        warn(
+            "the scene has no cameras of its own; all means the usual camera on an"
+            " orbit"
+        )
         return [("orbit", _orbit(target, options, AZIMUTH, ELEVATION))]
     elif path.suffix.lower() == ".json":
         named = _listed(path, options)
@@ -228,23 +326,42 @@ def _named(
         named = _beside_pictures(path, options, split)
     elif _is_set(text, loaded):
         centre, distance, focal = _placement(target, options)
-        cameras = camera_set(text, centre, distance=distance, focal=focal, size=options.size or SIZE)
+        cameras = camera_set(
+            text, centre, distance=distance, focal=focal, size=options.size or SIZE
+        )
         turned = [with_up(camera, centre, options.up or Z) for camera in cameras]
         return list(numbered(text.partition(":")[0], turned).items())
     else:
-        names = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "no name, since the scene has no cameras"
-        raise InvalidValueError.of("camera", f"{names}; or {FORMS}, or a folder", text, "name one that is there")
+        names = (
+            f"one of {', '.join(loaded.cameras)}"
+            if loaded.cameras
+            else "no name, since the scene has no cameras"
+        )
+        raise InvalidValueError.of(
+            "camera",
+            f"{names}; or {FORMS}, or a folder",
+            text,
+            "name one that is there",
+        )
     return [(name, _sized(camera, options)) for name, camera in named]
 
 
-def another_world(loaded: SplatScene, options: CameraOptions, folder: Path) -> str | None:
-    """What to warn of where the images of a set do not look like renderings from their own cameras; else None.
+def another_world(
+    loaded: SplatScene, options: CameraOptions, folder: Path
+) -> str | None:
+    """What to warn of where the images of a set do not look like renderings from their
+    own cameras; else None.
 
-    A set of another scene, or one whose world was turned or scaled since, shows other things from its cameras. Each of
-    some images is compared with the renderings from all of their cameras: the own one has to be most alike.
+    A set of another scene, or one whose world was turned or scaled since, shows other
+    things from its cameras. Each of some images is compared with the renderings from
+    all of their cameras: the own one has to be most alike.
     """
     try:
-        views = load_dataset(folder, split=None, background=options.background or loaded.settings.background)
+        views = load_dataset(
+            folder,
+            split=None,
+            background=options.background or loaded.settings.background,
+        )
     except MiSplatError:  # poses alone
         return None
     count = min(len(views), _COMPARED)
@@ -256,23 +373,29 @@ def another_world(loaded: SplatScene, options: CameraOptions, folder: Path) -> s
     cameras = {str(i): small.cameras[i] for i in chosen}
     render = Renderer(render_settings(loaded, options, cameras))
     with torch.no_grad():
-        drawn = torch.stack([_thumbnail(render(loaded.scene, camera)) for camera in cameras.values()])
+        drawn = torch.stack(
+            [_thumbnail(render(loaded.scene, camera)) for camera in cameras.values()]
+        )
     taken = torch.stack([_thumbnail(small[i].image) for i in chosen])
     alike = taken @ drawn.T  # correlations: images by rows, cameras by columns
     own = float(alike.diagonal().mean())
     others = (float(alike.sum()) - own * count) / (count * (count - 1))
-    # Of one object on a plain background all images are alike, so what counts is how much of the rest is gained.
+    # Of one object on a plain background all images are alike, so what counts is how
+    # much of the rest is gained.
     gained = (own - others) / max(1 - others, 1e-6)
     if own > _ALIKE or gained > _GAINED:
         return None
     return (
-        f"{folder}: its images do not look like the splat from their own cameras (correlation {own:.2f}, {others:.2f} "
-        "from each other's); do the cameras belong to another scene, or was the splat turned or scaled since?"
+        f"{folder}: its images do not look like the splat from their own cameras"
+        f" (correlation {own:.2f}, {others:.2f} from each other's); do the cameras"
+        " belong to another scene, or was the splat turned or scaled since?"
     )
 
 
 def _thumbnail(image: Tensor) -> Tensor:
-    """A small grey image as a vector of mean 0 and length 1, or zeros where it has one colour."""
+    """A small grey image as a vector of mean 0 and length 1, or zeros where it has one
+    colour.
+    """
     grey = image[..., :3].clamp(0, 1).mean(-1)[None, None]
     values = torch.nn.functional.adaptive_avg_pool2d(grey, _THUMBNAIL).flatten()
     values = values - values.mean()
@@ -287,8 +410,12 @@ def _listed(path: Path, options: CameraOptions) -> list[tuple[str, Camera]]:
     return list(poses_of(path, options.size or SIZE).items())
 
 
-def _beside_pictures(folder: Path, options: CameraOptions, split: Split | None) -> list[tuple[str, Camera]]:
-    """The cameras of a set of images by their names; where images or lenses cannot be read, the poses alone."""
+def _beside_pictures(
+    folder: Path, options: CameraOptions, split: Split | None
+) -> list[tuple[str, Camera]]:
+    """The cameras of a set of images by their names; where images or lenses cannot be
+    read, the poses alone.
+    """
     is_model = find_model(folder) is not None and find_transforms(folder) is None
     if is_model:  # whose poses are all meant, also those of images that are missing
         return list(poses_of(folder, options.size or SIZE, split).items())
@@ -298,14 +425,19 @@ def _beside_pictures(folder: Path, options: CameraOptions, split: Split | None) 
         if find_transforms(folder) is None:
             raise
         return list(poses_of(folder, options.size or SIZE).items())
-    return [(file.stem, camera) for file, camera in zip(pictures.paths, pictures.cameras, strict=True)]
+    return [
+        (file.stem, camera)
+        for file, camera in zip(pictures.paths, pictures.cameras, strict=True)
+    ]
 
 
 def _sized(camera: Camera, options: CameraOptions) -> Camera:
     return camera if options.size is None else resized(camera, options.size)
 
 
-def _placement(target: GaussianScene, options: CameraOptions) -> tuple[tuple[float, float, float], float, float]:
+def _placement(
+    target: GaussianScene, options: CameraOptions
+) -> tuple[tuple[float, float, float], float, float]:
     """Where cameras look, how far away they are, and their focal length."""
     middle, radius = bounds(target)
     distance, focal = framing(radius, fov=options.fov, size=options.size or SIZE)
@@ -313,11 +445,23 @@ def _placement(target: GaussianScene, options: CameraOptions) -> tuple[tuple[flo
     return centre, distance if options.distance is None else options.distance, focal
 
 
-def _orbit(target: GaussianScene, options: CameraOptions, azimuth: float, elevation: float) -> Camera:
+def _orbit(
+    target: GaussianScene, options: CameraOptions, azimuth: float, elevation: float
+) -> Camera:
     centre, distance, focal = _placement(target, options)
     width, height = options.size or SIZE
-    pose = orbit_pose(centre, azimuth=azimuth, elevation=elevation, distance=distance, roll=options.camera_roll)
-    return with_up(Camera(to_world=pose, focal=focal, width=width, height=height), centre, options.up or Z)
+    pose = orbit_pose(
+        centre,
+        azimuth=azimuth,
+        elevation=elevation,
+        distance=distance,
+        roll=options.camera_roll,
+    )
+    return with_up(
+        Camera(to_world=pose, focal=focal, width=width, height=height),
+        centre,
+        options.up or Z,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -332,27 +476,43 @@ class Chosen:
     def weights(self, loaded: SplatScene) -> dict[str, Tensor]:
         """(H, W) share of each pixel that the object makes up, by the camera's name."""
         return {
-            name: object_weight(loaded.scene, self.mask, camera, self.render) for name, camera in self.cameras.items()
+            name: object_weight(loaded.scene, self.mask, camera, self.render)
+            for name, camera in self.cameras.items()
         }
 
 
-def choose(loaded: SplatScene, selection: Selection, options: CameraOptions, *, split: Split | None = None) -> Chosen:
+def choose(
+    loaded: SplatScene,
+    selection: Selection,
+    options: CameraOptions,
+    *,
+    split: Split | None = None,
+) -> Chosen:
     """The object and the cameras.
 
-    A click is on the picture that `mi-splat render` makes with the same flags, so with one the cameras come first.
-    Otherwise the object does, and cameras that nothing else is said of look at it.
+    A click is on the picture that `mi-splat render` makes with the same flags, so with
+    one the cameras come first. Otherwise the object does, and cameras that nothing else
+    is said of look at it.
     """
     if selection.click:
         options, cameras = _upright_cameras(loaded, options, None, None, split)
         render = renderer_of(loaded, options, cameras)
         first = next(iter(cameras.values()))
-        mask = select(loaded.scene, selection, objects=loaded.objects, camera=first, render=render)
+        mask = select(
+            loaded.scene, selection, objects=loaded.objects, camera=first, render=render
+        )
         return Chosen(mask=mask, cameras=cameras, render=render, up=options.up or Z)
     mask = select(loaded.scene, selection, objects=loaded.objects)
     return look_at_object(loaded, mask, options, split=split)
 
 
-def look_at_object(loaded: SplatScene, mask: Tensor, options: CameraOptions, *, split: Split | None = None) -> Chosen:
+def look_at_object(
+    loaded: SplatScene,
+    mask: Tensor,
+    options: CameraOptions,
+    *,
+    split: Split | None = None,
+) -> Chosen:
     """An object that is known, and the cameras."""
 
     def shows(camera: Camera) -> float:
@@ -360,7 +520,9 @@ def look_at_object(loaded: SplatScene, mask: Tensor, options: CameraOptions, *, 
         with torch.no_grad():
             return float(object_weight(loaded.scene, mask, camera, small).mean())
 
-    options, cameras = _upright_cameras(loaded, options, loaded.scene.select(mask), shows, split)
+    options, cameras = _upright_cameras(
+        loaded, options, loaded.scene.select(mask), shows, split
+    )
     render = renderer_of(loaded, options, cameras)
     return Chosen(mask=mask, cameras=cameras, render=render, up=options.up or Z)
 
@@ -372,7 +534,9 @@ def _upright_cameras(
     shows: Shows | None,
     split: Split | None,
 ) -> tuple[CameraOptions, dict[str, Camera]]:
-    """The options with the direction that is up, and the cameras: first what the other one needs."""
+    """The options with the direction that is up, and the cameras: first what the other
+    one needs.
+    """
     if _are_placed(loaded, options):
         cameras = _cameras(loaded, options, focus, shows, split)
         return upright(loaded, options, cameras.values()), cameras

@@ -1,4 +1,6 @@
-"""`mi-splat capture`: path-traced pictures of a mesh scene, as a set from which a splat can be trained."""
+"""`mi-splat capture`: path-traced pictures of a mesh scene, as a set from which a splat
+can be trained.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mi_splat import provenance
 from mi_splat.camera_forms import parse_form
-from mi_splat.capture.settings import CaptureSettings, MeshSettings, SurroundingsSettings
+from mi_splat.capture.settings import (
+    CaptureSettings,
+    MeshSettings,
+    SurroundingsSettings,
+)
 from mi_splat.cli.console import progress, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import FieldOfView, JsonOptions, Point, Size
@@ -29,32 +35,48 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureOptions(JsonOptions):
-    """Take path-traced pictures of a mesh scene from a set of cameras, for training a splat.
+    """Take path-traced pictures of a mesh scene from a set of cameras, for training a
+    splat.
 
-    Writes images/, a list of them with their cameras, a point cloud and a record of the settings into --out. A capture
-    that was interrupted goes on where it stopped when the same command is given again.
+    Writes images/, a list of them with their cameras, a point cloud and a record of the
+    settings into --out. A capture that was interrupted goes on where it stopped when
+    the same command is given again.
     """
 
     scene: Positional[Annotated[str, Metavar("SCENE")]]
-    """Mitsuba mesh XML; a GLB mesh (needs the extra `meshes`); car_street or stop_sign; or one of
-    the project's objects by name and seed, for instance car:900004."""
+    """Mitsuba mesh XML; a GLB mesh (needs the extra `meshes`); car_street or stop_sign;
+    or one of the project's objects by name and seed, for instance car:900004.
+    """
     cameras: Annotated[str, Metavar("CAMERAS")] = "hemisphere:210"
-    """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x elevations), or a transforms .json."""
+    """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x
+    elevations), or a transforms .json.
+    """
     out: OutFolder = Path("out/capture")
     """Folder to write: a new one, or that of the same capture, which then goes on."""
     size: Size | None = None
-    """Pixels, as 256 or 256x192; 1 to 32768. None is 256, or what a transforms .json says."""
+    """Pixels, as 256 or 256x192; 1 to 32768.
+
+    None is 256, or what a transforms .json says.
+    """
     test: Annotated[int, between(0, 100_000, "pictures")] = 0
     """Pictures held out, from other cameras over the same range; 0 or more."""
     format: Literal["transforms", "colmap", "both"] = "transforms"
-    """How pictures are listed: Blender/NeRF transforms_*.json, a COLMAP text model in sparse/0, or both."""
+    """How pictures are listed: Blender/NeRF transforms_*.json, a COLMAP text model in
+    sparse/0, or both.
+    """
     fov: FieldOfView | None = None
-    """Field of view in degrees over the shorter side of the picture; between 0 and 180. None is 45."""
+    """Field of view in degrees over the shorter side of the picture; between 0 and 180.
+
+    None is 45.
+    """
     centre: Point | None = None
-    """Point that cameras look at, in the coordinates of the mesh file as it is turned and scaled; None is the middle of
-    the scene or of its object."""
+    """Point that cameras look at, in the coordinates of the mesh file as it is turned
+    and scaled; None is the middle of the scene or of its object.
+    """
     distance: Length | None = None
-    """World units between cameras and centre, more than 0; None is as near as shows the whole scene or its object."""
+    """World units between cameras and centre, more than 0; None is as near as shows the
+    whole scene or its object.
+    """
     settings: CaptureSettings = field(default_factory=CaptureSettings)
     """How pictures are taken."""
     mesh: MeshSettings = field(default_factory=MeshSettings)
@@ -89,15 +111,25 @@ def _capture(options: CaptureOptions) -> None:
     from mi_splat.capture.writer import write_capture
 
     is_file = options.cameras.lower().endswith(".json")
-    given = {"--fov": options.fov, "--distance": options.distance, "--centre": options.centre}
+    given = {
+        "--fov": options.fov,
+        "--distance": options.distance,
+        "--centre": options.centre,
+    }
     idle = [flag for flag, value in given.items() if value is not None]
     if is_file and idle:
         got = f"--cameras {options.cameras} and {', '.join(idle)}"
-        raise InvalidValueError.of("cameras", "cameras that have their places", got, "leave one out")
+        raise InvalidValueError.of(
+            "cameras", "cameras that have their places", got, "leave one out"
+        )
     with progress("building the scene"):
-        source = open_source(options.scene, mesh=options.mesh, surroundings=options.surroundings)
+        source = open_source(
+            options.scene, mesh=options.mesh, surroundings=options.surroundings
+        )
     size = options.size or SIZE
-    distance, focal = framing(source.radius, fov=FOV if options.fov is None else options.fov, size=size)
+    distance, focal = framing(
+        source.radius, fov=FOV if options.fov is None else options.fov, size=size
+    )
     placed: dict[str, Any] = {
         "centre": source.centre if options.centre is None else options.centre,
         "distance": distance if options.distance is None else options.distance,
@@ -108,9 +140,13 @@ def _capture(options: CaptureOptions) -> None:
     if unseen := no_surface_in_view(source.centre, source.radius, cameras):
         warn(unseen)
     width, height = cameras[0].width, cameras[0].height
-    if options.size is not None and any((camera.width, camera.height) != size for camera in cameras):
+    if options.size is not None and any(
+        (camera.width, camera.height) != size for camera in cameras
+    ):
         got = f"--cameras {options.cameras} of {width} x {height} and --size"
-        raise InvalidValueError.of("cameras", "cameras that have their sizes", got, "leave one out")
+        raise InvalidValueError.of(
+            "cameras", "cameras that have their sizes", got, "leave one out"
+        )
     held_out = held_out_set(options.cameras, options.test, **placed)
     with progress("rendering", total=len(cameras) + len(held_out)) as advance:
         done = write_capture(
@@ -121,32 +157,64 @@ def _capture(options: CaptureOptions) -> None:
             settings=options.settings,
             layout=options.format,
             inputs=_inputs(options, is_file=is_file),
-            on_step=lambda number, total: advance("rendering" if number < total else "laying points on surfaces"),
+            on_step=lambda number, total: advance(
+                "rendering" if number < total else "laying points on surfaces"
+            ),
         )
     for text in done.warnings:
         warn(text)
     document = {
         **{"out": str(options.out), "width": width, "height": height},
-        **{**asdict(done), "files": list(map(str, done.files)), "warnings": list(done.warnings)},
+        **{
+            **asdict(done),
+            "files": list(map(str, done.files)),
+            "warnings": list(done.warnings),
+        },
     }
-    show_result(document, *_lines(done, options.out, f"{width} x {height}"), as_json=options.json)
+    show_result(
+        document,
+        *_lines(done, options.out, f"{width} x {height}"),
+        as_json=options.json,
+    )
 
 
 def _inputs(options: CaptureOptions, *, is_file: bool) -> Inputs:
-    cameras = {name: getattr(options, name) for name in ("cameras", "size", "fov", "centre", "distance")}
+    cameras = {
+        name: getattr(options, name)
+        for name in ("cameras", "size", "fov", "centre", "distance")
+    }
     if not is_file:
-        cameras |= {"size": options.size or SIZE, "fov": FOV if options.fov is None else options.fov}
-    scene = {"scene": options.scene, **asdict(options.mesh), **asdict(options.surroundings)}
-    inputs: Inputs = json.loads(json.dumps({"scene": scene, "cameras": cameras}, default=str))
+        cameras |= {
+            "size": options.size or SIZE,
+            "fov": FOV if options.fov is None else options.fov,
+        }
+    scene = {
+        "scene": options.scene,
+        **asdict(options.mesh),
+        **asdict(options.surroundings),
+    }
+    inputs: Inputs = json.loads(
+        json.dumps({"scene": scene, "cameras": cameras}, default=str)
+    )
     return inputs
 
 
 def _lines(done: WrittenCapture, out: Path, size: str) -> Iterator[str]:
     total = done.train + done.test
-    kept = f", {total - done.rendered} were there before" if done.rendered < total else ""
+    kept = (
+        f", {total - done.rendered} were there before" if done.rendered < total else ""
+    )
     held_out = f" ({done.test} of them held out)" if done.test else ""
-    yield f"{out}: {total} pictures of {size}{held_out}; {done.rendered} rendered in {done.seconds:.0f} s{kept}"
-    yield f"{done.points:,} points; listed in {', '.join(str(file.relative_to(out)) for file in done.files)}"
-    if done.rendered < total and done.begun_by != provenance.versions().get("mi-splat", "unknown"):
+    yield (
+        f"{out}: {total} pictures of {size}{held_out}; {done.rendered} rendered in"
+        f" {done.seconds:.0f} s{kept}"
+    )
+    yield (
+        f"{done.points:,} points; listed in"
+        f" {', '.join(str(file.relative_to(out)) for file in done.files)}"
+    )
+    if done.rendered < total and done.begun_by != provenance.versions().get(
+        "mi-splat", "unknown"
+    ):
         yield f"begun by {done.begun_by}, which makes the same pictures"
     yield f"in Python: mi_splat.load_dataset({str(out)!r})"

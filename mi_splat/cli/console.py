@@ -1,6 +1,8 @@
-"""What the commands show: results on stdout, as text or as one JSON document, and progress on stderr.
+"""What the commands show: results on stdout, as text or as one JSON document, and
+progress on stderr.
 
-Text goes through `printable` on its way, since names out of files are in it; a JSON document is exact.
+Text goes through `printable` on its way, since names out of files are in it; a JSON
+document is exact.
 """
 
 import gc
@@ -21,7 +23,9 @@ LINE_SECONDS = 10.0
 
 
 class UsageError(MiSplatError):
-    """An option that makes no sense; the command line prints it and exits with status 2."""
+    """An option that makes no sense; the command line prints it and exits with status
+    2.
+    """
 
 
 class Advance(Protocol):
@@ -33,20 +37,25 @@ class Advance(Protocol):
 
 
 def limit_threads(most: int | None = None) -> None:
-    """Leave cores to Dr.Jit, unless OMP_NUM_THREADS is set: it and torch each bring a pool of threads, and two fight.
+    """Leave cores to Dr.Jit, unless OMP_NUM_THREADS is set: it and torch each bring a
+    pool of threads, and two fight.
 
-    On two busy cores an attack was measured to take 17 times as long with two full pools.
+    On two busy cores an attack was measured to take 17 times as long with two full
+    pools.
     """
     if "OMP_NUM_THREADS" not in os.environ:
         import torch
 
-        torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2 if most is None else most))
+        torch.set_num_threads(
+            max(1, (os.cpu_count() or 1) // 2 if most is None else most)
+        )
 
 
 def import_at_once(package: str) -> None:
     """Import a large package in two thirds of the CPU time, unless it is there already.
 
-    All that torch makes as it is imported stays to the end; Python would look for garbage in it a few hundred times.
+    All that torch makes as it is imported stays to the end; Python would look for
+    garbage in it a few hundred times.
     """
     if package not in sys.modules:
         gc.disable()
@@ -72,7 +81,9 @@ def note(text: str) -> None:
 
 
 def show_notes(*, succeeded: bool) -> None:
-    """Say what was noted, of a command that succeeded; of one that failed the error is what counts."""
+    """Say what was noted, of a command that succeeded; of one that failed the error is
+    what counts.
+    """
     for text in _notes if succeeded else ():
         warn(text)
     _notes.clear()
@@ -89,7 +100,9 @@ def show_json(document: Mapping[str, object]) -> None:
 
 
 def show_result(document: Mapping[str, object], *lines: str, as_json: bool) -> None:
-    """What a command has done, on stdout: lines for a human, or its one JSON document with --json."""
+    """What a command has done, on stdout: lines for a human, or its one JSON document
+    with --json.
+    """
     if as_json:
         show_json(document)
         return
@@ -107,14 +120,26 @@ def show_table(rows: Iterable[tuple[str, str]]) -> None:
 
 @contextmanager
 def progress(text: str, total: int | None = None) -> Iterator[Advance]:
-    """A progress bar on stderr while the block runs; where stderr is no terminal, a line every ten seconds."""
+    """A progress bar on stderr while the block runs; where stderr is no terminal, a
+    line every ten seconds.
+    """
     if not sys.stderr.isatty():
         yield _Lines(text, total)
         return
     from tqdm import tqdm
 
-    form = "{desc} [{elapsed}]" if total is None else "{desc} |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
-    with tqdm(total=total, desc=printable(text), bar_format=form, leave=False, dynamic_ncols=True) as bar:
+    form = (
+        "{desc} [{elapsed}]"
+        if total is None
+        else "{desc} |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
+    )
+    with tqdm(
+        total=total,
+        desc=printable(text),
+        bar_format=form,
+        leave=False,
+        dynamic_ncols=True,
+    ) as bar:
 
         def advance(text: str | None = None, units: int = 1) -> None:
             if text is not None:
@@ -125,7 +150,9 @@ def progress(text: str, total: int | None = None) -> Iterator[Advance]:
 
 
 class _Lines:
-    """Progress as plain lines on stderr, for logs: at most one every `LINE_SECONDS`, so none of what is quick."""
+    """Progress as plain lines on stderr, for logs: at most one every `LINE_SECONDS`, so
+    none of what is quick.
+    """
 
     def __init__(self, text: str, total: int | None) -> None:
         self._text, self._total, self._done = text, total, 0
@@ -137,7 +164,11 @@ class _Lines:
         now = time.monotonic()
         if now - self._last >= LINE_SECONDS:
             self._last = now
-            warn(f"{self._done} of {self._total}: {self._text}" if self._total else self._text)
+            warn(
+                f"{self._done} of {self._total}: {self._text}"
+                if self._total
+                else self._text
+            )
 
 
 def follow(advance: Advance) -> Callable[[str, int, int], None]:

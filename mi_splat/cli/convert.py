@@ -1,4 +1,6 @@
-"""`mi-splat convert`: a splat file in another format, and what the new file does not hold."""
+"""`mi-splat convert`: a splat file in another format, and what the new file does not
+hold.
+"""
 
 from __future__ import annotations
 
@@ -38,9 +40,13 @@ class ConvertOptions(JsonOptions):
     """
 
     source: Positional[Path]
-    """Splat to read: .ply, .compressed.ply, .spz, .sog, .glb, .usdc, .usda, .usdz or .splat."""
+    """Splat to read: .ply, .compressed.ply, .spz, .sog, .glb, .usdc, .usda, .usdz or
+    .splat.
+    """
     out: Positional[OutFile]
-    """Splat to write: .ply, .compressed.ply, .spz, .sog, .glb, .usdc, .usda, .usdz or .splat."""
+    """Splat to write: .ply, .compressed.ply, .spz, .sog, .glb, .usdc, .usda, .usdz or
+    .splat.
+    """
     force: bool = False
     """Replace a file that is there."""
     sh_degree: Literal[0, 1, 2, 3] | None = None
@@ -51,7 +57,9 @@ class ConvertOptions(JsonOptions):
     """Leave out Gaussians that are not valid, instead of an error."""
     up: Up | None = None
     """Axis of the file that points up; it is turned to z. None turns nothing."""
-    scale: Annotated[float, above(0, do="0.01 makes metres of centimetres"), Metavar("FACTOR")] = 1.0
+    scale: Annotated[
+        float, above(0, do="0.01 makes metres of centimetres"), Metavar("FACTOR")
+    ] = 1.0
     """What one unit of the file becomes, more than 0."""
 
 
@@ -61,33 +69,63 @@ def run(options: ConvertOptions) -> None:
 
     from mi_splat.io.folders import check_free_file, check_not_input, splat_in
     from mi_splat.io.loaded import dropped_bands, ranges
-    from mi_splat.io.splat_files import TAGGED, format_to_write, load_stored, write_splat_file
+    from mi_splat.io.splat_files import (
+        TAGGED,
+        format_to_write,
+        load_stored,
+        write_splat_file,
+    )
     from mi_splat.scene import Similarity
 
-    suffix = format_to_write(str(options.out))  # a name that fits no format is told before a large file is read
+    # a name that fits no format is told before a large file is read
+    suffix = format_to_write(str(options.out))
     if options.spz_version is not None and suffix != ".spz":
-        raise InvalidValueError.of("--spz-version", "a file to write that ends in .spz", suffix, "leave it out")
+        raise InvalidValueError.of(
+            "--spz-version", "a file to write that ends in .spz", suffix, "leave it out"
+        )
     check_not_input(options.out, options.source)
     check_free_file(options.out, force=options.force)
     with progress(f"reading {options.source}"):
         invalid: Literal["drop", "raise"] = "drop" if options.drop_invalid else "raise"
-        stored = load_stored(options.source).settle(str(options.source), invalid, stacklevel=1)
+        stored = load_stored(options.source).settle(
+            str(options.source), invalid, stacklevel=1
+        )
         scene = stored.scene
         if options.up is not None or options.scale != 1:
             turn = torch.from_numpy(turn_of(options.up or "z"))
-            scene = scene.transform(Similarity(rotation=turn, translation=torch.zeros(3), scale=options.scale))
+            scene = scene.transform(
+                Similarity(
+                    rotation=turn, translation=torch.zeros(3), scale=options.scale
+                )
+            )
     antialiased, not_kept = stored.is_antialiased, ranges(stored.unread)
     if antialiased and suffix not in TAGGED:
         not_kept.append("that it was trained with antialiasing (render mode)")
     with progress(f"writing {options.out}"):
-        kept = scene if options.sh_degree is None else scene.with_degree(min(options.sh_degree, scene.degree))
+        kept = (
+            scene
+            if options.sh_degree is None
+            else scene.with_degree(min(options.sh_degree, scene.degree))
+        )
         options.out.parent.mkdir(parents=True, exist_ok=True)
-        encoded = write_splat_file(kept, options.out, spz_version=options.spz_version or 3, antialiased=antialiased)
+        encoded = write_splat_file(
+            kept,
+            options.out,
+            spz_version=options.spz_version or 3,
+            antialiased=antialiased,
+        )
         reread = load_stored(options.out).scene
-    written = scene if encoded.order is None else scene.select(torch.from_numpy(encoded.order))
+    written = (
+        scene
+        if encoded.order is None
+        else scene.select(torch.from_numpy(encoded.order))
+    )
     changes = differences(written, reread)
     losses = (*dropped_bands(scene.sh.numpy(), kept.degree), *encoded.losses)
-    sizes = os.path.getsize(splat_in(options.source) or options.source), options.out.stat().st_size
+    sizes = (
+        os.path.getsize(splat_in(options.source) or options.source),
+        options.out.stat().st_size,
+    )
     document = {
         "source": str(options.source),
         "out": str(options.out),
@@ -115,9 +153,11 @@ def run(options: ConvertOptions) -> None:
 
 
 def differences(before: GaussianScene, after: GaussianScene) -> dict[str, float]:
-    """How far the values of two scenes with the same rows are apart at most, by what it is measured in.
+    """How far the values of two scenes with the same rows are apart at most, by what it
+    is measured in.
 
-    Colours are those of the first SH coefficients, from 0 to 1. SH that only one scene has count as zero in the other.
+    Colours are those of the first SH coefficients, from 0 to 1. SH that only one scene
+    has count as zero in the other.
     """
     import torch
 
@@ -125,14 +165,25 @@ def differences(before: GaussianScene, after: GaussianScene) -> dict[str, float]
 
     degree = max(before.degree, after.degree)
     old, new = before.with_degree(degree), after.with_degree(degree)
-    # q and -q are one rotation, and half a turn about an axis of its own leaves a Gaussian as it is.
+    # q and -q are one rotation, and half a turn about an axis of its own leaves a
+    # Gaussian as it is.
     w, x, y, z = new.rotations.double().T
-    same = torch.stack([w, x, y, z, -x, w, z, -y, -y, -z, w, x, -z, y, -x, w], dim=1).reshape(-1, 4, 4)
-    chord = (old.rotations.double()[:, None] - torch.cat([same, -same], dim=1)).norm(dim=2).amin(1)
+    same = torch.stack(
+        [w, x, y, z, -x, w, z, -y, -y, -z, w, x, -z, y, -x, w], dim=1
+    ).reshape(-1, 4, 4)
+    chord = (
+        (old.rotations.double()[:, None] - torch.cat([same, -same], dim=1))
+        .norm(dim=2)
+        .amin(1)
+    )
     changes = {
         "means, world units": _largest(old.means - new.means),
-        "scales, ratio": math.exp(_largest(old.scales.double().log() - new.scales.double().log())),
-        "rotations, degrees": math.degrees(4 * math.asin(min(1.0, _largest(chord) / 2))),
+        "scales, ratio": math.exp(
+            _largest(old.scales.double().log() - new.scales.double().log())
+        ),
+        "rotations, degrees": math.degrees(
+            4 * math.asin(min(1.0, _largest(chord) / 2))
+        ),
         "opacity": _largest(old.opacities - new.opacities),
         "colour": _largest(dc_to_colour(old.sh[:, 0]) - dc_to_colour(new.sh[:, 0])),
     }

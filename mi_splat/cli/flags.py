@@ -1,7 +1,9 @@
-"""Flags of a command out of the fields of its options, by the standard library's argparse; light, without torch.
+"""Flags of a command out of the fields of its options, by the standard library's
+argparse; light, without torch.
 
-Options are a frozen dataclass. What a field takes it says itself (`mi_splat.fields`), its help is the text below it or
-its entry under "Attributes:", and its default is the flag's. A field that is a dataclass has its flags in a group.
+Options are a frozen dataclass. What a field takes it says itself (`mi_splat.fields`),
+its help is the text below it or its entry under "Attributes:", and its default is the
+flag's. A field that is a dataclass has its flags in a group.
 """
 
 from __future__ import annotations
@@ -24,7 +26,16 @@ from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 from mi_splat.cli.console import UsageError
 from mi_splat.errors import InvalidValueError, nearest
-from mi_splat.fields import Converter, FieldError, Metavar, Range, check_choice, field_type, taken, type_hints
+from mi_splat.fields import (
+    Converter,
+    FieldError,
+    Metavar,
+    Range,
+    check_choice,
+    field_type,
+    taken,
+    type_hints,
+)
 
 _Type = TypeVar("_Type")
 
@@ -57,7 +68,10 @@ class Option:
 
     def mark(self, kind: type[_Type]) -> _Type | None:
         """What the field declares of itself."""
-        return next((mark for mark in field_type(self.hint).marks if isinstance(mark, kind)), None)
+        return next(
+            (mark for mark in field_type(self.hint).marks if isinstance(mark, kind)),
+            None,
+        )
 
     @property
     def given(self) -> Flag:
@@ -87,7 +101,10 @@ class Option:
         """The options of a dataclass."""
         if not dataclasses.is_dataclass(self.default):
             return []
-        values = {field.name: getattr(self.default, field.name) for field in dataclasses.fields(self.default)}
+        values = {
+            field.name: getattr(self.default, field.name)
+            for field in dataclasses.fields(self.default)
+        }
         return _options(type(self.default), values, f"{self.key}.")
 
     @property
@@ -98,30 +115,48 @@ class Option:
             return declared.name
         kind, marks = field_type(self.hint)[:2]
         if self.parts:
-            return dataclasses.replace(self, hint=Annotated[(self.parts[0], Flag(), *marks)]).metavar
+            return dataclasses.replace(
+                self, hint=Annotated[(self.parts[0], Flag(), *marks)]
+            ).metavar
         if typing.get_origin(kind) is Literal:
             return f"{{{','.join(map(str, typing.get_args(kind)))}}}"
-        return allowed.unit.upper() if allowed is not None and allowed.unit.isalpha() else METAVARS.get(kind, "VALUE")
+        return (
+            allowed.unit.upper()
+            if allowed is not None and allowed.unit.isalpha()
+            else METAVARS.get(kind, "VALUE")
+        )
 
     @property
     def count(self) -> int | str | None:
         """How many words it takes, as argparse has it."""
         if self.parts and not self.mark(Converter):
             return "*" if self.parts[-1] is Ellipsis else len(self.parts)
-        return "?" if self.given.positional and self.default is not dataclasses.MISSING else None
+        return (
+            "?"
+            if self.given.positional and self.default is not dataclasses.MISSING
+            else None
+        )
 
     @property
     def help(self) -> str:
         """Its text, the numbers that it takes, and its default."""
         inner = field_type(self.parts[0]).marks if self.parts else ()
-        allowed = self.mark(Range) or next((mark for mark in inner if isinstance(mark, Range)), Range())
-        unit = "" if not allowed.unit or allowed.unit.upper() == self.metavar else f" {allowed.unit}"
+        allowed = self.mark(Range) or next(
+            (mark for mark in inner if isinstance(mark, Range)), Range()
+        )
+        unit = (
+            ""
+            if not allowed.unit or allowed.unit.upper() == self.metavar
+            else f" {allowed.unit}"
+        )
         notes = [f"{allowed.bounds}{unit}"] if allowed.bounds else []
         if self.default is dataclasses.MISSING:
             notes.append("required")
         elif not isinstance(self.default, bool):
             notes.append(f"default: {self.written(self.default)}")
-        return (f"{self.text} ({'; '.join(notes)})" if notes else self.text).replace("%", "%%")
+        return (f"{self.text} ({'; '.join(notes)})" if notes else self.text).replace(
+            "%", "%%"
+        )
 
     def written(self, value: Any) -> str:
         """A value as the command line has it."""
@@ -135,23 +170,35 @@ class Option:
     def value(self, words: Sequence[str], flag: str) -> Any:
         """The value in the user's words."""
         kind, _, optional = field_type(self.hint)[:3]
-        if [word.lower() for word in words] == [NONE] and (optional or self.count == "*"):
+        if [word.lower() for word in words] == [NONE] and (
+            optional or self.count == "*"
+        ):
             return None if optional else ()
         converter = self.mark(Converter)
         if converter is not None:
             try:
                 return taken(self.hint, converter.read(words[0]), flag)
             except ValueError as error:
-                raise error.at(flag) if isinstance(error, FieldError) else UsageError(f"{flag}: {error}") from None
-        values = tuple(_plain(self.parts[0] if self.parts else kind, word) for word in words)
+                raise (
+                    error.at(flag)
+                    if isinstance(error, FieldError)
+                    else UsageError(f"{flag}: {error}")
+                ) from None
+        values = tuple(
+            _plain(self.parts[0] if self.parts else kind, word) for word in words
+        )
         return taken(self.hint, values if self.parts else values[0], flag)
 
 
 def _plain(hint: Any, word: str) -> Any:
-    """A word as the number or the choice that it stands for; the word itself where it stands for none."""
+    """A word as the number or the choice that it stands for; the word itself where it
+    stands for none.
+    """
     kind = field_type(hint).kind
     if typing.get_origin(kind) is Literal:
-        return next((choice for choice in typing.get_args(kind) if str(choice) == word), word)
+        return next(
+            (choice for choice in typing.get_args(kind) if str(choice) == word), word
+        )
     if kind in (int, float):
         for number in (int, kind):
             try:
@@ -169,7 +216,13 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(message.removeprefix("argument "))
 
 
-def parser_of(kind: type, *, program: str, description: str, defaults: Mapping[str, Any] | None = None) -> Parser:
+def parser_of(
+    kind: type,
+    *,
+    program: str,
+    description: str,
+    defaults: Mapping[str, Any] | None = None,
+) -> Parser:
     """The parser of a command's options."""
     width = min(shutil.get_terminal_size().columns, 110)
     options = options_of(kind, defaults)
@@ -182,11 +235,14 @@ def parser_of(kind: type, *, program: str, description: str, defaults: Mapping[s
         prog=program,
         usage=" ".join([program, "[-h] [OPTIONS]", *words]),
         description=_filled(description, width),
-        formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(prog, width=width),
+        formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(
+            prog, width=width
+        ),
         allow_abbrev=False,
         argument_default=argparse.SUPPRESS,
     )
-    parser._negative_number_matcher = re.compile(r"-(\.?\d.*|inf|[xyz])$")  # argparse takes -1e5 and -y for flags
+    # argparse takes -1e5 and -y for flags
+    parser._negative_number_matcher = re.compile(r"-(\.?\d.*|inf|[xyz])$")
     _add(parser, parser, options, width)
     return parser
 
@@ -200,14 +256,24 @@ def parse(
     defaults: Mapping[str, Any] | None = None,
 ) -> _Type:
     """The options in the user's words; ends the process for --help."""
-    parser = parser_of(kind, program=program, description=description, defaults=defaults)
+    parser = parser_of(
+        kind, program=program, description=description, defaults=defaults
+    )
     end = words.index("--") if "--" in words else len(words)
     paths = [f"./{word}" if word.startswith("-") else word for word in words[end + 1 :]]
-    given, rest = parser.parse_known_intermixed_args([*map(_dashed, words[:end]), *paths])
+    given, rest = parser.parse_known_intermixed_args(
+        [*map(_dashed, words[:end]), *paths]
+    )
     if rest:
         flags = [flag for action in parser._actions for flag in action.option_strings]
-        unknown = next((word for word in rest if word.startswith("-")), rest[0]).partition("=")[0]
-        do = nearest(unknown, flags, f"see {program} --help") if unknown.startswith("-") else "leave it out"
+        unknown = next(
+            (word for word in rest if word.startswith("-")), rest[0]
+        ).partition("=")[0]
+        do = (
+            nearest(unknown, flags, f"see {program} --help")
+            if unknown.startswith("-")
+            else "leave it out"
+        )
         raise UsageError.of("options", "those of the command", " ".join(rest), do)
     try:
         return _built(kind, options_of(kind, defaults), vars(given))
@@ -215,7 +281,9 @@ def parse(
         raise UsageError(str(error)) from None
 
 
-def choice_among(names: Collection[str], words: Sequence[str], flag: str, default: str) -> str:
+def choice_among(
+    names: Collection[str], words: Sequence[str], flag: str, default: str
+) -> str:
     """The name behind a flag that other flags depend on, read before all others."""
     name = default
     for word, following in zip(words, [*words[1:], ""], strict=False):
@@ -235,12 +303,22 @@ def _dashed(word: str) -> str:
 
 
 def options_of(kind: type, defaults: Mapping[str, Any] | None = None) -> list[Option]:
-    """The options of a command: those of the class itself first, then those that it shares with other commands."""
+    """The options of a command: those of the class itself first, then those that it
+    shares with other commands.
+    """
     bases = reversed([*enumerate(kind.__mro__)])
-    ranks = {name: rank for rank, base in bases for name in inspect.get_annotations(base)}
+    ranks = {
+        name: rank for rank, base in bases for name in inspect.get_annotations(base)
+    }
     values = {
-        field.name: field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-        for field in sorted(dataclasses.fields(kind), key=lambda field: ranks[field.name])
+        field.name: (
+            field.default
+            if field.default_factory is dataclasses.MISSING
+            else field.default_factory()
+        )
+        for field in sorted(
+            dataclasses.fields(kind), key=lambda field: ranks[field.name]
+        )
     }
     return _options(kind, {**values, **(defaults or {})})
 
@@ -248,29 +326,60 @@ def options_of(kind: type, defaults: Mapping[str, Any] | None = None) -> list[Op
 def _options(kind: type, values: Mapping[str, Any], key: str = "") -> list[Option]:
     hints, texts = type_hints(kind), field_texts(kind)
     return [
-        Option(key=f"{key}{name}", hint=hints[name], default=default, text=texts.get(name, ""))
+        Option(
+            key=f"{key}{name}",
+            hint=hints[name],
+            default=default,
+            text=texts.get(name, ""),
+        )
         for name, default in values.items()
     ]
 
 
 def _add(parser: Parser, group: Any, options: Sequence[Option], width: int) -> None:
-    """Add options to a group of a parser, or to itself; those of a dataclass are a group of their own."""
+    """Add options to a group of a parser, or to itself; those of a dataclass are a
+    group of their own.
+    """
     for option in options:
         if dataclasses.is_dataclass(option.default):
             title = f"{option.key.replace('_', ' ')} options"
-            _add(parser, parser.add_argument_group(title, _filled(option.text, width - 2)), option.fields, width)
+            _add(
+                parser,
+                parser.add_argument_group(title, _filled(option.text, width - 2)),
+                option.fields,
+                width,
+            )
         elif option.given.positional:
-            group.add_argument(option.key, nargs=option.count or "?", metavar=option.metavar, help=option.help)
+            group.add_argument(
+                option.key,
+                nargs=option.count or "?",
+                metavar=option.metavar,
+                help=option.help,
+            )
         elif isinstance(option.default, bool):
             const = not option.default
-            group.add_argument(option.flag, dest=option.key, action="store_const", const=const, help=option.help)
+            group.add_argument(
+                option.flag,
+                dest=option.key,
+                action="store_const",
+                const=const,
+                help=option.help,
+            )
         else:
             names: Any = tuple(option.metavar.split())
             metavar = names if len(names) == option.count else option.metavar
-            group.add_argument(option.flag, dest=option.key, nargs=option.count, metavar=metavar, help=option.help)
+            group.add_argument(
+                option.flag,
+                dest=option.key,
+                nargs=option.count,
+                metavar=metavar,
+                help=option.help,
+            )
 
 
-def _built(kind: type[_Type], options: Sequence[Option], given: Mapping[str, Any]) -> _Type:
+def _built(
+    kind: type[_Type], options: Sequence[Option], given: Mapping[str, Any]
+) -> _Type:
     """A dataclass of what was given, by the keys of options, and of defaults."""
     values: dict[str, Any] = {}
     for option in options:
@@ -280,12 +389,15 @@ def _built(kind: type[_Type], options: Sequence[Option], given: Mapping[str, Any
         elif isinstance(words, bool):
             values[option.name] = words
         elif words not in (None, []):
-            values[option.name] = option.value([words] if isinstance(words, str) else words, option.flag)
+            values[option.name] = option.value(
+                [words] if isinstance(words, str) else words, option.flag
+            )
         elif option.default is dataclasses.MISSING:
             what = "arguments" if option.given.positional else option.flag
             raise UsageError.of(what, option.metavar, "none", "add it")
         else:
-            is_empty = option.key in given and not option.given.positional  # the flag of a tuple, and nothing behind it
+            # the flag of a tuple, and nothing behind it
+            is_empty = option.key in given and not option.given.positional
             values[option.name] = () if is_empty else option.default
     try:
         return kind(**values)
@@ -296,12 +408,22 @@ def _built(kind: type[_Type], options: Sequence[Option], given: Mapping[str, Any
 
 @cache
 def field_texts(kind: Any) -> dict[str, str]:
-    """What each field of a dataclass means: the text below it, or its entry under "Attributes:"."""
+    """What each field of a dataclass means: the text below it, or its entry under
+    "Attributes:".
+    """
     texts: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         if "__dataclass_fields__" in vars(base):
-            section = (inspect.getdoc(base) or "").partition("\nAttributes:\n")[2].partition("\n\n")[0]
-            texts |= dict(re.findall(r"^ {4}(\w+): (.*(?:\n {5,}.*)*)", section, flags=re.MULTILINE))
+            section = (
+                (inspect.getdoc(base) or "")
+                .partition("\nAttributes:\n")[2]
+                .partition("\n\n")[0]
+            )
+            texts |= dict(
+                re.findall(
+                    r"^ {4}(\w+): (.*(?:\n {5,}.*)*)", section, flags=re.MULTILINE
+                )
+            )
             texts |= _below(base.__module__, base.__name__)
     return {name: " ".join(text.split()) for name, text in texts.items()}
 
@@ -313,7 +435,8 @@ def _below(module: str, kind: str) -> dict[str, str]:
             return {
                 field.target.id: text.value.value
                 for field, text in zip(node.body, node.body[1:], strict=False)
-                if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+                if isinstance(field, ast.AnnAssign)
+                and isinstance(field.target, ast.Name)
                 if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
                 if isinstance(text.value.value, str)
             }
@@ -323,10 +446,19 @@ def _below(module: str, kind: str) -> dict[str, str]:
 @cache
 def _source(module: str) -> ast.Module:
     path = sys.modules[module].__file__
-    return ast.parse(Path(path).read_text("utf-8")) if path and os.path.isfile(path) else ast.Module([], [])
+    return (
+        ast.parse(Path(path).read_text("utf-8"))
+        if path and os.path.isfile(path)
+        else ast.Module([], [])
+    )
 
 
 def _filled(text: str, width: int) -> str:
-    """Paragraphs filled, but for those whose second line is indented, as examples are."""
+    """Paragraphs filled, but for those whose second line is indented, as examples
+    are.
+    """
     paragraphs = re.split(r"\n\s*\n", text)
-    return "\n\n".join(part if "\n  " in part else textwrap.fill(" ".join(part.split()), width) for part in paragraphs)
+    return "\n\n".join(
+        part if "\n  " in part else textwrap.fill(" ".join(part.split()), width)
+        for part in paragraphs
+    )

@@ -1,4 +1,6 @@
-"""`mi-splat info`: what a splat file or a scene XML holds; of a PLY it is told without torch, and so at once."""
+"""`mi-splat info`: what a splat file or a scene XML holds; of a PLY it is told without
+torch, and so at once.
+"""
 
 from __future__ import annotations
 
@@ -43,17 +45,23 @@ def run(options: InfoOptions) -> None:
     from mi_splat.io.folders import splat_in
 
     with progress(f"reading {options.file}"):
-        read = _scene_file_facts if options.file.suffix.lower() == ".xml" else _file_facts
+        read = (
+            _scene_file_facts if options.file.suffix.lower() == ".xml" else _file_facts
+        )
         facts = read(options.file)
     file = str(splat_in(options.file) or options.file)
     if options.json:
         show_json({"file": file, **facts})
     else:
-        show_table([("file", file), *((name, _text(value)) for name, value in facts.items())])
+        show_table(
+            [("file", file), *((name, _text(value)) for name, value in facts.items())]
+        )
 
 
 def _file_facts(path: Path) -> dict[str, object]:
-    """Facts about a splat file, which has no parts; Gaussians that are not valid are described and left out."""
+    """Facts about a splat file, which has no parts; Gaussians that are not valid are
+    described and left out.
+    """
     from mi_splat.io.loaded import ranges
     from mi_splat.io.splat_files import load_stored
     from mi_splat.io.up_axis import up_axis
@@ -62,13 +70,21 @@ def _file_facts(path: Path) -> dict[str, object]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SplatFileWarning)
         splat = stored.settle(str(path), "drop", stacklevel=1).arrays
-    notes = [str(item.message) for item in caught if issubclass(item.category, SplatFileWarning)]
+    notes = [
+        str(item.message)
+        for item in caught
+        if issubclass(item.category, SplatFileWarning)
+    ]
     facts: dict[str, object] = {"parts": None, **splat_facts(splat)}
     digest = facts.pop("hash")
     facts["up"] = up_line(up_axis(path, stored)).removeprefix("up is taken as ")
     facts["hash"] = digest
     facts["mode"] = "antialiased" if stored.is_antialiased else "default"
-    return {**facts, "unread": ", ".join(ranges(stored.unread)) or None, "notes": " ".join(notes) or None}
+    return {
+        **facts,
+        "unread": ", ".join(ranges(stored.unread)) or None,
+        "notes": " ".join(notes) or None,
+    }
 
 
 def _scene_file_facts(path: Path) -> dict[str, object]:
@@ -76,42 +92,76 @@ def _scene_file_facts(path: Path) -> dict[str, object]:
     from mi_splat.scene_files import read_scene
 
     loaded = read_scene(path)
-    parts = {name: len(range(*rows.indices(len(loaded.scene)))) for name, rows in loaded.objects.items()}
-    cameras = {name: f"{camera.width} x {camera.height}" for name, camera in loaded.cameras.items()}
-    splat: Arrays = {name: value.numpy() for name, value in zip(ATTRIBUTES, loaded.scene.tensors(), strict=True)}
-    boxes = {name: _at(splat["means"][rows], (0.0, 1.0)) for name, rows in loaded.objects.items() if parts[name]}
-    return {"parts": parts, "part_bounds": boxes, "cameras": cameras, **splat_facts(splat)}
+    parts = {
+        name: len(range(*rows.indices(len(loaded.scene))))
+        for name, rows in loaded.objects.items()
+    }
+    cameras = {
+        name: f"{camera.width} x {camera.height}"
+        for name, camera in loaded.cameras.items()
+    }
+    splat: Arrays = {
+        name: value.numpy()
+        for name, value in zip(ATTRIBUTES, loaded.scene.tensors(), strict=True)
+    }
+    boxes = {
+        name: _at(splat["means"][rows], (0.0, 1.0))
+        for name, rows in loaded.objects.items()
+        if parts[name]
+    }
+    return {
+        "parts": parts,
+        "part_bounds": boxes,
+        "cameras": cameras,
+        **splat_facts(splat),
+    }
 
 
 def splat_facts(splat: Arrays) -> dict[str, object]:
-    """Numbers that describe a splat, as JSON can hold them; bounds and scales in world units.
+    """Numbers that describe a splat, as JSON can hold them; bounds and scales in world
+    units.
 
-    Of a captured scene `bounds` are those of the farthest floaters; `box`, of the middle 98 % along each axis, tells
-    where the scene is, and `middle`, the median, where most of it is: often the object. Half of the Gaussians are
-    within `reach` of it. `colour` is the mean colour of the Gaussians (1 is white) in the directions in which it is
-    least and most, and the largest of any Gaussian in any direction: where these are far apart, the splat was not made
-    of what cameras saw alone.
+    Of a captured scene `bounds` are those of the farthest floaters; `box`, of the
+    middle 98 % along each axis, tells where the scene is, and `middle`, the median,
+    where most of it is: often the object. Half of the Gaussians are within `reach` of
+    it. `colour` is the mean colour of the Gaussians (1 is white) in the directions in
+    which it is least and most, and the largest of any Gaussian in any direction: where
+    these are far apart, the splat was not made of what cameras saw alone.
     """
     import numpy as np
 
     from mi_splat.sh import degree_of
 
     means = splat["means"]
-    facts: dict[str, object] = {"gaussians": len(means), "sh_degree": degree_of(splat["sh"].shape[1])}
+    facts: dict[str, object] = {
+        "gaussians": len(means),
+        "sh_degree": degree_of(splat["sh"].shape[1]),
+    }
     if len(means):
         facts["bounds"] = _at(means, (0.0, 1.0))
         facts["box"] = _at(means, (0.01, 0.99))
         (middle,) = _at(means, (0.5,))
         distances = np.linalg.norm(means.astype(np.float64) - middle, axis=1)
         facts |= {"middle": middle, "reach": _at(distances, (0.5,))[0]}
-        for name, values in (("opacity", splat["opacities"]), ("scale", splat["scales"].ravel())):
-            facts[name] = dict(zip((f"{share:.0%}" for share in QUANTILES), _at(values, QUANTILES), strict=True))
+        for name, values in (
+            ("opacity", splat["opacities"]),
+            ("scale", splat["scales"].ravel()),
+        ):
+            facts[name] = dict(
+                zip(
+                    (f"{share:.0%}" for share in QUANTILES),
+                    _at(values, QUANTILES),
+                    strict=True,
+                )
+            )
         facts["colour"] = _colours(splat["sh"])
     return {**facts, "hash": values_hash(splat)}
 
 
 def _at(values: NDArray[np.floating[Any]], shares: Sequence[float]) -> list[Any]:
-    """The values, of each column, below which such a share of them lies; each is one of them."""
+    """The values, of each column, below which such a share of them lies; each is one of
+    them.
+    """
     import numpy as np
 
     ordered = np.sort(values, axis=0)
@@ -122,7 +172,11 @@ def _colours(sh: NDArray[np.float32]) -> dict[str, float]:
     from mi_splat.sh import colours_by_direction, even_directions
 
     means, most = colours_by_direction(sh, even_directions())
-    return {"least mean": float(means.min()), "most mean": float(means.max()), "largest": float(most.max())}
+    return {
+        "least mean": float(means.min()),
+        "most mean": float(means.max()),
+        "largest": float(most.max()),
+    }
 
 
 def _text(value: object) -> str:
@@ -130,7 +184,17 @@ def _text(value: object) -> str:
         return ", ".join(f"{name}: {_text(part)}" for name, part in value.items())
     if isinstance(value, list):
         texts = list(map(_text, value))
-        return " to ".join(texts) if isinstance(value[0], list) else f"({', '.join(texts)})"
+        return (
+            " to ".join(texts)
+            if isinstance(value[0], list)
+            else f"({', '.join(texts)})"
+        )
     if isinstance(value, float):
         return f"{value:.4g}"
-    return f"{value:,}" if isinstance(value, int) else "none" if value is None else str(value)
+    return (
+        f"{value:,}"
+        if isinstance(value, int)
+        else "none"
+        if value is None
+        else str(value)
+    )

@@ -1,6 +1,8 @@
-"""Options that several commands share: sizes, colours and directions, and where a scene is looked at from.
+"""Options that several commands share: sizes, colours and directions, and where a scene
+is looked at from.
 
-Light, so that --help is fast. A size, a colour and a direction is one word, so that a file may follow it.
+Light, so that --help is fast. A size, a colour and a direction is one word, so that a
+file may follow it.
 """
 
 import re
@@ -18,7 +20,9 @@ if TYPE_CHECKING:
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _AXES = {
-    f"{sign}{'xyz'[axis]}": tuple((-1.0 if sign == "-" else 1.0) if axis == column else 0.0 for column in range(3))
+    f"{sign}{'xyz'[axis]}": tuple(
+        (-1.0 if sign == "-" else 1.0) if axis == column else 0.0 for column in range(3)
+    )
     for sign in ("", "+", "-")
     for axis in range(3)
 }
@@ -51,7 +55,11 @@ def _colour(word: str) -> tuple[float, float, float]:
         if rest:
             raise ValueError(f"{word} is transparent")
     except ValueError:
-        do = nearest(word, ImageColor.colormap, "write for instance white, #80b0e0 or 0.5,0.7,0.9")
+        do = nearest(
+            word,
+            ImageColor.colormap,
+            "write for instance white, #80b0e0 or 0.5,0.7,0.9",
+        )
         raise ValueError(f"expected a colour, got {word!r}; {do}") from None
     return red / 255, green / 255, blue / 255
 
@@ -59,27 +67,50 @@ def _colour(word: str) -> tuple[float, float, float]:
 def _direction(word: str) -> tuple[float, float, float]:
     direction = _AXES.get(word, _three(word))
     if direction is None:
-        raise ValueError(f"expected an axis such as y or -y, or three numbers, got {word!r}")
+        raise ValueError(
+            f"expected an axis such as y or -y, or three numbers, got {word!r}"
+        )
     return direction[0], direction[1], direction[2]
 
 
 def check_no_input_in(folder: Path, *inputs: Path | None) -> None:
     """Raise if replacing an older result would delete what is to be read."""
     for path in inputs:
-        if path is not None and path.exists() and path.resolve().is_relative_to(folder.resolve()):
-            raise UsageError.of("--out", f"a folder without the input {path}", folder, "pass another folder")
+        if (
+            path is not None
+            and path.exists()
+            and path.resolve().is_relative_to(folder.resolve())
+        ):
+            raise UsageError.of(
+                "--out",
+                f"a folder without the input {path}",
+                folder,
+                "pass another folder",
+            )
 
 
 def axis_name(direction: Sequence[float]) -> str:
     """A direction as --up takes it: its axis, or three numbers."""
-    return next((name for name, axis in _AXES.items() if axis == tuple(direction)), _written(direction))
+    return next(
+        (name for name, axis in _AXES.items() if axis == tuple(direction)),
+        _written(direction),
+    )
 
 
 def up_line(up: "UpAxis") -> str:
-    """What a command says of the direction that it takes for up: which, why, and how to turn it."""
+    """What a command says of the direction that it takes for up: which, why, and how to
+    turn it.
+    """
     x, y, z = up.direction
-    other = (0.0, -1.0, 0.0) if up.direction == (0.0, 0.0, 1.0) else (-x + 0.0, -y + 0.0, -z + 0.0)
-    return f"up is taken as {axis_name(up.direction)} ({up.reason}); --up {axis_name(other)} turns it"
+    other = (
+        (0.0, -1.0, 0.0)
+        if up.direction == (0.0, 0.0, 1.0)
+        else (-x + 0.0, -y + 0.0, -z + 0.0)
+    )
+    return (
+        f"up is taken as {axis_name(up.direction)} ({up.reason}); --up"
+        f" {axis_name(other)} turns it"
+    )
 
 
 def _written(value: Sequence[float]) -> str:
@@ -100,7 +131,9 @@ Colour = Annotated[
     Metavar("COLOUR"),
 ]
 """An sRGB colour: white, #80b0e0, or 0.5,0.7,0.9 in [0, 1]."""
-Direction = Annotated[tuple[float, float, float], Converter(_direction, _written), Metavar("AXIS|X,Y,Z")]
+Direction = Annotated[
+    tuple[float, float, float], Converter(_direction, _written), Metavar("AXIS|X,Y,Z")
+]
 """A direction: y, -y, or 0,-1,0."""
 
 
@@ -112,9 +145,16 @@ Rate = Annotated[
 Samples = Annotated[int, between(1, 1 << 16, "samples per pixel", "32 is usual")]
 Azimuth = Annotated[float, between(-360, 360, "degrees")]
 Elevation = Annotated[float, between(-90, 90, "degrees", "90 is straight down")]
-FieldOfView = Annotated[float, Range(low=0, high=180, open_low=True, open_high=True, unit="degrees", do="45 is usual")]
+FieldOfView = Annotated[
+    float,
+    Range(
+        low=0, high=180, open_low=True, open_high=True, unit="degrees", do="45 is usual"
+    ),
+]
 Roll = Annotated[float, between(-180, 180, "degrees")]
-Point = Annotated[tuple[float, float, float], Range(unit="world units"), Metavar("X Y Z")]
+Point = Annotated[
+    tuple[float, float, float], Range(unit="world units"), Metavar("X Y Z")
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,40 +179,66 @@ class ResultOptions(JsonOptions):
 class CameraOptions:
     """Where a scene is looked at from.
 
-    Without any of these flags it is the scene's own first camera, or an orbit camera that shows the object, or all if
-    no object is meant.
+    Without any of these flags it is the scene's own first camera, or an orbit camera
+    that shows the object, or all if no object is meant.
     """
 
     cameras: Annotated[tuple[str, ...], Metavar("CAMERAS")] = ()
-    """Any of: ids of the scene's own cameras, or all of them by `all`; hemisphere:N, orbit:N@ELEVATION,
-    cap:N@MIN_ELEVATION or grid:AxE (azimuths x elevations) around --centre; a transforms .json; the .json of an earlier
-    command (its cameras again); the cameras.json that 3DGS writes beside a splat; the folder of a set of pictures
-    (COLMAP or transforms); another scene .xml. FILE#NAME is the one camera of this name."""
+    """Any of: ids of the scene's own cameras, or all of them by `all`; hemisphere:N,
+    orbit:N@ELEVATION, cap:N@MIN_ELEVATION or grid:AxE (azimuths x elevations) around
+    --centre; a transforms .json; the .json of an earlier command (its cameras again);
+    the cameras.json that 3DGS writes beside a splat; the folder of a set of pictures
+    (COLMAP or transforms); another scene .xml. FILE#NAME is the one camera of this
+    name.
+    """
     azimuth: Azimuth | None = None
-    """One camera on an orbit around --centre: degrees from +x towards +y; 30 if an orbit is used without it."""
+    """One camera on an orbit around --centre: degrees from +x towards +y; 30 if an
+    orbit is used without it.
+    """
     elevation: Elevation | None = None
-    """Degrees above the ground, 90 is straight down; 20 if an orbit is used without it."""
+    """Degrees above the ground, 90 is straight down; 20 if an orbit is used without
+    it.
+    """
     camera_roll: Roll = 0.0
     """Degrees that the one camera is turned about its axis, clockwise as it looks."""
     distance: Length | None = None
-    """World units from the centre; None is as near as shows the object or the scene whole."""
+    """World units from the centre; None is as near as shows the object or the scene
+    whole.
+    """
     centre: Point | None = None
-    """Point that cameras of an orbit or a set look at; None is the middle of the object, or of all Gaussians."""
+    """Point that cameras of an orbit or a set look at; None is the middle of the
+    object, or of all Gaussians.
+    """
     up: Direction | None = None
-    """Direction that is up in the scene, for orbits and sets: an axis, or X,Y,Z; scenes from COLMAP often have
-    -y. None is z in a scene XML; of a splat file what its comment says, or its cameras or its ground tell, else z."""
+    """Direction that is up in the scene, for orbits and sets: an axis, or X,Y,Z; scenes
+    from COLMAP often have -y. None is z in a scene XML; of a splat file what its
+    comment says, or its cameras or its ground tell, else z.
+    """
     fov: FieldOfView = 45.0
-    """Field of view of orbits and sets in degrees, over the shorter side of the picture."""
+    """Field of view of orbits and sets in degrees, over the shorter side of the
+    picture.
+    """
     size: Size | None = None
-    """Pixels, as 256 or 256x192; None is the camera's own, 640x480 for orbits and sets."""
+    """Pixels, as 256 or 256x192; None is the camera's own, 640x480 for orbits and
+    sets.
+    """
     near: Length | None = None
-    """Gaussians nearer than this to the camera are not drawn, world units; None is what suits scene and cameras."""
+    """Gaussians nearer than this to the camera are not drawn, world units; None is what
+    suits scene and cameras.
+    """
     background: Colour | None = None
-    """Colour behind the Gaussians, as white, #80b0e0 or 0.5,0.7,0.9; None is the scene's own,
-    black for a bare splat file."""
+    """Colour behind the Gaussians, as white, #80b0e0 or 0.5,0.7,0.9; None is the
+    scene's own, black for a bare splat file.
+    """
 
     @property
     def orbits(self) -> bool:
         """Whether one camera on an orbit is asked for."""
-        given = (self.azimuth, self.elevation, self.camera_roll or None, self.distance, self.centre)
+        given = (
+            self.azimuth,
+            self.elevation,
+            self.camera_roll or None,
+            self.distance,
+            self.centre,
+        )
         return any(value is not None for value in given)

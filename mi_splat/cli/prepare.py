@@ -24,20 +24,26 @@ MASKS = "masks"
 
 @dataclass(frozen=True, kw_only=True)
 class PrepareOptions(JsonOptions):
-    """Find the cameras of photographs or of a video with COLMAP, and write a set to train on.
+    """Find the cameras of photographs or of a video with COLMAP, and write a set to
+    train on.
 
-    The set has the images that could be placed, upright, a COLMAP model whose z is up, and prepare.json, which lists
-    what could not be placed. Of several models the largest is kept. Images of one size and focal length share a camera.
-    COLMAP is in the extra photos.
+    The set has the images that could be placed, upright, a COLMAP model whose z is up,
+    and prepare.json, which lists what could not be placed. Of several models the
+    largest is kept. Images of one size and focal length share a camera. COLMAP is in
+    the extra photos.
     """
 
     source: Positional[Path]
-    """A folder of photographs (JPEG, PNG, WebP, BMP, TIFF), or a video (MP4, MOV, MKV, WebM, AVI)."""
+    """A folder of photographs (JPEG, PNG, WebP, BMP, TIFF), or a video (MP4, MOV, MKV,
+    WebM, AVI).
+    """
     out: OutFolder
     """Folder for the set: a new one, written whole at the end."""
     masks: Path | None = None
-    """Folder of masks, named as the photographs; what is black does not count. None takes masks in the folder of the
-    photographs, if it is there."""
+    """Folder of masks, named as the photographs; what is black does not count.
+
+    None takes masks in the folder of the photographs, if it is there.
+    """
     force: bool = False
     """Replace an older set in --out."""
     config: PrepareConfig = field(default_factory=PrepareConfig)
@@ -70,11 +76,19 @@ def run(options: PrepareOptions) -> None:
         )
     _warn(record)
     images = record["images"]
-    counts = {part: sum(row["part"] == part for row in images) for part in ("train", "test")}
+    counts = {
+        part: sum(row["part"] == part for row in images) for part in ("train", "test")
+    }
     placed, count = sum(counts.values()), len(images) + len(record["broken"])
     lines = (
-        f"{placed} of {count} images placed: {counts['train']} for training, {counts['test']} held out",
-        f"{record['points']:,} points, {record['reprojection_error']:.2f} pixels off on average; z is up",
+        (
+            f"{placed} of {count} images placed: {counts['train']} for training,"
+            f" {counts['test']} held out"
+        ),
+        (
+            f"{record['points']:,} points, {record['reprojection_error']:.2f} pixels"
+            " off on average; z is up"
+        ),
         f"{options.out}: a set for `mi-splat train`; {RECORD} lists what was placed",
     )
     show_result({**record, "out": str(options.out)}, *lines, as_json=options.json)
@@ -88,7 +102,13 @@ def _warn(record: Mapping[str, Any]) -> None:
         warn(f"not placed: {listed(missing, width=120)}")
     placed = [row for row in record["images"] if row["part"] != "none"]
     if weak := [row["source"] for row in placed if row["points"] < FEW_POINTS]:
-        warn(f"perhaps in a wrong place, since they show fewer than {FEW_POINTS} points: {listed(weak)}")
+        warn(
+            f"perhaps in a wrong place, since they show fewer than {FEW_POINTS} points:"
+            f" {listed(weak)}"
+        )
     if len(record["models"]) > 1:
         sizes = ", ".join(map(str, record["models"]))
-        warn(f"the images fall into {len(record['models'])} models, of {sizes} images: the largest is taken")
+        warn(
+            f"the images fall into {len(record['models'])} models, of {sizes} images:"
+            " the largest is taken"
+        )

@@ -1,4 +1,6 @@
-"""`mi-splat render`: a scene XML or a splat file as a picture, as many pictures, or as an animation."""
+"""`mi-splat render`: a scene XML or a splat file as a picture, as many pictures, or as
+an animation.
+"""
 
 from __future__ import annotations
 
@@ -37,35 +39,49 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions(JsonOptions):
-    """Render a scene XML or a splat file: a picture, a picture from each of several cameras, or an animation.
+    """Render a scene XML or a splat file: a picture, a picture from each of several
+    cameras, or an animation.
 
     A scene XML with meshes beside splats is path traced by its integrator splat_ray.
 
-    A scene XML is seen from its first camera, a bare splat file from an orbit around the middle of its Gaussians, at a
-    distance that shows all of them, unless the flags below say something else.
+    A scene XML is seen from its first camera, a bare splat file from an orbit around
+    the middle of its Gaussians, at a distance that shows all of them, unless the flags
+    below say something else.
     """
 
     scene: Positional[Path]
-    """Scene XML of splats, alone or among meshes, or a splat file of any format that is read."""
+    """Scene XML of splats, alone or among meshes, or a splat file of any format that is
+    read.
+    """
     out: Annotated[OutFile, Metavar("PATH")] = Path("picture.png")
-    """What to write: NAME.png or NAME.jpg; NAME.exr with linear values as 32-bit floats; NAME.gif or NAME.webp of
-    several cameras one after the other; a folder for a picture from each."""
+    """What to write: NAME.png or NAME.jpg; NAME.exr with linear values as 32-bit
+    floats; NAME.gif or NAME.webp of several cameras one after the other; a folder for a
+    picture from each.
+    """
     view: CameraOptions = field(default_factory=CameraOptions)
     """Where from."""
     fps: Rate = 24.0
     """Pictures a second of an animation."""
     method: Literal["tile", "ray"] | None = None
-    """How splats alone are rendered: tile is the picture of the reference 3DGS rasteriser, ray traces rays; without the
-    flag it is what the scene XML says, or tile."""
+    """How splats alone are rendered: tile is the picture of the reference 3DGS
+    rasteriser, ray traces rays; without the flag it is what the scene XML says, or
+    tile.
+    """
     alpha: bool = False
-    """Write opacity, too, as channel A of NAME.exr; colours stay those over the background."""
+    """Write opacity, too, as channel A of NAME.exr; colours stay those over the
+    background.
+    """
     depth: bool = False
-    """Write depths along the camera's axis, too, world units: the expected one as channel Z of NAME.exr (0 where
-    nothing is), and median.Z, at which half of the light is blocked (0 where less is)."""
+    """Write depths along the camera's axis, too, world units: the expected one as
+    channel Z of NAME.exr (0 where nothing is), and median.Z, at which half of the light
+    is blocked (0 where less is).
+    """
     samples: Samples = 64
     """Samples a pixel, for a scene with meshes; the other pictures need one."""
     force: bool = False
-    """Replace a file that is there, or a folder of pictures that an earlier call has written."""
+    """Replace a file that is there, or a folder of pictures that an earlier call has
+    written.
+    """
 
 
 RECORD = "cameras.json"
@@ -89,15 +105,21 @@ def run(options: RenderOptions) -> None:
         loaded = open_scene(options.scene) if mixed is None else mixed.splats
         if options.method is not None:
             mode = loaded.settings.antialiased and options.method == "tile"
-            changed = dataclasses.replace(loaded.settings, method=options.method, antialiased=mode)
+            changed = dataclasses.replace(
+                loaded.settings, method=options.method, antialiased=mode
+            )
             loaded = dataclasses.replace(loaded, settings=changed)
         if floats:
-            loaded = dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, linear=True))
+            loaded = dataclasses.replace(
+                loaded, settings=dataclasses.replace(loaded.settings, linear=True)
+            )
         cameras = find_cameras(loaded, options.view)
         _check_out(options, cameras)
         _check_channels(options, loaded.settings.method)
         settings = render_settings(loaded, options.view, cameras)
-        render: RenderFn = renderer_of(loaded, options.view, cameras) if mixed is None else mixed
+        render: RenderFn = (
+            renderer_of(loaded, options.view, cameras) if mixed is None else mixed
+        )
         begun, pictures = time.perf_counter(), {}
         for number, (name, camera) in enumerate(cameras.items(), 1):
             advance(f"rendering {number} of {len(cameras)}")
@@ -119,7 +141,10 @@ def run(options: RenderOptions) -> None:
         "seconds": seconds,
     }
     many = f"{len(cameras)} pictures, " if len(cameras) > 1 else ""
-    size, took = f"{first.width} x {first.height}", f"{seconds:.2f} s (the first picture compiles)"
+    size, took = (
+        f"{first.width} x {first.height}",
+        f"{seconds:.2f} s (the first picture compiles)",
+    )
     line = f"{options.out}: {many}{len(loaded.scene):,} Gaussians at {size} in {took}"
     show_result(document, line, as_json=options.json)
 
@@ -131,29 +156,50 @@ def _mixed_scene(options: RenderOptions) -> MixedScene | None:
 
     if options.scene.suffix.lower() != ".xml" or not holds_surfaces(options.scene):
         return None
-    given = {"--method": options.method, "--background": options.view.background, "--near": options.view.near}
+    given = {
+        "--method": options.method,
+        "--background": options.view.background,
+        "--near": options.view.near,
+    }
     given |= {"--alpha": options.alpha or None, "--depth": options.depth or None}
     idle = [flag for flag, value in given.items() if value is not None]
     if idle:
         do = "leave it out: the scene file says how it is rendered"
-        raise InvalidValueError.of("scene with meshes", "flags that it can follow", ", ".join(idle), do)
-    return MixedScene(options.scene, samples=options.samples, linear=is_floats(options.out))
+        raise InvalidValueError.of(
+            "scene with meshes", "flags that it can follow", ", ".join(idle), do
+        )
+    return MixedScene(
+        options.scene, samples=options.samples, linear=is_floats(options.out)
+    )
 
 
 def _check_channels(options: RenderOptions, method: str) -> None:
-    """Raise, before anything is rendered, unless what --alpha and --depth ask for can be made and written."""
+    """Raise, before anything is rendered, unless what --alpha and --depth ask for can
+    be made and written.
+    """
     from mi_splat.io.images import is_floats
 
-    flags = [flag for flag, given in (("--alpha", options.alpha), ("--depth", options.depth)) if given]
+    flags = [
+        flag
+        for flag, given in (("--alpha", options.alpha), ("--depth", options.depth))
+        if given
+    ]
     if flags and not is_floats(options.out):
         do = "end it in .exr, which has channels for them"
-        raise InvalidValueError.of(f"--out with {' and '.join(flags)}", "a name that ends in .exr", options.out, do)
+        raise InvalidValueError.of(
+            f"--out with {' and '.join(flags)}",
+            "a name that ends in .exr",
+            options.out,
+            do,
+        )
     if options.depth and method != "tile":
         do = "leave one of them out: along a ray a Gaussian has no one depth"
         raise InvalidValueError.of("--depth", "--method tile", method, do)
 
 
-def _pixels(render: RenderFn, scene: GaussianScene, camera: Camera, options: RenderOptions) -> Pixels:
+def _pixels(
+    render: RenderFn, scene: GaussianScene, camera: Camera, options: RenderOptions
+) -> Pixels:
     """A picture as its file has it: bytes, or float channels by name."""
     from mi_splat.io.images import is_floats, to_bytes
     from mi_splat.rendering import Renderer
@@ -163,9 +209,14 @@ def _pixels(render: RenderFn, scene: GaussianScene, camera: Camera, options: Ren
     more: dict[str, Tensor] = {}
     if isinstance(render, Renderer) and options.depth:
         seen = render.outputs(scene, camera)
-        image, more = seen.image, {"A": seen.alpha, "Z": seen.depth, "median.Z": seen.median_depth}
+        image, more = (
+            seen.image,
+            {"A": seen.alpha, "Z": seen.depth, "median.Z": seen.median_depth},
+        )
     elif isinstance(render, Renderer) and options.alpha:
-        image = Renderer(dataclasses.replace(render.settings, alpha=True))(scene, camera)
+        image = Renderer(dataclasses.replace(render.settings, alpha=True))(
+            scene, camera
+        )
         more = {"A": image[..., 3]}
     else:
         image = render(scene, camera)
@@ -185,14 +236,20 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
     if is_animation(out):
         if len(cameras) < 2:
             do = "pass for instance --cameras orbit:60@20, or end the name in .png"
-            raise InvalidValueError.of("--out", "two cameras or more for an animation", f"one, {out}", do)
+            raise InvalidValueError.of(
+                "--out", "two cameras or more for an animation", f"one, {out}", do
+            )
         sizes = {f"{camera.width} x {camera.height}" for camera in cameras.values()}
         if len(sizes) > 1:
-            raise InvalidValueError.of("--out", "cameras of one size", ", ".join(sorted(sizes)), "pass --size")
+            raise InvalidValueError.of(
+                "--out", "cameras of one size", ", ".join(sorted(sizes)), "pass --size"
+            )
     elif is_picture(out) or is_floats(out):
         if len(cameras) > 1:
             do = "name a folder, or a .gif or .webp"
-            raise InvalidValueError.of("--out", f"room for {len(cameras)} pictures", out, do)
+            raise InvalidValueError.of(
+                "--out", f"room for {len(cameras)} pictures", out, do
+            )
     elif out.suffix:
         expected = "a name that ends in .png, .jpg, .exr, .gif or .webp, or a folder"
         raise InvalidValueError.of("--out", expected, out, "change the ending")
@@ -200,14 +257,27 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
         check_new_folder(out, force=options.force, record=RECORD)
 
 
-def _save(pictures: Mapping[str, Pixels], cameras: Mapping[str, Camera], options: RenderOptions) -> list[Path]:
+def _save(
+    pictures: Mapping[str, Pixels],
+    cameras: Mapping[str, Camera],
+    options: RenderOptions,
+) -> list[Path]:
     from mi_splat.io.camera_records import describe
     from mi_splat.io.documents import file_name, save_json
     from mi_splat.io.folders import new_folder
-    from mi_splat.io.images import is_animation, is_floats, is_picture, save_animation, save_picture
+    from mi_splat.io.images import (
+        is_animation,
+        is_floats,
+        is_picture,
+        save_animation,
+        save_picture,
+    )
     from mi_splat.rendering import save_floats
 
-    out, shown = options.out, [pixels for pixels in pictures.values() if not isinstance(pixels, Mapping)]
+    out, shown = (
+        options.out,
+        [pixels for pixels in pictures.values() if not isinstance(pixels, Mapping)],
+    )
     if is_animation(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         save_animation(shown, out, fps=options.fps)
@@ -215,10 +285,17 @@ def _save(pictures: Mapping[str, Pixels], cameras: Mapping[str, Camera], options
     if is_picture(out) or is_floats(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         for pixels in pictures.values():
-            save_floats(pixels, out) if isinstance(pixels, Mapping) else save_picture(pixels, out)
+            (
+                save_floats(pixels, out)
+                if isinstance(pixels, Mapping)
+                else save_picture(pixels, out)
+            )
         return [out]
     with new_folder(out, force=options.force, record=RECORD) as folder:
         for name, pixels in zip(pictures, shown, strict=True):
             save_picture(pixels, folder / f"{file_name(name)}.png")
-        save_json([describe(name, camera) for name, camera in cameras.items()], folder / RECORD)
+        save_json(
+            [describe(name, camera) for name, camera in cameras.items()],
+            folder / RECORD,
+        )
     return [*(out / f"{file_name(name)}.png" for name in pictures), out / RECORD]

@@ -1,4 +1,6 @@
-"""`mi-splat select`: one object of a splat, tinted in a picture, as a mask, or as a splat of its own."""
+"""`mi-splat select`: one object of a splat, tinted in a picture, as a mask, or as a
+splat of its own.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +36,9 @@ EXAMPLES = (
 class SelectOptions(JsonOptions):
     """Select one object of a splat, and see whether it is the right one.
 
-    Prints how many Gaussians it has, where they are, how much of the picture it makes up, and what is doubtful about
-    it. The same flags choose the object of `mi-splat dagger` and `mi-splat evaluate`.
+    Prints how many Gaussians it has, where they are, how much of the picture it makes
+    up, and what is doubtful about it. The same flags choose the object of
+    `mi-splat dagger` and `mi-splat evaluate`.
     """
 
     scene: Positional[Path]
@@ -43,9 +46,13 @@ class SelectOptions(JsonOptions):
     selection: Selection = field(default_factory=Selection)
     """Which object."""
     view: CameraOptions = field(default_factory=CameraOptions)
-    """Where it is looked at from; the first camera's picture is the one that is clicked on and written."""
+    """Where it is looked at from; the first camera's picture is the one that is clicked
+    on and written.
+    """
     out: tuple[OutFile, ...] = ()
-    """Any of: a .png or .jpg of the scene with the object tinted, the mask as .npy, the object's Gaussians as .ply."""
+    """Any of: a .png or .jpg of the scene with the object tinted, the mask as .npy, the
+    object's Gaussians as .ply.
+    """
     force: bool = False
     """Replace files that are there."""
 
@@ -66,7 +73,12 @@ def run(options: SelectOptions) -> None:
 
     for path in options.out:
         if not (is_picture(path) or path.suffix.lower() in (".npy", ".ply")):
-            raise InvalidValueError.of("--out", "names that end in .png, .jpg, .npy or .ply", path, "change the ending")
+            raise InvalidValueError.of(
+                "--out",
+                "names that end in .png, .jpg, .npy or .ply",
+                path,
+                "change the ending",
+            )
         check_not_input(path, options.scene, options.selection.mask)
         check_free_file(path, force=options.force)
     with progress("selecting"):
@@ -76,7 +88,9 @@ def run(options: SelectOptions) -> None:
         first = next(iter(chosen.cameras.values()))
         for path in options.out:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _save(path, loaded, mask, next(iter(weights.values())), first, chosen.render)
+            _save(
+                path, loaded, mask, next(iter(weights.values())), first, chosen.render
+            )
     views: list[dict[str, Any]] = [
         {
             "camera": name,
@@ -96,18 +110,29 @@ def run(options: SelectOptions) -> None:
     for doubt in doubts(mask, weights):
         warn(f"warning: {doubt}")
     low, high = (" ".join(f"{value:.4g}" for value in corner) for corner in box)
-    lines = [f"{document['gaussians']:,} of {len(mask):,} Gaussians, in the box {low} {high}"]
+    lines = [
+        f"{document['gaussians']:,} of {len(mask):,} Gaussians, in the box {low} {high}"
+    ]
     for view in views[:LISTED]:
         seen = "seen" if view["seen"] else "not seen"
         lines.append(f"{seen} by {view['camera']}: {view['share']:.1%} of the pixels")
     if len(views) > LISTED:
         shares = [view["share"] for view in views if view["seen"]]
-        of_pixels = f", {min(shares):.1%} to {max(shares):.1%} of the pixels" if shares else ""
+        of_pixels = (
+            f", {min(shares):.1%} to {max(shares):.1%} of the pixels" if shares else ""
+        )
         lines.append(f"seen by {len(shares)} of {len(views)} cameras in all{of_pixels}")
     show_result(document, *lines, *map(str, options.out), as_json=options.json)
 
 
-def _save(path: Path, loaded: SplatScene, mask: Tensor, weight: Tensor, camera: Camera, render: RenderFn) -> None:
+def _save(
+    path: Path,
+    loaded: SplatScene,
+    mask: Tensor,
+    weight: Tensor,
+    camera: Camera,
+    render: RenderFn,
+) -> None:
     from mi_splat.io import save_splat
     from mi_splat.io.images import save_picture
     from mi_splat.selection.select import save_mask
@@ -115,13 +140,19 @@ def _save(path: Path, loaded: SplatScene, mask: Tensor, weight: Tensor, camera: 
     if path.suffix.lower() == ".npy":
         save_mask(mask, path)
     elif path.suffix.lower() == ".ply":
-        save_splat(loaded.scene.select(mask), path, antialiased=loaded.settings.antialiased)
+        save_splat(
+            loaded.scene.select(mask), path, antialiased=loaded.settings.antialiased
+        )
     else:
         save_picture(tinted(loaded.scene, weight, camera, render), path)
 
 
-def tinted(scene: GaussianScene, weight: Tensor, camera: Camera, render: RenderFn) -> NDArray[np.uint8]:
-    """The picture of a scene in which an object has another colour, and all else is paler."""
+def tinted(
+    scene: GaussianScene, weight: Tensor, camera: Camera, render: RenderFn
+) -> NDArray[np.uint8]:
+    """The picture of a scene in which an object has another colour, and all else is
+    paler.
+    """
     import torch
 
     from mi_splat.io.images import to_bytes
@@ -130,5 +161,7 @@ def tinted(scene: GaussianScene, weight: Tensor, camera: Camera, render: RenderF
         picture = render(scene, camera)[..., :3].clamp(0, 1)
     share = weight[..., None].to(picture)
     tint = 0.5 * picture + 0.5 * torch.tensor(TINT).to(picture)
-    pixels: NDArray[np.uint8] = to_bytes(share * tint + (1 - share) * (0.35 + 0.65 * picture.mean(-1, keepdim=True)))
+    pixels: NDArray[np.uint8] = to_bytes(
+        share * tint + (1 - share) * (0.35 + 0.65 * picture.mean(-1, keepdim=True))
+    )
     return pixels

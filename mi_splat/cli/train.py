@@ -37,14 +37,16 @@ _STRATEGY = strategy_name(FitConfig().strategy)
 
 @dataclass(frozen=True, kw_only=True)
 class TrainOptions(JsonOptions):
-    """Train a splat on images with cameras: a set of `mi-splat prepare` or `capture`, of COLMAP, or transforms.json.
+    """Train a splat on images with cameras: a set of `mi-splat prepare` or `capture`,
+    of COLMAP, or transforms.json.
 
-    Images of lenses with distortion are undistorted, photographs are turned upright, and what is black in the set's
-    masks (mask_path of frames, or a folder masks/) does not count.
+    Images of lenses with distortion are undistorted, photographs are turned upright,
+    and what is black in the set's masks (mask_path of frames, or a folder masks/) does
+    not count.
 
-    Writes splat.ply, metrics.json, config.json and checkpoint.safetensors into --out. A run that was stopped goes on
-    when the same command is given again, and makes the bits that it would have made. A run also goes on with more
-    --iterations than it had.
+    Writes splat.ply, metrics.json, config.json and checkpoint.safetensors into --out. A
+    run that was stopped goes on when the same command is given again, and makes the
+    bits that it would have made. A run also goes on with more --iterations than it had.
     """
 
     dataset: Positional[Folder]
@@ -52,23 +54,31 @@ class TrainOptions(JsonOptions):
     out: OutFolder
     """Folder for the results; made if it is not there."""
     strategy: Annotated[str, Metavar("|".join(STRATEGIES))] = _STRATEGY
-    """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC relocation, or not at all. For the flags
-    of one add --help."""
+    """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC
+    relocation, or not at all. For the flags of one add --help.
+    """
     fit: FitConfig = field(default_factory=FitConfig)
     """How the splat is trained."""
     renderer: Literal["tile", "ray"] = "tile"
-    """Whose images are fitted: tile rasterises, ray traces rays; that has no strategy classic."""
+    """Whose images are fitted: tile rasterises, ray traces rays; that has no strategy
+    classic.
+    """
     start: Path | None = None
-    """Splat to begin with; None takes the points of the set, or Gaussians anywhere if it has none."""
+    """Splat to begin with; None takes the points of the set, or Gaussians anywhere if
+    it has none.
+    """
     random: Annotated[int, between(1, 100_000_000, "Gaussians")] | None = None
     """Begin with so many Gaussians anywhere instead."""
     downscale: Annotated[int, between(1, 64, "times smaller"), Metavar("FACTOR")] = 1
     """Integer factor by which the pictures shrink."""
     background: Colour = (0.0, 0.0, 0.0)
-    """Colour behind the splat and transparent pixels, as white, #80b0e0 or 0.5,0.7,0.9."""
+    """Colour behind the splat and transparent pixels, as white, #80b0e0 or
+    0.5,0.7,0.9.
+    """
     near: Length | None = None
-    """Gaussians nearer to a camera than this are not drawn, world units; none takes the 0.2 of 3DGS, or less where the
-    scene or the distance of its cameras is small."""
+    """Gaussians nearer to a camera than this are not drawn, world units; none takes the
+    0.2 of 3DGS, or less where the scene or the distance of its cameras is small.
+    """
     device: Literal["cpu", "cuda"] = "cpu"
     """Where it is trained: on the CPU, or on an NVIDIA GPU."""
     checkpoint_every: Annotated[int, at_least(1, "steps", "1000 is usual")] = 1000
@@ -110,12 +120,19 @@ def _train(options: TrainOptions) -> None:
     limit_threads(1)
     config = options.fit
     with progress("loading the pictures"):
-        load = partial(load_dataset, options.dataset, downscale=options.downscale, background=options.background)
+        load = partial(
+            load_dataset,
+            options.dataset,
+            downscale=options.downscale,
+            background=options.background,
+        )
         views = load(split="train")
         held_out = load(split="test")
         _say_of_images(options.dataset, views, held_out)
         start = _start(views, options)
-        near = near_plane(start, views.cameras) if options.near is None else options.near
+        near = (
+            near_plane(start, views.cameras) if options.near is None else options.near
+        )
         render = _renderer(options, near)
         settings: dict[str, object] = {
             "near": near,
@@ -130,7 +147,10 @@ def _train(options: TrainOptions) -> None:
     with progress("training", total=config.iterations) as advance:
 
         def on_resume(state: TrainState) -> None:
-            whole = f"the run has all its {config.iterations:,} steps; only its results are written again"
+            whole = (
+                f"the run has all its {config.iterations:,} steps; only its results are"
+                " written again"
+            )
             rest = f"going on from step {state.iteration:,} of {config.iterations:,}"
             warn(whole if state.iteration >= config.iterations else rest)
             advance("training", state.iteration)
@@ -167,13 +187,22 @@ def _say_of_images(source: Path, views: Dataset, held_out: Dataset) -> None:
     listed, there = views.listed | held_out.listed, len(views) + len(held_out)
     split = f"{counted(len(views), 'image')} for training, {len(held_out)} held out"
     masked = sum(frame.mask is not None for frame in views.frames)
-    warn(f"{source}: {there} of {counted(len(listed), 'listed image')} there; {split}; {masked} with a mask")
+    warn(
+        f"{source}: {there} of {counted(len(listed), 'listed image')} there; {split};"
+        f" {masked} with a mask"
+    )
     others = unlisted_images(listed)
     if others:
         do = "find the cameras of the others with `mi-splat prepare`"
-        warn(f"{len(listed)} of {len(listed) + others} images in {source} have a camera; {do}")
+        warn(
+            f"{len(listed)} of {len(listed) + others} images in {source} have a camera;"
+            f" {do}"
+        )
     if len(views) < FEW_VIEWS:
-        warn(f"{counted(len(views), 'training view')} only: 20 to 200 are usual; the splat will be poor elsewhere")
+        warn(
+            f"{counted(len(views), 'training view')} only: 20 to 200 are usual; the"
+            " splat will be poor elsewhere"
+        )
 
 
 class _Pace:
@@ -204,9 +233,15 @@ class _Pace:
         self._is_said = True
         each = (now - self._began) / self._steps
         rest = each * (self._iterations - iteration)
-        text = f"a step takes {each:.2g} s: about {max(1, round(rest / 60))} min left at this pace"
+        text = (
+            f"a step takes {each:.2g} s: about {max(1, round(rest / 60))} min left at"
+            " this pace"
+        )
         if each > 1:
-            text += f"; --downscale {self._downscale * math.ceil(math.sqrt(each))} is faster"
+            text += (
+                f"; --downscale {self._downscale * math.ceil(math.sqrt(each))} is"
+                " faster"
+            )
         warn(text)
 
 
@@ -214,12 +249,19 @@ def _show(options: TrainOptions, count: int, seconds: float) -> None:
     from mi_splat.training.resume import METRICS, SPLAT
 
     figures = read_json(options.out / METRICS)
-    lines = [f"{options.out / SPLAT}: {count:,} Gaussians after {options.fit.iterations} steps"]
+    lines = [
+        f"{options.out / SPLAT}: {count:,} Gaussians after {options.fit.iterations}"
+        " steps"
+    ]
     if figures["psnr"] is not None:
         quality = f"PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}"
         lines.append(f"held out ({figures['held_out_views']} pictures): {quality}")
     lines.append(f"took {seconds:.0f} s; figures are in {options.out / METRICS}")
-    show_result({**figures, "out": str(options.out), "seconds": seconds}, *lines, as_json=options.json)
+    show_result(
+        {**figures, "out": str(options.out), "seconds": seconds},
+        *lines,
+        as_json=options.json,
+    )
 
 
 def _renderer(options: TrainOptions, near: float) -> Renderer:
@@ -227,8 +269,18 @@ def _renderer(options: TrainOptions, near: float) -> Renderer:
 
     config = options.fit
     variant = "cuda_ad_rgb" if options.device == "cuda" else ""
-    settings = RenderSettings(method=options.renderer, background=options.background, near=near, variant=variant)
-    return Renderer(settings, screen_gradients=ScreenGradients() if config.strategy.needs_screen_gradients else None)
+    settings = RenderSettings(
+        method=options.renderer,
+        background=options.background,
+        near=near,
+        variant=variant,
+    )
+    return Renderer(
+        settings,
+        screen_gradients=(
+            ScreenGradients() if config.strategy.needs_screen_gradients else None
+        ),
+    )
 
 
 def _warn_of_culled(start: GaussianScene, views: Dataset, near: float) -> None:
@@ -238,26 +290,41 @@ def _warn_of_culled(start: GaussianScene, views: Dataset, near: float) -> None:
     culled = [culled_in_view(start, camera, near) for camera in views.cameras]
     if max(culled) > CULLED * len(start):
         most = f"{max(culled):,} of {len(start):,} Gaussians"
-        warn(f"in {sum(map(bool, culled))} of {len(culled)} pictures, up to {most} are nearer than near = {near:g}")
+        warn(
+            f"in {sum(map(bool, culled))} of {len(culled)} pictures, up to {most} are"
+            f" nearer than near = {near:g}"
+        )
 
 
 def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
     from mi_splat.io import load_splat
     from mi_splat.training.initialization import from_points, random_points, thinned
 
-    limit = options.fit.strategy.max_gaussians if options.fit.strategy.adds_gaussians else None
+    limit = (
+        options.fit.strategy.max_gaussians
+        if options.fit.strategy.adds_gaussians
+        else None
+    )
     if options.start is not None and options.random is not None:
-        raise InvalidValueError.of("--random", "no other start", f"--start {options.start}", "leave one out")
+        raise InvalidValueError.of(
+            "--random", "no other start", f"--start {options.start}", "leave one out"
+        )
     if options.start is not None:
         return load_splat(options.start)
     if options.random is not None:
         return random_points(views, options.random, seed=options.seed)
     if views.points is None or not len(views.points):
         count = RANDOM_START if limit is None else min(limit, RANDOM_START)
-        warn(f"the set has no points: starting on {count:,} Gaussians anywhere (see --random, --start)")
+        warn(
+            f"the set has no points: starting on {count:,} Gaussians anywhere (see"
+            " --random, --start)"
+        )
         return random_points(views, count, seed=options.seed)
     cloud = views.points
     if limit is not None and len(cloud.points) > limit:
-        warn(f"starting on {limit:,} of {len(cloud.points):,} points, evenly at random: no more are allowed")
+        warn(
+            f"starting on {limit:,} of {len(cloud.points):,} points, evenly at random:"
+            " no more are allowed"
+        )
         cloud = thinned(cloud, limit, seed=options.seed)
     return from_points(cloud.points, cloud.colours)

@@ -1,1 +1,3 @@
-"""Renderers beside each other: how far apart their pictures and their gradients are, and what they cost."""
+"""Renderers beside each other: how far apart their pictures and their gradients are,
+and what they cost.
+"""

@@ -1,4 +1,6 @@
-"""One splat through several methods: their pictures, and each two of them beside each other."""
+"""One splat through several methods: their pictures, and each two of them beside each
+other.
+"""
 
 import math
 import statistics
@@ -37,15 +39,23 @@ PICTURES = "pictures"
 
 
 def sheet(pictures: Mapping[str, Tensor], *, factor: float) -> NDArray[np.uint8]:
-    """The pictures of one camera: the methods, and after them the absolute differences of each two."""
+    """The pictures of one camera: the methods, and after them the absolute differences
+    of each two.
+    """
     tiles = [_labelled(to_bytes(picture), name) for name, picture in pictures.items()]
     for (first_name, first), (second_name, second) in combinations(pictures.items(), 2):
         gap = (first.clamp(0, 1) - second.clamp(0, 1)).abs()
-        tiles.append(_labelled(to_bytes(factor * gap), f"|{first_name} - {second_name}| x {factor:g}"))
+        tiles.append(
+            _labelled(
+                to_bytes(factor * gap), f"|{first_name} - {second_name}| x {factor:g}"
+            )
+        )
     columns = max(3, len(pictures))  # of two, the difference stands beside them
     height, width = tiles[0].shape[:2]
     rows = -(-len(tiles) // columns)
-    canvas = np.full((rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3), 255, np.uint8)
+    canvas = np.full(
+        (rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3), 255, np.uint8
+    )
     for number, tile in enumerate(tiles):
         y, x = number // columns * (height + GAP), number % columns * (width + GAP)
         canvas[y : y + height, x : x + width] = tile
@@ -56,12 +66,16 @@ def _labelled(pixels: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
     """A picture, large enough for its label, with the label."""
     factor = max(1, -(-WIDTH // pixels.shape[1]))
     picture = Image.fromarray(pixels)
-    picture = picture.resize((picture.width * factor, picture.height * factor), Image.Resampling.NEAREST)
+    picture = picture.resize(
+        (picture.width * factor, picture.height * factor), Image.Resampling.NEAREST
+    )
     write_label(ImageDraw.Draw(picture), (4, 4), text, "#000000", size=14)
     return np.asarray(picture)
 
 
-def save_sheets(pictures: Mapping[str, Mapping[str, Tensor]], folder: Path) -> list[Path]:
+def save_sheets(
+    pictures: Mapping[str, Mapping[str, Tensor]], folder: Path
+) -> list[Path]:
     """Write a sheet for each camera, and each picture on its own."""
     sheets = []
     for view, seen in pictures.items():
@@ -80,7 +94,9 @@ LEAST_SSIM = 11
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureDistance:
-    """How far apart two pictures are, clipped to [0, 1]; None is what was not measured."""
+    """How far apart two pictures are, clipped to [0, 1]; None is what was not
+    measured.
+    """
 
     pixels: int
     mse: float
@@ -103,61 +119,96 @@ def picture_distance(first: Tensor, second: Tensor) -> PictureDistance:
 
 
 def pooled(distances: Sequence[PictureDistance]) -> PictureDistance:
-    """Several pictures as one: the squared error of all their pixels, and the mean SSIM, if all have one."""
-    known, pixels = [d.ssim for d in distances if d.ssim is not None], sum(d.pixels for d in distances)
+    """Several pictures as one: the squared error of all their pixels, and the mean
+    SSIM, if all have one.
+    """
+    known, pixels = (
+        [d.ssim for d in distances if d.ssim is not None],
+        sum(d.pixels for d in distances),
+    )
     return PictureDistance(
         pixels=pixels,
         mse=sum(distance.mse * distance.pixels for distance in distances) / pixels,
-        ssim=sum(known) / len(known) if known and len(known) == len(distances) else None,
+        ssim=(
+            sum(known) / len(known) if known and len(known) == len(distances) else None
+        ),
     )
 
 
 def weighting(camera: Camera, seed: int) -> Tensor:
-    """(H, W, 3) fixed random weights, normally distributed; with them a picture becomes one number."""
+    """(H, W, 3) fixed random weights, normally distributed; with them a picture becomes
+    one number.
+    """
     generator = torch.Generator().manual_seed(seed)
     return torch.randn(camera.height, camera.width, 3, generator=generator)
 
 
-def gradients(render: RenderFn, scene: GaussianScene, camera: Camera, weights: Tensor) -> dict[str, Tensor]:
-    """The gradient of a weighted sum of a picture's values with respect to each attribute.
+def gradients(
+    render: RenderFn, scene: GaussianScene, camera: Camera, weights: Tensor
+) -> dict[str, Tensor]:
+    """The gradient of a weighted sum of a picture's values with respect to each
+    attribute.
 
-    A quaternion's length means nothing, and renderers differ in whether they divide by it. So of the gradient of
-    rotations the part along the quaternion is taken out.
+    A quaternion's length means nothing, and renderers differ in whether they divide by
+    it. So of the gradient of rotations the part along the quaternion is taken out.
     """
-    leaves = [tensor.detach().clone().requires_grad_(True) for tensor in scene.tensors()]
+    leaves = [
+        tensor.detach().clone().requires_grad_(True) for tensor in scene.tensors()
+    ]
     picture = render(GaussianScene(*leaves), camera)
     (picture * weights.to(picture.device)).sum().backward()  # type: ignore[no-untyped-call]
     pairs = zip(ATTRIBUTES, leaves, strict=True)
     by_attribute: dict[str, Tensor] = {
-        name: torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for name, leaf in pairs
+        name: torch.zeros_like(leaf) if leaf.grad is None else leaf.grad
+        for name, leaf in pairs
     }
     along = (by_attribute["rotations"] * scene.rotations).sum(-1, keepdim=True)
-    return {**by_attribute, "rotations": by_attribute["rotations"] - along * scene.rotations}
+    return {
+        **by_attribute,
+        "rotations": by_attribute["rotations"] - along * scene.rotations,
+    }
 
 
 class GradientAgreement:
-    """How well two gradients of one attribute agree, over all cameras that were added."""
+    """How well two gradients of one attribute agree, over all cameras that were
+    added.
+    """
 
     def __init__(self) -> None:
-        self._sums = torch.zeros(4, dtype=torch.float64)  # first . second, and squares of both and of the difference
+        # first . second, and squares of both and of the difference
+        self._sums = torch.zeros(4, dtype=torch.float64)
 
     def add(self, first: Tensor, second: Tensor) -> None:
         """Take in the gradients, (N, ...) each, of one more picture."""
-        x, y = (gradient.detach().cpu().double().flatten() for gradient in (first, second))
+        x, y = (
+            gradient.detach().cpu().double().flatten() for gradient in (first, second)
+        )
         self._sums += torch.stack([x @ y, x @ x, y @ y, (x - y) @ (x - y)])
 
     @property
     def cosine(self) -> float | None:
-        """Cosine of the angle between them, 1 if they point the same way; None if one is 0 or not finite."""
+        """Cosine of the angle between them, 1 if they point the same way; None if one
+        is 0 or not finite.
+        """
         product, first, second, _ = self._sums.tolist()
         lengths = math.sqrt(first * second)
-        return max(-1.0, min(1.0, product / lengths)) if lengths > 0 and math.isfinite(lengths) else None
+        return (
+            max(-1.0, min(1.0, product / lengths))
+            if lengths > 0 and math.isfinite(lengths)
+            else None
+        )
 
     @property
     def relative_error(self) -> float | None:
-        """Length of the difference over the length of the first; None if that is 0, or something is not finite."""
+        """Length of the difference over the length of the first; None if that is 0, or
+        something is not finite.
+        """
         _, first, _, gap = self._sums.tolist()
-        return math.sqrt(gap / first) if first > 0 and math.isfinite(first) and math.isfinite(gap) else None
+        return (
+            math.sqrt(gap / first)
+            if first > 0 and math.isfinite(first) and math.isfinite(gap)
+            else None
+        )
 
 
 FORWARD, GRADIENT = "picture", "picture_and_gradient"
@@ -165,7 +216,9 @@ FORWARD, GRADIENT = "picture", "picture_and_gradient"
 Agreement = dict[str, GradientAgreement]
 """Of two methods, by attribute."""
 Cost = dict[str, Any]
-"""Processor seconds of all threads: the median, those of each round, and the median ratio to the first method."""
+"""Processor seconds of all threads: the median, those of each round, and the median
+ratio to the first method.
+"""
 Run = Callable[[], None]
 
 
@@ -182,12 +235,16 @@ class CompareConfig(Checked):
     rounds: Count = 5
     """How often each method is timed; 0 measures no time."""
     seed: Seed = 0
-    """Seed of the random weights that make one number of a picture, whose gradients are compared."""
+    """Seed of the random weights that make one number of a picture, whose gradients are
+    compared.
+    """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """Two methods: the distances of their pictures by camera, with so many bits a channel, and of their gradients."""
+    """Two methods: the distances of their pictures by camera, with so many bits a
+    channel, and of their gradients.
+    """
 
     bits: int
     distances: dict[str, PictureDistance]
@@ -208,7 +265,10 @@ class Comparison:
     costs: dict[str, dict[str, Cost]]
 
     def __repr__(self) -> str:
-        pairs = (f"{a} and {b} {pair.whole.psnr or math.inf:.1f} dB" for (a, b), pair in self.pairs.items())
+        pairs = (
+            f"{a} and {b} {pair.whole.psnr or math.inf:.1f} dB"
+            for (a, b), pair in self.pairs.items()
+        )
         return f"Comparison({len(self.pictures)} cameras, PSNR: {listed(pairs)})"
 
 
@@ -220,27 +280,41 @@ def compare(
     config: CompareConfig | None = None,
     on_step: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
-    """Render every camera with every method, and measure how pictures, gradients and times differ."""
+    """Render every camera with every method, and measure how pictures, gradients and
+    times differ.
+    """
     config = config or CompareConfig()
     for what, given, least in (("cameras", cameras, 1), ("methods", methods, 2)):
         if len(given) < least:
-            raise InvalidValueError.of(what, f"{least} or more", len(given), "name more")
+            raise InvalidValueError.of(
+                what, f"{least} or more", len(given), "name more"
+            )
     pictures: dict[str, dict[str, Tensor]] = {}
     for view, camera in cameras.items():
         pictures[view] = {}
         for name, method in methods.items():
             on_step(f"{name} from {view}")
             pictures[view][name] = _picture(name, method, scene, camera)
-    agreement = _agreement(scene, cameras, methods, config, on_step) if config.gradients else {}
+    agreement = (
+        _agreement(scene, cameras, methods, config, on_step) if config.gradients else {}
+    )
     pairs = {}
     for names in combinations(methods, 2):
         bits = min(methods[name].bits for name in names)
         distances = {
-            view: picture_distance(*(quantise(seen[name]) if bits == 8 else seen[name] for name in names))
+            view: picture_distance(
+                *(quantise(seen[name]) if bits == 8 else seen[name] for name in names)
+            )
             for view, seen in pictures.items()
         }
-        pairs[names] = Pair(bits=bits, distances=distances, agreement=agreement.get(names))
-    costs = _costs(scene, next(iter(cameras.values())), methods, config, on_step) if config.rounds else {}
+        pairs[names] = Pair(
+            bits=bits, distances=distances, agreement=agreement.get(names)
+        )
+    costs = (
+        _costs(scene, next(iter(cameras.values())), methods, config, on_step)
+        if config.rounds
+        else {}
+    )
     return Comparison(pictures=pictures, pairs=pairs, costs=costs)
 
 
@@ -250,9 +324,14 @@ def _picture(name: str, method: Method, scene: GaussianScene, camera: Camera) ->
         picture = method.render(scene, camera).cpu()
     expected = (camera.height, camera.width, 3)
     if tuple(picture.shape) != expected or not bool(picture.isfinite().all()):
-        got = f"{tuple(picture.shape)}, {int((~picture.isfinite()).sum())} values not finite"
+        got = (
+            f"{tuple(picture.shape)}, {int((~picture.isfinite()).sum())} values not"
+            " finite"
+        )
         do = "mend the method, or leave it out"
-        raise InvalidValueError.of(f"picture of {name}", f"{expected} finite values", got, do)
+        raise InvalidValueError.of(
+            f"picture of {name}", f"{expected} finite values", got, do
+        )
     return picture
 
 
@@ -265,7 +344,8 @@ def _agreement(
 ) -> dict[tuple[str, str], Agreement]:
     differentiable = [name for name, method in methods.items() if method.differentiable]
     agreements: dict[tuple[str, str], Agreement] = {
-        names: {attribute: GradientAgreement() for attribute in ATTRIBUTES} for names in combinations(differentiable, 2)
+        names: {attribute: GradientAgreement() for attribute in ATTRIBUTES}
+        for names in combinations(differentiable, 2)
     }
     for number, (view, camera) in enumerate(cameras.items() if agreements else ()):
         weights = weighting(camera, config.seed + number)
@@ -296,20 +376,33 @@ def _costs(
         gradients(method.render, scene, camera, weights)["sh"].sum().item()
 
     rendering = {name: method for name, method in methods.items() if method.renders}
-    runs: dict[str, dict[str, Run]] = {FORWARD: {name: partial(forward, method) for name, method in rendering.items()}}
+    runs: dict[str, dict[str, Run]] = {
+        FORWARD: {name: partial(forward, method) for name, method in rendering.items()}
+    }
     if config.gradients:
-        runs[GRADIENT] = {name: partial(both, method) for name, method in rendering.items() if method.differentiable}
+        runs[GRADIENT] = {
+            name: partial(both, method)
+            for name, method in rendering.items()
+            if method.differentiable
+        }
     return {
-        kind: costs_of(timed, rounds=config.rounds, on_step=lambda text, kind=kind: on_step(f"{text} ({kind})"))  # type: ignore[misc]
+        kind: costs_of(
+            timed,
+            rounds=config.rounds,
+            on_step=lambda text, kind=kind: on_step(f"{text} ({kind})"),  # type: ignore[misc]
+        )
         for kind, timed in runs.items()
         if timed
     }
 
 
-def costs_of(runs: Mapping[str, Run], *, rounds: int, on_step: Callable[[str], None]) -> dict[str, Cost]:
+def costs_of(
+    runs: Mapping[str, Run], *, rounds: int, on_step: Callable[[str], None]
+) -> dict[str, Cost]:
     """The cost of each method.
 
-    In each round all take their turn, since a machine that others use changes its speed within minutes.
+    In each round all take their turn, since a machine that others use changes its speed
+    within minutes.
     """
     seconds = {name: list[float]() for name in runs}
     for run in runs.values():  # whatever is compiled is compiled now
@@ -325,20 +418,27 @@ def costs_of(runs: Mapping[str, Run], *, rounds: int, on_step: Callable[[str], N
         name: {
             "seconds": statistics.median(times),
             "rounds": times,
-            "ratio": statistics.median(time / base for time, base in zip(times, first, strict=True)),
+            "ratio": statistics.median(
+                time / base for time, base in zip(times, first, strict=True)
+            ),
         }
         for name, times in seconds.items()
     }
 
 
 def as_dict(comparison: Comparison, methods: Mapping[str, Method]) -> dict[str, Any]:
-    """What was measured, as JSON can hold it; a figure that was not measured is null."""
+    """What was measured, as JSON can hold it; a figure that was not measured is
+    null.
+    """
     return {
         "methods": {
             name: {
                 "differentiable": method.differentiable,
                 "bits": method.bits,
-                **{kind: comparison.costs.get(kind, {}).get(name) for kind in (FORWARD, GRADIENT)},
+                **{
+                    kind: comparison.costs.get(kind, {}).get(name)
+                    for kind in (FORWARD, GRADIENT)
+                },
             }
             for name, method in methods.items()
         },
@@ -347,12 +447,20 @@ def as_dict(comparison: Comparison, methods: Mapping[str, Method]) -> dict[str, 
                 "methods": list(names),
                 "bits": pair.bits,
                 **_figures(pair.whole),
-                "by_camera": {view: _figures(distance) for view, distance in pair.distances.items()},
-                "gradients": pair.agreement
-                and {
-                    name: {"cosine": each.cosine, "relative_error": each.relative_error}
-                    for name, each in pair.agreement.items()
+                "by_camera": {
+                    view: _figures(distance)
+                    for view, distance in pair.distances.items()
                 },
+                "gradients": (
+                    pair.agreement
+                    and {
+                        name: {
+                            "cosine": each.cosine,
+                            "relative_error": each.relative_error,
+                        }
+                        for name, each in pair.agreement.items()
+                    }
+                ),
             }
             for names, pair in comparison.pairs.items()
         ],

@@ -1,4 +1,6 @@
-"""Sets of pictures with cameras, as other programs keep them: Blender/NeRF transforms and COLMAP models."""
+"""Sets of pictures with cameras, as other programs keep them: Blender/NeRF transforms
+and COLMAP models.
+"""
 
 from mi_splat.datasets.dataset import Dataset, is_dataset, load_dataset
 from mi_splat.datasets.errors import DatasetError, DatasetWarning

@@ -1,6 +1,7 @@
 """Reader of COLMAP models, text and binary: cameras, poses and points.
 
-COLMAP's poses are world-to-camera with our camera axes, and (0.5, 0.5) is the centre of its first pixel as of ours.
+COLMAP's poses are world-to-camera with our camera axes, and (0.5, 0.5) is the centre of
+its first pixel as of ours.
 """
 
 import math
@@ -40,7 +41,9 @@ from mi_splat.rotation import to_matrix
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A camera model of COLMAP: how many parameters it has, and how many of them are focal lengths."""
+    """A camera model of COLMAP: how many parameters it has, and how many of them are
+    focal lengths.
+    """
 
     parameters: int
     focals: int
@@ -70,15 +73,17 @@ MODELS = {
 """COLMAP's camera models, in the order of its ids."""
 PANORAMA = "EQUIRECTANGULAR"
 CUT_PANORAMAS = (
-    "cut the panoramas into perspective images, for instance with `ns-process-data images "
-    "--camera-type equirectangular --images-per-equirect 8` of nerfstudio"
+    "cut the panoramas into perspective images, for instance with `ns-process-data"
+    " images --camera-type equirectangular --images-per-equirect 8` of nerfstudio"
 )
 """What to do about panoramas, which no pinhole camera sees."""
 
 
 @dataclass(frozen=True, slots=True)
 class ModelCamera:
-    """A camera of a model: image size in pixels, name of the distortion model, its parameters."""
+    """A camera of a model: image size in pixels, name of the distortion model, its
+    parameters.
+    """
 
     model: str
     width: int
@@ -88,7 +93,9 @@ class ModelCamera:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """A picture of a model: quaternion (w, x, y, z) and translation from world to camera, camera id, file name."""
+    """A picture of a model: quaternion (w, x, y, z) and translation from world to
+    camera, camera id, file name.
+    """
 
     quaternion: tuple[float, ...]
     translation: tuple[float, ...]
@@ -99,25 +106,48 @@ class Pose:
 Entry = TypeVar("Entry", ModelCamera, Pose)
 
 
-def read_model(cameras_file: Path) -> tuple[list[Pose], dict[int, ModelCamera], PointCloud | None]:
-    """The poses of a model in the order of names, the cameras that they have by their numbers, and points if it has."""
+def read_model(
+    cameras_file: Path,
+) -> tuple[list[Pose], dict[int, ModelCamera], PointCloud | None]:
+    """The poses of a model in the order of names, the cameras that they have by their
+    numbers, and points if it has.
+    """
     suffix = cameras_file.suffix
     read = _Binary if suffix == ".bin" else _Text
-    images, points3d = cameras_file.with_name(f"images{suffix}"), cameras_file.with_name(f"points3D{suffix}")
+    images, points3d = (
+        cameras_file.with_name(f"images{suffix}"),
+        cameras_file.with_name(f"points3D{suffix}"),
+    )
     try:
-        lenses, poses = _by_id(read(cameras_file).lenses(), cameras_file), _by_id(read(images).poses(), images)
-        rows = np.array(list(read(points3d).points()), np.float64) if points3d.is_file() else None
+        lenses, poses = (
+            _by_id(read(cameras_file).lenses(), cameras_file),
+            _by_id(read(images).poses(), images),
+        )
+        rows = (
+            np.array(list(read(points3d).points()), np.float64)
+            if points3d.is_file()
+            else None
+        )
     except FileNotFoundError as error:
         do = "a model has three files: cameras, images, points3D"
-        raise DatasetError.of(str(error.filename), "a part of the model", "no such file", do) from error
+        raise DatasetError.of(
+            str(error.filename), "a part of the model", "no such file", do
+        ) from error
     except OSError as error:
         got = error.strerror or str(error)
-        raise DatasetError.of(str(cameras_file), "a file that can be read", got, "check the path") from error
+        raise DatasetError.of(
+            str(cameras_file), "a file that can be read", got, "check the path"
+        ) from error
     if not poses:
-        raise DatasetError.of(str(images), "at least one picture", "none", "register pictures first")
+        raise DatasetError.of(
+            str(images), "at least one picture", "none", "register pictures first"
+        )
     ordered = sorted(poses.values(), key=lambda pose: pose.name)
     refuse_doubles((pose.name for pose in ordered), images)
-    used = {number: _camera_of(lenses, number, cameras_file) for number in {pose.lens for pose in ordered}}
+    used = {
+        number: _camera_of(lenses, number, cameras_file)
+        for number in {pose.lens for pose in ordered}
+    }
     if rows is None:
         return ordered, used, None
     points, colours = torch.from_numpy(rows.reshape(-1, 6)).tensor_split(2, dim=1)
@@ -132,7 +162,9 @@ def _by_id(entries: Iterator[tuple[int, Entry]], path: Path) -> dict[int, Entry]
     table: dict[int, Entry] = {}
     for number, entry in entries:
         if number in table:
-            raise DatasetError.of(str(path), "every id once", f"{number} twice", "export the model again")
+            raise DatasetError.of(
+                str(path), "every id once", f"{number} twice", "export the model again"
+            )
         table[number] = entry
     return table
 
@@ -151,7 +183,10 @@ class _Binary:
             if not 0 <= model < len(models):
                 raise _unknown(f"{self._path}, camera {number}", f"number {model}")
             name, kind = models[model]
-            yield number, ModelCamera(name, width, height, self._take(f"{kind.parameters}d"))
+            yield (
+                number,
+                ModelCamera(name, width, height, self._take(f"{kind.parameters}d")),
+            )
 
     def poses(self) -> Iterator[tuple[int, Pose]]:
         """Ids and pictures."""
@@ -186,7 +221,10 @@ class _Binary:
         return values
 
     def _fault(self, expected: str) -> DatasetError:
-        got, do = f"{len(self._data)} bytes", "it is truncated or no COLMAP file: export again"
+        got, do = (
+            f"{len(self._data)} bytes",
+            "it is truncated or no COLMAP file: export again",
+        )
         return DatasetError.of(str(self._path), expected, got, do)
 
 
@@ -201,7 +239,9 @@ class _Text:
         for line, fields in self._rows():
             with self._expected("CAMERA_ID MODEL WIDTH HEIGHT PARAMS...", line, fields):
                 number, width, height = (int(fields[i]) for i in (0, 2, 3))
-                lens = ModelCamera(fields[1], width, height, tuple(map(float, fields[4:])))
+                lens = ModelCamera(
+                    fields[1], width, height, tuple(map(float, fields[4:]))
+                )
             yield number, lens
 
     def poses(self) -> Iterator[tuple[int, Pose]]:
@@ -210,14 +250,25 @@ class _Text:
         for line, fields in rows:
             if not fields:
                 continue
-            with self._expected("IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", line, fields):
+            with self._expected(
+                "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", line, fields
+            ):
                 values = tuple(map(float, fields[1:8]))
-                number, pose = int(fields[0]), Pose(values[:4], values[4:], int(fields[8]), fields[9])
+                number, pose = (
+                    int(fields[0]),
+                    Pose(values[:4], values[4:], int(fields[8]), fields[9]),
+                )
             yield number, pose
             line, points = next(rows, (line, []))
             points = " ".join(points).split()
-            if len(points) % 3 or not all(field.lstrip("-").isdigit() for field in points[2::3]):
-                raise self._fault("a line of 2D points (X Y POINT3D_ID), which may be empty", line, points)
+            if len(points) % 3 or not all(
+                field.lstrip("-").isdigit() for field in points[2::3]
+            ):
+                raise self._fault(
+                    "a line of 2D points (X Y POINT3D_ID), which may be empty",
+                    line,
+                    points,
+                )
 
     def points(self) -> Iterator[tuple[float, ...]]:
         """Coordinates and bytes of the colours."""
@@ -226,7 +277,9 @@ class _Text:
                 row = (*map(float, fields[1:4]), *(int(fields[i]) for i in (4, 5, 6)))
             yield row
 
-    def _rows(self, split: int = -1, *, empty: bool = False) -> Iterator[tuple[int, list[str]]]:
+    def _rows(
+        self, split: int = -1, *, empty: bool = False
+    ) -> Iterator[tuple[int, list[str]]]:
         """Numbers and fields of the lines that are no comments."""
         with self._path.open(encoding="utf-8") as file:
             try:
@@ -235,7 +288,9 @@ class _Text:
                         yield number, line.strip().split(maxsplit=split)
             except UnicodeDecodeError as error:
                 do = "export the model again"
-                raise DatasetError.of(str(self._path), "text in UTF-8", str(error), do) from error
+                raise DatasetError.of(
+                    str(self._path), "text in UTF-8", str(error), do
+                ) from error
 
     @contextmanager
     def _expected(self, form: str, line: int, fields: Sequence[str]) -> Iterator[None]:
@@ -247,7 +302,9 @@ class _Text:
 
     def _fault(self, expected: str, line: int, fields: Sequence[str]) -> DatasetError:
         got = repr(" ".join(fields)[:80])
-        return DatasetError.of(f"{self._path}, line {line}", expected, got, "export the model again")
+        return DatasetError.of(
+            f"{self._path}, line {line}", expected, got, "export the model again"
+        )
 
 
 TEST_LIST = "test.txt"
@@ -258,21 +315,38 @@ _KINDS = (".bin", ".txt")
 
 
 def find_model(path: Path) -> Path | None:
-    """The cameras file of the first model in a folder, binary before text; None if there is none."""
-    candidates = (path / folder / f"cameras{kind}" for folder in _FOLDERS for kind in _KINDS)
+    """The cameras file of the first model in a folder, binary before text; None if
+    there is none.
+    """
+    candidates = (
+        path / folder / f"cameras{kind}" for folder in _FOLDERS for kind in _KINDS
+    )
     return next((candidate for candidate in candidates if candidate.is_file()), None)
 
 
-def read_colmap(root: Path, cameras_file: Path, split: Split | None, every: int) -> Found:
+def read_colmap(
+    root: Path, cameras_file: Path, split: Split | None, every: int
+) -> Found:
     """The frames of a split in the order of names, and the points."""
     folder = cameras_file.parent
-    others = [other for other in sorted(folder.parent.glob("[0-9]*")) if other != folder and find_model(other)]
+    others = [
+        other
+        for other in sorted(folder.parent.glob("[0-9]*"))
+        if other != folder and find_model(other)
+    ]
     if folder.name == "0" and others and root != folder:
         do = f"{folder} is read; to read another, pass its folder"
-        warnings.warn(f"{folder.parent} has {len(others) + 1} models: {do}", DatasetWarning, stacklevel=3)
+        warnings.warn(
+            f"{folder.parent} has {len(others) + 1} models: {do}",
+            DatasetWarning,
+            stacklevel=3,
+        )
     poses, cameras, points = read_model(cameras_file)
     source, images = _images_file(cameras_file), _images_folder(root, folder)
-    lenses = {number: _lens(camera, number, cameras_file, images) for number, camera in cameras.items()}
+    lenses = {
+        number: _lens(camera, number, cameras_file, images)
+        for number, camera in cameras.items()
+    }
     files, masks = SetFiles(images), mask_folders(images)
     found: dict[str, Frame] = {}
     listed, missing = set[Path](), []
@@ -285,22 +359,33 @@ def read_colmap(root: Path, cameras_file: Path, split: Split | None, every: int)
             continue
         lens = lenses[pose.lens]
         mask = files.mask(masks, pose.name)
-        found[pose.name] = frame_of(photo_of(path, lens.size), mask, _to_world(pose, where), lens, where)
+        found[pose.name] = frame_of(
+            photo_of(path, lens.size), mask, _to_world(pose, where), lens, where
+        )
     report_missing(missing, len(poses), source)
     report_frames(list(found.values()), source)
     read_poses = [pose for pose in poses if pose.name in found]
-    frames = [found[pose.name] for pose in _split(read_poses, folder / TEST_LIST, split, every)]
+    frames = [
+        found[pose.name]
+        for pose in _split(read_poses, folder / TEST_LIST, split, every)
+    ]
     return Found(frames, frozenset(listed), points)
 
 
-def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[str, Camera]:
+def read_model_cameras(
+    cameras_file: Path, split: Split | None = None
+) -> dict[str, Camera]:
     """The cameras of a model by the names of their images, which need not be there.
 
-    Where an image is there, its camera is that of `read_colmap`: without distortion, and upright. Of the others and of
-    lenses that cannot be undone, distortion is ignored.
+    Where an image is there, its camera is that of `read_colmap`: without distortion,
+    and upright. Of the others and of lenses that cannot be undone, distortion is
+    ignored.
     """
     poses, model_cameras, _ = read_model(cameras_file)
-    source, images = _images_file(cameras_file), _images_folder(cameras_file.parent, cameras_file.parent)
+    source, images = (
+        _images_file(cameras_file),
+        _images_folder(cameras_file.parent, cameras_file.parent),
+    )
     files = SetFiles(images)
     paths = {pose.name: files.find(pose.name, str(source)) for pose in poses}
     present = {name for name, path in paths.items() if path.is_file()}
@@ -314,7 +399,9 @@ def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[s
             if pose.name not in present:
                 raise DatasetError.of(where, "its image", "none", "use its pose alone")
             lens = _lens(model, pose.lens, cameras_file, images)
-            cameras[pose.name] = frame_of(photo_of(paths[pose.name], lens.size), None, to_world, lens, where).camera
+            cameras[pose.name] = frame_of(
+                photo_of(paths[pose.name], lens.size), None, to_world, lens, where
+            ).camera
         except MiSplatError:
             pinhole = _pinhole_part(model, f"{cameras_file}, camera {pose.lens}")
             cameras[pose.name] = camera_of(to_world, pinhole, where)
@@ -326,7 +413,10 @@ def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[s
 def report_ignored_distortion(models: Collection[str], source: Path) -> None:
     """Say that poses are used without the distortion of their lenses."""
     if models:
-        text = f"{source}: the poses are used without the distortion of their lenses ({', '.join(sorted(models))})"
+        text = (
+            f"{source}: the poses are used without the distortion of their lenses"
+            f" ({', '.join(sorted(models))})"
+        )
         warnings.warn(text, DatasetWarning, stacklevel=4)
 
 
@@ -335,25 +425,35 @@ def _images_file(cameras_file: Path) -> Path:
 
 
 def _images_folder(root: Path, folder: Path) -> Path:
-    """Where a model's images are: images/ in the folder that was asked for or above the model."""
+    """Where a model's images are: images/ in the folder that was asked for or above the
+    model.
+    """
     return image_folder((root, folder, *list(folder.parents)[:3]))
 
 
-def _split(poses: list[Pose], test_list: Path, split: Split | None, every: int) -> list[Pose]:
+def _split(
+    poses: list[Pose], test_list: Path, split: Split | None, every: int
+) -> list[Pose]:
     """The part of a model's images, by its list of test images if it has one."""
     if split is None or not test_list.is_file():
         return held_out(poses, split, every)
     try:
         tests = {line.strip() for line in test_list.read_text("utf-8").splitlines()}
     except (OSError, ValueError) as error:
-        raise DatasetError.of(str(test_list), "names, one a line", str(error), "write it again") from error
+        raise DatasetError.of(
+            str(test_list), "names, one a line", str(error), "write it again"
+        ) from error
     return [pose for pose in poses if (pose.name in tests) == (split == "test")]
 
 
-def _camera_of(cameras: Mapping[int, ModelCamera], number: int, source: Path) -> ModelCamera:
+def _camera_of(
+    cameras: Mapping[int, ModelCamera], number: int, source: Path
+) -> ModelCamera:
     """A camera of a model, of a kind that is known and with all of its parameters."""
     if number not in cameras:
-        raise DatasetError.of(str(source), f"a camera {number}", "none", "export the model again")
+        raise DatasetError.of(
+            str(source), f"a camera {number}", "none", "export the model again"
+        )
     camera, where = cameras[number], f"{source}, camera {number}"
     if camera.model not in MODELS:
         raise _unknown(where, camera.model)
@@ -367,15 +467,21 @@ def _camera_of(cameras: Mapping[int, ModelCamera], number: int, source: Path) ->
 def _unknown(where: str, model: str) -> DatasetError:
     """The error for a camera model that COLMAP 4.2 does not have."""
     do = "undistort the images with the program that wrote the model"
-    return DatasetError.of(where, f"a camera model, one of {', '.join(MODELS)}", model, do)
+    return DatasetError.of(
+        where, f"a camera model, one of {', '.join(MODELS)}", model, do
+    )
 
 
 def _pinhole_part(camera: ModelCamera, where: str) -> Lens:
     """The focal lengths and the principal point of a camera, without its distortion."""
     focals = MODELS[camera.model].focals
     if not focals:
-        raise DatasetError.of(where, "a camera with a focal length", camera.model, CUT_PANORAMAS)
-    fx, fy, cx, cy = (*camera.parameters[:1], *camera.parameters)[focals - 1 : focals + 3]
+        raise DatasetError.of(
+            where, "a camera with a focal length", camera.model, CUT_PANORAMAS
+        )
+    fx, fy, cx, cy = (*camera.parameters[:1], *camera.parameters)[
+        focals - 1 : focals + 3
+    ]
     return Lens(focal=(fx, fy), principal=(cx, cy), size=(camera.width, camera.height))
 
 
@@ -395,11 +501,20 @@ def _lens(camera: ModelCamera, number: int, source: Path, images: Path) -> Lens:
     pinhole, coefficients = _pinhole_part(camera, where), _coefficients(camera)
     if not MODELS[camera.model].is_read:
         readable = [name for name, model in MODELS.items() if model.is_read]
-        paths = ", ".join(repr(str(path)) for path in ("undistorted", source.parent, images))
-        do = f"pip install pycolmap, and undistort the set: pycolmap.undistort_images({paths})"
-        raise DatasetError.of(where, f"a camera model of {', '.join(readable)}", camera.model, do)
+        paths = ", ".join(
+            repr(str(path)) for path in ("undistorted", source.parent, images)
+        )
+        do = (
+            "pip install pycolmap, and undistort the set:"
+            f" pycolmap.undistort_images({paths})"
+        )
+        raise DatasetError.of(
+            where, f"a camera model of {', '.join(readable)}", camera.model, do
+        )
     try:
-        return replace(pinhole, distortion=coefficients, fisheye=camera.model.endswith("FISHEYE"))
+        return replace(
+            pinhole, distortion=coefficients, fisheye=camera.model.endswith("FISHEYE")
+        )
     except InvalidValueError as error:
         raise DatasetError(f"{where}: {error}") from error
 
@@ -410,7 +525,9 @@ def _to_world(pose: Pose, where: str) -> Tensor:
     shift = torch.tensor(pose.translation, dtype=torch.float64)
     length = float(quaternion.norm())
     if not (math.isfinite(length) and length > 1e-6):
-        raise DatasetError.of(where, "a quaternion", pose.quaternion, "register the picture again")
+        raise DatasetError.of(
+            where, "a quaternion", pose.quaternion, "register the picture again"
+        )
     rotation = to_matrix(quaternion / length)
     to_world = torch.eye(4, dtype=torch.float64)
     to_world[:3, :3], to_world[:3, 3] = rotation.T, -(rotation.T @ shift)

@@ -51,30 +51,48 @@ class _Entry(NamedTuple):
     @property
     def bytes(self) -> int:
         """Memory that it takes."""
-        planes = [plane for plane in (self.image, self.alpha, self.mask) if plane is not None]
+        planes = [
+            plane for plane in (self.image, self.alpha, self.mask) if plane is not None
+        ]
         return sum(plane.bytes for plane in planes)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class Dataset(ViewSet):
-    """Views whose pictures are read when they are asked for; the last ones read are kept, those of 8 bits as bytes."""
+    """Views whose pictures are read when they are asked for; the last ones read are
+    kept, those of 8 bits as bytes.
+    """
 
     frames: tuple[Frame, ...]  # cameras with the files of their pictures
-    points: PointCloud | None = None  # points from which a training may start; None if the set has none
-    listed: frozenset[Path] = frozenset()  # every image that the set's files name, there or not
+    # points from which a training may start; None if the set has none
+    points: PointCloud | None = None
+    # every image that the set's files name, there or not
+    listed: frozenset[Path] = frozenset()
     downscale: int = 1  # integer factor by which pictures are made smaller
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)  # sRGB colour behind transparent pixels
+    # sRGB colour behind transparent pixels
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     cache_bytes: int = CACHE_BYTES  # how much is kept in memory
-    cameras: tuple[Camera, ...] = field(init=False)  # the camera of each view, at the size of its picture
-    _cache: OrderedDict[int, _Entry] = field(init=False, repr=False, default_factory=OrderedDict)
+    # the camera of each view, at the size of its picture
+    cameras: tuple[Camera, ...] = field(init=False)
+    _cache: OrderedDict[int, _Entry] = field(
+        init=False, repr=False, default_factory=OrderedDict
+    )
 
     def __post_init__(self) -> None:
         if not (isinstance(self.downscale, int) and self.downscale >= 1):
-            raise InvalidValueError.of("downscale", "a positive integer", self.downscale, "1 keeps the size")
-        if len(self.background) != 3 or not all(0 <= value <= 1 for value in self.background):
+            raise InvalidValueError.of(
+                "downscale", "a positive integer", self.downscale, "1 keeps the size"
+            )
+        if len(self.background) != 3 or not all(
+            0 <= value <= 1 for value in self.background
+        ):
             do = "white is (1, 1, 1)"
-            raise InvalidValueError.of("background", "three sRGB values in [0, 1]", self.background, do)
-        cameras = tuple(downscaled(frame.camera, self.downscale) for frame in self.frames)
+            raise InvalidValueError.of(
+                "background", "three sRGB values in [0, 1]", self.background, do
+            )
+        cameras = tuple(
+            downscaled(frame.camera, self.downscale) for frame in self.frames
+        )
         object.__setattr__(self, "cameras", cameras)
 
     @property
@@ -84,10 +102,18 @@ class Dataset(ViewSet):
 
     @property
     def fingerprint(self) -> str:
-        """What tells this set from others: the bytes of its images and masks, and how they are read."""
+        """What tells this set from others: the bytes of its images and masks, and how
+        they are read.
+        """
         images = [_digest(path) for path in self.paths]
-        masks = [None if frame.mask is None else _digest(frame.mask) for frame in self.frames]
-        changed = [(frame.lens, frame.turns_before, frame.turns_after) for frame in self.frames if not frame.is_stored]
+        masks = [
+            None if frame.mask is None else _digest(frame.mask) for frame in self.frames
+        ]
+        changed = [
+            (frame.lens, frame.turns_before, frame.turns_after)
+            for frame in self.frames
+            if not frame.is_stored
+        ]
         more = ([masks] if any(masks) else []) + ([changed] if changed else [])
         return repr((images, self.downscale, self.background, *more))
 
@@ -113,9 +139,11 @@ class Dataset(ViewSet):
         return None if alpha is None else alpha.unpack()
 
     def loss_mask(self, index: int) -> Tensor | None:
-        """(H, W) float32 in [0, 1], 1 where the image counts in a loss; None if all of it does.
+        """(H, W) float32 in [0, 1], 1 where the image counts in a loss; None if all of
+        it does.
 
-        It is 0 where the set's mask is black, and where an image that was undistorted shows nothing.
+        It is 0 where the set's mask is black, and where an image that was undistorted
+        shows nothing.
         """
         frame = self.frames[range(len(self.frames))[operator.index(index)]]
         if frame.mask is None and frame.lens is None:
@@ -149,9 +177,20 @@ class Dataset(ViewSet):
         image = area_mean(image, self.downscale)
         if tuple(image.shape[:2]) != (camera.height, camera.width):
             got, do = tuple(image.shape[:2]), "it has changed: load the set again"
-            raise DatasetError.of(str(frame.path), f"{(camera.height, camera.width)} rows and columns", got, do)
+            raise DatasetError.of(
+                str(frame.path),
+                f"{(camera.height, camera.width)} rows and columns",
+                got,
+                do,
+            )
         planes = [
-            None if plane is None else Packed.of(torch.from_numpy(area_mean(plane, self.downscale)[..., 0]))
+            (
+                None
+                if plane is None
+                else Packed.of(
+                    torch.from_numpy(area_mean(plane, self.downscale)[..., 0])
+                )
+            )
             for plane in (alpha, mask)
         ]
         return _Entry(Packed.of(torch.from_numpy(image)), *planes)
@@ -160,7 +199,9 @@ class Dataset(ViewSet):
 def _upright(
     frame: Frame, image: Pixels, alpha: Pixels | None, mask: Pixels | None
 ) -> tuple[Pixels, Pixels | None, Pixels | None]:
-    """The image of a frame's camera with its alpha and its mask, out of those in the files."""
+    """The image of a frame's camera with its alpha and its mask, out of those in the
+    files.
+    """
     planes = [image, *(plane for plane in (alpha, mask) if plane is not None)]
     together = turned_image(np.concatenate(planes, -1), frame.turns_before)
     shown = None
@@ -169,7 +210,9 @@ def _upright(
             got, do = together.shape[:2], "it has changed: load the set again"
             expected = f"{frame.lens.size[::-1]} rows and columns"
             raise DatasetError.of(str(frame.path), expected, got, do)
-        together, seen = undistorted(np.ascontiguousarray(together), frame.lens, pinhole(frame.lens))
+        together, seen = undistorted(
+            np.ascontiguousarray(together), frame.lens, pinhole(frame.lens)
+        )
         if not seen.all():
             shown = turned_image(seen[..., None].astype(np.float32), frame.turns_after)
     together = turned_image(together, frame.turns_after)
@@ -186,7 +229,9 @@ def _digest(file: Path) -> str:
         return sha256(file)
     except OSError as error:
         got = error.strerror or str(error)
-        raise DatasetError.of(str(file), "the file of a picture", got, "load the set again") from error
+        raise DatasetError.of(
+            str(file), "the file of a picture", got, "load the set again"
+        ) from error
 
 
 def load_dataset(
@@ -198,40 +243,48 @@ def load_dataset(
     test_every: int = HELD_OUT,
     cache_bytes: int = CACHE_BYTES,
 ) -> Dataset:
-    """Load a set of pictures with cameras: Blender, NeRF and nerfstudio transforms, or a COLMAP model.
+    """Load a set of pictures with cameras: Blender, NeRF and nerfstudio transforms, or
+    a COLMAP model.
 
-    The format is found by itself: transforms_train.json and transforms_test.json, or transforms.json, or a COLMAP model
-    in sparse/0, in sparse or in the folder itself, with pictures in images/. The world stays as it is in the files.
-    Headers of all pictures are read, and what does not fit is refused now; pixels are read later. Pictures that are
-    listed and not there are left out, with a `DatasetWarning`.
+    The format is found by itself: transforms_train.json and transforms_test.json, or
+    transforms.json, or a COLMAP model in sparse/0, in sparse or in the folder itself,
+    with pictures in images/. The world stays as it is in the files. Headers of all
+    pictures are read, and what does not fit is refused now; pixels are read later.
+    Pictures that are listed and not there are left out, with a `DatasetWarning`.
 
-    Images of lenses with distortion are undistorted as they are read (`mi_splat.datasets.lenses`),
-    and images that EXIF says to turn are turned, each with its camera and its mask. Masks are those
-    that frames name (`mask_path`), or that lie in masks/ under the name of the image with .png
-    appended, the same name, or the same stem; see `Dataset.loss_mask`. Where the set has no
-    images/, those of images_2, images_4 or images_8 are read, and intrinsics are scaled to them.
+    Images of lenses with distortion are undistorted as they are read
+    (`mi_splat.datasets.lenses`), and images that EXIF says to turn are turned, each
+    with its camera and its mask. Masks are those that frames name (`mask_path`), or
+    that lie in masks/ under the name of the image with .png appended, the same name, or
+    the same stem; see `Dataset.loss_mask`. Where the set has no images/, those of
+    images_2, images_4 or images_8 are read, and intrinsics are scaled to them.
 
     Args:
         path: The folder, or a transforms file.
-        split: "train" or "test"; None is both. Where the set has no split, every `test_every`-th picture in the order
-            of names, the first included, is for tests, unless it is the only one; "test" may then be empty.
-        downscale: Integer factor by which pictures and intrinsics shrink; pixels are averaged.
+        split: "train" or "test"; None is both. Where the set has no split, every
+            `test_every`-th picture in the order of names, the first included, is for
+            tests, unless it is the only one; "test" may then be empty.
+        downscale: Integer factor by which pictures and intrinsics shrink; pixels are
+            averaged.
         background: sRGB colour behind transparent pixels.
         test_every: See `split`.
         cache_bytes: How much of the set may stay in memory.
 
     Returns:
-        The views, whose pictures are read when they are asked for, and the points of the set if it has some.
+        The views, whose pictures are read when they are asked for, and the points of
+        the set if it has some.
 
     Raises:
-        DatasetError: The set is of neither kind, empty, or something in it is broken or cannot be undistorted, or
-            more than a third of the images are missing.
+        DatasetError: The set is of neither kind, empty, or something in it is broken or
+            cannot be undistorted, or more than a third of the images are missing.
         PictureFileError: A picture cannot be read.
         SplatFileError: The point cloud beside transforms cannot be read.
         InvalidValueError: An argument is out of range.
     """
     if split not in ("train", "test", None):
-        raise InvalidValueError.of("split", "'train', 'test' or None", repr(split), "pass one of these")
+        raise InvalidValueError.of(
+            "split", "'train', 'test' or None", repr(split), "pass one of these"
+        )
     if test_every < 2:
         raise InvalidValueError.of("test_every", "2 or more", test_every, "8 is usual")
     root = Path(path)
@@ -242,13 +295,22 @@ def load_dataset(
     elif model:
         found = read_colmap(root, model, split, test_every)
     else:
-        expected = "transforms.json, transforms_train.json or a COLMAP model in sparse/0"
+        expected = (
+            "transforms.json, transforms_train.json or a COLMAP model in sparse/0"
+        )
         got = "none of these" if root.is_dir() else "no such folder"
-        raise DatasetError.of(str(root), expected, got, folder_advice(root, "pass the folder of a data set"))
+        raise DatasetError.of(
+            str(root),
+            expected,
+            got,
+            folder_advice(root, "pass the folder of a data set"),
+        )
     frames = tuple(found.frames)
     if not frames and split != "test":
         do = "choose another split or test_every"
-        raise DatasetError.of(str(root), "at least one picture", f"none for split {split!r}", do)
+        raise DatasetError.of(
+            str(root), "at least one picture", f"none for split {split!r}", do
+        )
     if (odd := odd_fields_of_view([frame.camera for frame in frames])) is not None:
         warnings.warn(f"{root}: {odd}", DatasetWarning, stacklevel=2)
     return Dataset(
@@ -262,7 +324,9 @@ def load_dataset(
 
 
 def is_dataset(path: str | os.PathLike[str]) -> bool:
-    """Whether a path is a set of pictures to `load_dataset`, and no splat: a folder of one, or its transforms file."""
+    """Whether a path is a set of pictures to `load_dataset`, and no splat: a folder of
+    one, or its transforms file.
+    """
     root = Path(path)
     if root.is_dir():
         return find_transforms(root) is not None or find_model(root) is not None

@@ -1,7 +1,8 @@
 """Where the files of a set lie, whatever its lists call them.
 
-Sets move between machines: names have another ending or case, backslashes, or begin with a
-folder of another computer. A file is only ever looked for in the set's own folder.
+Sets move between machines: names have another ending or case, backslashes, or begin
+with a folder of another computer. A file is only ever looked for in the set's own
+folder.
 """
 
 from __future__ import annotations
@@ -47,11 +48,14 @@ class SetFiles:
             folder: Where files of this kind usually lie.
 
         Raises:
-            DatasetError: The name leads out of the set, and no file in the set has its last part.
+            DatasetError: The name leads out of the set, and no file in the set has its
+                last part.
         """
         self._check_lengths(name, source)
         spellings = [name, name.replace("\\", "/")] if "\\" in name else [name]
-        inside = [self.start / spelling for spelling in spellings if self._is_inside(spelling)]
+        inside = [
+            self.start / spelling for spelling in spellings if self._is_inside(spelling)
+        ]
         for path in inside:
             if (found := self._existing(path)) is not None:
                 return found
@@ -62,10 +66,14 @@ class SetFiles:
         if inside:
             return inside[0]
         do = "put the set's files into its folder, and name them from there"
-        raise DatasetError.of(source, "the name of a file in the set", repr(name[:80]), do)
+        raise DatasetError.of(
+            source, "the name of a file in the set", repr(name[:80]), do
+        )
 
     def mask(self, folders: Iterable[Path], name: str) -> Path | None:
-        """The mask of an image: NAME.png, the same name, or the same stem with another ending."""
+        """The mask of an image: NAME.png, the same name, or the same stem with another
+        ending.
+        """
         relative = PurePosixPath(name.replace("\\", "/"))
         parts = [part for part in relative.parts if part not in ("/", "..")]
         if parts[:1] and (parts[0] == IMAGES or parts[0] in _smaller_folders(IMAGES)):
@@ -83,12 +91,18 @@ class SetFiles:
         if _DRIVE.match(name):
             return False
         start = os.path.abspath(self.start)
-        relative = os.path.relpath(name, start) if os.path.isabs(name) else os.path.normpath(name)
+        relative = (
+            os.path.relpath(name, start)
+            if os.path.isabs(name)
+            else os.path.normpath(name)
+        )
         out = ("..",) * (self._above + 1)
         return Path(relative).parts[: len(out)] != out
 
     def _elsewhere(self, name: str, folder: str) -> Iterator[Path]:
-        """Where else a file may lie: in a folder of smaller images, or under the end of its path."""
+        """Where else a file may lie: in a folder of smaller images, or under the end of
+        its path.
+        """
         parts = [part for part in PurePosixPath(name).parts if part not in ("/", "..")]
         parts = [part for part in parts if not _DRIVE.fullmatch(part)]
         if not parts:
@@ -103,7 +117,9 @@ class SetFiles:
             yield self.start / place / parts[-1]
 
     def _existing(self, path: Path) -> Path | None:
-        """The file with this name, one that differs in case, or one with another ending of images."""
+        """The file with this name, one that differs in case, or one with another ending
+        of images.
+        """
         try:
             if path.is_file():
                 return path
@@ -114,7 +130,11 @@ class SetFiles:
         stem = wanted
         if path.suffix.lower() in SUFFIXES:
             stem = wanted[: -len(path.suffix)]
-        for candidate in (wanted, *(wanted + end for end in SUFFIXES), *(stem + end for end in SUFFIXES)):
+        for candidate in (
+            wanted,
+            *(wanted + end for end in SUFFIXES),
+            *(stem + end for end in SUFFIXES),
+        ):
             if candidate in names:
                 return path.with_name(names[candidate][0])
         return None
@@ -138,7 +158,9 @@ class SetFiles:
         longest = max(len(part.encode("utf-8", "replace")) for part in parts)
         if longest > _LONGEST_NAME or len(name) > 4 * _LONGEST_NAME:
             expected = f"the name of a file, parts up to {_LONGEST_NAME} bytes"
-            raise DatasetError.of(source, expected, f"one of {len(name)} characters", "repair it")
+            raise DatasetError.of(
+                source, expected, f"one of {len(name)} characters", "repair it"
+            )
 
 
 def _smaller_folders(name: str) -> list[str]:
@@ -152,7 +174,9 @@ def is_smaller(path: Path) -> bool:
 
 
 def image_folder(places: Iterable[Path]) -> Path:
-    """The folder of a set's images: the first images/, else the first images_2 or so, of some places."""
+    """The folder of a set's images: the first images/, else the first images_2 or so,
+    of some places.
+    """
     candidates = list(places)
     for name in (IMAGES, *_smaller_folders(IMAGES)):
         for place in candidates:
@@ -168,9 +192,11 @@ def mask_folders(images: Path) -> list[Path]:
 
 
 def unlisted_images(listed: Collection[Path]) -> int:
-    """How many images lie beside those of a set, in its folder of images, and are not in its lists.
+    """How many images lie beside those of a set, in its folder of images, and are not
+    in its lists.
 
-    Folders of other names, such as the train/ and test/ of Blender, hold depth and normals, too.
+    Folders of other names, such as the train/ and test/ of Blender, hold depth and
+    normals, too.
     """
     folders = {path.parent for path in listed}
     if len(folders) != 1 or not next(iter(folders)).name.startswith(IMAGES):

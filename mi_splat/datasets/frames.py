@@ -20,20 +20,44 @@ from mi_splat.datasets.folders import SUFFIXES as SUFFIXES
 from mi_splat.datasets.folders import is_smaller
 from mi_splat.datasets.lenses import Lens, pinhole
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.picture_files import check_pixels, load_picture, picture_header, picture_orientation
+from mi_splat.io.picture_files import (
+    check_pixels,
+    load_picture,
+    picture_header,
+    picture_orientation,
+)
 from mi_splat.io.points import PointCloud
 
-_MODES = ("1", "L", "LA", "La", "P", "PA", "RGB", "RGBA", "RGBa", "RGBX", "CMYK", "YCbCr", "HSV", "LAB")
+_MODES = (
+    "1",
+    "L",
+    "LA",
+    "La",
+    "P",
+    "PA",
+    "RGB",
+    "RGBA",
+    "RGBa",
+    "RGBX",
+    "CMYK",
+    "YCbCr",
+    "HSV",
+    "LAB",
+)
 
 Pixels = NDArray[np.float32]
 Size = tuple[int, int]
 
 _QUARTER_TURNS = {1: 0, 6: 1, 3: 2, 8: 3}
-"""Quarter turns clockwise that an EXIF orientation wants; the other four are mirror images."""
+"""Quarter turns clockwise that an EXIF orientation wants; the other four are mirror
+images.
+"""
 
 Split = Literal["train", "test"]
 HELD_OUT = 8
-"""Where a format has no split of its own, images in the order of names are for tests at multiples of this index."""
+"""Where a format has no split of its own, images in the order of names are for tests at
+multiples of this index.
+"""
 
 MOST_MISSING = 1 / 3
 """Share of the images that a set lists and does not have, above which it is refused."""
@@ -43,12 +67,16 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Frame:
-    """One image of a set. The image is turned, undistorted and turned again; its mask alike."""
+    """One image of a set.
+
+    The image is turned, undistorted and turned again; its mask alike.
+    """
 
     camera: Camera  # the pinhole camera of the result, at full size
     path: Path
     mask: Path | None = None  # a grey image, white where the image counts
-    lens: Lens | None = None  # of the image after the first turn; None if it is a pinhole camera's
+    # of the image after the first turn; None if it is a pinhole camera's
+    lens: Lens | None = None
     turns_before: int = 0  # quarter turns clockwise
     turns_after: int = 0
 
@@ -80,9 +108,9 @@ class Photo:
 def photo_of(path: Path, claimed: Size | None) -> Photo:
     """The image in a file, and how it becomes upright.
 
-    EXIF says how a photograph is to be turned. Structure from motion works on the pixels as they
-    are stored, so the camera is turned with the image. Where a set claims the size of the upright
-    image, its camera is that of the upright image.
+    EXIF says how a photograph is to be turned. Structure from motion works on the
+    pixels as they are stored, so the camera is turned with the image. Where a set
+    claims the size of the upright image, its camera is that of the upright image.
     """
     stored = picture_size(path)
     turns = quarter_turns(path)
@@ -98,20 +126,28 @@ def photo_of(path: Path, claimed: Size | None) -> Photo:
 
 
 def _are_alike(stored: Size, claimed: Size, path: Path) -> bool:
-    """Whether an image has the size that a set claims, or in a folder of smaller images its aspect."""
+    """Whether an image has the size that a set claims, or in a folder of smaller images
+    its aspect.
+    """
     if stored == claimed:
         return True
     scale = max(stored) / max(claimed)
-    gaps = [abs(side - whole * scale) for side, whole in zip(stored, claimed, strict=True)]
+    gaps = [
+        abs(side - whole * scale) for side, whole in zip(stored, claimed, strict=True)
+    ]
     return is_smaller(path) and max(gaps) <= 1
 
 
 def quarter_turns(path: Path) -> int:
-    """Quarter turns clockwise that make an image upright by its EXIF orientation; 0 for a mirror image."""
+    """Quarter turns clockwise that make an image upright by its EXIF orientation; 0 for
+    a mirror image.
+    """
     return _QUARTER_TURNS.get(picture_orientation(path), 0)
 
 
-def frame_of(photo: Photo, mask: Path | None, pose: Tensor, lens: Lens, where: str) -> Frame:
+def frame_of(
+    photo: Photo, mask: Path | None, pose: Tensor, lens: Lens, where: str
+) -> Frame:
     """The frame of an image whose set says so of its lens and its pose."""
     if mask is not None:
         check_mask(mask, photo)
@@ -136,16 +172,26 @@ def frame_of(photo: Photo, mask: Path | None, pose: Tensor, lens: Lens, where: s
 
 
 def camera_of(pose: Tensor, lens: Lens, where: str) -> Camera:
-    """The camera of a pose with a lens without distortion; errors name the place in the set."""
+    """The camera of a pose with a lens without distortion; errors name the place in the
+    set.
+    """
     width, height = lens.size
     try:
-        return Camera(to_world=pose, focal=lens.focal, width=width, height=height, principal=lens.principal)
+        return Camera(
+            to_world=pose,
+            focal=lens.focal,
+            width=width,
+            height=height,
+            principal=lens.principal,
+        )
     except InvalidValueError as error:
         raise DatasetError(f"{where}: {error}") from error
 
 
 def turned_clockwise(camera: Camera, quarter_turns: int) -> Camera:
-    """The camera whose image is that of `camera`, turned clockwise by so many quarter turns."""
+    """The camera whose image is that of `camera`, turned clockwise by so many quarter
+    turns.
+    """
     for _ in range(quarter_turns % 4):
         pose = camera.to_world.clone()
         # What was up in the image is right now, and what was right is down.
@@ -170,9 +216,14 @@ def picture_size(path: Path, claimed: Size | None = None) -> Size:
     """Width and height of an image as it is stored, read off its header."""
     size, mode = picture_header(path)
     if mode not in _MODES:
-        raise DatasetError.of(str(path), "8 bits a channel", f"mode {mode}", "convert it to 8 bits")
+        raise DatasetError.of(
+            str(path), "8 bits a channel", f"mode {mode}", "convert it to 8 bits"
+        )
     if claimed is not None and size != claimed:
-        got, do = f"{size[0]} x {size[1]}", "use the pictures from which the cameras were made"
+        got, do = (
+            f"{size[0]} x {size[1]}",
+            "use the pictures from which the cameras were made",
+        )
         raise DatasetError.of(str(path), f"{claimed[0]} x {claimed[1]} pixels", got, do)
     return size
 
@@ -180,10 +231,16 @@ def picture_size(path: Path, claimed: Size | None = None) -> Size:
 def stored_pixels(
     path: Path, background: tuple[float, float, float], *, upright: bool = False
 ) -> tuple[Pixels, Pixels | None]:
-    """(H, W, 3) sRGB of an image over a background, and its (H, W, 1) alpha if it has one."""
+    """(H, W, 3) sRGB of an image over a background, and its (H, W, 1) alpha if it has
+    one.
+    """
     picture = load_picture(path, upright=upright)
-    has_alpha = "A" in picture.mode or "a" in picture.mode or "transparency" in picture.info
-    values = np.asarray(picture.convert("RGBA" if has_alpha else "RGB"), np.float32) / np.float32(255)
+    has_alpha = (
+        "A" in picture.mode or "a" in picture.mode or "transparency" in picture.info
+    )
+    values = np.asarray(
+        picture.convert("RGBA" if has_alpha else "RGB"), np.float32
+    ) / np.float32(255)
     if not has_alpha:
         return values, None
     alpha = values[..., 3:]
@@ -192,18 +249,30 @@ def stored_pixels(
 
 
 def read_picture(
-    path: Path, *, downscale: int, background: tuple[float, float, float], upright: bool = False
+    path: Path,
+    *,
+    downscale: int,
+    background: tuple[float, float, float],
+    upright: bool = False,
 ) -> tuple[Tensor, Tensor | None]:
-    """An image over a background, and its alpha; upright as its EXIF orientation says, or as it is stored."""
+    """An image over a background, and its alpha; upright as its EXIF orientation says,
+    or as it is stored.
+    """
     values, alpha = stored_pixels(path, background, upright=upright)
     image = torch.from_numpy(area_mean(values, downscale))
-    return image, None if alpha is None else torch.from_numpy(area_mean(alpha, downscale)[..., 0])
+    return image, (
+        None if alpha is None else torch.from_numpy(area_mean(alpha, downscale)[..., 0])
+    )
 
 
 def check_mask(path: Path, photo: Photo) -> None:
-    """Raise if a mask has another shape than its image, which it may be larger or smaller than."""
+    """Raise if a mask has another shape than its image, which it may be larger or
+    smaller than.
+    """
     size = picture_size(path)
-    is_upright = (photo.turns_before + photo.turns_after) % 2 and _have_one_aspect(size[::-1], photo.stored)
+    is_upright = (photo.turns_before + photo.turns_after) % 2 and _have_one_aspect(
+        size[::-1], photo.stored
+    )
     if not is_upright and not _have_one_aspect(size, photo.stored):
         expected = f"a mask of {photo.stored[0]} x {photo.stored[1]} pixels"
         do = "make the mask as large as its image"
@@ -218,7 +287,9 @@ def _have_one_aspect(size: Size, other: Size) -> bool:
 
 
 def stored_mask(path: Path, image: Path, size: Size) -> Pixels:
-    """(H, W, 1) mask in [0, 1], the grey values of a file, at the size of its image as that is stored."""
+    """(H, W, 1) mask in [0, 1], the grey values of a file, at the size of its image as
+    that is stored.
+    """
     mask = load_picture(path).convert("L")
     turns = quarter_turns(image)
     if turns % 2 and not _have_one_aspect(mask.size, size):
@@ -230,11 +301,15 @@ def stored_mask(path: Path, image: Path, size: Size) -> Pixels:
 
 
 def area_mean(values: Pixels, factor: int) -> Pixels:
-    """(H // factor, W // factor, C) means over squares of pixels; a rest at the right and at the bottom is cut off."""
+    """(H // factor, W // factor, C) means over squares of pixels; a rest at the right
+    and at the bottom is cut off.
+    """
     if factor == 1:
         return np.ascontiguousarray(values)
     height, width = values.shape[0] // factor, values.shape[1] // factor
-    squares = values[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
+    squares = values[: height * factor, : width * factor].reshape(
+        height, factor, width, factor, -1
+    )
     means: Pixels = squares.mean((1, 3), dtype=np.float64).astype(np.float32)
     return means
 
@@ -243,23 +318,32 @@ def report_missing(missing: Sequence[Path], listed: int, source: Path) -> None:
     """Warn of images that are not there."""
     if not missing:
         return
-    got = f"{len(missing)} of {listed} pictures missing ({missing[0].name}{', ...' if len(missing) > 1 else ''})"
+    got = (
+        f"{len(missing)} of {listed} pictures missing"
+        f" ({missing[0].name}{', ...' if len(missing) > 1 else ''})"
+    )
     if len(missing) > MOST_MISSING * listed:
         do = f"put them there, {missing[0]} for instance, or take them off the list"
         raise DatasetError.of(str(source), "the pictures that it lists", got, do)
-    warnings.warn(f"{source}: {got}; going on without them", DatasetWarning, stacklevel=4)
+    warnings.warn(
+        f"{source}: {got}; going on without them", DatasetWarning, stacklevel=4
+    )
 
 
 def report_frames(frames: Sequence[Frame], source: Path) -> None:
     """Warn of images that are not read as a reader of the set would think."""
-    small = sorted({frame.path.parent.name for frame in frames if is_smaller(frame.path)})
+    small = sorted(
+        {frame.path.parent.name for frame in frames if is_smaller(frame.path)}
+    )
     if small:
         text = f"{source}: no images/, so the smaller ones in {small[0]} are used"
         warnings.warn(text, DatasetWarning, stacklevel=4)
 
 
 def downscaled(camera: Camera, factor: int) -> Camera:
-    """The camera of an image that was made smaller by an integer factor; a rest of the size is cut off."""
+    """The camera of an image that was made smaller by an integer factor; a rest of the
+    size is cut off.
+    """
     if factor == 1:
         return camera
     return replace(
@@ -272,10 +356,16 @@ def downscaled(camera: Camera, factor: int) -> Camera:
 
 
 def held_out(items: Sequence[Item], split: Split | None, every: int) -> list[Item]:
-    """The part of a set without a split of its own: each `every`-th item for tests, the first included."""
+    """The part of a set without a split of its own: each `every`-th item for tests, the
+    first included.
+    """
     if split is None:
         return list(items)
-    return [item for i, item in enumerate(items) if (i % every == 0 and len(items) > 1) == (split == "test")]
+    return [
+        item
+        for i, item in enumerate(items)
+        if (i % every == 0 and len(items) > 1) == (split == "test")
+    ]
 
 
 def refuse_doubles(names: Iterable[str], source: Path) -> None:
@@ -283,5 +373,10 @@ def refuse_doubles(names: Iterable[str], source: Path) -> None:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise DatasetError.of(str(source), "every picture once", f"{name} twice", "remove one of the two")
+            raise DatasetError.of(
+                str(source),
+                "every picture once",
+                f"{name} twice",
+                "remove one of the two",
+            )
         seen.add(name)

@@ -1,9 +1,10 @@
 """Lenses that bend straight lines, and the pinhole cameras that see the same.
 
 The models are those of OpenCV, which COLMAP and nerfstudio share: radial and tangential
-distortion (Brown 1966), the rational model, and fisheye lenses (Kannala and Brandt 2006).
-OpenCV computes them. The pinhole camera is chosen as by COLMAP's `image_undistorter`: focal
-lengths stay, and the image is cut, or grows, until none of its pixels is blank.
+distortion (Brown 1966), the rational model, and fisheye lenses (Kannala and Brandt
+2006). OpenCV computes them. The pinhole camera is chosen as by COLMAP's
+`image_undistorter`: focal lengths stay, and the image is cut, or grows, until none of
+its pixels is blank.
 """
 
 from __future__ import annotations
@@ -19,18 +20,26 @@ from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError, MiSplatError
 
 OPENCV = 5
-"""The first version whose `remap` interpolates exactly; before, it rounds positions to 1/32 pixel."""
+"""The first version whose `remap` interpolates exactly; before, it rounds positions to
+1/32 pixel.
+"""
 LONGEST_SIDE = 32_767
 """Pixels: the longest side of an image that OpenCV undistorts."""
 LARGEST_COEFFICIENT = 1e6
 """Coefficients of lenses with a long focal length go into the thousands."""
 
 _WIDEST, _ANGLES = 1.55, 8192
-"""The largest angle from the optical axis, radians, and the steps up to it that are tried."""
+"""The largest angle from the optical axis, radians, and the steps up to it that are
+tried.
+"""
 _LEAST, _MOST = 0.2, 2.0
-"""By what the sides of an image may change when it is undistorted; the defaults of COLMAP."""
+"""By what the sides of an image may change when it is undistorted; the defaults of
+COLMAP.
+"""
 _CLOSE = 0.5
-"""Pixels by which a point may miss itself after it was undistorted and distorted again."""
+"""Pixels by which a point may miss itself after it was undistorted and distorted
+again.
+"""
 _HALF = 0.5
 """The centre of the first pixel is (0.5, 0.5) here and (0, 0) in OpenCV."""
 
@@ -41,8 +50,8 @@ Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 def _opencv() -> Any:
     """OpenCV, imported when a lens has distortion: most sets need none of it.
 
-    Several packages install it in one place; those with windows need libraries of a desktop, and
-    one that comes last may be older.
+    Several packages install it in one place; those with windows need libraries of a
+    desktop, and one that comes last may be older.
     """
     try:
         import cv2
@@ -55,7 +64,9 @@ def _opencv() -> Any:
 
 def _unusable(got: str) -> MiSplatError:
     do = "pip install --force-reinstall --no-deps opencv-python-headless"
-    return MiSplatError.of("lenses with distortion", f"OpenCV {OPENCV} or later", got, do)
+    return MiSplatError.of(
+        "lenses with distortion", f"OpenCV {OPENCV} or later", got, do
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,13 +77,14 @@ class Lens:
         focal: Focal lengths (fx, fy).
         principal: Principal point (cx, cy).
         size: Width and height.
-        distortion: Coefficients in OpenCV's order: k1, k2, p1, p2, k3, k4, k5, k6, or of a
-            fisheye lens k1 to k4. Missing ones are zero.
-        fisheye: Whether distances in the image grow with the angle and not with its tangent.
+        distortion: Coefficients in OpenCV's order: k1, k2, p1, p2, k3, k4, k5, k6, or
+            of a fisheye lens k1 to k4. Missing ones are zero.
+        fisheye: Whether distances in the image grow with the angle and not with its
+            tangent.
 
     Raises:
-        InvalidValueError: A coefficient is not finite or too large, or a lens with distortion
-            has no positive focal length or is too large for OpenCV.
+        InvalidValueError: A coefficient is not finite or too large, or a lens with
+            distortion has no positive focal length or is too large for OpenCV.
     """
 
     focal: tuple[float, float]
@@ -91,11 +103,15 @@ class Lens:
             return
         if not all(1 / LARGEST <= value <= LARGEST for value in self.focal):
             do = "check the intrinsics"
-            raise InvalidValueError.of("focal", "positive numbers of pixels", self.focal, do)
+            raise InvalidValueError.of(
+                "focal", "positive numbers of pixels", self.focal, do
+            )
         if max(self.size) > LONGEST_SIDE:
             expected = f"sides up to {LONGEST_SIDE:,} pixels"
             do = "make the images smaller"
-            raise InvalidValueError.of("a lens with distortion", expected, self.size, do)
+            raise InvalidValueError.of(
+                "a lens with distortion", expected, self.size, do
+            )
 
     @property
     def is_pinhole(self) -> bool:
@@ -110,7 +126,9 @@ class Lens:
         return replace(self, focal=focal, principal=principal, size=size)
 
     def project(self, points: Values) -> Values:
-        """(N, 2) pixels in which points (x, y, 1) of camera space appear; (N, 2) float64 in."""
+        """(N, 2) pixels in which points (x, y, 1) of camera space appear; (N, 2)
+        float64 in.
+        """
         cv2 = _opencv()
         rays = np.ascontiguousarray(points, np.float64)[:, None]
         if self.fisheye:
@@ -118,11 +136,15 @@ class Lens:
         else:
             rays = cv2.convertPointsToHomogeneous(rays)
             still = np.zeros(3)
-            pixels, _ = cv2.projectPoints(rays, still, still, self._matrix, self._coefficients)
+            pixels, _ = cv2.projectPoints(
+                rays, still, still, self._matrix, self._coefficients
+            )
         return np.asarray(pixels, np.float64)[:, 0] + _HALF
 
     def rays(self, pixels: Values) -> Values:
-        """(M, 2) points (x, y) at depth 1 that appear in (N, 2) pixels; unreachable ones are left out."""
+        """(M, 2) points (x, y) at depth 1 that appear in (N, 2) pixels; unreachable
+        ones are left out.
+        """
         cv2 = _opencv()
         places = np.ascontiguousarray(pixels - _HALF)[:, None]
         criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-10)
@@ -139,7 +161,9 @@ class Lens:
 
     @property
     def widest(self) -> float:
-        """Distance from the axis, at depth 1, up to which the lens does not fold the image back."""
+        """Distance from the axis, at depth 1, up to which the lens does not fold the
+        image back.
+        """
         return _widest(self)
 
     @property
@@ -158,7 +182,8 @@ class Lens:
 def _widest(lens: Lens) -> float:
     angles = np.linspace(0.0, _WIDEST, _ANGLES)
     axis = np.tan(angles)
-    # Tangential distortion is not symmetric, but small: radial distortion decides where a lens folds.
+    # Tangential distortion is not symmetric, but small: radial distortion decides where
+    # a lens folds.
     radial = lens
     if not lens.fisheye:
         k1, k2, _, _, *rest = (*lens.distortion, *[0.0] * 8)[:8]
@@ -175,7 +200,8 @@ def pinhole(lens: Lens) -> Lens:
     """The lens without distortion whose image lies inside that of `lens`.
 
     Raises:
-        InvalidValueError: The lens folds the image before its border, so that it cannot be undone.
+        InvalidValueError: The lens folds the image before its border, so that it cannot
+            be undone.
     """
     if lens.is_pinhole:
         return lens
@@ -187,7 +213,10 @@ def pinhole(lens: Lens) -> Lens:
     top, bottom = (lens.rays(_line(columns, y))[:, 1] for y in (0.5, height - 0.5))
     is_seen = all(map(len, (left, right, top, bottom)))
     if not is_seen or not (0 < cx < width and 0 < cy < height):
-        got = f"one that folds the image before its border (coefficients {lens.distortion})"
+        got = (
+            "one that folds the image before its border (coefficients"
+            f" {lens.distortion})"
+        )
         do = "calibrate the camera again"
         raise InvalidValueError.of("distortion", "a lens that can be undone", got, do)
     fx, fy = lens.focal
@@ -205,7 +234,9 @@ def _line(x: Values | float, y: Values | float) -> Values:
 
 
 def _scale(side: int, centre: float, low: float, high: float) -> float:
-    """By what a side may be multiplied so that it ends where the image does, at low and high."""
+    """By what a side may be multiplied so that it ends where the image does, at low and
+    high.
+    """
     if not low < centre < high:
         return _LEAST
     before = centre / (centre - low)
@@ -215,22 +246,34 @@ def _scale(side: int, centre: float, low: float, high: float) -> float:
 
 @functools.lru_cache(maxsize=2)
 def _maps(lens: Lens, target: Lens) -> tuple[Maps, NDArray[np.bool_]]:
-    """Where each pixel of the target lies in the image, with OpenCV's centres, and which of them do."""
+    """Where each pixel of the target lies in the image, with OpenCV's centres, and
+    which of them do.
+    """
     cv2 = _opencv()
-    begin: Any = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
+    begin: Any = (
+        cv2.fisheye.initUndistortRectifyMap
+        if lens.fisheye
+        else cv2.initUndistortRectifyMap
+    )
     coefficients, turn = lens._coefficients, np.eye(3)
-    across, down = begin(lens._matrix, coefficients, turn, target._matrix, target.size, cv2.CV_32FC1)
+    across, down = begin(
+        lens._matrix, coefficients, turn, target._matrix, target.size, cv2.CV_32FC1
+    )
     width, height = lens.size
     x = (np.arange(target.size[0]) + _HALF - target.principal[0]) / target.focal[0]
     y = (np.arange(target.size[1]) + _HALF - target.principal[1]) / target.focal[1]
-    shown = np.hypot(x[None], y[:, None]) <= lens.widest  # beyond, the lens shows other things twice
+    # beyond, the lens shows other things twice
+    shown = np.hypot(x[None], y[:, None]) <= lens.widest
     for places, side in ((across, width), (down, height)):
         shown &= (places >= -_HALF) & (places <= side - _HALF)
     return (across, down), shown
 
 
-def undistorted(pixels: NDArray[np.float32], lens: Lens, target: Lens) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """The image of a pinhole camera out of that of a lens, each pixel interpolated between four.
+def undistorted(
+    pixels: NDArray[np.float32], lens: Lens, target: Lens
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """The image of a pinhole camera out of that of a lens, each pixel interpolated
+    between four.
 
     Args:
         pixels: (H, W, C) image, of the size of `lens`.
@@ -238,12 +281,16 @@ def undistorted(pixels: NDArray[np.float32], lens: Lens, target: Lens) -> tuple[
         target: Lens without distortion that is wanted.
 
     Returns:
-        (H', W', C) image, 0 where nothing was seen; and (H', W') bool, where something was.
+        (H', W', C) image, 0 where nothing was seen; and (H', W') bool, where something
+        was.
     """
     cv2 = _opencv()
     (across, down), shown = _maps(lens, target)
-    image = cv2.remap(pixels, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    image = cv2.remap(
+        pixels, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     image = np.asarray(image, np.float32).reshape(*shown.shape, pixels.shape[2])
-    np.clip(image, 0, 1, out=image)  # the four weights of a pixel may sum to a little more
+    # the four weights of a pixel may sum to a little more
+    np.clip(image, 0, 1, out=image)
     image[~shown] = 0
     return image, shown

@@ -1,7 +1,9 @@
-"""What nerfstudio writes beside a transforms.json: camera paths of its viewer, and the world of its splats.
+"""What nerfstudio writes beside a transforms.json: camera paths of its viewer, and the
+world of its splats.
 
-A splat of `ns-export` lies in the world of nerfstudio's trainer. dataparser_transforms.json, in the
-folder of a training, says how it comes from the world in which the cameras were found.
+A splat of `ns-export` lies in the world of nerfstudio's trainer.
+dataparser_transforms.json, in the folder of a training, says how it comes from the
+world in which the cameras were found.
 """
 
 from __future__ import annotations
@@ -44,7 +46,9 @@ _WORLD = DocumentReader(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """A similarity of the world of a file: a point p becomes scale * (turn @ p + shift)."""
+    """A similarity of the world of a file: a point p becomes scale * (turn @ p +
+    shift).
+    """
 
     turn: Tensor  # (3, 3) float64
     shift: Tensor  # (3,) float64
@@ -64,7 +68,8 @@ class World:
 
 
 def world_of(path: Path, document: Mapping[str, Any]) -> World | None:
-    """The world of nerfstudio's trainer from that of a transforms file, if its description lies beside it.
+    """The world of nerfstudio's trainer from that of a transforms file, if its
+    description lies beside it.
 
     Raises:
         DatasetError: The description is broken, or turns the world inside out.
@@ -79,7 +84,9 @@ def world_of(path: Path, document: Mapping[str, Any]) -> World | None:
         applied = _AS_FROM_COLMAP
     if applied is not None:
         # The file's poses were turned already; the description begins before that.
-        fields = Fields({"applied_transform": applied}, str(path), DatasetError, "repair it")
+        fields = Fields(
+            {"applied_transform": applied}, str(path), DatasetError, "repair it"
+        )
         turned = _square(fields.rows("applied_transform", 3, 4))
         if not is_rotation(turned[:3, :3]):
             raise fields.bad("applied_transform", "a rotation and a shift", applied)
@@ -93,7 +100,12 @@ def world_of(path: Path, document: Mapping[str, Any]) -> World | None:
         scale /= applied_scale
     turn, shift = from_original[:3, :3], from_original[:3, 3]
     if not (is_rotation(turn) and 0 < scale < math.inf):
-        raise DatasetError.of(str(file), "a rotation and a positive scale", from_original.tolist(), "copy it again")
+        raise DatasetError.of(
+            str(file),
+            "a rotation and a positive scale",
+            from_original.tolist(),
+            "copy it again",
+        )
     return World(turn, shift, scale)
 
 
@@ -103,16 +115,21 @@ def _square(rows: list[list[float]]) -> Tensor:
 
 def is_camera_path(document: Mapping[str, Any]) -> bool:
     """Whether a document is a camera path of nerfstudio's viewer."""
-    return any(isinstance(document.get(name), list) for name in ("camera_path", "keyframes"))
+    return any(
+        isinstance(document.get(name), list) for name in ("camera_path", "keyframes")
+    )
 
 
-def camera_path(document: Mapping[str, Any], path: Path, size: tuple[int, int]) -> list[Camera]:
+def camera_path(
+    document: Mapping[str, Any], path: Path, size: tuple[int, int]
+) -> list[Camera]:
     """The cameras of a camera path, or of its keyframes if it was not played.
 
     Args:
         document: The file's content.
         path: For errors.
-        size: Width and height where the file has none; the width follows the aspect of a camera.
+        size: Width and height where the file has none; the width follows the aspect of
+            a camera.
     """
     name = "camera_path" if document.get("camera_path") else "keyframes"
     whole = Fields(document, str(path), DatasetError, "export the camera path again")
@@ -128,11 +145,20 @@ def camera_path(document: Mapping[str, Any], path: Path, size: tuple[int, int]) 
         if not 0 < angle < 180:
             raise entry.bad("fov", "degrees between 0 and 180", angle)
         focal = focal_of(math.radians(angle), height)
-        lens = Lens(focal=(focal, focal), principal=(width / 2, height / 2), size=(width, height))
+        lens = Lens(
+            focal=(focal, focal),
+            principal=(width / 2, height / 2),
+            size=(width, height),
+        )
         key = "camera_to_world" if "camera_to_world" in entry.values else "matrix"
         cameras.append(camera_of(_matrix(entry, key) @ OPENGL, lens, entry.where))
     if not cameras:
-        raise DatasetError.of(str(path), "at least one camera", "none", "add keyframes in nerfstudio's viewer")
+        raise DatasetError.of(
+            str(path),
+            "at least one camera",
+            "none",
+            "add keyframes in nerfstudio's viewer",
+        )
     return cameras
 
 
@@ -142,14 +168,18 @@ def _number(fields: Fields, key: str, usual: float) -> float:
 
 
 def _matrix(entry: Fields, key: str) -> Tensor:
-    """(4, 4) float64 of 16 numbers by rows, or by columns as older viewers wrote keyframes, even as text."""
+    """(4, 4) float64 of 16 numbers by rows, or by columns as older viewers wrote
+    keyframes, even as text.
+    """
     value = entry.values.get(key)
     if isinstance(value, str):
         try:
             value = json.loads(value[:10_000])
         except (ValueError, RecursionError) as error:
             raise entry.bad(key, "16 numbers", value) from error
-    numbers = Fields({key: value}, entry.where, DatasetError, "export the camera path again").numbers(key, 16, 16)
+    numbers = Fields(
+        {key: value}, entry.where, DatasetError, "export the camera path again"
+    ).numbers(key, 16, 16)
     matrix = torch.tensor(numbers, dtype=torch.float64).reshape(4, 4)
     is_by_columns = bool(matrix[3, :3].any()) and not bool(matrix[:3, 3].any())
     return matrix.T.contiguous() if is_by_columns else matrix

@@ -1,4 +1,6 @@
-"""Images in a quarter of their memory: the bytes that they come from, and the few values that no byte holds."""
+"""Images in a quarter of their memory: the bytes that they come from, and the few
+values that no byte holds.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +11,21 @@ from torch import Tensor
 
 _FULL = 255
 _MOST_SHARE = 1 / 8
-"""Share of values beside the 256 above which an image is kept as it is: each of these takes 8 bytes more."""
+"""Share of values beside the 256 above which an image is kept as it is: each of these
+takes 8 bytes more.
+"""
 
 
 class Packed(NamedTuple):
     """Values in [0, 1] of any shape, of which nothing is lost.
 
-    An image of 8 bits holds 256 values; where it is blended with a background, at the edges of an object, others.
+    An image of 8 bits holds 256 values; where it is blended with a background, at the
+    edges of an object, others.
     """
 
     values: Tensor  # (...) uint8; float32 where packing does not pay
-    places: Tensor  # (P,) int32, places in the flattened image of values that no byte holds
+    # (P,) int32, places in the flattened image of values that no byte holds
+    places: Tensor
     others: Tensor  # (P,) float32, these values
 
     @classmethod

@@ -1,4 +1,6 @@
-"""The poses of a set alone: what of it can be used where its images or its lenses cannot be read."""
+"""The poses of a set alone: what of it can be used where its images or its lenses
+cannot be read.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +12,9 @@ from mi_splat.datasets.frames import Split
 from mi_splat.datasets.transforms import find_transforms, read_cameras
 
 
-def poses_of(path: Path, size: tuple[int, int], split: Split | None = None) -> dict[str, Camera]:
+def poses_of(
+    path: Path, size: tuple[int, int], split: Split | None = None
+) -> dict[str, Camera]:
     """The cameras of a set of images by name; the images need not be there.
 
     Args:
@@ -27,11 +31,20 @@ def poses_of(path: Path, size: tuple[int, int], split: Split | None = None) -> d
     model = find_model(path)
     if model is None:
         do = "pass the folder of a data set"
-        raise DatasetError.of(str(path), "transforms.json or a COLMAP model in sparse/0", "neither", do)
-    return {Path(name).stem: camera for name, camera in read_model_cameras(model, split).items()}
+        raise DatasetError.of(
+            str(path), "transforms.json or a COLMAP model in sparse/0", "neither", do
+        )
+    return {
+        Path(name).stem: camera
+        for name, camera in read_model_cameras(model, split).items()
+    }
 
 
 def numbered(kind: str, cameras: Sequence[Camera]) -> dict[str, Camera]:
-    """Cameras by names that begin with their kind, and end with numbers of one length."""
+    """Cameras by names that begin with their kind, and end with numbers of one
+    length.
+    """
     width = len(str(len(cameras) - 1))
-    return {f"{kind}-{number:0{width}}": camera for number, camera in enumerate(cameras)}
+    return {
+        f"{kind}-{number:0{width}}": camera for number, camera in enumerate(cameras)
+    }

@@ -1,7 +1,8 @@
-"""Writers of the files that list a picture set: transforms files with OpenGL's camera axes, and COLMAP's text model.
+"""Writers of the files that list a picture set: transforms files with OpenGL's camera
+axes, and COLMAP's text model.
 
-They are made from names and cameras alone, and appear whole or not at all, so a set is listed when its pictures are
-there.
+They are made from names and cameras alone, and appear whole or not at all, so a set is
+listed when its pictures are there.
 """
 
 import os
@@ -23,7 +24,9 @@ Listing = Mapping[str, Sequence[tuple[str, Camera]]]
 """Of each split, train and test, the file name of every picture and its camera."""
 
 
-def list_transforms(folder: Path, listing: Listing, points: PointCloud | None) -> list[Path]:
+def list_transforms(
+    folder: Path, listing: Listing, points: PointCloud | None
+) -> list[Path]:
     """Write the transforms files of pictures that are in images/, and the points.
 
     The file for tests is left out if there are none.
@@ -34,24 +37,49 @@ def list_transforms(folder: Path, listing: Listing, points: PointCloud | None) -
         written.append(folder / POINTS[0])
     for split, entries in listing.items():
         if entries:
-            save_json(_document(entries, points is not None), folder / PARTS[split], indent=1)
+            save_json(
+                _document(entries, points is not None), folder / PARTS[split], indent=1
+            )
             written.append(folder / PARTS[split])
     return written
 
 
-def list_colmap(folder: Path, listing: Listing, points: PointCloud | None) -> list[Path]:
+def list_colmap(
+    folder: Path, listing: Listing, points: PointCloud | None
+) -> list[Path]:
     """Write the text model of pictures that are in images/."""
     model = make_folder(folder / "sparse" / "0")
-    entries = sorted((entry for part in listing.values() for entry in part), key=lambda entry: entry[0])
+    entries = sorted(
+        (entry for part in listing.values() for entry in part),
+        key=lambda entry: entry[0],
+    )
     lenses: dict[str, int] = {}
-    images = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of 2D points"]
+    images = [
+        "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of 2D points"
+    ]
     for number, (name, camera) in enumerate(entries, start=1):
-        lens = f"PINHOLE {camera.width} {camera.height} {_digits(camera.fx, camera.fy, camera.cx, camera.cy)}"
+        lens = (
+            f"PINHOLE {camera.width} {camera.height}"
+            f" {_digits(camera.fx, camera.fy, camera.cx, camera.cy)}"
+        )
         pose = camera.to_camera
         values = [*from_matrix(pose[:3, :3]).tolist(), *pose[:3, 3].tolist()]
-        images += [f"{number} {_digits(*values)} {lenses.setdefault(lens, len(lenses) + 1)} {name}", ""]
-    cameras = ["# CAMERA_ID MODEL WIDTH HEIGHT FX FY CX CY", *(f"{i} {lens}" for lens, i in lenses.items())]
-    texts = {"cameras.txt": cameras, "images.txt": images, "points3D.txt": _point_lines(points)}
+        images += [
+            (
+                f"{number} {_digits(*values)}"
+                f" {lenses.setdefault(lens, len(lenses) + 1)} {name}"
+            ),
+            "",
+        ]
+    cameras = [
+        "# CAMERA_ID MODEL WIDTH HEIGHT FX FY CX CY",
+        *(f"{i} {lens}" for lens, i in lenses.items()),
+    ]
+    texts = {
+        "cameras.txt": cameras,
+        "images.txt": images,
+        "points3D.txt": _point_lines(points),
+    }
     if listing.get("test"):
         texts[TEST_LIST] = sorted(name for name, _ in listing["test"])
     for name, lines in texts.items():
@@ -64,28 +92,41 @@ def make_folder(folder: str | os.PathLike[str]) -> Path:
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise from_os_error(os.fspath(folder), "a folder that can be made", error) from error
+        raise from_os_error(
+            os.fspath(folder), "a folder that can be made", error
+        ) from error
     return Path(folder)
 
 
 def picture_name(split: str, index: int) -> str:
-    """File name of a picture: the order of names is that of indices, and splits do not mix."""
+    """File name of a picture: the order of names is that of indices, and splits do not
+    mix.
+    """
     return f"{split}_{index:05d}.png"
 
 
 def _document(entries: Sequence[tuple[str, Camera]], points: bool) -> dict[str, Any]:
-    """The content of a transforms file; intrinsics that all cameras share are said once."""
+    """The content of a transforms file; intrinsics that all cameras share are said
+    once.
+    """
     intrinsics = [_intrinsics(camera) for _, camera in entries]
-    shared = intrinsics[0] if all(values == intrinsics[0] for values in intrinsics) else {}
+    shared = (
+        intrinsics[0] if all(values == intrinsics[0] for values in intrinsics) else {}
+    )
     frames = [
         {
-            "file_path": f"./{IMAGES}/{Path(name).stem}",  # Blender's readers append the suffix
+            # Blender's readers append the suffix
+            "file_path": f"./{IMAGES}/{Path(name).stem}",
             **({} if shared else intrinsic),
             "transform_matrix": (camera.to_world @ OPENGL).tolist(),
         }
         for (name, camera), intrinsic in zip(entries, intrinsics, strict=True)
     ]
-    return {**shared, **({"ply_file_path": POINTS[0]} if points else {}), "frames": frames}
+    return {
+        **shared,
+        **({"ply_file_path": POINTS[0]} if points else {}),
+        "frames": frames,
+    }
 
 
 def _intrinsics(camera: Camera) -> dict[str, float]:
@@ -101,8 +142,13 @@ def _intrinsics(camera: Camera) -> dict[str, float]:
 def _point_lines(points: PointCloud | None) -> list[str]:
     lines = ["# POINT3D_ID X Y Z R G B ERROR, then a track, which is empty"]
     if points is not None:
-        rows = zip(points.points.tolist(), to_bytes(points.colours).tolist(), strict=True)
-        lines += [f"{i} {_digits(*xyz)} {r} {g} {b} 0" for i, (xyz, (r, g, b)) in enumerate(rows, start=1)]
+        rows = zip(
+            points.points.tolist(), to_bytes(points.colours).tolist(), strict=True
+        )
+        lines += [
+            f"{i} {_digits(*xyz)} {r} {g} {b} 0"
+            for i, (xyz, (r, g, b)) in enumerate(rows, start=1)
+        ]
     return lines
 
 

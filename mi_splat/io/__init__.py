@@ -1,4 +1,7 @@
-"""Splat files: the only code that knows on-disk forms. Importing this package is light: torch comes with scenes."""
+"""Splat files: the only code that knows on-disk forms.
+
+Importing this package is light: torch comes with scenes.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,11 @@ __all__ = [
 __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
-        "mi_splat.io.errors": ("SplatFileError", "SplatFileWarning", "SplatLossWarning"),
+        "mi_splat.io.errors": (
+            "SplatFileError",
+            "SplatFileWarning",
+            "SplatLossWarning",
+        ),
         "mi_splat.io.parameters": ("from_raw_parameters", "to_raw_parameters"),
         "mi_splat.io.splat_files": ("load_splat", "save_splat"),
     },

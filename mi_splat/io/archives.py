@@ -1,6 +1,8 @@
-"""ZIP archives as phones and web sites pack splats into: the one splat inside is read, and nothing is written.
+"""ZIP archives as phones and web sites pack splats into: the one splat inside is read,
+and nothing is written.
 
-What an archive claims is bounded before it is unpacked: the members of its directory, and what each of them becomes.
+What an archive claims is bounded before it is unpacked: the members of its directory,
+and what each of them becomes.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ MOST_MEMBERS = 10_000
 MOST_BYTES = 8 << 30
 """What a splat may become, whatever its archive holds: 30 million Gaussians."""
 _FREE_BYTES, _MOST_RATIO = 16 << 20, 20
-"""What any member may become, and the factor by which one beyond that may grow: splats shrink to a half at best."""
+"""What any member may become, and the factor by which one beyond that may grow: splats
+shrink to a half at best.
+"""
 _PART = 1 << 20
 _END, _END64 = struct.Struct("<4s4H2LH"), b"PK\x06\x07"
 _LONGEST_COMMENT = 0xFFFF
@@ -30,31 +34,48 @@ _AGAIN = "write or download it again"
 _SHOWN = 6
 
 ZIP_ERRORS = (
-    *(zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, struct.error),
+    *(
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        NotImplementedError,
+        RuntimeError,
+        ValueError,
+        struct.error,
+    ),
     *(OverflowError, OSError),
 )
 """What `zipfile` raises for archives that are damaged."""
 
 
 def check_directory(file: io.FileIO, path: str, *, most: int) -> None:
-    """Raise unless the end of an archive claims a small directory, which `zipfile` reads as a whole."""
+    """Raise unless the end of an archive claims a small directory, which `zipfile`
+    reads as a whole.
+    """
     size = os.fstat(file.fileno()).st_size
     start = max(0, size - _END.size - _LONGEST_COMMENT)
     tail = os.pread(file.fileno(), size - start, start)
     offset = tail.rfind(b"PK\x05\x06")
     if offset < 0 or len(tail) - offset < _END.size:
-        raise SplatFileError.of(path, "a zip archive with its directory", "none: it is truncated", _AGAIN)
+        raise SplatFileError.of(
+            path, "a zip archive with its directory", "none: it is truncated", _AGAIN
+        )
     fields = _END.unpack_from(tail, offset)
     members, length = fields[4], fields[5]
     is_large = tail[max(0, offset - 20) :][:4] == _END64
     if members > most or length > most * _BYTES_A_MEMBER or is_large:
         got = f"{members} in {length} bytes"
-        raise SplatFileError.of(path, f"a zip archive of at most {most} members", got, _AGAIN)
+        raise SplatFileError.of(
+            path, f"a zip archive of at most {most} members", got, _AGAIN
+        )
 
 
 @contextlib.contextmanager
-def splat_of(file: io.FileIO, path: str, endings: Sequence[str]) -> Iterator[tuple[io.FileIO, str]]:
-    """The one splat of an archive as a file in memory, and its name with that of the archive.
+def splat_of(
+    file: io.FileIO, path: str, endings: Sequence[str]
+) -> Iterator[tuple[io.FileIO, str]]:
+    """The one splat of an archive as a file in memory, and its name with that of the
+    archive.
 
     Args:
         file: The archive.
@@ -65,14 +86,17 @@ def splat_of(file: io.FileIO, path: str, endings: Sequence[str]) -> Iterator[tup
         The open file, and a name for messages that ends as the member does.
 
     Raises:
-        SplatFileError: There is no splat or there are several, it is packed too tightly, or the archive is damaged.
+        SplatFileError: There is no splat or there are several, it is packed too
+            tightly, or the archive is damaged.
     """
     check_directory(file, path, most=MOST_MEMBERS)
     file.seek(0)
     try:
         archive = zipfile.ZipFile(file)
     except ZIP_ERRORS as error:
-        raise SplatFileError.of(path, "a zip archive", str(error)[:100], _AGAIN) from None
+        raise SplatFileError.of(
+            path, "a zip archive", str(error)[:100], _AGAIN
+        ) from None
     with archive, _anonymous_file() as unpacked:
         member = _only_splat(archive, path, endings)
         where = f"{path}/{_plain(member.filename)}"
@@ -80,7 +104,9 @@ def splat_of(file: io.FileIO, path: str, endings: Sequence[str]) -> Iterator[tup
         try:
             _unpack(archive, member, unpacked)
         except ZIP_ERRORS as error:
-            raise SplatFileError.of(where, "an intact member", str(error)[:100], _AGAIN) from None
+            raise SplatFileError.of(
+                where, "an intact member", str(error)[:100], _AGAIN
+            ) from None
         yield unpacked, where
 
 
@@ -92,16 +118,28 @@ def member_names(file: io.FileIO, path: str) -> list[str]:
         with zipfile.ZipFile(file) as archive:
             return [_plain(name) for name in archive.namelist()]
     except ZIP_ERRORS as error:
-        raise SplatFileError.of(path, "a zip archive", str(error)[:100], _AGAIN) from None
+        raise SplatFileError.of(
+            path, "a zip archive", str(error)[:100], _AGAIN
+        ) from None
 
 
-def _only_splat(archive: zipfile.ZipFile, path: str, endings: Sequence[str]) -> zipfile.ZipInfo:
-    members = [member for member in archive.infolist() if not member.is_dir() and not _is_hidden(member.filename)]
-    splats = [member for member in members if member.filename.lower().endswith(tuple(endings))]
+def _only_splat(
+    archive: zipfile.ZipFile, path: str, endings: Sequence[str]
+) -> zipfile.ZipInfo:
+    members = [
+        member
+        for member in archive.infolist()
+        if not member.is_dir() and not _is_hidden(member.filename)
+    ]
+    splats = [
+        member for member in members if member.filename.lower().endswith(tuple(endings))
+    ]
     expected = f"a zip archive with one splat ({', '.join(endings)})"
     if not splats:
         got = _listed([member.filename for member in members]) or "an empty one"
-        raise SplatFileError.of(path, expected, got, "pass the splat itself, or another download")
+        raise SplatFileError.of(
+            path, expected, got, "pass the splat itself, or another download"
+        )
     if len(splats) > 1:
         got = _listed([member.filename for member in splats])
         raise SplatFileError.of(path, expected, got, "unpack it, and pass one of these")
@@ -125,9 +163,19 @@ def _plain(name: str) -> str:
 
 def _check_size(member: zipfile.ZipInfo, where: str) -> None:
     if member.flag_bits & 1:
-        raise SplatFileError.of(where, "a member without a password", "one with it", "unpack it, and pass the splat")
+        raise SplatFileError.of(
+            where,
+            "a member without a password",
+            "one with it",
+            "unpack it, and pass the splat",
+        )
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise SplatFileError.of(where, "a member that is stored or deflated", "another packing", "unpack it first")
+        raise SplatFileError.of(
+            where,
+            "a member that is stored or deflated",
+            "another packing",
+            "unpack it first",
+        )
     most = min(MOST_BYTES, max(_FREE_BYTES, _MOST_RATIO * member.compress_size))
     if member.file_size > most:
         expected = f"at most {most:,} bytes out of {member.compress_size:,}"
@@ -135,7 +183,9 @@ def _check_size(member: zipfile.ZipInfo, where: str) -> None:
         raise SplatFileError.of(where, expected, got, "unpack it, where you trust it")
 
 
-def _unpack(archive: zipfile.ZipFile, member: zipfile.ZipInfo, unpacked: io.FileIO) -> None:
+def _unpack(
+    archive: zipfile.ZipFile, member: zipfile.ZipInfo, unpacked: io.FileIO
+) -> None:
     left = member.file_size
     with archive.open(member) as packed:
         while part := packed.read(min(_PART, left + 1)):
@@ -150,7 +200,9 @@ def _unpack(archive: zipfile.ZipFile, member: zipfile.ZipInfo, unpacked: io.File
 
 @contextlib.contextmanager
 def _anonymous_file() -> Iterator[io.FileIO]:
-    """A file without a name: in memory where the system has such files, else one that is deleted already."""
+    """A file without a name: in memory where the system has such files, else one that
+    is deleted already.
+    """
     if hasattr(os, "memfd_create"):
         with io.FileIO(os.memfd_create("splat"), "r+") as file:
             yield file

@@ -1,7 +1,9 @@
-"""Cameras in the JSON files that the commands write, so that a later command can look from the same places.
+"""Cameras in the JSON files that the commands write, so that a later command can look
+from the same places.
 
-Also in the cameras.json that the trainer of 3D Gaussian Splatting (Kerbl et al. 2023) writes beside its splats: a list
-of objects with img_name, width, height, fx, fy, position (3,) and rotation (3, 3), camera to world with our axes.
+Also in the cameras.json that the trainer of 3D Gaussian Splatting (Kerbl et al. 2023)
+writes beside its splats: a list of objects with img_name, width, height, fx, fy,
+position (3,) and rotation (3, 3), camera to world with our axes.
 """
 
 from collections.abc import Iterable, Mapping
@@ -27,7 +29,9 @@ def describe(name: str, camera: Camera) -> dict[str, object]:
 
 
 def values_of(camera: Camera) -> dict[str, object]:
-    """All of a camera but a name, as JSON can hold it; `camera_of` makes the same camera of it again."""
+    """All of a camera but a name, as JSON can hold it; `camera_of` makes the same
+    camera of it again.
+    """
     return {
         "to_world": camera.to_world.tolist(),
         "focal": [camera.fx, camera.fy],
@@ -37,9 +41,11 @@ def values_of(camera: Camera) -> dict[str, object]:
 
 
 def recorded_cameras(path: Path, *, reference: bool = True) -> dict[str, Camera] | None:
-    """The cameras, by name, of a file that one of the commands or the trainer of 3DGS has written.
+    """The cameras, by name, of a file that one of the commands or the trainer of 3DGS
+    has written.
 
-    Of an attack on a distribution of views it is the reference camera alone, with which the attack can be repeated.
+    Of an attack on a distribution of views it is the reference camera alone, with which
+    the attack can be repeated.
     """
     try:
         document = _RECORD.read_json_value(path)
@@ -52,20 +58,36 @@ def recorded_cameras(path: Path, *, reference: bool = True) -> dict[str, Camera]
 
 
 def _entries(document: Any, path: str) -> list[tuple[str, Fields]]:
-    """Names and fields of the cameras in a document; nothing in one of another program."""
+    """Names and fields of the cameras in a document; nothing in one of another
+    program.
+    """
     if isinstance(document, list):
         document = {"cameras": document}
-    root = Fields(document if isinstance(document, dict) else {}, path, InvalidValueError, _AGAIN)
+    root = Fields(
+        document if isinstance(document, dict) else {}, path, InvalidValueError, _AGAIN
+    )
     if "frames" in root.values:
         return []
-    if "reference" in root.values:  # of an attack on a distribution of views, which are drawn about this camera
+    # of an attack on a distribution of views, which are drawn about this camera
+    if "reference" in root.values:
         return [_named(root.object("reference"), 0)]
-    if isinstance(root.values.get("views"), list):  # of an attack, whose cameras are called by names beside the views
+    # of an attack, whose cameras are called by names beside the views
+    if isinstance(root.values.get("views"), list):
         views = root.objects("views")
-        pairs = zip(root.texts("cameras") or map(str, range(len(views))), views, strict=False)
-        return [_named(view.object("camera"), name) for name, view in pairs if "camera" in view.values]
+        pairs = zip(
+            root.texts("cameras") or map(str, range(len(views))), views, strict=False
+        )
+        return [
+            _named(view.object("camera"), name)
+            for name, view in pairs
+            if "camera" in view.values
+        ]
     listed = isinstance(root.values.get("cameras"), list)
-    return [_named(entry, number) for number, entry in enumerate(root.objects("cameras"))] if listed else []
+    return (
+        [_named(entry, number) for number, entry in enumerate(root.objects("cameras"))]
+        if listed
+        else []
+    )
 
 
 def _named(entry: Fields, usual: object) -> tuple[str, Fields]:
@@ -77,7 +99,9 @@ def _named(entry: Fields, usual: object) -> tuple[str, Fields]:
 
 
 def unique_names(names: Iterable[str]) -> list[str]:
-    """As many names, all different: of those that are alike, the later ones get a number."""
+    """As many names, all different: of those that are alike, the later ones get a
+    number.
+    """
     taken = dict[str, None]()
     for name in names:
         number, free = len(taken), name
@@ -98,14 +122,31 @@ def _camera(entry: Fields) -> Camera:
     try:
         if "rotation" in entry.values:  # of the trainer of 3DGS
             pose = torch.eye(4, dtype=torch.float64)
-            pose[:3, :3] = torch.tensor(entry.rows("rotation", 3, 3), dtype=torch.float64)
-            pose[:3, 3] = torch.tensor(entry.numbers("position", 3, 3), dtype=torch.float64)
-            width, height = (entry.whole(name, 1, _MOST_PIXELS) for name in ("width", "height"))
-            return Camera(to_world=pose, focal=(entry.number("fx"), entry.number("fy")), width=width, height=height)
+            pose[:3, :3] = torch.tensor(
+                entry.rows("rotation", 3, 3), dtype=torch.float64
+            )
+            pose[:3, 3] = torch.tensor(
+                entry.numbers("position", 3, 3), dtype=torch.float64
+            )
+            width, height = (
+                entry.whole(name, 1, _MOST_PIXELS) for name in ("width", "height")
+            )
+            return Camera(
+                to_world=pose,
+                focal=(entry.number("fx"), entry.number("fy")),
+                width=width,
+                height=height,
+            )
         width, height = entry.wholes("size", 1, _MOST_PIXELS, 2)
         fx, fy = entry.numbers("focal", 2, 2)
         cx, cy = entry.numbers("principal", 2, 2)
         pose = torch.tensor(entry.rows("to_world", 4, 4), dtype=torch.float64)
-        return Camera(to_world=pose, focal=(fx, fy), width=width, height=height, principal=(cx, cy))
+        return Camera(
+            to_world=pose,
+            focal=(fx, fy),
+            width=width,
+            height=height,
+            principal=(cx, cy),
+        )
     except InvalidValueError as error:
         raise InvalidValueError(f"{entry.where}: {error}") from error

@@ -1,4 +1,6 @@
-"""Images and animations in the format that their names end in, and what 8 bits keep of a rendering."""
+"""Images and animations in the format that their names end in, and what 8 bits keep of
+a rendering.
+"""
 
 from __future__ import annotations
 
@@ -44,33 +46,49 @@ def save_picture(pixels: NDArray[np.uint8], path: Path) -> None:
     """Write (H, W, 3) pixels as PNG or JPEG, as the name says."""
     if not is_picture(path):
         do = "end it in .png or .jpg"
-        raise InvalidValueError.of(str(path), "the name of a picture", path.suffix or "no ending", do)
+        raise InvalidValueError.of(
+            str(path), "the name of a picture", path.suffix or "no ending", do
+        )
     buffer, kind = io.BytesIO(), PICTURES[path.suffix.lower()]
     options = {"quality": _JPEG_QUALITY, "subsampling": 0} if kind == "JPEG" else {}
     Image.fromarray(pixels).save(buffer, format=kind, **options)
     save_bytes(buffer.getvalue(), path)
 
 
-def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: float) -> None:
+def save_animation(
+    frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: float
+) -> None:
     """Write (H, W, 3) pictures one after the other, as GIF or WebP, in a loop."""
     sizes = {frame.shape for frame in frames}
     if len(sizes) != 1:
         got = f"{len(sizes)} sizes" if sizes else "none"
-        raise InvalidValueError.of("animation", "pictures of one size", got, "give the cameras one size").hinted(
-            "--size"
-        )
+        raise InvalidValueError.of(
+            "animation", "pictures of one size", got, "give the cameras one size"
+        ).hinted("--size")
     if not 0 < fps <= 1000:
-        raise InvalidValueError.of("fps", "pictures a second, up to 1000", fps, "24 is usual")
+        raise InvalidValueError.of(
+            "fps", "pictures a second, up to 1000", fps, "24 is usual"
+        )
     if not is_animation(path):
         do = "end it in .gif or .webp"
-        raise InvalidValueError.of(str(path), "the name of an animation", path.suffix or "no ending", do)
+        raise InvalidValueError.of(
+            str(path), "the name of an animation", path.suffix or "no ending", do
+        )
     first, *rest = map(Image.fromarray, frames)
-    options: dict[str, float] = {"duration": round(1000 / fps), "quality": _WEBP_QUALITY}
+    options: dict[str, float] = {
+        "duration": round(1000 / fps),
+        "quality": _WEBP_QUALITY,
+    }
     if path.suffix.lower() == ".gif":
-        first, *rest = (image.quantize(256, dither=Image.Dither.FLOYDSTEINBERG) for image in (first, *rest))
+        first, *rest = (
+            image.quantize(256, dither=Image.Dither.FLOYDSTEINBERG)
+            for image in (first, *rest)
+        )
         options = {"duration": 1000 / fps}
     buffer = io.BytesIO()
-    first.save(buffer, path.suffix[1:], save_all=True, append_images=rest, loop=0, **options)
+    first.save(
+        buffer, path.suffix[1:], save_all=True, append_images=rest, loop=0, **options
+    )
     save_bytes(buffer.getvalue(), path)
 
 
@@ -90,7 +108,9 @@ def from_bytes(pixels: Tensor) -> Tensor:
 
 
 def through_png(image: Tensor) -> Tensor:
-    """The picture as an 8-bit PNG keeps it, which loses nothing else; (H, W, 3) float32 in [0, 1]."""
+    """The picture as an 8-bit PNG keeps it, which loses nothing else; (H, W, 3) float32
+    in [0, 1].
+    """
     import torch  # writing does without
 
     return torch.from_numpy(to_bytes(image).astype(np.float32) / 255).to(image.device)

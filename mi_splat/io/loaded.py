@@ -1,4 +1,6 @@
-"""What a reader of splat files hands over: arrays, and which of their Gaussians are not valid; needs no torch."""
+"""What a reader of splat files hands over: arrays, and which of their Gaussians are not
+valid; needs no torch.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """What a file does not hold of a scene, beyond the rounding of its format; `largest` is of the worst Gaussian."""
+    """What a file does not hold of a scene, beyond the rounding of its format;
+    `largest` is of the worst Gaussian.
+    """
 
     what: str
     gaussians: int
@@ -36,12 +40,17 @@ class Loss:
     unit: str
 
     def __str__(self) -> str:
-        return f"{self.what}: {self.gaussians:,} Gaussians, by up to {self.largest:.4g} {self.unit}"
+        return (
+            f"{self.what}: {self.gaussians:,} Gaussians, by up to {self.largest:.4g}"
+            f" {self.unit}"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Encoded:
-    """A splat file in memory, what is not in it, and of which row of the scene each row is (None: the same one)."""
+    """A splat file in memory, what is not in it, and of which row of the scene each row
+    is (None: the same one).
+    """
 
     data: bytes
     losses: tuple[Loss, ...]
@@ -50,7 +59,9 @@ class Encoded:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Values:
-    """The arrays of a scene in float64, for packing: unit quaternions, and colours that are not clamped."""
+    """The arrays of a scene in float64, for packing: unit quaternions, and colours that
+    are not clamped.
+    """
 
     means: Array
     log_scales: Array
@@ -67,17 +78,24 @@ class Values:
     @classmethod
     def of(cls, arrays: Arrays, order: NDArray[np.int64] | None = None) -> Values:
         """The values of a scene, in another order of rows if one is given."""
-        kept = [value.astype(np.float64)[slice(None) if order is None else order] for value in arrays.values()]
+        kept = [
+            value.astype(np.float64)[slice(None) if order is None else order]
+            for value in arrays.values()
+        ]
         means, scales, rotations, opacities, sh = kept
         logs = np.log(np.maximum(scales, np.finfo(np.float32).smallest_subnormal))
         rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
         return cls(means, logs, rotations, opacities, dc_to_colour(sh[:, 0]), sh)
 
 
-def outside(what: str, values: Array, low: ArrayLike, high: ArrayLike, unit: str) -> list[Loss]:
+def outside(
+    what: str, values: Array, low: ArrayLike, high: ArrayLike, unit: str
+) -> list[Loss]:
     """The loss of clamping values to a range, as a list of one or none."""
     rows = values.reshape(len(values), math.prod(values.shape[1:]))
-    excess = np.maximum(np.asarray(low) - rows, rows - np.asarray(high)).max(axis=1, initial=0.0)
+    excess = np.maximum(np.asarray(low) - rows, rows - np.asarray(high)).max(
+        axis=1, initial=0.0
+    )
     count = int((excess > 0).sum())
     return [Loss(what, count, float(excess.max()), unit)] if count else []
 
@@ -86,7 +104,18 @@ def vanished(opacities: Array, rounded: NDArray[np.uint8]) -> list[Loss]:
     """The loss where 8 bits of opacity make a Gaussian invisible that was not."""
     gone = (rounded == 0) & (opacities > 0)
     count = int(gone.sum())
-    return [Loss("opacity rounded to 0", count, float(opacities[gone].max()), "of opacity")] if count else []
+    return (
+        [
+            Loss(
+                "opacity rounded to 0",
+                count,
+                float(opacities[gone].max()),
+                "of opacity",
+            )
+        ]
+        if count
+        else []
+    )
 
 
 def bytes_of(values: Array) -> NDArray[np.uint8]:
@@ -100,8 +129,9 @@ def dropped_bands(sh: Array, degree: int) -> list[Loss]:
     return outside(f"SH above degree {degree} dropped", rest, 0, 0, "of a coefficient")
 
 
-# Unit quaternions by their three smallest components, in an order that each format chooses. The largest one is made
-# positive and follows from the others, each of which lies within plus and minus `ROOT_HALF`.
+# Unit quaternions by their three smallest components, in an order that each format
+# chooses. The largest one is made positive and follows from the others, each of which
+# lies within plus and minus `ROOT_HALF`.
 
 ROOT_HALF = 0.5**0.5
 """The square root of one half."""
@@ -110,10 +140,14 @@ _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 def drop_largest(quaternions: Array) -> tuple[NDArray[np.int64], Array]:
-    """Index (N,) of the largest component in size, and the others (N, 3) in order, with the sign that makes it > 0."""
+    """Index (N,) of the largest component in size, and the others (N, 3) in order, with
+    the sign that makes it > 0.
+    """
     largest = np.abs(quaternions).argmax(axis=1)[:, None]
     signs = np.where(np.take_along_axis(quaternions, largest, 1) < 0, -1.0, 1.0)
-    return largest[:, 0], np.take_along_axis(quaternions * signs, _OTHERS[largest[:, 0]], 1)
+    return largest[:, 0], np.take_along_axis(
+        quaternions * signs, _OTHERS[largest[:, 0]], 1
+    )
 
 
 def restore_largest(largest: NDArray[np.integer], others: Array) -> Array:
@@ -121,7 +155,9 @@ def restore_largest(largest: NDArray[np.integer], others: Array) -> Array:
     quaternions = np.empty((len(others), 4))
     np.put_along_axis(quaternions, _OTHERS[largest], others, 1)
     missing = np.sqrt(np.maximum(0.0, 1.0 - (others**2).sum(axis=1)))
-    np.put_along_axis(quaternions, np.asarray(largest, np.int64)[:, None], missing[:, None], 1)
+    np.put_along_axis(
+        quaternions, np.asarray(largest, np.int64)[:, None], missing[:, None], 1
+    )
     return quaternions
 
 
@@ -134,7 +170,9 @@ SHOWN = 5
 """How many names or rows a message lists."""
 
 FREE_GAUSSIANS = 65_536
-"""So many Gaussians a compressed file may hold whatever its size; beyond them it needs one byte for each."""
+"""So many Gaussians a compressed file may hold whatever its size; beyond them it needs
+one byte for each.
+"""
 
 
 Notice = tuple[str, str, str]
@@ -144,7 +182,8 @@ HIGHER_BANDS: Notice = ("SH of degree 0 to 3", "4", "the highest band was left o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loaded:
-    """All Gaussians of a splat file, which are not valid (and why the first is not), and what else there is to say.
+    """All Gaussians of a splat file, which are not valid (and why the first is not),
+    and what else there is to say.
 
     `unread` names properties and elements that a scene cannot hold.
     """
@@ -153,11 +192,14 @@ class Loaded:
     invalid: NDArray[np.int64]
     reason: str
     is_antialiased: bool = False
-    infinite: tuple[int, ...] = ()  # valid rows in which a stored logarithm or logit is infinite
+    # valid rows in which a stored logarithm or logit is infinite
+    infinite: tuple[int, ...] = ()
     notices: tuple[Notice, ...] = ()
     unread: tuple[str, ...] = ()
-    stated_up: tuple[float, float, float] | None = None  # direction that the file says is up
-    format_up: tuple[float, float, float] | None = None  # direction that its format defines as up
+    # direction that the file says is up
+    stated_up: tuple[float, float, float] | None = None
+    # direction that its format defines as up
+    format_up: tuple[float, float, float] | None = None
     document: object = None  # of a glTF, for checks of its form
 
     @property
@@ -165,17 +207,32 @@ class Loaded:
         """All Gaussians as a scene, unchecked, whose memory is shared."""
         return as_scene(self.arrays)
 
-    def settle(self, path: str, on_invalid: Literal["raise", "drop"], *, stacklevel: int) -> Loaded:
-        """The content after its notices, and after the Gaussians that are not valid were refused or dropped."""
+    def settle(
+        self, path: str, on_invalid: Literal["raise", "drop"], *, stacklevel: int
+    ) -> Loaded:
+        """The content after its notices, and after the Gaussians that are not valid
+        were refused or dropped.
+        """
         for expected, got, done in self.notices:
-            warnings.warn(message(path, expected, got, done), SplatFileWarning, stacklevel=stacklevel + 1)
+            warnings.warn(
+                message(path, expected, got, done),
+                SplatFileWarning,
+                stacklevel=stacklevel + 1,
+            )
         bad, count = self.invalid, len(self.arrays["means"])
         if not len(bad):
             return self
-        which = ", ".join(str(row) for row in bad[:SHOWN].tolist()) + (", ..." if len(bad) > SHOWN else "")
-        got = f"{len(bad)} of {count} that are not (rows {which}; in the first, {self.reason})"
+        which = ", ".join(str(row) for row in bad[:SHOWN].tolist()) + (
+            ", ..." if len(bad) > SHOWN else ""
+        )
+        got = (
+            f"{len(bad)} of {count} that are not (rows {which}; in the first,"
+            f" {self.reason})"
+        )
         if on_invalid == "raise":
-            error = SplatFileError.of(path, "valid Gaussians", got, "repair it, or drop them (on_invalid)")
+            error = SplatFileError.of(
+                path, "valid Gaussians", got, "repair it, or drop them (on_invalid)"
+            )
             raise error.hinted(f"mi-splat convert {path} VALID.ply --drop-invalid")
         text = message(path, "valid Gaussians", got, "they were left out")
         warnings.warn(text, SplatFileWarning, stacklevel=stacklevel + 1)
@@ -186,18 +243,27 @@ class Loaded:
 
 
 def ranges(names: Sequence[str]) -> list[str]:
-    """Names with a number at their end, which follow each other, as a range: a_0 to a_15."""
+    """Names with a number at their end, which follow each other, as a range: a_0 to
+    a_15.
+    """
     groups = dict[str, list[str]]()
     for name in names:
         groups.setdefault(name.rstrip("0123456789"), []).append(name)
-    return [group[0] if len(group) == 1 else f"{group[0]} to {group[-1]}" for group in groups.values()]
+    return [
+        group[0] if len(group) == 1 else f"{group[0]} to {group[-1]}"
+        for group in groups.values()
+    ]
 
 
 def arrays_of(scene: GaussianScene) -> Arrays:
-    """The tensors of a scene as float32 arrays, whose memory is shared where it can be."""
+    """The tensors of a scene as float32 arrays, whose memory is shared where it can
+    be.
+    """
     import torch
 
-    values = (value.detach().to("cpu", torch.float32).numpy() for value in scene.tensors())
+    values = (
+        value.detach().to("cpu", torch.float32).numpy() for value in scene.tensors()
+    )
     return dict(zip(ATTRIBUTES, values, strict=True))
 
 
@@ -207,7 +273,9 @@ def as_scene(arrays: Arrays) -> GaussianScene:
 
     from mi_splat.scene import GaussianScene
 
-    return GaussianScene.unchecked(*(torch.from_numpy(arrays[name]) for name in ATTRIBUTES))
+    return GaussianScene.unchecked(
+        *(torch.from_numpy(arrays[name]) for name in ATTRIBUTES)
+    )
 
 
 def unit(quaternions: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
@@ -215,7 +283,9 @@ def unit(quaternions: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
     wide = quaternions.astype(np.float64)
     with np.errstate(all="ignore"):
         factor = 1 / np.sqrt((wide * wide).sum(-1, keepdims=True))
-        return (wide * np.where(np.abs(factor - 1) <= UNIT_SLACK, 1.0, factor)).astype(quaternions.dtype)
+        return (wide * np.where(np.abs(factor - 1) <= UNIT_SLACK, 1.0, factor)).astype(
+            quaternions.dtype
+        )
 
 
 def validated(
@@ -225,8 +295,13 @@ def validated(
     opacities: NDArray[np.floating],
     sh: NDArray[np.floating],
 ) -> Loaded:
-    """Decoded Gaussians in float32, with normalised quaternions, and which of them are valid."""
-    arrays = [np.require(value, np.float32, ("C", "W", "O")) for value in (means, scales, rotations, opacities, sh)]
+    """Decoded Gaussians in float32, with normalised quaternions, and which of them are
+    valid.
+    """
+    arrays = [
+        np.require(value, np.float32, ("C", "W", "O"))
+        for value in (means, scales, rotations, opacities, sh)
+    ]
     arrays[2] = unit(arrays[2])
     good = [
         _where(arrays[0], lambda value: np.abs(value) <= LARGEST),
@@ -241,32 +316,63 @@ def validated(
             valid &= value.reshape(len(valid), -1).all(1)
     bad = np.flatnonzero(~valid)
     return Loaded(
-        dict(zip(ATTRIBUTES, arrays, strict=True)), bad, _reason(arrays, good, int(bad[0])) if len(bad) else ""
+        dict(zip(ATTRIBUTES, arrays, strict=True)),
+        bad,
+        _reason(arrays, good, int(bad[0])) if len(bad) else "",
     )
 
 
 def _where(values: Array, inside: Callable[[Array], Any]) -> Any:
-    """Which values lie in an interval; where the extremes do, all do, and no array is made."""
+    """Which values lie in an interval; where the extremes do, all do, and no array is
+    made.
+    """
     extremes = np.array([values.min(), values.max()]) if values.size else values
-    return np.broadcast_to(np.True_, values.shape) if inside(extremes).all() else inside(values)
+    return (
+        np.broadcast_to(np.True_, values.shape)
+        if inside(extremes).all()
+        else inside(values)
+    )
 
 
-def _reason(arrays: list[NDArray[np.float32]], good: list[NDArray[np.bool_]], row: int) -> str:
-    names = ("a coordinate of the mean", "a scale", "", "the opacity", "an SH coefficient")
+def _reason(
+    arrays: list[NDArray[np.float32]], good: list[NDArray[np.bool_]], row: int
+) -> str:
+    names = (
+        "a coordinate of the mean",
+        "a scale",
+        "",
+        "the opacity",
+        "an SH coefficient",
+    )
     for name, value, fine in zip(names, arrays, good, strict=True):
-        wrong = value[row][~fine[row]] if value.ndim > 1 else value[row : row + 1][~fine[row : row + 1]]
+        wrong = (
+            value[row][~fine[row]]
+            if value.ndim > 1
+            else value[row : row + 1][~fine[row : row + 1]]
+        )
         if wrong.size:
-            return f"{name} is {wrong.flat[0]:g}" if name else "the quaternion is zero or not finite"
+            return (
+                f"{name} is {wrong.flat[0]:g}"
+                if name
+                else "the quaternion is zero or not finite"
+            )
     return ""
 
 
 def open_regular(path: str) -> io.FileIO:
-    """The file, if it is a regular one; not blocking, so that a pipe does not wait for its writer."""
-    file = io.FileIO(path, opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)))
+    """The file, if it is a regular one; not blocking, so that a pipe does not wait for
+    its writer.
+    """
+    file = io.FileIO(
+        path,
+        opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)),
+    )
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
         got = "a special file (pipe, socket or device)"
-        raise SplatFileError.of(path, "a splat file", got, "pass the path of a regular file")
+        raise SplatFileError.of(
+            path, "a splat file", got, "pass the path of a regular file"
+        )
     if os.pread(file.fileno(), len(LFS_POINTER), 0) == LFS_POINTER:
         file.close()
         raise SplatFileError.of(path, "a splat file", *LFS_ADVICE)
@@ -282,9 +388,15 @@ def read_whole(file: io.FileIO) -> bytes:
 def check_count(count: int, size: int, path: str) -> None:
     """Raise unless `count` Gaussians may come out of a compressed file.
 
-    The smallest real ones take some five bytes a Gaussian. A file that claims far more was made to fill the memory.
+    The smallest real ones take some five bytes a Gaussian. A file that claims far more
+    was made to fill the memory.
     """
     most = FREE_GAUSSIANS + size
     if count > most:
         got = f"{count}: this may be a decompression bomb"
-        raise SplatFileError.of(path, f"at most {most} Gaussians in {size} bytes", got, "ask for the splat as a PLY")
+        raise SplatFileError.of(
+            path,
+            f"at most {most} Gaussians in {size} bytes",
+            got,
+            "ask for the splat as a PLY",
+        )

@@ -18,7 +18,9 @@ NOTES = "notes"
 _Line = TypeVar("_Line")
 
 
-def read_noted_tensors(path: Path, reader: DocumentReader) -> tuple[Fields, dict[str, Tensor]]:
+def read_noted_tensors(
+    path: Path, reader: DocumentReader
+) -> tuple[Fields, dict[str, Tensor]]:
     """The notes and the tensors of a checkpoint, all of them of finite numbers."""
     what = f"checkpoint {path}"
     try:
@@ -36,26 +38,43 @@ def read_noted_tensors(path: Path, reader: DocumentReader) -> tuple[Fields, dict
 
 
 def not_finite(tensors: Mapping[str, Tensor]) -> str | None:
-    """Name of the first tensor that has a number which is not finite; None if there is none."""
+    """Name of the first tensor that has a number which is not finite; None if there is
+    none.
+    """
     for name, value in tensors.items():
-        if (value.is_floating_point() or value.is_complex()) and not bool(torch.isfinite(value.float()).all()):
+        if (value.is_floating_point() or value.is_complex()) and not bool(
+            torch.isfinite(value.float()).all()
+        ):
             return name
     return None
 
 
-def check_like(tensors: Mapping[str, Tensor], wanted: Mapping[str, Tensor], what: str, reader: DocumentReader) -> None:
-    """Raise unless some tensors have the names, shapes and kinds of numbers of others."""
+def check_like(
+    tensors: Mapping[str, Tensor],
+    wanted: Mapping[str, Tensor],
+    what: str,
+    reader: DocumentReader,
+) -> None:
+    """Raise unless some tensors have the names, shapes and kinds of numbers of
+    others.
+    """
     for name, value in wanted.items():
         stored = tensors.get(name)
         if stored is None or stored.shape != value.shape or stored.dtype != value.dtype:
             raise reader.broken(f"{what}, {name}", described(stored), described(value))
     if more := sorted(tensors.keys() - wanted.keys()):
-        raise reader.broken(what, f"{more[0]} besides", f"the tensors {', '.join(wanted)}"[:160])
+        raise reader.broken(
+            what, f"{more[0]} besides", f"the tensors {', '.join(wanted)}"[:160]
+        )
 
 
 def described(value: Tensor | None) -> str:
     """Shape and kind of numbers of a tensor, in words."""
-    return "none" if value is None else f"{tuple(value.shape)} of {str(value.dtype).removeprefix('torch.')}"
+    return (
+        "none"
+        if value is None
+        else f"{tuple(value.shape)} of {str(value.dtype).removeprefix('torch.')}"
+    )
 
 
 def read_line(kind: type[_Line], fields: Fields) -> _Line:

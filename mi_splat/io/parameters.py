@@ -1,9 +1,11 @@
-"""The parametrisation in which splat files keep a Gaussian, as differentiable torch functions.
+"""The parametrisation in which splat files keep a Gaussian, as differentiable torch
+functions.
 
-Files hold log-scales, logit opacities and quaternions of any length, as 3D Gaussian Splatting optimises them (Kerbl et
-al. 2023, section 5.1); scenes hold physical values. The functions compute in float64 and round once. Rounding there and
-back is stable: a value that came from a file goes back to a number that gives the same physical value again, so
-repeated round trips do not drift.
+Files hold log-scales, logit opacities and quaternions of any length, as 3D Gaussian
+Splatting optimises them (Kerbl et al. 2023, section 5.1); scenes hold physical values.
+The functions compute in float64 and round once. Rounding there and back is stable: a
+value that came from a file goes back to a number that gives the same physical value
+again, so repeated round trips do not drift.
 """
 
 from collections.abc import Mapping
@@ -16,7 +18,8 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import normalise
 from mi_splat.scene import GaussianScene
 
-# Finite logits of the opacities 0 and 1: the sigmoid of them rounds to exactly 0 and 1 in that dtype.
+# Finite logits of the opacities 0 and 1: the sigmoid of them rounds to exactly 0 and 1
+# in that dtype.
 _LOGIT_LIMITS = {torch.float32: (-104.0, 17.5), torch.float64: (-746.0, 38.0)}
 # Largest logarithms whose exponential does not overflow.
 _LOG_LIMITS = {torch.float32: 88.72283, torch.float64: 709.78271}
@@ -26,7 +29,12 @@ def to_raw_parameters(scene: GaussianScene) -> dict[str, Tensor]:
     """The scene's tensors as a splat file holds them."""
     return {
         "means": scene.means,
-        "scales": scene.scales.double().log().clamp(max=_LOG_LIMITS[scene.scales.dtype]).to(scene.scales.dtype),
+        "scales": (
+            scene.scales.double()
+            .log()
+            .clamp(max=_LOG_LIMITS[scene.scales.dtype])
+            .to(scene.scales.dtype)
+        ),
         "rotations": scene.rotations,
         "opacities": _logit(scene.opacities),
         "sh": scene.sh,
@@ -34,14 +42,22 @@ def to_raw_parameters(scene: GaussianScene) -> dict[str, Tensor]:
 
 
 def from_raw_parameters(values: Mapping[str, Tensor]) -> GaussianScene:
-    """The scene whose raw parameters are `values`, the inverse of `to_raw_parameters`."""
+    """The scene whose raw parameters are `values`, the inverse of
+    `to_raw_parameters`.
+    """
     if set(values) != set(ATTRIBUTES):
-        raise InvalidValueError.of("values", f"the names {ATTRIBUTES}", tuple(values), "pass exactly these")
+        raise InvalidValueError.of(
+            "values", f"the names {ATTRIBUTES}", tuple(values), "pass exactly these"
+        )
     return GaussianScene(*activate(values))
 
 
-def activate(values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Like `from_raw_parameters`, without any check: the five tensors, whatever they hold."""
+def activate(
+    values: Mapping[str, Tensor],
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Like `from_raw_parameters`, without any check: the five tensors, whatever they
+    hold.
+    """
     scales, opacities = values["scales"], values["opacities"]
     return (
         values["means"],

@@ -1,6 +1,8 @@
-"""Picture files of unknown origin: how many pixels they have is known, and limited, before one is decoded.
+"""Picture files of unknown origin: how many pixels they have is known, and limited,
+before one is decoded.
 
-A PNG of 500 kB may hold so many pixels of one colour that they take gigabytes in memory.
+A PNG of 500 kB may hold so many pixels of one colour that they take gigabytes in
+memory.
 """
 
 import io
@@ -18,25 +20,43 @@ from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.errors import LFS_ADVICE, LFS_POINTER, from_os_error
 
 MOST_PIXELS = 50_000_000
-"""Pixels that a picture may have unless more are allowed: cameras of 2026 take up to 50 million, as floats 600 MB."""
+"""Pixels that a picture may have unless more are allowed: cameras of 2026 take up to 50
+million, as floats 600 MB.
+"""
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")
-"""Kinds of files that are read: those that the endings of the names promise, whatever else Pillow knows."""
+"""Kinds of files that are read: those that the endings of the names promise, whatever
+else Pillow knows.
+"""
 
 BROKEN = (
-    *(OSError, SyntaxError, ValueError, EOFError, LookupError, TypeError, struct.error, OverflowError, MemoryError),
+    *(
+        OSError,
+        SyntaxError,
+        ValueError,
+        EOFError,
+        LookupError,
+        TypeError,
+        struct.error,
+        OverflowError,
+        MemoryError,
+    ),
     *(AttributeError, ImportError, Warning),
 )
 """What Pillow raises for files that are broken in one way or another.
 
-ImportError: ultralytics, once it is loaded, lets Pillow look for a plugin that is not installed. Warning: where the
-caller has made errors of warnings.
+ImportError: ultralytics, once it is loaded, lets Pillow look for a plugin that is not
+installed. Warning: where the caller has made errors of warnings.
 """
 
 MOST_SCANS, MOST_JPEG = 100, 1 << 28
-"""Scans that a JPEG may have (encoders write about ten, and each goes over all pixels again), and its bytes."""
+"""Scans that a JPEG may have (encoders write about ten, and each goes over all pixels
+again), and its bytes.
+"""
 _MARKER = re.compile(rb"\xff[^\x00\x01\xff\xd0-\xd7]", re.DOTALL)
-"""A marker with a length after it, or the end: not a stuffed byte, a fill byte or a restart."""
+"""A marker with a length after it, or the end: not a stuffed byte, a fill byte or a
+restart.
+"""
 
 _ANIMATED = ("PNG", "WEBP")
 _UPRIGHT = {
@@ -59,10 +79,14 @@ class PictureFileError(MiSplatError):
 
 @contextmanager
 def pixel_limit(most: int) -> Iterator[None]:
-    """Another number of pixels that a picture may have while the block runs, in all threads."""
+    """Another number of pixels that a picture may have while the block runs, in all
+    threads.
+    """
     global _most
     if most < 1:
-        raise InvalidValueError.of("max-pixels", "a number of pixels, 1 or more", most, "50000000 is usual")
+        raise InvalidValueError.of(
+            "max-pixels", "a number of pixels, 1 or more", most, "50000000 is usual"
+        )
     before, _most = _most, most
     try:
         yield
@@ -72,9 +96,11 @@ def pixel_limit(most: int) -> Iterator[None]:
 
 @contextmanager
 def pixels_bounded() -> Iterator[None]:
-    """Let Pillow raise for every picture that is opened in this block and has more pixels than it may have.
+    """Let Pillow raise for every picture that is opened in this block and has more
+    pixels than it may have.
 
-    For libraries that open pictures themselves; what has to be decoded is decoded later.
+    For libraries that open pictures themselves; what has to be decoded is decoded
+    later.
     """
     with _pillow_limit(_most), warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
@@ -83,7 +109,9 @@ def pixels_bounded() -> Iterator[None]:
 
 @contextmanager
 def _pillow_limit(most: int | None) -> Iterator[None]:
-    """Another limit of Pillow's own, of which it warns, and raises at twice as many; None is none."""
+    """Another limit of Pillow's own, of which it warns, and raises at twice as many;
+    None is none.
+    """
     with _lock:
         before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, most
         try:
@@ -124,11 +152,17 @@ def made_upright(picture: Image.Image, orientation: int) -> Image.Image:
 
 
 def focal_length_35mm(picture: Image.Image) -> float | None:
-    """The focal length that a camera has written into a picture, in millimetres for the diagonal of 35 mm film."""
+    """The focal length that a camera has written into a picture, in millimetres for the
+    diagonal of 35 mm film.
+    """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            written = picture.getexif().get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
+            written = (
+                picture.getexif()
+                .get_ifd(ExifTags.IFD.Exif)
+                .get(ExifTags.Base.FocalLengthIn35mmFilm)
+            )
         length = float(written or 0)
     except (*BROKEN, ArithmeticError):
         return None
@@ -136,9 +170,13 @@ def focal_length_35mm(picture: Image.Image) -> float | None:
 
 
 def check_scans(picture: Image.Image, what: str) -> None:
-    """Raise if a picture, opened and not yet decoded, is a JPEG of so many scans that decoding takes minutes."""
+    """Raise if a picture, opened and not yet decoded, is a JPEG of so many scans that
+    decoding takes minutes.
+    """
     if picture.format == "TIFF" and "jpeg" in str(picture.info.get("compression")):
-        raise PictureFileError.of(what, "a TIFF without JPEG inside", "one with it", "save it as JPEG or PNG")
+        raise PictureFileError.of(
+            what, "a TIFF without JPEG inside", "one with it", "save it as JPEG or PNG"
+        )
     file = getattr(picture, "fp", None)
     if picture.format not in ("JPEG", "MPO") or file is None:
         return
@@ -147,10 +185,14 @@ def check_scans(picture: Image.Image, what: str) -> None:
     data = file.read(MOST_JPEG + 1)
     file.seek(offset)
     if len(data) > MOST_JPEG:
-        raise PictureFileError.of(what, f"a JPEG of at most {MOST_JPEG:,} bytes", "more", "save it again")
+        raise PictureFileError.of(
+            what, f"a JPEG of at most {MOST_JPEG:,} bytes", "more", "save it again"
+        )
     scans = _scans(data)
     if scans > MOST_SCANS:
-        raise PictureFileError.of(what, f"a JPEG of at most {MOST_SCANS} scans", "more", "save it again")
+        raise PictureFileError.of(
+            what, f"a JPEG of at most {MOST_SCANS} scans", "more", "save it again"
+        )
 
 
 def _scans(data: bytes) -> int:
@@ -167,24 +209,41 @@ def _scans(data: bytes) -> int:
 
 
 def load_picture(
-    source: Path | bytes, what: str = "", *, formats: Sequence[str] = FORMATS, upright: bool = False
+    source: Path | bytes,
+    what: str = "",
+    *,
+    formats: Sequence[str] = FORMATS,
+    upright: bool = False,
 ) -> Image.Image:
-    """A whole picture, decoded; turned as its EXIF orientation says if it is to be upright."""
+    """A whole picture, decoded; turned as its EXIF orientation says if it is to be
+    upright.
+    """
     with _opened(source, what or str(source), formats) as picture:
         if picture.format in _ANIMATED and getattr(picture, "is_animated", False):
-            raise PictureFileError.of(what or str(source), "one picture", "an animation", "save one picture of it")
+            raise PictureFileError.of(
+                what or str(source),
+                "one picture",
+                "an animation",
+                "save one picture of it",
+            )
         check_scans(picture, what or str(source))
         picture.load()
         return made_upright(picture, _orientation(picture) if upright else 1).copy()
 
 
 @contextmanager
-def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator[Image.Image]:
-    """A picture whose header is right; what Pillow raises in the block is said in our words."""
+def _opened(
+    source: Path | bytes, what: str, formats: Sequence[str]
+) -> Iterator[Image.Image]:
+    """A picture whose header is right; what Pillow raises in the block is said in our
+    words.
+    """
     file = io.BytesIO(source) if isinstance(source, bytes) else source
     try:
         with _pillow_limit(None), Image.open(file, formats=tuple(formats)) as opened:
-            check_pixels(what, *opened.size, most=_most // _COPIES.get(opened.format or "", 1))
+            check_pixels(
+                what, *opened.size, most=_most // _COPIES.get(opened.format or "", 1)
+            )
             yield opened
     except FileNotFoundError as error:
         do = "put the picture there or take it off the list"
@@ -193,24 +252,44 @@ def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator
         if _beginning(source).startswith(LFS_POINTER):
             raise PictureFileError.of(what, "a picture", *LFS_ADVICE) from error
         if (kind := _phone_format(source)) is not None:
-            do = "convert it, for instance with `magick mogrify -format jpg` (ImageMagick) or heif-convert (libheif)"
-            raise PictureFileError.of(what, f"a picture as {', '.join(formats)}", kind, do) from error
+            do = (
+                "convert it, for instance with `magick mogrify -format jpg`"
+                " (ImageMagick) or heif-convert (libheif)"
+            )
+            raise PictureFileError.of(
+                what, f"a picture as {', '.join(formats)}", kind, do
+            ) from error
         kinds = f"a picture that can be read ({', '.join(formats)})"
-        raise PictureFileError.of(what, kinds, "something else", "save it as one of these") from error
+        raise PictureFileError.of(
+            what, kinds, "something else", "save it as one of these"
+        ) from error
     except BROKEN as error:
-        if isinstance(error, OSError) and error.errno is not None:  # of the system, and not of Pillow
-            raise PictureFileError(str(from_os_error(what, "a picture", error))) from error
+        # of the system, and not of Pillow
+        if isinstance(error, OSError) and error.errno is not None:
+            raise PictureFileError(
+                str(from_os_error(what, "a picture", error))
+            ) from error
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         do = "write or download it again"
-        raise PictureFileError.of(what, "a picture that can be read", reason, do) from error
+        raise PictureFileError.of(
+            what, "a picture that can be read", reason, do
+        ) from error
 
 
 def _phone_format(source: Path | bytes) -> str | None:
-    """HEIC or AVIF, if the file is a picture of these; its first box names its brand (ISO/IEC 23008-12)."""
+    """HEIC or AVIF, if the file is a picture of these; its first box names its brand
+    (ISO/IEC 23008-12).
+    """
     head = _beginning(source)
     if head[4:8] != b"ftyp":
         return None
-    return {b"avi": "AVIF", b"hei": "HEIC", b"hev": "HEIC", b"mif": "HEIC", b"msf": "HEIC"}.get(head[8:11])
+    return {
+        b"avi": "AVIF",
+        b"hei": "HEIC",
+        b"hev": "HEIC",
+        b"mif": "HEIC",
+        b"msf": "HEIC",
+    }.get(head[8:11])
 
 
 def _beginning(source: Path | bytes) -> bytes:
@@ -221,17 +300,25 @@ def _beginning(source: Path | bytes) -> bytes:
 
 
 _COPIES = {"WEBP": 2}
-"""How many times as much memory as for others Pillow takes for images of a kind: it decodes WebP as animations."""
+"""How many times as much memory as for others Pillow takes for images of a kind: it
+decodes WebP as animations.
+"""
 
 
-def check_pixels(what: str, width: int, height: int, *, most: int | None = None) -> None:
+def check_pixels(
+    what: str, width: int, height: int, *, most: int | None = None
+) -> None:
     """Raise if a picture that another library decodes has too many pixels, or none."""
     most = _most if most is None else most
     if width < 1 or height < 1:
-        raise PictureFileError.of(what, "a picture with pixels", f"{width} x {height}", "write it again")
+        raise PictureFileError.of(
+            what, "a picture with pixels", f"{width} x {height}", "write it again"
+        )
     if width * height > most:
         expected, got = f"at most {most:,} pixels", f"{width * height:,}"
-        error = PictureFileError.of(what, expected, got, "make it smaller, or allow more")
+        error = PictureFileError.of(
+            what, expected, got, "make it smaller, or allow more"
+        )
         raise error.hinted("--max-pixels")
 
 
@@ -239,10 +326,14 @@ def check_pixels(what: str, width: int, height: int, *, most: int | None = None)
 
 _EXR = b"\x76\x2f\x31\x01"
 _HEADER = 1 << 20
-"""Bytes of a file in which its header has to end; that of an OpenEXR picture may hold a small preview."""
+"""Bytes of a file in which its header has to end; that of an OpenEXR picture may hold a
+small preview.
+"""
 _USUAL_CHANNELS, _CHANNEL_BYTES = 4, 16
 _RADIANCE = (b"#?RADIANCE", b"#?RGBE")
-_RESOLUTION = re.compile(rb"^[-+][XY][ \t]+(\d{1,9})[ \t]+[-+][XY][ \t]+(\d{1,9})", re.MULTILINE)
+_RESOLUTION = re.compile(
+    rb"^[-+][XY][ \t]+(\d{1,9})[ \t]+[-+][XY][ \t]+(\d{1,9})", re.MULTILINE
+)
 """The first such line is the one that counts, wherever the header ends."""
 _PFM = re.compile(rb"P[Ff]\s+(\d{1,9})\s+(\d{1,9})\s")
 
@@ -251,7 +342,9 @@ _BEGINNINGS = (
     *(_EXR, *_RADIANCE, b"\x89PNG", b"\xff\xd8", b"BM", b"II*\0", b"MM\0*", b"RIFF"),
     *(b"PF", b"Pf", b"P1", b"P2", b"P3", b"P4", b"P5", b"P6"),
 )
-"""First bytes of pictures, by which Mitsuba knows them whatever the names of their files."""
+"""First bytes of pictures, by which Mitsuba knows them whatever the names of their
+files.
+"""
 
 
 def is_texture(path: Path) -> bool:
@@ -264,9 +357,11 @@ def is_texture(path: Path) -> bool:
 
 
 def check_texture(path: Path, what: str = "") -> None:
-    """Raise if a picture has more pixels than it may have, or no header that says how many.
+    """Raise if a picture has more pixels than it may have, or no header that says how
+    many.
 
-    Of an OpenEXR picture with more than four channels, each further four count as a picture.
+    Of an OpenEXR picture with more than four channels, each further four count as a
+    picture.
     """
     what = what or str(path)
     try:
@@ -288,7 +383,9 @@ def check_texture(path: Path, what: str = "") -> None:
 
 
 def _check_exr(head: bytes, what: str) -> None:
-    """Raise if a part of an OpenEXR picture has too many pixels; several parts are several headers."""
+    """Raise if a part of an OpenEXR picture has too many pixels; several parts are
+    several headers.
+    """
     several = bool(head[5:6] and head[5] & 0x10)
     offset, sizes = 8, list[tuple[int, int]]()
     try:
@@ -297,11 +394,15 @@ def _check_exr(head: bytes, what: str) -> None:
             sizes.append(size)
     except (ValueError, IndexError, struct.error):
         raise _broken(what, "OpenEXR") from None
-    check_pixels(what, sum(width for width, _ in sizes), max(height for _, height in sizes))
+    check_pixels(
+        what, sum(width for width, _ in sizes), max(height for _, height in sizes)
+    )
 
 
 def _exr_part(head: bytes, offset: int) -> tuple[int, tuple[int, int]]:
-    """Where a header that begins at a place ends, and the width and height of its picture."""
+    """Where a header that begins at a place ends, and the width and height of its
+    picture.
+    """
     window, channels = None, 0
     while head[offset]:
         name_end = head.index(b"\0", offset)
@@ -313,7 +414,10 @@ def _exr_part(head: bytes, offset: int) -> tuple[int, tuple[int, int]]:
             window = (x1 - x0 + 1, y1 - y0 + 1)
         elif name == b"channels":
             while head[start]:
-                start, channels = head.index(b"\0", start) + 1 + _CHANNEL_BYTES, channels + 1
+                start, channels = (
+                    head.index(b"\0", start) + 1 + _CHANNEL_BYTES,
+                    channels + 1,
+                )
         offset = end
     if window is None or channels < 1:
         raise ValueError("no window or no channels")
@@ -321,4 +425,6 @@ def _exr_part(head: bytes, offset: int) -> tuple[int, tuple[int, int]]:
 
 
 def _broken(what: str, kind: str) -> PictureFileError:
-    return PictureFileError.of(what, f"a header of {kind} with a size", "none", "write or download it again")
+    return PictureFileError.of(
+        what, f"a header of {kind} with a size", "none", "write or download it again"
+    )

@@ -1,7 +1,9 @@
-"""Which way is up in a splat file: what it says, else what its cameras or its ground tell, else z.
+"""Which way is up in a splat file: what it says, else what its cameras or its ground
+tell, else z.
 
-No format of splats says which way is up, but for a comment that some programs write into a PLY, and glTF and OpenUSD,
-which define it. Worlds of structure from motion have any direction up, often -y. Light: needs neither torch nor SciPy.
+No format of splats says which way is up, but for a comment that some programs write
+into a PLY, and glTF and OpenUSD, which define it. Worlds of structure from motion have
+any direction up, often -y. Light: needs neither torch nor SciPy.
 """
 
 from __future__ import annotations
@@ -30,21 +32,33 @@ _NUMBER = re.compile(r"[-+]?\d*\.?\d+(?:e[-+]?\d+)?", re.IGNORECASE)
 _CAMERAS = "cameras.json"
 _MOST_CAMERAS_BYTES = 64 << 20
 _LEAST_AGREED = 0.4
-"""How far along up the cameras' own up directions point in the mean; 1 is all alike, and none looks up or down."""
+"""How far along up the cameras' own up directions point in the mean; 1 is all alike,
+and none looks up or down.
+"""
 _ORTHONORMAL = 0.01
 """How far the products of the rows of a rotation may be from 0 and 1."""
 _ALIKE, _MOST_ROLL = 0.02, 0.03
-"""Mean squares of what points right in the cameras: across of the first of its axes, where all look the same way if it
-is less, and along up, where they were rolled if it is more."""
+"""Mean squares of what points right in the cameras: across of the first of its axes,
+where all look the same way if it is less, and along up, where they were rolled if it is
+more.
+"""
 
 _SOLID, _SAMPLE, _TRIALS = 0.5, 3000, 400
-"""Opacity from which a Gaussian is part of a surface; Gaussians and planes that are tried to find the ground."""
+"""Opacity from which a Gaussian is part of a surface; Gaussians and planes that are
+tried to find the ground.
+"""
 _EXTENT = (0.05, 0.95)
-"""Quantiles of the coordinates between which the extent of a scene is measured, without what lies far out."""
+"""Quantiles of the coordinates between which the extent of a scene is measured, without
+what lies far out.
+"""
 _THICK, _WIDE = 0.012, 1.2
-"""Thickness of a ground as a share of the extent, and how much wider it is than what stands on it."""
+"""Thickness of a ground as a share of the extent, and how much wider it is than what
+stands on it.
+"""
 _LEAST_SHARE, _ONE_SIDE = 0.15, 0.9
-"""Share of the Gaussians that lie on a ground, and of the others that are on its upper side."""
+"""Share of the Gaussians that lie on a ground, and of the others that are on its upper
+side.
+"""
 _NEAR_AXIS = np.cos(np.radians(20.0))
 """Cosine from which on a direction that was guessed is taken for that of an axis."""
 
@@ -62,12 +76,14 @@ def up_axis(path: str | os.PathLike[str], loaded: Loaded) -> UpAxis:
     """The direction that is up in a splat that was read from a file.
 
     Args:
-        path: The file, or the folder that stands for it; cameras of a training are looked for beside it.
+        path: The file, or the folder that stands for it; cameras of a training are
+            looked for beside it.
         loaded: Its content.
 
     Returns:
-        The first that there is of: what the file says; the mean of the cameras that 3DGS left beside it; the ground
-        that its Gaussians stand on; what its format defines; z.
+        The first that there is of: what the file says; the mean of the cameras that
+        3DGS left beside it; the ground that its Gaussians stand on; what its format
+        defines; z.
     """
     if loaded.stated_up is not None:
         return UpAxis(loaded.stated_up, "as its comment says", is_stated=True)
@@ -85,10 +101,15 @@ def up_axis(path: str | os.PathLike[str], loaded: Loaded) -> UpAxis:
 def commented_up(comments: Sequence[str]) -> Direction | None:
     """What the comments of a PLY say of the vertical axis; None if nothing.
 
-    An axis is that axis, as nerfstudio writes z for up. Brush writes y into every file, and reads it as -y, since its
-    worlds are those of COLMAP. Three numbers are a direction.
+    An axis is that axis, as nerfstudio writes z for up. Brush writes y into every file,
+    and reads it as -y, since its worlds are those of COLMAP. Three numbers are a
+    direction.
     """
-    texts = [match[1].strip() for comment in comments if (match := _COMMENT.fullmatch(comment.strip()))]
+    texts = [
+        match[1].strip()
+        for comment in comments
+        if (match := _COMMENT.fullmatch(comment.strip()))
+    ]
     if not texts:
         return None
     axis = _AXIS.match(texts[-1])
@@ -101,16 +122,19 @@ def commented_up(comments: Sequence[str]) -> Direction | None:
 
 
 def cameras_up(rotations: NDArray[np.float64]) -> Direction | None:
-    """The direction that is up for cameras that were held upright, looking up or down as they may.
+    """The direction that is up for cameras that were held upright, looking up or down
+    as they may.
 
-    What points to the right in such a camera is level, so up is what is across of all of these. Where all cameras look
-    the same way this says nothing, and up is the mean of their own.
+    What points to the right in such a camera is level, so up is what is across of all
+    of these. Where all cameras look the same way this says nothing, and up is the mean
+    of their own.
 
     Args:
         rotations: (N, 3, 3) camera to world; x of a camera points right, y down.
 
     Returns:
-        (3,) unit vector, an axis if it is near to one; None if the cameras do not agree, or one has no rotation.
+        (3,) unit vector, an axis if it is near to one; None if the cameras do not
+        agree, or one has no rotation.
     """
     if not len(rotations) or not _are_rotations(rotations):
         return None
@@ -132,11 +156,15 @@ def _are_rotations(matrices: NDArray[np.float64]) -> bool:
     return bool(np.abs(errors).max() < _ORTHONORMAL)
 
 
-def ground_up(means: NDArray[np.floating], opacities: NDArray[np.floating]) -> Direction | None:
-    """The normal of the ground of a splat, on the side of what stands on it; None if it has none that is plain.
+def ground_up(
+    means: NDArray[np.floating], opacities: NDArray[np.floating]
+) -> Direction | None:
+    """The normal of the ground of a splat, on the side of what stands on it; None if it
+    has none that is plain.
 
-    A ground is flat, holds many of the Gaussians, has nearly all others on one side, and reaches farther than these. A
-    room has several such planes, and an object without a ground none.
+    A ground is flat, holds many of the Gaussians, has nearly all others on one side,
+    and reaches farther than these. A room has several such planes, and an object
+    without a ground none.
 
     Args:
         means: (N, 3) world units.
@@ -171,7 +199,9 @@ def ground_up(means: NDArray[np.floating], opacities: NDArray[np.floating]) -> D
     return _rounded(normal if above > 0.5 else -normal)
 
 
-def _sample(means: NDArray[np.floating], opacities: NDArray[np.floating]) -> NDArray[np.float64]:
+def _sample(
+    means: NDArray[np.floating], opacities: NDArray[np.floating]
+) -> NDArray[np.float64]:
     """(M, 3) some of the solid Gaussians, the same each time."""
     rows = np.flatnonzero((opacities > _SOLID) & np.isfinite(means).all(axis=1))
     if len(rows) > _SAMPLE:
@@ -179,8 +209,12 @@ def _sample(means: NDArray[np.floating], opacities: NDArray[np.floating]) -> NDA
     return means[rows].astype(np.float64)
 
 
-def _largest_plane(points: NDArray[np.float64], thick: float) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """The normal of the plane with the most points (RANSAC, Fischler and Bolles 1981), and heights over it."""
+def _largest_plane(
+    points: NDArray[np.float64], thick: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """The normal of the plane with the most points (RANSAC, Fischler and Bolles 1981),
+    and heights over it.
+    """
     corners = points[np.random.default_rng(1).integers(len(points), size=(_TRIALS, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -189,7 +223,10 @@ def _largest_plane(points: NDArray[np.float64], thick: float) -> tuple[NDArray[n
         return None
     corners, normals = corners[usable], normals[usable] / lengths[usable, None]
     offsets = (normals * corners[:, 0]).sum(1)
-    counts = [int((np.abs(points @ n - offset) < thick).sum()) for n, offset in zip(normals, offsets, strict=True)]
+    counts = [
+        int((np.abs(points @ n - offset) < thick).sum())
+        for n, offset in zip(normals, offsets, strict=True)
+    ]
     best = int(np.argmax(counts))
     on = np.abs(points @ normals[best] - offsets[best]) < thick
     middle = points[on].mean(axis=0)
@@ -198,7 +235,9 @@ def _largest_plane(points: NDArray[np.float64], thick: float) -> tuple[NDArray[n
 
 
 def _up_of_cameras_beside(path: str | os.PathLike[str]) -> Direction | None:
-    """The up direction of the cameras.json that 3DGS writes beside point_cloud/iteration_N; None without one."""
+    """The up direction of the cameras.json that 3DGS writes beside
+    point_cloud/iteration_N; None without one.
+    """
     around = os.path.abspath(path)
     for _ in range(4):
         file = os.path.join(around, _CAMERAS)
@@ -231,7 +270,11 @@ def _rounded(direction: NDArray[np.float64]) -> Direction | None:
     if unit is None:
         return None
     axis = int(np.argmax(np.abs(unit)))
-    return _along(axis, float(np.sign(unit[axis]))) if abs(unit[axis]) >= _NEAR_AXIS else unit
+    return (
+        _along(axis, float(np.sign(unit[axis])))
+        if abs(unit[axis]) >= _NEAR_AXIS
+        else unit
+    )
 
 
 def _along(axis: int, sign: float) -> Direction:

@@ -1,34 +1,44 @@
-"""The ledger: work that is done once, and found again by all that its result depends on.
+"""The ledger: work that is done once, and found again by all that its result depends
+on.
 
 A *job* is a kind, a configuration and inputs::
 
-    render = Job(kind="attacks.rendered", config=RenderConfig(samples=32), inputs={"scene": Path("car.xml")})
-    judged = Job(kind="attacks.judged", config=JudgeConfig(), inputs={"pictures": render.part("pictures/*")})
+    scene = {"scene": Path("car.xml")}
+    render = Job(kind="attacks.rendered", config=RenderConfig(), inputs=scene)
+    pictures = {"pictures": render.part("pictures/*")}
+    judged = Job(kind="attacks.judged", config=JudgeConfig(), inputs=pictures)
     engine = InProcess(Path("out/store"), on_event=print)
     done = Driver(Path("out/store"), engine).run([grid({"judged": judged})])["judged"]
     done.rows, done.folder, done.record["seconds"]
 
-A *kind* is a module with `run(config, inputs, out)`, which builds all that it needs itself::
+A *kind* is a module with `run(config, inputs, out)`, which builds all that it needs
+itself::
 
-    def run(config: JudgeConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, float]]:
-        for number, file in enumerate(sorted((inputs["pictures"] / "pictures").iterdir())):
+    def run(config: JudgeConfig, inputs: Mapping[str, Path], out: Out) -> Rows:
+        files = sorted((inputs["pictures"] / "pictures").iterdir())
+        for number, file in enumerate(files):
             out.progress("judging", number, config.most)
             ...
         (out / "scores.json").write_text(...)
         return rows
 
-- Its key is of the kind, every field of the configuration, the *content* of each input, and the code: the digest of the
-  module's imports and of theirs (`mi_splat.import_closure`). Who makes equal pictures finds the splat of the first.
-- `inputs` gives a path for each name: a job's folder of files, the file of a `part("splat.ply")`, or what was passed.
-- What is written into `out.files` appears whole, when `run` has ended. `out.partial` is a folder that outlasts a kill
-  or an error: a training keeps its checkpoints there and goes on from them. It is deleted when the job is done.
-- Rows that are returned stand in job.json. Files whose bytes differ from run to run are named in the module's `VARIES`,
-  and count neither as content nor in comparisons.
-- What a kind loads by name, such as a detector, stands in its module as a whole dotted name: `LOADS = ("a.b",)`.
-- A kind imports its configuration's class, so that a record can be read again; and `Out` for type checkers alone, so
-  that the ledger's own code is not in its key.
+- Its key is of the kind, every field of the configuration, the *content* of each input,
+  and the code: the digest of the module's imports and of theirs
+  (`mi_splat.import_closure`). Who makes equal pictures finds the splat of the first.
+- `inputs` gives a path for each name: a job's folder of files, the file of a
+  `part("splat.ply")`, or what was passed.
+- What is written into `out.files` appears whole, when `run` has ended. `out.partial` is
+  a folder that outlasts a kill or an error: a training keeps its checkpoints there and
+  goes on from them. It is deleted when the job is done.
+- Rows that are returned stand in job.json. Files whose bytes differ from run to run are
+  named in the module's `VARIES`, and count neither as content nor in comparisons.
+- What a kind loads by name, such as a detector, stands in its module as a whole dotted
+  name: `LOADS = ("a.b",)`.
+- A kind imports its configuration's class, so that a record can be read again; and
+  `Out` for type checkers alone, so that the ledger's own code is not in its key.
 
-Results are looked at when they are used: a file that was changed since is an error, not a result.
+Results are looked at when they are used: a file that was changed since is an error, not
+a result.
 """
 
 from mi_splat.ledger.job import Done, Event, HeldError, Job, OnEvent, Out, Part

@@ -1,7 +1,8 @@
 """What runs tasks: this process, or child processes that are watched.
 
-`python -m mi_splat.ledger.engines STORE DESCRIPTOR` is such a process: it runs the tasks that come through a socket. It
-ends with the first job that raises, so that the next one has a new process, and at once when who watches it ends.
+`python -m mi_splat.ledger.engines STORE DESCRIPTOR` is such a process: it runs the
+tasks that come through a socket. It ends with the first job that raises, so that the
+next one has a new process, and at once when who watches it ends.
 """
 
 import contextlib
@@ -19,13 +20,29 @@ from pathlib import Path
 from typing import Protocol
 
 from mi_splat.io.folders import LockedError, locked_folder
-from mi_splat.ledger.job import DiskFullError, EngineError, Event, HeldError, OnEvent, Outcome, Task, nobody
+from mi_splat.ledger.job import (
+    DiskFullError,
+    EngineError,
+    Event,
+    HeldError,
+    OnEvent,
+    Outcome,
+    Task,
+    nobody,
+)
 from mi_splat.ledger.running import run_job
 from mi_splat.ledger.store import Store
-from mi_splat.process_group import GroupEndedError, Limits, ProcessGroup, connection, inbox
+from mi_splat.process_group import (
+    GroupEndedError,
+    Limits,
+    ProcessGroup,
+    connection,
+    inbox,
+)
 from mi_splat.processes import TERMINATED, sigterm_as_interrupt
 
-_OTHERS = 0.02  # seconds in which a task that is alone waits for others, before it takes all cores
+# seconds in which a task that is alone waits for others, before it takes all cores
+_OTHERS = 0.02
 _GRACE = 8.0  # seconds that a stopped job has to write down how far it is
 _BETWEEN = 0.1  # least seconds between two reports of progress
 
@@ -36,7 +53,9 @@ class Engine(Protocol):
     window: int
 
     def submit(self, task: Task) -> Future[Outcome]:
-        """Run a task some time; the future raises what is the engine's own error, and none of a job's."""
+        """Run a task some time; the future raises what is the engine's own error, and
+        none of a job's.
+        """
         ...
 
     def close(self) -> None:
@@ -67,15 +86,32 @@ class InProcess:
 
 
 class Processes:
-    """Runs tasks in child processes, each watched by a thread and with its share of the processor's cores."""
+    """Runs tasks in child processes, each watched by a thread and with its share of the
+    processor's cores.
+    """
 
-    def __init__(self, folder: Path, *, workers: int, limits: Limits | None = None, on_event: OnEvent = nobody) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        workers: int,
+        limits: Limits | None = None,
+        on_event: OnEvent = nobody,
+    ) -> None:
         self.window = workers
-        self._reporting, self._on_event, self._caches = threading.Lock(), on_event, contextlib.ExitStack()
+        self._reporting, self._on_event, self._caches = (
+            threading.Lock(),
+            on_event,
+            contextlib.ExitStack(),
+        )
         self._idle: queue.SimpleQueue[Child] = queue.SimpleQueue()
         numbers = itertools.count()
         self._children = [
-            Child(folder, limits=limits, environment=environment(free_cache(folder, numbers, self._caches)))
+            Child(
+                folder,
+                limits=limits,
+                environment=environment(free_cache(folder, numbers, self._caches)),
+            )
             for _ in range(workers)
         ]
         for child in self._children:
@@ -122,40 +158,61 @@ class Processes:
 
 def environment(kernels: Path) -> dict[str, str]:
     """Variables of a child process."""
-    return {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "DRJIT_CACHE_DIR": str(kernels.absolute())}
+    return {
+        "OMP_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+        "DRJIT_CACHE_DIR": str(kernels.absolute()),
+    }
 
 
 def share_of_cores(worker: int, workers: int) -> list[int]:
-    """Numbers of the cores that one of some workers may use; none, which is all, where the system cannot say."""
+    """Numbers of the cores that one of some workers may use; none, which is all, where
+    the system cannot say.
+    """
     if not hasattr(os, "sched_getaffinity"):
         return []
     cores = sorted(os.sched_getaffinity(0))
     return cores[worker % len(cores) :: workers]
 
 
-def free_cache(folder: Path, numbers: Iterator[int], held: contextlib.ExitStack) -> Path:
-    """The first folder for compiled kernels that no other process of this machine uses."""
+def free_cache(
+    folder: Path, numbers: Iterator[int], held: contextlib.ExitStack
+) -> Path:
+    """The first folder for compiled kernels that no other process of this machine
+    uses.
+    """
     for number in numbers:
         cache = folder / "kernels" / f"{platform.node()}-{number}"
-        with contextlib.suppress(LockedError):  # any other error is one of the disk, and comes again
+        # any other error is one of the disk, and comes again
+        with contextlib.suppress(LockedError):
             held.enter_context(locked_folder(cache))
             return cache
     raise AssertionError("numbers do not end")
 
 
 class Child:
-    """A process that runs tasks one after the other, and a new one when that has ended."""
+    """A process that runs tasks one after the other, and a new one when that has
+    ended.
+    """
 
     def __init__(
-        self, folder: Path, *, limits: Limits | None = None, environment: Mapping[str, str] | None = None
+        self,
+        folder: Path,
+        *,
+        limits: Limits | None = None,
+        environment: Mapping[str, str] | None = None,
     ) -> None:
         self._store, self._limits = Store(folder), limits or Limits()
         self._environment = dict(environment or {})
         self._group: ProcessGroup | None = None
         self._stopped = False
 
-    def run(self, task: Task, on_event: OnEvent = nobody, *, cores: Sequence[int] = ()) -> Outcome:
-        """Run a task, and write down what it could not write down itself: by what signal or limit it was ended."""
+    def run(
+        self, task: Task, on_event: OnEvent = nobody, *, cores: Sequence[int] = ()
+    ) -> Outcome:
+        """Run a task, and write down what it could not write down itself: by what
+        signal or limit it was ended.
+        """
         group = self._started()
         if self._stopped:
             return Outcome(state="stopped", text="the engine was closed")
@@ -189,11 +246,21 @@ class Child:
             seconds = round(time.monotonic() - started, 3)
             tries = self._store.note_failure(task, why, seconds)
             text = f"try {tries}: {why}"
-            tell(Event(state="failed", key=task.key, kind=task.kind, text=text, seconds=seconds))
+            tell(
+                Event(
+                    state="failed",
+                    key=task.key,
+                    kind=task.kind,
+                    text=text,
+                    seconds=seconds,
+                )
+            )
         return Outcome(state="failed", text=failures[0])
 
     def stop(self) -> None:
-        """End the `run` of another thread, which may write down first how far it is; it counts as no try."""
+        """End the `run` of another thread, which may write down first how far it is; it
+        counts as no try.
+        """
         self._stopped = True
         if (group := self._group) is not None:
             group.terminate()
@@ -211,18 +278,24 @@ class Child:
         if self._group is not None and self._group.is_running:
             return self._group
         self.close()
-        group = ProcessGroup(__name__, str(self._store.folder.absolute()), environment=self._environment)
+        group = ProcessGroup(
+            __name__, str(self._store.folder.absolute()), environment=self._environment
+        )
         self._group = group
         try:
             _answer(group, Limits(), nobody)
         except GroupEndedError as error:
             self.close()
-            raise EngineError.of("child process", "one that starts", str(error), "see what it says") from error
+            raise EngineError.of(
+                "child process", "one that starts", str(error), "see what it says"
+            ) from error
         return group
 
 
 def _answer(group: ProcessGroup, limits: Limits, tell: OnEvent) -> Outcome:
-    """What a process says at the end of a task; `GroupEndedError` if it ended, or broke a limit."""
+    """What a process says at the end of a task; `GroupEndedError` if it ended, or broke
+    a limit.
+    """
     since = time.monotonic()
     while True:
         group.wait(limits, since)
@@ -233,7 +306,8 @@ def _answer(group: ProcessGroup, limits: Limits, tell: OnEvent) -> Outcome:
         if isinstance(answer, Outcome):
             return answer
         tell(answer)
-        if answer.state == "running":  # what the process imported before is not the task's
+        # what the process imported before is not the task's
+        if answer.state == "running":
             since = time.monotonic()
 
 
@@ -264,19 +338,23 @@ def serve(store: Store, pipe: Connection) -> None:
 def keep_to(cores: Sequence[int]) -> None:
     """Keep every thread of this process to some cores, and Dr.Jit to as many threads.
 
-    Two threads of Dr.Jit on one core take twice the time of one: they wait for each other without sleeping.
+    Two threads of Dr.Jit on one core take twice the time of one: they wait for each
+    other without sleeping.
     """
     if not cores:
         return
     for thread in os.listdir("/proc/self/task"):
         with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
             os.sched_setaffinity(int(thread), cores)
-    if (drjit := sys.modules.get("drjit")) is not None:  # else it counts the cores when it is imported
+    # else it counts the cores when it is imported
+    if (drjit := sys.modules.get("drjit")) is not None:
         drjit.set_thread_count(len(cores))
 
 
 def main() -> int:
-    """Serve until the pipe is closed or SIGTERM comes, which ends a job as Ctrl-C would."""
+    """Serve until the pipe is closed or SIGTERM comes, which ends a job as Ctrl-C
+    would.
+    """
     pipe = connection(sys.argv[2])
     with sigterm_as_interrupt():
         try:

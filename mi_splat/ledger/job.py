@@ -1,4 +1,6 @@
-"""What a job is: a kind of work, its configuration and its inputs; and what it leaves."""
+"""What a job is: a kind of work, its configuration and its inputs; and what it
+leaves.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ from typing import Any
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.folders import LockedError
 
-CLASS = "class"  # key of the name of a class in the JSON of one of its values: module, colon, class
+# key of the name of a class in the JSON of one of its values: module, colon, class
+CLASS = "class"
 _FLOAT, _NAME = "float", "name"
 
 
@@ -34,7 +37,9 @@ def digest(value: Any) -> str:
 
 
 def encoded(value: Any, where: str = "config") -> Any:
-    """A configuration as JSON: every field of every frozen dataclass, members of enumerations, tuples as lists."""
+    """A configuration as JSON: every field of every frozen dataclass, members of
+    enumerations, tuples as lists.
+    """
     kind = type(value)
     if value is None or kind is str or kind is int or kind is bool:
         return value
@@ -44,11 +49,16 @@ def encoded(value: Any, where: str = "config") -> Any:
     if kind is tuple or kind is list:
         return [encoded(item, where) for item in value]
     if is_frozen(value):
-        fields = {field.name: encoded(getattr(value, field.name), f"{where}.{field.name}") for field in _fields(kind)}
+        fields = {
+            field.name: encoded(getattr(value, field.name), f"{where}.{field.name}")
+            for field in _fields(kind)
+        }
         return {CLASS: f"{kind.__module__}:{kind.__qualname__}", **fields}
     if isinstance(value, enum.Enum):
         return {CLASS: f"{kind.__module__}:{kind.__qualname__}", _NAME: value.name}
-    if isinstance(value, Mapping) and all(type(key) is str and key != CLASS for key in value):
+    if isinstance(value, Mapping) and all(
+        type(key) is str and key != CLASS for key in value
+    ):
         return {key: encoded(item, f"{where}.{key}") for key, item in value.items()}
     expected = "numbers, texts, tuples, mappings and frozen dataclasses"
     do = "give what it stands for, or make the file that holds it an input"
@@ -56,12 +66,17 @@ def encoded(value: Any, where: str = "config") -> Any:
 
 
 def without_modules(value: Any) -> Any:
-    """The JSON of a configuration with the names of its classes alone, which stay when a module is moved."""
+    """The JSON of a configuration with the names of its classes alone, which stay when
+    a module is moved.
+    """
     if isinstance(value, list):
         return [without_modules(item) for item in value]
     if not isinstance(value, Mapping):
         return value
-    return {key: str(item).rpartition(":")[2] if key == CLASS else without_modules(item) for key, item in value.items()}
+    return {
+        key: str(item).rpartition(":")[2] if key == CLASS else without_modules(item)
+        for key, item in value.items()
+    }
 
 
 def is_frozen(value: Any) -> bool:
@@ -71,7 +86,9 @@ def is_frozen(value: Any) -> bool:
 
 
 def decoded(value: Any, modules: Collection[str]) -> Any:
-    """The configuration that `encoded` made JSON of; lists come back as tuples, missing fields have their defaults."""
+    """The configuration that `encoded` made JSON of; lists come back as tuples, missing
+    fields have their defaults.
+    """
     if isinstance(value, list):
         return tuple(decoded(item, modules) for item in value)
     if not isinstance(value, dict):
@@ -87,8 +104,12 @@ def decoded(value: Any, modules: Collection[str]) -> Any:
     made = {field.name for field in _fields(cls) if field.init}
     unknown = sorted(rest.keys() - {field.name for field in _fields(cls)})
     if unknown:
-        raise InvalidValueError.of(str(value[CLASS]), "its fields", ", ".join(unknown), "make the result again")
-    return cls(**{key: decoded(item, modules) for key, item in rest.items() if key in made})
+        raise InvalidValueError.of(
+            str(value[CLASS]), "its fields", ", ".join(unknown), "make the result again"
+        )
+    return cls(
+        **{key: decoded(item, modules) for key, item in rest.items() if key in made}
+    )
 
 
 def _fields(cls: type) -> tuple[dataclasses.Field[Any], ...]:
@@ -100,30 +121,44 @@ def _class(name: str, modules: Collection[str]) -> type:
     cls: Any = importlib.import_module(module) if module in modules else None
     for part in path.split("."):
         cls = getattr(cls, part, None)
-    if isinstance(cls, type) and (dataclasses.is_dataclass(cls) or issubclass(cls, enum.Enum)):
+    if isinstance(cls, type) and (
+        dataclasses.is_dataclass(cls) or issubclass(cls, enum.Enum)
+    ):
         return cls
     expected = "a dataclass or an enumeration of a module that the kind imports"
-    raise InvalidValueError.of("config", expected, name, "import it in the kind's module")
+    raise InvalidValueError.of(
+        "config", expected, name, "import it in the kind's module"
+    )
 
 
 ALL = "*"
 _SIGNS_OF_PATTERNS = frozenset("*?[")
 
-Row = Mapping[str, Any]  # one row of what a job measured: numbers, texts, truth values and None by their names
+# one row of what a job measured: numbers, texts, truth values and None by their names
+Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Job:
-    """A piece of work whose result depends on nothing but what stands here and on the code of its kind."""
+    """A piece of work whose result depends on nothing but what stands here and on the
+    code of its kind.
+    """
 
     kind: str  # dotted name of a module with `run(config, inputs, out)`
     config: Any  # a frozen dataclass; every field counts
-    inputs: Mapping[str, Job | Part | Path] = field(default_factory=lambda: MappingProxyType({}))
+    inputs: Mapping[str, Job | Part | Path] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
 
     def __post_init__(self) -> None:
         if not is_frozen(self.config):
-            expected, do = "a frozen dataclass", "say all that the result depends on as its fields"
-            raise InvalidValueError.of(f"config of {self.kind}", expected, type(self.config).__name__, do)
+            expected, do = (
+                "a frozen dataclass",
+                "say all that the result depends on as its fields",
+            )
+            raise InvalidValueError.of(
+                f"config of {self.kind}", expected, type(self.config).__name__, do
+            )
 
     @cached_property
     def config_json(self) -> Any:
@@ -132,9 +167,15 @@ class Job:
 
     @cached_property
     def identity(self) -> str:
-        """32 hex digits that stand for the job and all before it: known before anything is done, and never a key."""
+        """32 hex digits that stand for the job and all before it: known before anything
+        is done, and never a key.
+        """
         inputs = {
-            name: f"{source.job.identity}/{source.pattern}" if isinstance(source, Part) else f"path {source.absolute()}"
+            name: (
+                f"{source.job.identity}/{source.pattern}"
+                if isinstance(source, Part)
+                else f"path {source.absolute()}"
+            )
             for name, source in self.sources.items()
         }
         return digest({"kind": self.kind, "config": self.config_json, "inputs": inputs})
@@ -142,16 +183,23 @@ class Job:
     @cached_property
     def sources(self) -> Mapping[str, Part | Path]:
         """The inputs, a job as the part `*` of itself."""
-        return {name: s.part(ALL) if isinstance(s, Job) else s for name, s in self.inputs.items()}
+        return {
+            name: s.part(ALL) if isinstance(s, Job) else s
+            for name, s in self.inputs.items()
+        }
 
     def part(self, pattern: str) -> Part:
-        """Some of the files that the job leaves, as an input: only their names and bytes count."""
+        """Some of the files that the job leaves, as an input: only their names and
+        bytes count.
+        """
         return Part(job=self, pattern=pattern)
 
     @property
     def before(self) -> tuple[Job, ...]:
         """The jobs that it reads."""
-        return tuple(source.job for source in self.sources.values() if isinstance(source, Part))
+        return tuple(
+            source.job for source in self.sources.values() if isinstance(source, Part)
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -169,7 +217,9 @@ def by_depth(jobs: Iterable[Job]) -> list[list[Job]]:
 
     def depth(job: Job) -> int:
         if job.identity not in depths:
-            depths[job.identity] = number = 1 + max((depth(needed) for needed in job.before), default=-1)
+            depths[job.identity] = number = 1 + max(
+                (depth(needed) for needed in job.before), default=-1
+            )
             levels.extend([] for _ in range(len(levels), number + 1))
             levels[number].append(job)
         return depths[job.identity]
@@ -181,7 +231,9 @@ def by_depth(jobs: Iterable[Job]) -> list[list[Job]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """A job whose inputs are done: all that a process needs to run it, as JSON can hold it."""
+    """A job whose inputs are done: all that a process needs to run it, as JSON can hold
+    it.
+    """
 
     kind: str
     config: Any
@@ -191,8 +243,15 @@ class Task:
 
     def __post_init__(self) -> None:
         contents = {name: source["content"] for name, source in self.inputs.items()}
-        # The code stands for the kind: neither it nor the configuration's classes are known by where they lie.
-        key = digest({"config": without_modules(self.config), "inputs": contents, "code": self.code})
+        # The code stands for the kind: neither it nor the configuration's classes are
+        # known by where they lie.
+        key = digest(
+            {
+                "config": without_modules(self.config),
+                "inputs": contents,
+                "code": self.code,
+            }
+        )
         object.__setattr__(self, "key", key)
 
 
@@ -212,24 +271,38 @@ class Done:
 
     @property
     def content(self) -> str:
-        """What stands for all files and rows that it left, the files apart that its kind says may vary."""
+        """What stands for all files and rows that it left, the files apart that its
+        kind says may vary.
+        """
         return self.content_of(ALL)
 
     def content_of(self, pattern: str) -> str:
-        """What stands for the files that fit a pattern, see `Job.part`; with the rows if it is `*`."""
+        """What stands for the files that fit a pattern, see `Job.part`; with the rows
+        if it is `*`.
+        """
         varies = self.record["varies"]
-        names = [n for n in self.record["files"] if fits(n, pattern) and not any(fits(n, other) for other in varies)]
+        names = [
+            n
+            for n in self.record["files"]
+            if fits(n, pattern) and not any(fits(n, other) for other in varies)
+        ]
         files = {name: self.record["files"][name] for name in names}
         if pattern == ALL:
             return digest({"files": files, "rows": self.record["rows"]})
         if not files:
             do = "name one of its files, or make the job again"
-            raise InvalidValueError.of(f"job {self.key}", f"files {pattern}", "none", do)
+            raise InvalidValueError.of(
+                f"job {self.key}", f"files {pattern}", "none", do
+            )
         return digest({"files": files})
 
     def input_path(self, pattern: str) -> Path:
-        """What a job that reads this one is given: the file of that name, or the folder for a pattern with signs."""
-        return self.folder if _SIGNS_OF_PATTERNS & set(pattern) else self.folder / pattern
+        """What a job that reads this one is given: the file of that name, or the folder
+        for a pattern with signs.
+        """
+        return (
+            self.folder if _SIGNS_OF_PATTERNS & set(pattern) else self.folder / pattern
+        )
 
 
 def fits(name: str, pattern: str) -> bool:
@@ -246,7 +319,9 @@ HeldError = LockedError  # another process does the job now
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """What happens to a job: running, progress, note (for people to keep), done, kept, held or failed."""
+    """What happens to a job: running, progress, note (for people to keep), done, kept,
+    held or failed.
+    """
 
     state: str
     key: str
@@ -266,7 +341,9 @@ class EngineError(MiSplatError):
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How an engine's try of a task ended: done, held (by another process), failed or stopped."""
+    """How an engine's try of a task ended: done, held (by another process), failed or
+    stopped.
+    """
 
     state: str
     text: str = ""
@@ -280,14 +357,20 @@ def nobody(event: Event) -> None:
 class Out:
     """Where a job writes."""
 
-    files: Path  # folder of what it leaves; new at every try. `out / name` is short for `out.files / name`
+    # folder of what it leaves; new at every try. `out / name` is short for
+    # `out.files / name`
+    files: Path
     kept: Path  # where `partial` is
-    progress: Callable[[str, int, int], None]  # called with what goes on, units of it that are done, and all
-    note: Callable[[str], None] = lambda text: None  # called with a line that people should keep
+    # called with what goes on, units of it that are done, and all
+    progress: Callable[[str, int, int], None]
+    # called with a line that people should keep
+    note: Callable[[str], None] = lambda text: None
 
     @property
     def partial(self) -> Path:
-        """Folder of its own that outlasts a killed or failed try, and is gone once the job is done."""
+        """Folder of its own that outlasts a killed or failed try, and is gone once the
+        job is done.
+        """
         self.kept.mkdir(parents=True, exist_ok=True)
         return self.kept
 

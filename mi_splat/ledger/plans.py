@@ -1,4 +1,6 @@
-"""Plans: which jobs there are, those among them that depend on the results of others, and what drives them."""
+"""Plans: which jobs there are, those among them that depend on the results of others,
+and what drives them.
+"""
 
 import asyncio
 import contextlib
@@ -14,14 +16,27 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_text
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.engines import Engine
-from mi_splat.ledger.job import Done, EngineError, Event, Job, OnEvent, Outcome, Task, nobody
+from mi_splat.ledger.job import (
+    Done,
+    EngineError,
+    Event,
+    Job,
+    OnEvent,
+    Outcome,
+    Task,
+    nobody,
+)
 from mi_splat.ledger.running import lookup, task_for
 from mi_splat.ledger.store import TRIES, Store, checked_key
 
 STATES = ("waiting", "ready", "running", "done", "failed")
-"""For others before it; for an engine; for its end; for nothing; for somebody who mends it."""
+"""For others before it; for an engine; for its end; for nothing; for somebody who mends
+it.
+"""
 _MEASURED = 200  # most finished jobs that tell how long one takes
-_READER = DocumentReader(expected="a list of keys", do="plan the study again", most=1 << 30)
+_READER = DocumentReader(
+    expected="a list of keys", do="plan the study again", most=1 << 30
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +64,14 @@ def status(store: Store, jobs: Mapping[str, Job]) -> list[Entry]:
         elif task is not None and task.key in failed:
             state = "failed"
         shown = tuple(labels.get(job.identity, ()))
-        entries.append(Entry(labels=shown, kind=job.kind, state=state, key="" if task is None else task.key))
+        entries.append(
+            Entry(
+                labels=shown,
+                kind=job.kind,
+                state=state,
+                key="" if task is None else task.key,
+            )
+        )
     return entries
 
 
@@ -73,7 +95,9 @@ def planned(store: Store, name: str) -> set[str]:
     """Keys of the jobs that a plan has used."""
     path = store.folder / "plans" / f"{name}.json"
     if not path.is_file():
-        raise InvalidValueError.of(str(path), "a plan", "none", "plan or run the study first")
+        raise InvalidValueError.of(
+            str(path), "a plan", "none", "plan or run the study first"
+        )
     keys = _READER.read_json_value(path)
     if not isinstance(keys, list) or not all(isinstance(key, str) for key in keys):
         raise _READER.broken(str(path), "another document")
@@ -81,7 +105,9 @@ def planned(store: Store, name: str) -> set[str]:
 
 
 def forecast(store: Store, entries: Iterable[Entry]) -> tuple[float, int]:
-    """Seconds that the jobs which are not done take one after the other, and how many of them nobody can tell."""
+    """Seconds that the jobs which are not done take one after the other, and how many
+    of them nobody can tell.
+    """
     done: dict[str, list[str]] = {}
     missing: Counter[str] = Counter()
     for entry in entries:
@@ -93,7 +119,9 @@ def forecast(store: Store, entries: Iterable[Entry]) -> tuple[float, int]:
     seconds, unknown = 0.0, 0
     for kind, count in missing.items():
         records = [store.record(key) for key in done.get(kind, others)[:_MEASURED]]
-        measured = [float(record["seconds"]) for record in records if record["kind"] == kind]
+        measured = [
+            float(record["seconds"]) for record in records if record["kind"] == kind
+        ]
         seconds += count * statistics.median(measured) if measured else 0.0
         unknown += 0 if measured else count
     return seconds, unknown
@@ -101,7 +129,9 @@ def forecast(store: Store, entries: Iterable[Entry]) -> tuple[float, int]:
 
 Result = Done | str  # how a job of a plan ended: what it left, or why it has failed
 Plan = Generator[Mapping[str, Job], Mapping[str, Result] | None, None]
-"""Yields jobs by their labels, and is sent their results once all of them have ended; ends when it wants no more."""
+"""Yields jobs by their labels, and is sent their results once all of them have ended;
+ends when it wants no more.
+"""
 _POLL = 0.5  # seconds between two looks at a job that another process does
 
 
@@ -111,9 +141,18 @@ def grid(jobs: Mapping[str, Job]) -> Plan:
 
 
 class Driver:
-    """Gives the jobs of plans to an engine, the ones before the others, until all have ended."""
+    """Gives the jobs of plans to an engine, the ones before the others, until all have
+    ended.
+    """
 
-    def __init__(self, folder: Path, engine: Engine, *, name: str = "", on_event: OnEvent = nobody) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        engine: Engine,
+        *,
+        name: str = "",
+        on_event: OnEvent = nobody,
+    ) -> None:
         self._store, self._engine, self._on_event = Store(folder), engine, on_event
         self._name = name
         self._results: dict[str, Result] = {}
@@ -126,7 +165,8 @@ class Driver:
     def run(self, plans: Iterable[Plan]) -> dict[str, Result]:
         """Results by labels."""
         self._store.sweep()
-        loop = asyncio.new_event_loop()  # not `asyncio.run`, which keeps Ctrl-C from a job in this process
+        # not `asyncio.run`, which keeps Ctrl-C from a job in this process
+        loop = asyncio.new_event_loop()
         try:
             loop.run_until_complete(self._all(plans))
         except asyncio.CancelledError:
@@ -151,7 +191,9 @@ class Driver:
         await asyncio.gather(*waiting, *self._jobs.values(), return_exceptions=True)
 
     async def _follow(self, plan: Plan) -> None:
-        """Do what a plan asks for and send it the results, until it asks for nothing."""
+        """Do what a plan asks for and send it the results, until it asks for
+        nothing.
+        """
         results: dict[str, Result] | None = None
         while True:
             try:
@@ -163,19 +205,27 @@ class Driver:
             self._results.update(results)
 
     def _job(self, job: Job) -> asyncio.Task[Result]:
-        """The coroutine of a job, begun with those of all before it if the job is new."""
+        """The coroutine of a job, begun with those of all before it if the job is
+        new.
+        """
         if job.identity not in self._jobs:
             before = [(needed, self._job(needed)) for needed in job.before]
-            self._jobs[job.identity] = asyncio.get_running_loop().create_task(self._done(job, before))
+            self._jobs[job.identity] = asyncio.get_running_loop().create_task(
+                self._done(job, before)
+            )
         return self._jobs[job.identity]
 
-    async def _done(self, job: Job, before: Iterable[tuple[Job, asyncio.Task[Result]]]) -> Result:
+    async def _done(
+        self, job: Job, before: Iterable[tuple[Job, asyncio.Task[Result]]]
+    ) -> Result:
         """The result of a job; what reads a failed one has failed as well."""
         finished: dict[str, Done] = {}
         for needed, coroutine in before:
             result = await coroutine
             if isinstance(result, str):
-                name = " ".join([needed.kind, self._keys.get(needed.identity, "")]).strip()
+                name = " ".join(
+                    [needed.kind, self._keys.get(needed.identity, "")]
+                ).strip()
                 return f"not tried, as it reads {name}, which has failed"
             finished[needed.identity] = result
         task = task_for(job, self._store, finished)
@@ -185,7 +235,9 @@ class Driver:
         return ended
 
     async def _tried(self, task: Task) -> Result | None:
-        """The result of a task, tried until it has failed for good; None while another process does it."""
+        """The result of a task, tried until it has failed for good; None while another
+        process does it.
+        """
         async with self._free:
             if self._error is not None:
                 raise asyncio.CancelledError
@@ -208,7 +260,9 @@ class Driver:
             return why
 
     async def _outcome(self, task: Task) -> Outcome:
-        """How the engine's try of a task ended; what it raises ends all coroutines first, and then the run."""
+        """How the engine's try of a task ended; what it raises ends all coroutines
+        first, and then the run.
+        """
         try:
             return await asyncio.wrap_future(self._engine.submit(task))
         except BaseException as error:

@@ -38,13 +38,18 @@ def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
         return done
     try:
         with store.held(task.key):
-            if not store.has(task.key):  # nobody has done it while this process came to the lease
+            # nobody has done it while this process came to the lease
+            if not store.has(task.key):
                 _make(store, task, on_event)
     except Exception as error:
         if not is_disk_full(error):
             raise
-        do = "free some space; what is done stays, and the job goes on from what it kept"
-        raise DiskFullError.of(str(store.folder), "space on the disk", "none", do) from error
+        do = (
+            "free some space; what is done stays, and the job goes on from what it kept"
+        )
+        raise DiskFullError.of(
+            str(store.folder), "space on the disk", "none", do
+        ) from error
     return store.existing(task.key)
 
 
@@ -54,14 +59,27 @@ def task_for(job: Job, store: Store, finished: Mapping[str, Done]) -> Task:
     for name, source in job.sources.items():
         if isinstance(source, Part):
             done = finished[source.job.identity]
-            inputs[name] = {"content": done.content_of(source.pattern), "job": done.key, "part": source.pattern}
+            inputs[name] = {
+                "content": done.content_of(source.pattern),
+                "job": done.key,
+                "part": source.pattern,
+            }
         else:
-            inputs[name] = {"content": content_of_path(source), "path": str(source.absolute())}
-    return Task(kind=job.kind, config=job.config_json, inputs=inputs, code=code_digest(job.kind))
+            inputs[name] = {
+                "content": content_of_path(source),
+                "path": str(source.absolute()),
+            }
+    return Task(
+        kind=job.kind, config=job.config_json, inputs=inputs, code=code_digest(job.kind)
+    )
 
 
-def lookup(jobs: Iterable[Job], store: Store) -> Iterator[tuple[Job, Task | None, Done | None]]:
-    """Jobs, after all before them: each with its task if its inputs are done, and with its result if it is there."""
+def lookup(
+    jobs: Iterable[Job], store: Store
+) -> Iterator[tuple[Job, Task | None, Done | None]]:
+    """Jobs, after all before them: each with its task if its inputs are done, and with
+    its result if it is there.
+    """
     finished: dict[str, Done] = {}
     for job in (job for level in by_depth(jobs) for job in level):
         task = done = None
@@ -86,13 +104,19 @@ def input_paths(store: Store, task: Task) -> dict[str, Path]:
         if "job" in source:
             done = store.done(source["job"])
             content = None if done is None else done.content_of(source["part"])
-            path = store.folder_of(source["job"]) if done is None else done.input_path(source["part"])
+            path = (
+                store.folder_of(source["job"])
+                if done is None
+                else done.input_path(source["part"])
+            )
         else:
             path = Path(source["path"])
             content = content_of_path(path)
         if content != source["content"]:
             do = "plan the job again"
-            raise InvalidValueError.of(f"input {name} of job {task.key}", "what it was planned with", path, do)
+            raise InvalidValueError.of(
+                f"input {name} of job {task.key}", "what it was planned with", path, do
+            )
         paths[name] = path
     return paths
 
@@ -103,28 +127,63 @@ def _make(store: Store, task: Task, on_event: OnEvent) -> None:
     try:
         _run(store, task, on_event)
     except Exception as error:
-        if not is_disk_full(error):  # which is no fault of the job's, and could not hold it
-            seconds, text = time.monotonic() - started, "".join(traceback.format_exception(error))
+        # which is no fault of the job's, and could not hold it
+        if not is_disk_full(error):
+            seconds, text = (
+                time.monotonic() - started,
+                "".join(traceback.format_exception(error)),
+            )
             tries = store.note_failure(task, text, round(seconds, 3))
             text = f"try {tries} of {TRIES}: {error}"
-            on_event(Event(state="failed", key=task.key, kind=task.kind, text=text, seconds=seconds))
+            on_event(
+                Event(
+                    state="failed",
+                    key=task.key,
+                    kind=task.kind,
+                    text=text,
+                    seconds=seconds,
+                )
+            )
         raise
-    on_event(Event(state="done", key=task.key, kind=task.kind, seconds=time.monotonic() - started))
+    on_event(
+        Event(
+            state="done",
+            key=task.key,
+            kind=task.kind,
+            seconds=time.monotonic() - started,
+        )
+    )
 
 
 def _run(store: Store, task: Task, on_event: OnEvent) -> None:
     """Do a job, and put its result into the store."""
     if code_digest(task.kind) != task.code:
         do = "plan the job again, with the same code everywhere"
-        raise InvalidValueError.of(f"code of {task.kind}", task.code, code_digest(task.kind), do)
+        raise InvalidValueError.of(
+            f"code of {task.kind}", task.code, code_digest(task.kind), do
+        )
     inputs = input_paths(store, task)
     kind: Any = importlib.import_module(task.kind)
     config = decoded(task.config, closure(task.kind))
     if encoded(config) != task.config:
-        raise InvalidValueError.of(f"config of {task.kind}", "one that JSON keeps", task.config, "mend its class")
+        raise InvalidValueError.of(
+            f"config of {task.kind}",
+            "one that JSON keeps",
+            task.config,
+            "mend its class",
+        )
 
     def progress(text: str, done: int, total: int) -> None:
-        on_event(Event(state="progress", key=task.key, kind=task.kind, text=text, done=done, total=total))
+        on_event(
+            Event(
+                state="progress",
+                key=task.key,
+                kind=task.kind,
+                text=text,
+                done=done,
+                total=total,
+            )
+        )
 
     def note(text: str) -> None:
         on_event(Event(state="note", key=task.key, kind=task.kind, text=text))
@@ -135,10 +194,18 @@ def _run(store: Store, task: Task, on_event: OnEvent) -> None:
         out = Out(files=temporary / "files", kept=partial, progress=progress, note=note)
         rows: Sequence[Row] | None = kind.run(config, inputs, out)
         record = {
-            **{"kind": task.kind, "config": task.config, "inputs": task.inputs, "code": task.code},
+            **{
+                "kind": task.kind,
+                "config": task.config,
+                "inputs": task.inputs,
+                "code": task.code,
+            },
             **{"seconds": round(time.monotonic() - started, 3), **origin()},
             **{"cpu_seconds": round(time.process_time() - cpu, 3)},
-            **{"varies": list(getattr(kind, "VARIES", ())), "rows": _checked(rows or (), task.kind)},
+            **{
+                "varies": list(getattr(kind, "VARIES", ())),
+                "rows": _checked(rows or (), task.kind),
+            },
         }
         store.publish(temporary, record, task.key)
 
@@ -148,10 +215,14 @@ def _checked(rows: Sequence[Row], kind: str) -> list[dict[str, Any]]:
     for row in rows:
         for name, value in row.items():
             if not (
-                value is None or type(value) in (str, int, bool) or (type(value) is float and math.isfinite(value))
+                value is None
+                or type(value) in (str, int, bool)
+                or (type(value) is float and math.isfinite(value))
             ):
                 expected = "a finite number of Python, a text, a truth value or None"
-                raise InvalidValueError.of(f"rows of {kind}: {name}", expected, repr(value), "convert it")
+                raise InvalidValueError.of(
+                    f"rows of {kind}: {name}", expected, repr(value), "convert it"
+                )
     return [dict(row) for row in rows]
 
 

@@ -1,10 +1,12 @@
-"""Mitsuba plugins of this project: the shape `gaussians`, the integrators `splat_tile` and `splat_ray`.
+"""Mitsuba plugins of this project: the shape `gaussians`, the integrators `splat_tile`
+and `splat_ray`.
 
-Importing this package is enough: the plugins are registered in the current variant, and again whenever another one
-that can render splats is set.
+Importing this package is enough: the plugins are registered in the current variant, and
+again whenever another one that can render splats is set.
 
-A scene file from somebody else is read with `mi_splat.read_scene`. Plain `mi.load_file` loads native code that lies
-beside the file: `plugins/NAME.so` for every plugin type that Mitsuba has not loaded yet, one of its own included.
+A scene file from somebody else is read with `mi_splat.read_scene`. Plain `mi.load_file`
+loads native code that lies beside the file: `plugins/NAME.so` for every plugin type
+that Mitsuba has not loaded yet, one of its own included.
 """
 
 import functools
@@ -38,11 +40,18 @@ def _register_in(variant: str) -> None:
 
 @functools.cache
 def _refuse_in(variant: str) -> None:
-    """Let the plugins say, in a variant without colours in RGB or without derivatives, which ones they need."""
+    """Let the plugins say, in a variant without colours in RGB or without derivatives,
+    which ones they need.
+    """
 
     def refuse(props: Any) -> Any:
-        expected, do = " or ".join(SUPPORTED_VARIANTS), f'call mi.set_variant("{SUPPORTED_VARIANTS[0]}") first'
-        raise InvalidValueError.of(f"variant for {props.plugin_name()}", expected, variant, do)
+        expected, do = (
+            " or ".join(SUPPORTED_VARIANTS),
+            f'call mi.set_variant("{SUPPORTED_VARIANTS[0]}") first',
+        )
+        raise InvalidValueError.of(
+            f"variant for {props.plugin_name()}", expected, variant, do
+        )
 
     mi.register_shape("gaussians", refuse)
     for name in ("splat_tile", "splat_ray"):

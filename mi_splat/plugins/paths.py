@@ -1,9 +1,12 @@
-"""Paths through splats and surfaces: radiance along camera rays, and the gradient of it with respect to the splats.
+"""Paths through splats and surfaces: radiance along camera rays, and the gradient of it
+with respect to the splats.
 
-Splats emit and attenuate; they are not lit, and no light scatters from them. On every stretch of a path, from one
-surface to the next, their light is added and what lies behind is multiplied by their transmittance; shadow rays are
-multiplied by it, too. Surfaces are path traced with next-event estimation and multiple importance sampling (Veach
-1997); the gradient replays each path (path replay backpropagation, Vicini et al. 2021).
+Splats emit and attenuate; they are not lit, and no light scatters from them. On every
+stretch of a path, from one surface to the next, their light is added and what lies
+behind is multiplied by their transmittance; shadow rays are multiplied by it, too.
+Surfaces are path traced with next-event estimation and multiple importance sampling
+(Veach 1997); the gradient replays each path (path replay backpropagation, Vicini et al.
+2021).
 """
 
 import math
@@ -26,12 +29,16 @@ class Mixed:
     """What paths run through."""
 
     scene: Any  # the Mitsuba scene; its emitters light the surfaces
-    surfaces: Any | None  # a Mitsuba scene of its surfaces alone, so that no ray stops at a Gaussian; None for none
+    # a Mitsuba scene of its surfaces alone, so that no ray stops at a Gaussian; None
+    # for none
+    surfaces: Any | None
     splats: Splats | None  # its Gaussians; None for none
 
 
 class MixedCache:
-    """The last scene that was prepared, by the indices of its arrays: held ones never change under a given index."""
+    """The last scene that was prepared, by the indices of its arrays: held ones never
+    change under a given index.
+    """
 
     def __init__(self) -> None:
         self._splats: tuple[Any, Any, Splats | None] | None = None
@@ -48,7 +55,11 @@ class MixedCache:
             return before[2]
         arrays = shapes.joined()
         check_finite(ELLIPSOIDS, arrays)
-        if before is not None and before[2] is not None and _without_colours(before[0]) == _without_colours(key):
+        if (
+            before is not None
+            and before[2] is not None
+            and _without_colours(before[0]) == _without_colours(key)
+        ):
             splats: Splats | None = before[2].with_colours(arrays[-1])
         else:
             splats = prepare(ELLIPSOIDS, arrays)
@@ -69,9 +80,14 @@ class MixedCache:
 
 
 def _scene_of(shapes: list[Any]) -> Any:
-    """A Mitsuba scene of shapes that belong to another one, which keep their names there."""
+    """A Mitsuba scene of shapes that belong to another one, which keep their names
+    there.
+    """
     names = [shape.id() for shape in shapes]
-    scene = mi.load_dict({"type": "scene", **{f"{n}": shape for n, shape in enumerate(shapes)}}, parallel=False)
+    scene = mi.load_dict(
+        {"type": "scene", **{f"{n}": shape for n, shape in enumerate(shapes)}},
+        parallel=False,
+    )
     for shape, name in zip(shapes, names, strict=True):
         shape.set_id(name)
     return scene
@@ -91,7 +107,9 @@ def _flat(arrays: list[Any]) -> list[Any]:
 
 
 def _without_colours(key: tuple[int, ...]) -> tuple[int, ...]:
-    """The key without the SH of each shape, which has data, opacities and SH: the tree does not depend on them."""
+    """The key without the SH of each shape, which has data, opacities and SH: the tree
+    does not depend on them.
+    """
     return tuple(index for number, index in enumerate(key) if number % 3 != 2)
 
 
@@ -103,17 +121,24 @@ def _key(arrays: list[Any]) -> tuple[int, ...]:
 class PathSettings:
     """What paths depend on besides the scene."""
 
-    background: Any  # color3f, radiance of what lies behind everything, where there is no environment emitter
-    linear: bool  # whether light adds up in linear values; else in sRGB values, as 3DGS does
-    to_mean: bool  # whether a Gaussian's colour is looked up towards its mean instead of along the ray
-    max_depth: int  # longest path, in vertices; 1 sees emitters, backgrounds and splats only
+    # color3f, radiance of what lies behind everything, where there is no environment
+    # emitter
+    background: Any
+    # whether light adds up in linear values; else in sRGB values, as 3DGS does
+    linear: bool
+    # whether a Gaussian's colour is looked up towards its mean instead of along the ray
+    to_mean: bool
+    # longest path, in vertices; 1 sees emitters, backgrounds and splats only
+    max_depth: int
     rr_depth: int  # vertices after which paths end at random
     hide_emitters: bool  # whether the camera does not see the environment
 
 
 @dataclass(slots=True, eq=False)
 class Adjoint:
-    """What a replay needs: dL/dradiance, dL/dalpha of the camera's ray, and the sums that it adds to."""
+    """What a replay needs: dL/dradiance, dL/dalpha of the camera's ray, and the sums
+    that it adds to.
+    """
 
     radiance: Any
     alpha: Any
@@ -121,14 +146,18 @@ class Adjoint:
 
 
 def layer(colour: Any, transmittance: Any, *, linear: bool) -> Any:
-    """Radiance of a stretch of splats: its colour is that of a layer with alpha = 1 - transmittance, made linear."""
+    """Radiance of a stretch of splats: its colour is that of a layer with alpha = 1 -
+    transmittance, made linear.
+    """
     if not linear:
         return mi.Color3f(colour)
     alpha = 1.0 - transmittance
     return dr.select(alpha > 0.0, alpha * linear_value(colour / alpha), 0.0)
 
 
-def layer_backward(colour: Any, transmittance: Any, gradient: Any, *, linear: bool) -> tuple[Any, Any]:
+def layer_backward(
+    colour: Any, transmittance: Any, gradient: Any, *, linear: bool
+) -> tuple[Any, Any]:
     """dL/dcolour (Color3f) and dL/dtransmittance (Float) from dL/dradiance."""
     if not linear:
         return mi.Color3f(gradient), mi.Float(0.0)
@@ -137,7 +166,9 @@ def layer_backward(colour: Any, transmittance: Any, gradient: Any, *, linear: bo
     slope = linear_derivative(layer_colour)
     grad_alpha = dr.dot(gradient, linear_value(layer_colour) - slope * layer_colour)
     visible = alpha > 0.0
-    return dr.select(visible, gradient * slope, 0.0), dr.select(visible, -grad_alpha, 0.0)
+    return dr.select(visible, gradient * slope, 0.0), dr.select(
+        visible, -grad_alpha, 0.0
+    )
 
 
 def stretch_of(ray: Any, far: Any) -> Stretch:
@@ -145,11 +176,17 @@ def stretch_of(ray: Any, far: Any) -> Stretch:
     return Stretch(mi.Point3f(ray.o), mi.Vector3f(ray.d), mi.Float(0.0), mi.Float(far))
 
 
-def seen_on(mixed: Mixed, ray: Any, far: Any, active: Any, settings: PathSettings) -> tuple[Any, Any]:
-    """Colour (Color3f, sRGB, multiplied by alpha) and transmittance (Float) of the splats on a ray up to a distance."""
+def seen_on(
+    mixed: Mixed, ray: Any, far: Any, active: Any, settings: PathSettings
+) -> tuple[Any, Any]:
+    """Colour (Color3f, sRGB, multiplied by alpha) and transmittance (Float) of the
+    splats on a ray up to a distance.
+    """
     if mixed.splats is None:
         return mi.Color3f(0.0), mi.Float(1.0)
-    return segments.blend(mixed.splats, stretch_of(ray, far), active, to_mean=settings.to_mean)
+    return segments.blend(
+        mixed.splats, stretch_of(ray, far), active, to_mean=settings.to_mean
+    )
 
 
 def let_through(mixed: Mixed, ray: Any, active: Any) -> Any:
@@ -173,19 +210,36 @@ def replay_stretch(
     if mixed.splats is None:
         return
     throughput, behind, depth = path
-    grad_colour, grad_through = layer_backward(*seen, gradient.radiance * throughput, linear=settings.linear)
-    grad_through += dr.select(seen[1] > 0.0, dr.dot(gradient.radiance, behind) / seen[1], 0.0)
+    grad_colour, grad_through = layer_backward(
+        *seen, gradient.radiance * throughput, linear=settings.linear
+    )
+    grad_through += dr.select(
+        seen[1] > 0.0, dr.dot(gradient.radiance, behind) / seen[1], 0.0
+    )
     grad_through -= dr.select((depth == 0) & ~si.is_valid(), gradient.alpha, 0.0)
     far = dr.minimum(dr.select(si.is_valid(), si.t, math.inf), ray.maxt)
-    stretch, of_seen, to_mean = stretch_of(ray, far), (grad_colour, grad_through), settings.to_mean
-    segments.blend_backward(mixed.splats, stretch, active, seen, of_seen, gradient.sums, to_mean=to_mean)
+    stretch, of_seen, to_mean = (
+        stretch_of(ray, far),
+        (grad_colour, grad_through),
+        settings.to_mean,
+    )
+    segments.blend_backward(
+        mixed.splats, stretch, active, seen, of_seen, gradient.sums, to_mean=to_mean
+    )
 
 
-def replay_shadow(mixed: Mixed, shadow: Any, shade: Any, product: Any, active: Any, gradient: Any) -> None:
+def replay_shadow(
+    mixed: Mixed, shadow: Any, shade: Any, product: Any, active: Any, gradient: Any
+) -> None:
     """Add what the splats on a shadow ray get."""
     if mixed.splats is not None:
-        unshaded, stretch = dr.select(shade > 0.0, product / shade, 0.0), stretch_of(shadow, shadow.maxt)
-        segments.transmittance_backward(mixed.splats, stretch, active, shade, unshaded, gradient.sums)
+        unshaded, stretch = (
+            dr.select(shade > 0.0, product / shade, 0.0),
+            stretch_of(shadow, shadow.maxt),
+        )
+        segments.transmittance_backward(
+            mixed.splats, stretch, active, shade, unshaded, gradient.sums
+        )
 
 
 def _mis_weight(pdf: Any, other_pdf: Any) -> Any:
@@ -203,7 +257,9 @@ def radiance(
     total: tuple[Any, Any, Any] | None = None,
     gradient: Adjoint | None = None,
 ) -> tuple[Any, Any, tuple[Any, Any, Any]]:
-    """Radiance along camera rays, or with `gradient` a replay that adds to the sums of the splats."""
+    """Radiance along camera rays, or with `gradient` a replay that adds to the sums of
+    the splats.
+    """
     ray = mi.Ray3f(dr.detach(ray))
     if mixed.surfaces is None:
         hit = None
@@ -211,7 +267,11 @@ def radiance(
     else:
         hit = mixed.surfaces.ray_intersect_preliminary(ray, coherent=True)
         far = dr.minimum(dr.select(hit.is_valid(), hit.t, math.inf), ray.maxt)
-    first = seen_on(mixed, ray, far, mi.Bool(True), settings) if total is None else total[1:]
+    first = (
+        seen_on(mixed, ray, far, mi.Bool(True), settings)
+        if total is None
+        else total[1:]
+    )
     solid = mi.Bool(False) if hit is None else hit.is_valid()
     gathered = mi.Spectrum(0.0) if total is None else mi.Spectrum(total[0])
     if hit is None:
@@ -242,16 +302,26 @@ def _alone(
     settings: PathSettings,
     gradient: Adjoint | None,
 ) -> Any:
-    """Radiance in a scene without surfaces: the splats on the ray, and what is behind everything."""
+    """Radiance in a scene without surfaces: the splats on the ray, and what is behind
+    everything.
+    """
     behind = _behind_everything(mixed, ray, settings)
     if gradient is None:
         return layer(*first, linear=settings.linear) + first[1] * behind
     if mixed.splats is not None:
-        grad_colour, grad_through = layer_backward(*first, gradient.radiance, linear=settings.linear)
+        grad_colour, grad_through = layer_backward(
+            *first, gradient.radiance, linear=settings.linear
+        )
         grad_through += dr.dot(gradient.radiance, behind) - gradient.alpha
-        stretch, on, of_seen = stretch_of(ray, far), mi.Bool(True), (grad_colour, grad_through)
+        stretch, on, of_seen = (
+            stretch_of(ray, far),
+            mi.Bool(True),
+            (grad_colour, grad_through),
+        )
         sums, to_mean = gradient.sums, settings.to_mean
-        segments.blend_backward(mixed.splats, stretch, on, first, of_seen, sums, to_mean=to_mean)
+        segments.blend_backward(
+            mixed.splats, stretch, on, first, of_seen, sums, to_mean=to_mean
+        )
     return gathered
 
 
@@ -266,11 +336,17 @@ def _paths(
     settings: PathSettings,
     gradient: Adjoint | None,
 ) -> Any:
-    """Radiance in a scene with surfaces, from the preliminary intersections of camera rays."""
+    """Radiance in a scene with surfaces, from the preliminary intersections of camera
+    rays.
+    """
     scene, surfaces = mixed.scene, cast(Any, mixed.surfaces)
     replay = gradient is not None
     context = mi.BSDFContext()
-    ray, hit, gathered = mi.Ray3f(ray), mi.PreliminaryIntersection3f(hit), mi.Spectrum(gathered)
+    ray, hit, gathered = (
+        mi.Ray3f(ray),
+        mi.PreliminaryIntersection3f(hit),
+        mi.Spectrum(gathered),
+    )
     colour, through = mi.Color3f(first[0]), mi.Float(first[1])
     depth, throughput, eta = mi.UInt32(0), mi.Spectrum(1.0), mi.Float(1.0)
     before = dr.zeros(mi.SurfaceInteraction3f)
@@ -287,24 +363,45 @@ def _paths(
 
         # ------------------- Splats on the way here -------------------
         from_splats = throughput * layer(colour, through, linear=settings.linear)
-        gathered = gathered - from_splats if dr.hint(replay, mode="scalar") else gathered + from_splats
+        gathered = (
+            gathered - from_splats
+            if dr.hint(replay, mode="scalar")
+            else gathered + from_splats
+        )
         if dr.hint(replay, mode="scalar"):
-            replay_stretch(mixed, ray, si, (colour, through), (throughput, gathered, depth), active, settings, gradient)
+            replay_stretch(
+                mixed,
+                ray,
+                si,
+                (colour, through),
+                (throughput, gathered, depth),
+                active,
+                settings,
+                gradient,
+            )
         throughput = throughput * through
 
         # ------------- Emission of what the ray ends at ---------------
         light = mi.DirectionSample3f(scene, si, before)
-        weight = _mis_weight(before_pdf, scene.pdf_emitter_direction(before, light, ~before_delta))
-        seen = active & (si.is_valid() | mi.Bool(not settings.hide_emitters) | (depth > 0))
+        weight = _mis_weight(
+            before_pdf, scene.pdf_emitter_direction(before, light, ~before_delta)
+        )
+        seen = active & (
+            si.is_valid() | mi.Bool(not settings.hide_emitters) | (depth > 0)
+        )
         emitted = throughput * weight * light.emitter.eval(si, seen)
         if dr.hint(scene.environment() is None, mode="scalar"):
-            emitted += dr.select(active & ~si.is_valid(), throughput * settings.background, 0.0)
+            emitted += dr.select(
+                active & ~si.is_valid(), throughput * settings.background, 0.0
+            )
 
         # ------------------ Light that arrives here -------------------
         going = active & si.is_valid() & (depth + 1 < settings.max_depth)
         bsdf = si.bsdf(ray)
         lit = going & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        sample, power = scene.sample_emitter_direction(si, sampler.next_2d(), False, lit)
+        sample, power = scene.sample_emitter_direction(
+            si, sampler.next_2d(), False, lit
+        )
         lit &= sample.pdf != 0.0
         shadow = si.spawn_ray_to(sample.p)
         lit &= ~surfaces.ray_test(shadow, lit)
@@ -314,12 +411,23 @@ def _paths(
         weight = dr.select(sample.delta, 1.0, _mis_weight(sample.pdf, pdf))
         direct = dr.select(lit, throughput * weight * value * power * shade, 0.0)
         if dr.hint(replay, mode="scalar"):
-            replay_shadow(mixed, shadow, shade, dr.dot(cast(Any, gradient).radiance, direct), lit, gradient)
+            replay_shadow(
+                mixed,
+                shadow,
+                shade,
+                dr.dot(cast(Any, gradient).radiance, direct),
+                lit,
+                gradient,
+            )
         arrived = emitted + direct
-        gathered = gathered - arrived if dr.hint(replay, mode="scalar") else gathered + arrived
+        gathered = (
+            gathered - arrived if dr.hint(replay, mode="scalar") else gathered + arrived
+        )
 
         # ------------------------ The next ray ------------------------
-        scattered, factor = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), going)
+        scattered, factor = bsdf.sample(
+            context, si, sampler.next_1d(), sampler.next_2d(), going
+        )
         ray = si.spawn_ray(si.to_world(scattered.wo))
         throughput *= factor
         eta *= scattered.eta

@@ -1,6 +1,7 @@
 """Mitsuba's perspective sensor as the rasteriser's camera and as ours.
 
-Mitsuba's camera looks along its +z with x to the left and y up; ours (OpenCV) has x right and y down.
+Mitsuba's camera looks along its +z with x to the left and y up; ours (OpenCV) has x
+right and y down.
 """
 
 import functools
@@ -20,10 +21,14 @@ from mi_splat.rasterization.pinhole import Pinhole
 
 @functools.cache
 def _collector(variant: str) -> Any:
-    """The callback's class for one variant; its base class exists only once a variant is set."""
+    """The callback's class for one variant; its base class exists only once a variant
+    is set.
+    """
 
     class OwnValues(mi.TraversalCallback):  # type: ignore[misc]
-        """Keeps what an object says that its values are, and looks at no object in it."""
+        """Keeps what an object says that its values are, and looks at no object in
+        it.
+        """
 
         def __init__(self) -> None:
             super().__init__()
@@ -43,7 +48,9 @@ def _collector(variant: str) -> Any:
 
 
 def own_values(node: Any) -> dict[str, Any]:
-    """What `mi.traverse(node)` has without a dot in its name: the values of the object, not of those in it."""
+    """What `mi.traverse(node)` has without a dot in its name: the values of the object,
+    not of those in it.
+    """
     callback = _collector(mi.variant())()
     node.traverse(callback)
     return {
@@ -62,20 +69,31 @@ def is_pinhole(sensor: Any) -> bool:
 
 
 def identity(sensor: Any) -> tuple[tuple[Any, ...], list[Any]]:
-    """What `pinhole` depends on, without reading it: a key, and the arrays to hold for as long as the key is in use.
+    """What `pinhole` depends on, without reading it: a key, and the arrays to hold for
+    as long as the key is in use.
 
-    Reading a sensor's arrays waits for every kernel in flight. Dr.Jit's arrays never change under a given index while
-    someone holds them, so indices tell as well whether anything has changed.
+    Reading a sensor's arrays waits for every kernel in flight. Dr.Jit's arrays never
+    change under a given index while someone holds them, so indices tell as well whether
+    anything has changed.
     """
-    values, matrix, film = own_values(sensor), sensor.world_transform().matrix, sensor.film()
+    values, matrix, film = (
+        own_values(sensor),
+        sensor.world_transform().matrix,
+        sensor.film(),
+    )
     lens = [values[name] for name in _LENS if name in values]
     entries = [matrix[i, j] for i in range(4) for j in range(4)]
     sizes = (tuple(film.size()), tuple(film.crop_offset()), tuple(film.crop_size()))
-    return (*(dr.detach(array).index for array in (*entries, *lens)), *sizes), [matrix, *lens]
+    return (*(dr.detach(array).index for array in (*entries, *lens)), *sizes), [
+        matrix,
+        *lens,
+    ]
 
 
 def pinhole(sensor: Any, *, near: float, antialiased: bool = False) -> Pinhole:
-    """The kernels' camera for a perspective sensor; a crop window shows the same pixels as the whole film would."""
+    """The kernels' camera for a perspective sensor; a crop window shows the same pixels
+    as the whole film would.
+    """
     seen, film = camera(sensor), sensor.film().size()
     field = 0.5 * int(film[0]) / seen.fx, 0.5 * int(film[1]) / seen.fy
     return Pinhole(camera=seen, near=near, antialiased=antialiased, field=field)
@@ -86,13 +104,20 @@ def camera(sensor: Any) -> Camera:
     values = own_values(sensor)
     if not values.keys() >= {*_LENS}:
         what, do = f'sensor "{sensor.id()}"', "change its type to perspective"
-        raise InvalidValueError.of(what, "a perspective sensor", sensor.class_name(), do)
-    pose = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4) @ _MITSUBA_TO_OPENCV
+        raise InvalidValueError.of(
+            what, "a perspective sensor", sensor.class_name(), do
+        )
+    pose = (
+        np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4)
+        @ _MITSUBA_TO_OPENCV
+    )
     pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
     film = sensor.film()
     size, crop, start = film.size(), film.crop_size(), film.crop_offset()
     angle, *offset = (float(np.array(values[name]).item()) for name in _LENS)
-    x, y = ((0.5 - offset[axis]) * int(size[axis]) - float(start[axis]) for axis in range(2))
+    x, y = (
+        (0.5 - offset[axis]) * int(size[axis]) - float(start[axis]) for axis in range(2)
+    )
     width, height = int(crop[0]), int(crop[1])
     centred = np.allclose((x, y), (width / 2, height / 2), rtol=0, atol=1e-6)
     return Camera(
@@ -107,7 +132,12 @@ def camera(sensor: Any) -> Camera:
 def perspective(camera: Camera, what: str = "camera") -> dict[str, Any]:
     """What a perspective sensor of Mitsuba says of our camera's lens."""
     if not math.isclose(camera.fx, camera.fy, rel_tol=1e-6):
-        raise InvalidValueError.of(what, "square pixels", (camera.fx, camera.fy), "resample to square pixels first")
+        raise InvalidValueError.of(
+            what,
+            "square pixels",
+            (camera.fx, camera.fy),
+            "resample to square pixels first",
+        )
     return {
         "fov_axis": "x",
         "fov": math.degrees(angle_of(camera.fx, camera.width)),
@@ -122,13 +152,24 @@ def mitsuba_pose(camera: Camera) -> NDArray[np.float64]:
 
 
 def sensor_dict(camera: Camera, what: str = "camera") -> dict[str, Any]:
-    """A perspective sensor for `mi.load_dict` that takes our camera's picture through a box filter."""
-    size, formats = {"width": camera.width, "height": camera.height}, {"pixel_format": "rgb"}
+    """A perspective sensor for `mi.load_dict` that takes our camera's picture through a
+    box filter.
+    """
+    size, formats = (
+        {"width": camera.width, "height": camera.height},
+        {"pixel_format": "rgb"},
+    )
     return {
         "type": "perspective",
         **perspective(camera, what),
         "near_clip": 0.01,
         "far_clip": 2000.0,
         "to_world": mi.ScalarTransform4f(mitsuba_pose(camera)),
-        "film": {"type": "hdrfilm", **size, **formats, "component_format": "float32", "rfilter": {"type": "box"}},
+        "film": {
+            "type": "hdrfilm",
+            **size,
+            **formats,
+            "component_format": "float32",
+            "rfilter": {"type": "box"},
+        },
     }

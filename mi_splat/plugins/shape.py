@@ -1,20 +1,21 @@
 """The shape `gaussians`: any splat that this library reads, as Mitsuba's `ellipsoids`.
 
-==================  ==================  ==============================================================================
-parameter           type                meaning
-==================  ==================  ==============================================================================
-filename            string              a splat file, looked up beside the scene file and on Mitsuba's search path
-means               tensor (N, 3)       instead of a file, from Python: the five tensors of a GaussianScene
-scales              tensor (N, 3)       standard deviations, world units
-rotations           tensor (N, 4)       quaternions w, x, y, z
-opacities           tensor (N, )        in [0, 1]
-sh                  tensor (N, K, 3)    spherical harmonics in 3DGS order
-to_world            transform           rotation, translation and uniform scale; the spherical harmonics turn with it
-extent, ...         as `ellipsoids`     passed on to Mitsuba's shape
-==================  ==================  ==============================================================================
+==================  ==================
+============================================================================== parameter
+type                meaning ==================  ==================
+============================================================================== filename
+string              a splat file, looked up beside the scene file and on Mitsuba's
+search path means               tensor (N, 3)       instead of a file, from Python: the
+five tensors of a GaussianScene scales              tensor (N, 3)       standard
+deviations, world units rotations           tensor (N, 4)       quaternions w, x, y, z
+opacities           tensor (N, )        in [0, 1] sh                  tensor (N, K, 3)
+spherical harmonics in 3DGS order to_world            transform           rotation,
+translation and uniform scale; the spherical harmonics turn with it extent, ...
+as `ellipsoids`     passed on to Mitsuba's shape ==================  ==================
+==============================================================================
 
-`mi.traverse` shows `<id>.data` (N x 10: centre, standard deviations, quaternion x, y, z, w), `<id>.opacities` (N) and
-`<id>.sh_coeffs` (N x 3K), all differentiable.
+`mi.traverse` shows `<id>.data` (N x 10: centre, standard deviations, quaternion x, y,
+z, w), `<id>.opacities` (N) and `<id>.sh_coeffs` (N x 3K), all differentiable.
 """
 
 from pathlib import Path
@@ -41,28 +42,51 @@ def gaussians(props: Any) -> Any:
     if "filename" in props and not given:
         scene = load_splat(Path(str(mi.file_resolver().resolve(props["filename"]))))
     elif len(given) == len(ATTRIBUTES):
-        scene = GaussianScene(*(torch.from_numpy(np.array(props[name], dtype=np.float32)) for name in ATTRIBUTES))
+        scene = GaussianScene(
+            *(
+                torch.from_numpy(np.array(props[name], dtype=np.float32))
+                for name in ATTRIBUTES
+            )
+        )
     else:
-        expected, got = f"a filename, or the tensors {', '.join(ATTRIBUTES)}", ", ".join(props.keys()) or "neither"
-        raise InvalidValueError.of(f'shape "{props.id()}"', expected, got, "give one or the other")
+        expected, got = (
+            f"a filename, or the tensors {', '.join(ATTRIBUTES)}",
+            ", ".join(props.keys()) or "neither",
+        )
+        raise InvalidValueError.of(
+            f'shape "{props.id()}"', expected, got, "give one or the other"
+        )
     if "to_world" in props:
         matrix = torch.from_numpy(np.array(props["to_world"].matrix))
         scene = scene.transform(Similarity.from_matrix(matrix, "to_world"))
-    extra = {key: props[key] for key in _PASSED_ON if key in props} | dict(props.objects())
-    return mi.load_dict({"type": "ellipsoids", "id": props.id(), **ellipsoid_arrays(scene), **extra}, parallel=False)
+    extra = {key: props[key] for key in _PASSED_ON if key in props} | dict(
+        props.objects()
+    )
+    return mi.load_dict(
+        {"type": "ellipsoids", "id": props.id(), **ellipsoid_arrays(scene), **extra},
+        parallel=False,
+    )
 
 
 def ellipsoid_arrays(scene: GaussianScene) -> dict[str, Any]:
-    """The entries `data`, `opacities` and `sh_coeffs` of an `ellipsoids` dict for a scene."""
+    """The entries `data`, `opacities` and `sh_coeffs` of an `ellipsoids` dict for a
+    scene.
+    """
     means, scales, (w, *xyz) = scene.means, scene.scales, scene.rotations.unbind(1)
     data = torch.cat([means, scales, torch.stack([*xyz, w], dim=1)], dim=1)
-    flat = {"data": data, "opacities": scene.opacities[:, None], "sh_coeffs": scene.sh.flatten(1)}
+    flat = {
+        "data": data,
+        "opacities": scene.opacities[:, None],
+        "sh_coeffs": scene.sh.flatten(1),
+    }
     return {key: _tensor(t) for key, t in flat.items()}
 
 
 def shape_dict(scene: GaussianScene, **extra: Any) -> dict[str, Any]:
     """A dict for `mi.load_dict` that holds `scene` as a `gaussians` shape."""
-    arrays: dict[str, Any] = {name: _tensor(t) for name, t in zip(ATTRIBUTES, scene.tensors(), strict=True)}
+    arrays: dict[str, Any] = {
+        name: _tensor(t) for name, t in zip(ATTRIBUTES, scene.tensors(), strict=True)
+    }
     return {"type": "gaussians", **arrays, **extra}
 
 

@@ -22,15 +22,17 @@ class PrepareConfig:
         longest_side: Pixels; larger images are made smaller.
         interval: Of each so many seconds of a video, the sharpest frame is taken.
         max_images: Of a folder, more are refused; of a video, the interval grows.
-        features: Points of an image, at most, by which it is matched with others; twice as many take four times as
-            long.
+        features: Points of an image, at most, by which it is matched with others; twice
+            as many take four times as long.
 
     Raises:
         FieldError: A number is out of range.
     """
 
     longest_side: Annotated[int, between(128, 8192, "pixels", "1600 is usual")] = 1600
-    interval: Annotated[float, between(0.1, 600, "seconds", "1 is usual"), Metavar("SECONDS")] = 1.0
+    interval: Annotated[
+        float, between(0.1, 600, "seconds", "1 is usual"), Metavar("SECONDS")
+    ] = 1.0
     max_images: Annotated[int, between(3, 1000, "images", "300 is usual")] = 300
     features: Annotated[int, between(256, 32768, "points", "4096 is usual")] = 4096
 

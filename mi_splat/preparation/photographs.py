@@ -1,4 +1,6 @@
-"""The images of a set that is being prepared: upright, of bounded size, without what else EXIF says."""
+"""The images of a set that is being prepared: upright, of bounded size, without what
+else EXIF says.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +41,8 @@ OnProgress = Callable[[str, int, int], None]
 class Photograph:
     """An image of the set.
 
-    Images of one size and focal length share a camera, so that both orientations of a phone are
-    placed.
+    Images of one size and focal length share a camera, so that both orientations of a
+    phone are placed.
     """
 
     name: str  # of its file in images/
@@ -50,16 +52,23 @@ class Photograph:
 
 
 def images_in(folder: Path, most: int) -> list[Path]:
-    """The images of a folder in the order of their names, with those that cannot be read.
+    """The images of a folder in the order of their names, with those that cannot be
+    read.
 
     Raises:
         PreparationError: There are too few, or too many.
     """
     kinds = (*SUFFIXES, *_OF_PHONES)
-    images = sorted(path for path in folder.iterdir() if path.suffix.lower() in kinds and path.is_file())
+    images = sorted(
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in kinds and path.is_file()
+    )
     if len(images) > most:
         do = "leave some out, or allow more"
-        error = PreparationError.of(str(folder), f"at most {most} images", len(images), do)
+        error = PreparationError.of(
+            str(folder), f"at most {most} images", len(images), do
+        )
         raise error.hinted("--max-images")
     if len(images) < FEWEST_IMAGES:
         expected = f"at least {FEWEST_IMAGES} images ({', '.join(SUFFIXES)})"
@@ -104,7 +113,9 @@ def take_photographs(
             continue
         focal = focal_length_35mm(image)
         pixels = _opaque(image)
-        pixels.thumbnail((config.longest_side,) * 2, Image.Resampling.LANCZOS, reducing_gap=3.0)
+        pixels.thumbnail(
+            (config.longest_side,) * 2, Image.Resampling.LANCZOS, reducing_gap=3.0
+        )
         ending = ".jpg" if path.suffix.lower() in (".jpg", ".jpeg") else ".png"
         name = _free_name(file_name(path.stem), ending, {photo.name for photo in taken})
         save_picture(np.asarray(pixels), out / "images" / name)
@@ -114,22 +125,34 @@ def take_photographs(
             save_png(np.asarray(small), out / MASKS / f"{name}.png")
         if focal is not None:
             focal *= math.hypot(*pixels.size) / _FULL_FRAME
-        taken.append(Photograph(name=name, source=path.name, size=pixels.size, focal=focal))
+        taken.append(
+            Photograph(name=name, source=path.name, size=pixels.size, focal=focal)
+        )
     if len(taken) < FEWEST_IMAGES:
         name, reason = next(iter(broken.items()))
-        text = f"{len(broken)} of {len(paths)} images cannot be read, {name} for instance: {reason}"
+        text = (
+            f"{len(broken)} of {len(paths)} images cannot be read, {name} for instance:"
+            f" {reason}"
+        )
         raise PreparationError(text)
     return taken, broken
 
 
 def _mask_of(file: Path, photograph: Path, size: tuple[int, int]) -> Image.Image:
-    """The mask of a photograph that has a size when it is upright; drawn on it upright, or as it is stored."""
+    """The mask of a photograph that has a size when it is upright; drawn on it upright,
+    or as it is stored.
+    """
     mask = load_picture(file).convert("L")
     for turned in (mask, made_upright(mask, picture_orientation(photograph))):
         if abs(turned.width * size[1] - turned.height * size[0]) <= max(size):
             return turned
-    expected, got = f"a mask of {size[0]} x {size[1]} pixels", f"{mask.width} x {mask.height}"
-    raise DatasetError.of(str(file), expected, got, "make the mask as large as its image")
+    expected, got = (
+        f"a mask of {size[0]} x {size[1]} pixels",
+        f"{mask.width} x {mask.height}",
+    )
+    raise DatasetError.of(
+        str(file), expected, got, "make the mask as large as its image"
+    )
 
 
 def _opaque(image: Image.Image) -> Image.Image:
@@ -142,7 +165,9 @@ def _opaque(image: Image.Image) -> Image.Image:
 
 
 def _free_name(stem: str, ending: str, taken: set[str]) -> str:
-    """A name that no other image has, on disks, too, that take small and capital letters for the same."""
+    """A name that no other image has, on disks, too, that take small and capital
+    letters for the same.
+    """
     small = {other.lower() for other in taken}
     number, name = 2, f"{stem}{ending}"
     while name.lower() in small:

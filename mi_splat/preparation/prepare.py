@@ -1,4 +1,6 @@
-"""From a folder of photographs or a video to a set that every command reads: images and a COLMAP model."""
+"""From a folder of photographs or a video to a set that every command reads: images and
+a COLMAP model.
+"""
 
 from __future__ import annotations
 
@@ -44,10 +46,11 @@ def prepare(
     force: bool = False,
     on_progress: OnProgress,
 ) -> dict[str, Any]:
-    """Write a set of images with cameras, whole or not at all: images/, masks/, sparse/0 and a record.
+    """Write a set of images with cameras, whole or not at all: images/, masks/,
+    sparse/0 and a record.
 
-    Lenses keep their distortion in the model; it is undone as the set is loaded. Images that could
-    not be placed are in the record, and not in images/.
+    Lenses keep their distortion in the model; it is undone as the set is loaded. Images
+    that could not be placed are in the record, and not in images/.
 
     Args:
         source: A folder of photographs, or a video.
@@ -61,7 +64,8 @@ def prepare(
         The record, as prepare.json holds it.
 
     Raises:
-        PreparationError: The source cannot be read, COLMAP is not there, or it places no image.
+        PreparationError: The source cannot be read, COLMAP is not there, or it places
+            no image.
     """
     check_new_folder(out, force=force, record=RECORD)
     _check_source(source, config)
@@ -70,7 +74,9 @@ def prepare(
         (root / IMAGES).mkdir()
         broken: Mapping[str, str] = {}
         if source.is_dir():
-            photos, broken = take_photographs(source, root, config, on_progress, masks=masks)
+            photos, broken = take_photographs(
+                source, root, config, on_progress, masks=masks
+            )
         else:
             photos = _frames_of(source, root, config, on_progress)
         placed = _placed_by_colmap(source, root, photos, config, on_progress)
@@ -96,11 +102,15 @@ def prepare(
 
 
 def not_placed(record: Mapping[str, Any]) -> list[str]:
-    """What of a record could not be placed, each with the reason, as far as one is known."""
+    """What of a record could not be placed, each with the reason, as far as one is
+    known.
+    """
     reasons = []
     for row in record["images"]:
         if row["part"] == "none":
-            details = f"{row['features']} features, overlaps with {row['overlaps']} images"
+            details = (
+                f"{row['features']} features, overlaps with {row['overlaps']} images"
+            )
             reasons.append(f"{row['source']} ({details})")
     return reasons + [f"{name} ({reason})" for name, reason in record["broken"].items()]
 
@@ -118,10 +128,14 @@ def _check_source(source: Path, config: PrepareConfig) -> None:
 def _check_colmap() -> None:
     if find_spec("pycolmap") is None:
         expected = "pycolmap, which finds the cameras of photographs"
-        raise PreparationError.of("prepare", expected, "no such package", install("photos"))
+        raise PreparationError.of(
+            "prepare", expected, "no such package", install("photos")
+        )
 
 
-def _frames_of(video: Path, root: Path, config: PrepareConfig, on_progress: OnProgress) -> list[Photograph]:
+def _frames_of(
+    video: Path, root: Path, config: PrepareConfig, on_progress: OnProgress
+) -> list[Photograph]:
     task = {
         "kind": "frames",
         "root": str(root),
@@ -134,16 +148,26 @@ def _frames_of(video: Path, root: Path, config: PrepareConfig, on_progress: OnPr
     if len(frames) < FEWEST_IMAGES:
         expected = f"a video of at least {FEWEST_IMAGES} intervals"
         got = f"{len(frames)} of {config.interval:g} seconds"
-        error = PreparationError.of(str(video), expected, got, "pass a longer one, or a shorter interval")
+        error = PreparationError.of(
+            str(video), expected, got, "pass a longer one, or a shorter interval"
+        )
         raise error.hinted("--interval")
     return [
-        Photograph(name=frame["name"], source=frame["source"], size=(frame["size"][0], frame["size"][1]))
+        Photograph(
+            name=frame["name"],
+            source=frame["source"],
+            size=(frame["size"][0], frame["size"][1]),
+        )
         for frame in frames
     ]
 
 
 def _placed_by_colmap(
-    source: Path, root: Path, photos: Sequence[Photograph], config: PrepareConfig, on_progress: OnProgress
+    source: Path,
+    root: Path,
+    photos: Sequence[Photograph],
+    config: PrepareConfig,
+    on_progress: OnProgress,
 ) -> dict[str, Any]:
     """What COLMAP says, which has written the largest model."""
     masks = root / MASKS
@@ -164,12 +188,20 @@ def _placed_by_colmap(
     got = f"none (features: {middle} in the middle; overlapping with no other: {alone})"
     do = "pass larger or sharper images, of things with texture"
     if middle >= 200:
-        do = "take sharp images of things with texture, each from another place, that overlap by two thirds"
-    raise PreparationError.of(str(source), f"{len(photos)} images that can be placed", got, do)
+        do = (
+            "take sharp images of things with texture, each from another place, that"
+            " overlap by two thirds"
+        )
+    raise PreparationError.of(
+        str(source), f"{len(photos)} images that can be placed", got, do
+    )
 
 
-def in_child(what: str, task: Mapping[str, Any], on_progress: OnProgress) -> dict[str, Any]:
-    """The result of a task of `mi_splat.preparation.worker`, done by a process of its own.
+def in_child(
+    what: str, task: Mapping[str, Any], on_progress: OnProgress
+) -> dict[str, Any]:
+    """The result of a task of `mi_splat.preparation.worker`, done by a process of its
+    own.
 
     Raises:
         PreparationError: The process refused the task, or ended before it was done.
@@ -177,8 +209,11 @@ def in_child(what: str, task: Mapping[str, Any], on_progress: OnProgress) -> dic
     command = python_command("mi_splat.preparation.worker", json.dumps(task))
     result: dict[str, Any] | None = None
     with tempfile.TemporaryFile() as errors:
-        # The child ends when its standard input closes, so it does not outlive this process.
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors) as child:
+        # The child ends when its standard input closes, so it does not outlive this
+        # process.
+        with subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors
+        ) as child:
             assert child.stdout is not None
             try:
                 for line in child.stdout:
@@ -193,7 +228,9 @@ def in_child(what: str, task: Mapping[str, Any], on_progress: OnProgress) -> dic
             errors.seek(0)
             text = " ".join(errors.read(1 << 20).decode(errors="replace").split())
             got = f"it ended with status {child.returncode}: ...{text[-_LAST_WORDS:]}"
-            raise PreparationError.of(what, "a process that finishes", got, "try fewer or smaller images")
+            raise PreparationError.of(
+                what, "a process that finishes", got, "try fewer or smaller images"
+            )
     if "failed" in result:
         raise PreparationError(result["failed"])
     if "refused" in result:
@@ -204,10 +241,16 @@ def in_child(what: str, task: Mapping[str, Any], on_progress: OnProgress) -> dic
 def _parts(root: Path) -> dict[str, str]:
     """Which part of the set each image is in, as those who load the set find it."""
     splits: tuple[Split, ...] = ("train", "test")
-    return {path.name: split for split in splits for path in load_dataset(root, split=split).paths}
+    return {
+        path.name: split
+        for split in splits
+        for path in load_dataset(root, split=split).paths
+    }
 
 
-def _row(photo: Photograph, placed: Mapping[str, Any], parts: Mapping[str, str]) -> dict[str, Any]:
+def _row(
+    photo: Photograph, placed: Mapping[str, Any], parts: Mapping[str, str]
+) -> dict[str, Any]:
     return {
         "name": photo.name,
         "source": photo.source,

@@ -1,8 +1,9 @@
-"""What a child process does for `mi-splat prepare`: it reads a video, or finds cameras with COLMAP.
+"""What a child process does for `mi-splat prepare`: it reads a video, or finds cameras
+with COLMAP.
 
-Both are large libraries of C++ that may end the whole process, on a damaged video for instance. A
-task comes as one JSON text in the arguments; progress and the result go to stdout, a JSON text a
-line: [text, done, total], and at the end an object.
+Both are large libraries of C++ that may end the whole process, on a damaged video for
+instance. A task comes as one JSON text in the arguments; progress and the result go to
+stdout, a JSON text a line: [text, done, total], and at the end an object.
 """
 
 from __future__ import annotations
@@ -22,18 +23,27 @@ import numpy as np
 from PIL import Image
 
 ALL_PAIRS = 100
-"""Images up to which each is matched with every other one, unless they come from a video."""
+"""Images up to which each is matched with every other one, unless they come from a
+video.
+"""
 NEIGHBOURS = 10
 """Of a video or of many images, each is matched with so many after it."""
 ANCHORS = 40
-"""And so many of them, evenly spread, with each other: they find where the way comes back to."""
+"""And so many of them, evenly spread, with each other: they find where the way comes
+back to.
+"""
 
 FEWEST_IMAGES = 3
 """Of a model."""
 FEWEST_POINTS = 30
-"""Of the model that an image has to show. COLMAP places none with fewer, but may take some away later."""
+"""Of the model that an image has to show.
+
+COLMAP places none with fewer, but may take some away later.
+"""
 _FOCAL = 1.2
-"""Focal length in longest sides, where the camera has not written it; COLMAP's default."""
+"""Focal length in longest sides, where the camera has not written it; COLMAP's
+default.
+"""
 _CHUNK = 8
 _PAIRS_AT_ONCE = 100
 _SEED = 0
@@ -45,7 +55,9 @@ CANDIDATES = 5
 MOST_FRAMES = 600_000
 """Frames of a video that are looked at, whatever it says of its length."""
 _SAFE = "protocol_whitelist;file|format_whitelist;mov,matroska,avi"
-"""FFmpeg reads only files, and only of these kinds: playlists and the like lead to other files."""
+"""FFmpeg reads only files, and only of these kinds: playlists and the like lead to
+other files.
+"""
 
 Report = Callable[[str, int, int], None]
 
@@ -67,9 +79,16 @@ class Named:
 
 
 def place(
-    root: Path, images: Sequence[Named], in_order: bool, features: int, masks: Path | None, report: Report
+    root: Path,
+    images: Sequence[Named],
+    in_order: bool,
+    features: int,
+    masks: Path | None,
+    report: Report,
 ) -> dict[str, Any]:
-    """Find the cameras of the images, and write the largest model, turned so that z is up, into sparse/0."""
+    """Find the cameras of the images, and write the largest model, turned so that z is
+    up, into sparse/0.
+    """
     import pycolmap
 
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
@@ -102,17 +121,32 @@ def pairs_of(count: int, *, in_order: bool) -> list[tuple[int, int]]:
     """Which images are matched with which, by their numbers."""
     if count <= ALL_PAIRS and not in_order:
         return list(itertools.combinations(range(count), 2))
-    near = {(i, j) for i in range(count) for j in range(i + 1, min(i + NEIGHBOURS + 1, count))}
-    return sorted(near.union(itertools.combinations(range(0, count, -(-count // ANCHORS)), 2)))
+    near = {
+        (i, j)
+        for i in range(count)
+        for j in range(i + 1, min(i + NEIGHBOURS + 1, count))
+    }
+    return sorted(
+        near.union(itertools.combinations(range(0, count, -(-count // ANCHORS)), 2))
+    )
 
 
 def _extract(
-    database: Path, folder: Path, images: Sequence[Named], features: int, masks: Path | None, report: Report
+    database: Path,
+    folder: Path,
+    images: Sequence[Named],
+    features: int,
+    masks: Path | None,
+    report: Report,
 ) -> None:
-    """Find the features of all images; those of one size and focal length have one camera."""
+    """Find the features of all images; those of one size and focal length have one
+    camera.
+    """
     import pycolmap
 
-    options = pycolmap.FeatureExtractionOptions(max_image_size=max(max(image.size) for image in images))
+    options = pycolmap.FeatureExtractionOptions(
+        max_image_size=max(max(image.size) for image in images)
+    )
     options.sift.max_num_features = features
     done = 0
     cameras: dict[tuple[tuple[int, int], float | None], list[str]] = {}
@@ -131,7 +165,9 @@ def _extract(
             number = opened.write_camera(camera)
         reading = pycolmap.ImageReaderOptions(existing_camera_id=number)
         if masks is not None:
-            reading.mask_path = str(_whole_masks(masks, database.with_name("masks"), images))
+            reading.mask_path = str(
+                _whole_masks(masks, database.with_name("masks"), images)
+            )
         for start in range(0, len(names), _CHUNK):
             report("finding features", done, len(images))
             chunk = names[start : start + _CHUNK]
@@ -147,7 +183,9 @@ def _extract(
 
 
 def _whole_masks(masks: Path, folder: Path, images: Sequence[Named]) -> Path:
-    """A folder with a mask for each image, as COLMAP finds no features in an image without one."""
+    """A folder with a mask for each image, as COLMAP finds no features in an image
+    without one.
+    """
     if folder.is_dir():
         return folder
     folder.mkdir()
@@ -160,7 +198,12 @@ def _whole_masks(masks: Path, folder: Path, images: Sequence[Named]) -> Path:
     return folder
 
 
-def _match(database: Path, images: Sequence[Named], pairs: Sequence[tuple[int, int]], report: Report) -> None:
+def _match(
+    database: Path,
+    images: Sequence[Named],
+    pairs: Sequence[tuple[int, int]],
+    report: Report,
+) -> None:
     import pycolmap
 
     listed = database.with_name("pairs.txt")
@@ -169,10 +212,14 @@ def _match(database: Path, images: Sequence[Named], pairs: Sequence[tuple[int, i
     for start in range(0, len(pairs), _PAIRS_AT_ONCE):
         report("matching pairs of images", start, len(pairs))
         chunk = pairs[start : start + _PAIRS_AT_ONCE]
-        listed.write_text("".join(f"{images[i].name} {images[j].name}\n" for i, j in chunk), "utf-8")
+        listed.write_text(
+            "".join(f"{images[i].name} {images[j].name}\n" for i, j in chunk), "utf-8"
+        )
         pycolmap.match_image_pairs(
             database_path=str(database),
-            pairing_options=pycolmap.ImportedPairingOptions(match_list_path=str(listed)),
+            pairing_options=pycolmap.ImportedPairingOptions(
+                match_list_path=str(listed)
+            ),
             verification_options=verification,
             device=pycolmap.Device.cpu,
         )
@@ -184,12 +231,19 @@ def _statistics(database: Path) -> tuple[dict[str, int], dict[str, int]]:
 
     with pycolmap.Database.open(str(database)) as opened:
         names = {image.image_id: image.name for image in opened.read_all_images()}
-        features = {name: opened.num_keypoints_for_image(number) for number, name in names.items()}
+        features = {
+            name: opened.num_keypoints_for_image(number)
+            for number, name in names.items()
+        }
         overlaps = dict.fromkeys(features, 0)
         pairs, inliers = opened.read_two_view_geometry_num_inliers()
         for pair, count in zip(pairs, inliers, strict=True):
             if count:
-                for number in pycolmap.pair_id_to_image_pair(pair) if isinstance(pair, int) else pair:
+                for number in (
+                    pycolmap.pair_id_to_image_pair(pair)
+                    if isinstance(pair, int)
+                    else pair
+                ):
                     overlaps[names[number]] += 1
     return features, overlaps
 
@@ -202,7 +256,9 @@ def _map(database: Path, folder: Path, count: int, report: Report) -> list[Any]:
     def one_more() -> None:
         report("placing cameras", min(next(placed), count), count)
 
-    options = pycolmap.IncrementalPipelineOptions(min_model_size=FEWEST_IMAGES, random_seed=_SEED)
+    options = pycolmap.IncrementalPipelineOptions(
+        min_model_size=FEWEST_IMAGES, random_seed=_SEED
+    )
     output = database.with_name("models")
     output.mkdir()
     models: dict[int, Any] = pycolmap.incremental_mapping(
@@ -217,9 +273,15 @@ def _map(database: Path, folder: Path, count: int, report: Report) -> list[Any]:
 
 
 def _trimmed(models: Sequence[Any]) -> list[Any]:
-    """Models without the images that show too few points, the largest first; those with too few images are gone."""
+    """Models without the images that show too few points, the largest first; those with
+    too few images are gone.
+    """
     for model in models:
-        few = [image.frame_id for image in _placed(model) if image.num_points3D < FEWEST_POINTS]
+        few = [
+            image.frame_id
+            for image in _placed(model)
+            if image.num_points3D < FEWEST_POINTS
+        ]
         for frame in few:
             model.deregister_frame(frame)
     whole = [model for model in models if model.num_reg_images() >= FEWEST_IMAGES]
@@ -231,9 +293,11 @@ def _placed(model: Any) -> list[Any]:
 
 
 def up_of(turns: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """(3,) where up is, as people hold cameras: across the rights of all cameras, on the side of their ups.
+    """(3,) where up is, as people hold cameras: across the rights of all cameras, on
+    the side of their ups.
 
-    Where cameras were all turned alike, or held on their side, it is the mean of the ups.
+    Where cameras were all turned alike, or held on their side, it is the mean of the
+    ups.
 
     Args:
         turns: (N, 3, 3) rotations from camera space, x right and y down, to the world.
@@ -252,7 +316,9 @@ def _turn_up(model: Any) -> None:
 
     from mi_splat.rotation import from_z
 
-    turns = np.stack([image.cam_from_world().rotation.matrix().T for image in _placed(model)])
+    turns = np.stack(
+        [image.cam_from_world().rotation.matrix().T for image in _placed(model)]
+    )
     rotation = from_z(torch.from_numpy(up_of(turns))).T.numpy()
     model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))
 
@@ -261,9 +327,16 @@ def _turn_up(model: Any) -> None:
 
 
 def take_frames(
-    video: Path, images: Path, longest_side: int, interval: float, most: int, report: Report
+    video: Path,
+    images: Path,
+    longest_side: int,
+    interval: float,
+    most: int,
+    report: Report,
 ) -> dict[str, Any]:
-    """Write the sharpest frame of each interval of a video, upright; their names, sizes and times."""
+    """Write the sharpest frame of each interval of a video, upright; their names, sizes
+    and times.
+    """
     os.environ["OPENCV_FFMPEG_CAPTURE_OPTIONS"] = _SAFE
     import cv2
 
@@ -272,14 +345,21 @@ def take_frames(
 
     capture = cv2.VideoCapture(str(video.absolute()), cv2.CAP_FFMPEG)
     if not capture.isOpened():
-        raise TaskRefusedError("a video that FFmpeg can read", "another file", "save it as MP4")
-    width, height = (int(capture.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        raise TaskRefusedError(
+            "a video that FFmpeg can read", "another file", "save it as MP4"
+        )
+    width, height = (
+        int(capture.get(key))
+        for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+    )
     check_pixels(str(video), width, height)
     rate = capture.get(cv2.CAP_PROP_FPS)
     rate = rate if 0.1 <= rate <= 1000 else 30.0
     length = max(capture.get(cv2.CAP_PROP_FRAME_COUNT), 0.0) / rate
     if length > MOST_SECONDS:
-        raise TaskRefusedError(f"a video of at most {MOST_SECONDS:.0f} seconds", f"{length:.0f}", "cut it")
+        raise TaskRefusedError(
+            f"a video of at most {MOST_SECONDS:.0f} seconds", f"{length:.0f}", "cut it"
+        )
     interval = max(interval, length / most)
     step = max(1, round(interval * rate / CANDIDATES))
     best: tuple[float, float, Any] | None = None
@@ -293,7 +373,9 @@ def take_frames(
         image.thumbnail((longest_side,) * 2, Image.Resampling.LANCZOS)
         name = f"frame_{len(taken):05d}.jpg"
         save_picture(np.asarray(image), images / name)
-        taken.append({"name": name, "source": f"{second:.1f} s", "size": list(image.size)})
+        taken.append(
+            {"name": name, "source": f"{second:.1f} s", "size": list(image.size)}
+        )
 
     part = 0
     for number in range(MOST_FRAMES):
@@ -309,7 +391,9 @@ def take_frames(
             keep()
             best, part = None, int(second / interval)
             report("reading the video", int(second), max(1, int(length)))
-        sharp = float(cv2.Laplacian(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), cv2.CV_32F).var())
+        sharp = float(
+            cv2.Laplacian(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), cv2.CV_32F).var()
+        )
         if best is None or sharp > best[0]:
             best = (sharp, second, frame)
     keep()
@@ -324,13 +408,18 @@ def _task(task: Mapping[str, Any], report: Report) -> dict[str, Any]:
     if task["kind"] == "frames":
         limits = (task["longest_side"], task["interval"], task["most"])
         return take_frames(Path(task["video"]), root / "images", *limits, report)
-    images = [Named(name=name, size=tuple(size), focal=focal) for name, size, focal in task["images"]]
+    images = [
+        Named(name=name, size=tuple(size), focal=focal)
+        for name, size, focal in task["images"]
+    ]
     masks = Path(task["masks"]) if task["masks"] else None
     return place(root, images, task["in_order"], task["features"], masks, report)
 
 
 def _end_with_parent() -> None:
-    """End this process when its standard input closes, as it does when the parent has gone."""
+    """End this process when its standard input closes, as it does when the parent has
+    gone.
+    """
 
     def watch() -> None:
         sys.stdin.buffer.read()
@@ -344,7 +433,8 @@ def main(task: str) -> None:
     from mi_splat.errors import MiSplatError
 
     _end_with_parent()
-    # COLMAP writes to the standard output of the process; the parent reads a copy of it.
+    # COLMAP writes to the standard output of the process; the parent reads a copy of
+    # it.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
 
@@ -353,7 +443,11 @@ def main(task: str) -> None:
         answers.flush()
 
     try:
-        answer(_task(json.loads(task), lambda text, done, total: answer([text, done, total])))
+        answer(
+            _task(
+                json.loads(task), lambda text, done, total: answer([text, done, total])
+            )
+        )
     except TaskRefusedError as refusal:
         answer({"refused": refusal.args})
     except MiSplatError as error:

@@ -1,1 +1,3 @@
-"""A deterministic, differentiable tile rasteriser for 3D Gaussians in Dr.Jit; knows arrays and a camera, no scene."""
+"""A deterministic, differentiable tile rasteriser for 3D Gaussians in Dr.Jit; knows
+arrays and a camera, no scene.
+"""

@@ -1,6 +1,8 @@
-"""A picture from colours alone, and the gradient of colours: the two frozen stages of a `FrozenView`.
+"""A picture from colours alone, and the gradient of colours: the two frozen stages of a
+`FrozenView`.
 
-Both are products with the matrix of weights that `weights` keeps, walked tile by tile. The rules of README.md hold.
+Both are products with the matrix of weights that `weights` keeps, walked tile by tile.
+The rules of README.md hold.
 """
 
 import math
@@ -15,12 +17,16 @@ from mi_splat.rasterization.weights import GROUP, PIXELS, FrozenPairs
 
 
 def picture_of(frozen: FrozenPairs, terms: int, sh: Any) -> tuple[Any, Any]:
-    """The picture (Float, 3 a pixel, row-major) of these SH (Float, 3 `terms` a free Gaussian), and their colours."""
+    """The picture (Float, 3 a pixel, row-major) of these SH (Float, 3 `terms` a free
+    Gaussian), and their colours.
+    """
     colours = buffer(4 * len(frozen.columns))
     return run(colour_forward, terms, aligned(sh), frozen, colours), colours
 
 
-def gradient_of(frozen: FrozenPairs, terms: int, colours: Any, grad_picture: Any) -> Any:
+def gradient_of(
+    frozen: FrozenPairs, terms: int, colours: Any, grad_picture: Any
+) -> Any:
     """dL/d(SH), Float, 3 `terms` a free Gaussian."""
     grad_sh = buffer(3 * terms * len(frozen.columns))
     run(colour_backward, terms, aligned(grad_picture), frozen, colours, grad_sh)
@@ -36,14 +42,18 @@ def colour_forward(terms: int, sh: Any, frozen: FrozenPairs, colours: Any) -> An
         total = mi.Float(0.5)
         for k in range(terms):
             total = dr.fma(basis[k], row[3 * k + c], total)
-        values.append(dr.select(total <= 0.0, 0.0, total))  # what is not a number stays so
+        # what is not a number stays so
+        values.append(dr.select(total <= 0.0, 0.0, total))
     dr.scatter(colours, mi.ArrayXf([*values, mi.Float(0)]), column)
     dr.eval(colours)
 
     def body(pair: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
         colour = rows_of(colours, dr.gather(mi.UInt32, frozen.pairs[0], pair), 4)
         weights = rows_of(frozen.weights, pair, PIXELS)
-        return pair + GROUP, [dr.fma(weights[k // 3], colour[k % 3], total) for k, total in enumerate(sums)]
+        return pair + GROUP, [
+            dr.fma(weights[k // 3], colour[k % 3], total)
+            for k, total in enumerate(sums)
+        ]
 
     start, stop = frozen.ranges
     _, sums = dr.while_loop(
@@ -58,8 +68,13 @@ def colour_forward(terms: int, sh: Any, frozen: FrozenPairs, colours: Any) -> An
     return frozen.base + dr.gather(mi.Float, frozen.canvas, frozen.where)
 
 
-def colour_backward(terms: int, grad_picture: Any, frozen: FrozenPairs, colours: Any, grad_sh: Any) -> None:
-    """Gradient of SH from that of the picture. Each pair sums into its own row: no atomics, one order."""
+def colour_backward(
+    terms: int, grad_picture: Any, frozen: FrozenPairs, colours: Any, grad_sh: Any
+) -> None:
+    """Gradient of SH from that of the picture.
+
+    Each pair sums into its own row: no atomics, one order.
+    """
     dr.scatter(frozen.gradients, grad_picture, frozen.where)
     dr.eval(frozen.gradients)
     gradient = rows_of(frozen.gradients, frozen.slots, 4 * PIXELS)
@@ -68,13 +83,17 @@ def colour_backward(terms: int, grad_picture: Any, frozen: FrozenPairs, colours:
         weights = rows_of(frozen.weights, pair, PIXELS)
         totals = [weights[0] * gradient[c] for c in range(3)]
         for p in range(1, PIXELS):
-            totals = [dr.fma(weights[p], gradient[4 * p + c], totals[c]) for c in range(3)]
+            totals = [
+                dr.fma(weights[p], gradient[4 * p + c], totals[c]) for c in range(3)
+            ]
         row = dr.gather(mi.UInt32, frozen.pairs[1], pair)
         dr.scatter(frozen.sums, mi.ArrayXf([*totals, mi.Float(0)]), row)
         return (pair + GROUP,)
 
     start, stop = frozen.ranges
-    dr.while_loop((mi.UInt32(start),), lambda pair: pair < stop, body, label="colours backward")
+    dr.while_loop(
+        (mi.UInt32(start),), lambda pair: pair < stop, body, label="colours backward"
+    )
     dr.eval(frozen.sums)
 
     def add(row: Any, totals: list[Any]) -> tuple[Any, list[Any]]:
@@ -83,10 +102,19 @@ def colour_backward(terms: int, grad_picture: Any, frozen: FrozenPairs, colours:
 
     first, last = frozen.rows
     zeros = [mi.Float(0) for _ in range(3)]
-    _, totals = dr.while_loop((mi.UInt32(first), zeros), lambda row, _: row < last, add, label="sum of colours")
+    _, totals = dr.while_loop(
+        (mi.UInt32(first), zeros),
+        lambda row, _: row < last,
+        add,
+        label="sum of colours",
+    )
     colour, basis = rows_of(colours, frozen.columns, 4), _basis(frozen, terms)
     totals = [dr.select(colour[c] > 0.0, totals[c], 0.0) for c in range(3)]
-    dr.scatter(grad_sh, mi.ArrayXf([basis[k] * totals[c] for k in range(terms) for c in range(3)]), frozen.columns)
+    dr.scatter(
+        grad_sh,
+        mi.ArrayXf([basis[k] * totals[c] for k in range(terms) for c in range(3)]),
+        frozen.columns,
+    )
     dr.eval(grad_sh)
 
 

@@ -1,4 +1,6 @@
-"""Frozen stages, and the memory that they may be given: made here, or checked here; README.md says why."""
+"""Frozen stages, and the memory that they may be given: made here, or checked here;
+README.md says why.
+"""
 
 import functools
 import gc
@@ -13,9 +15,14 @@ import numpy as np
 
 from mi_splat.errors import MiSplatError
 
-_ALIGNMENT = 64  # bytes; all memory that Dr.Jit allocates itself starts at a multiple of it
-between_stages: ContextVar[Callable[[], None]] = ContextVar("between_stages", default=lambda: None)
-"""Called before each stage; what it raises ends a picture that is not wanted any more."""
+# bytes; all memory that Dr.Jit allocates itself starts at a multiple of it
+_ALIGNMENT = 64
+between_stages: ContextVar[Callable[[], None]] = ContextVar(
+    "between_stages", default=lambda: None
+)
+"""Called before each stage; what it raises ends a picture that is not wanted any
+more.
+"""
 
 
 class PictureInterruptedError(MiSplatError):
@@ -24,12 +31,17 @@ class PictureInterruptedError(MiSplatError):
 
 @contextmanager
 def interrupted_by(urgent: Callable[[], bool]) -> Iterator[None]:
-    """Pictures that are rendered in this block end between two stages once something is urgent."""
+    """Pictures that are rendered in this block end between two stages once something is
+    urgent.
+    """
 
     def check() -> None:
         dr.sync_thread()  # stages are only queued, and would all be waited for
         if urgent():
-            raise PictureInterruptedError("picture: expected time to finish it, got an interruption; make it again")
+            raise PictureInterruptedError(
+                "picture: expected time to finish it, got an interruption; make it"
+                " again"
+            )
 
     before = between_stages.set(check)
     try:
@@ -40,15 +52,18 @@ def interrupted_by(urgent: Callable[[], bool]) -> Iterator[None]:
 
 @functools.cache
 def frozen(variant: str, stage: Callable[..., Any]) -> Callable[..., Any]:
-    """A stage as a frozen function of one variant; recordings follow shapes, never values."""
+    """A stage as a frozen function of one variant; recordings follow shapes, never
+    values.
+    """
     return dr.freeze(stage, warn_after=1 << 20)  # type: ignore[no-any-return]
 
 
 def run(stage: Callable[..., Any], *arguments: Any) -> Any:
     """Call a stage, recorded the first time and replayed from then on.
 
-    A garbage collection in the middle of a recording may free arrays of torch or Mitsuba, which Dr.Jit cannot record:
-    it stops the process. So there is none while this runs.
+    A garbage collection in the middle of a recording may free arrays of torch or
+    Mitsuba, which Dr.Jit cannot record: it stops the process. So there is none while
+    this runs.
     """
     between_stages.get()()
     collecting = gc.isenabled()
@@ -61,11 +76,14 @@ def run(stage: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def aligned(array: Any) -> Any:
-    """The array, evaluated, in memory for which a frozen function needs no recording of its own.
+    """The array, evaluated, in memory for which a frozen function needs no recording of
+    its own.
 
-    Dr.Jit borrows the memory of NumPy arrays and torch tensors without a copy. Where that memory does not start at a
-    multiple of 64 bytes, which is left to chance, kernels that read it are other ones: a second recording, and seconds
-    of compilation. So every array that may come from a user passes through here; one that is aligned is not copied.
+    Dr.Jit borrows the memory of NumPy arrays and torch tensors without a copy. Where
+    that memory does not start at a multiple of 64 bytes, which is left to chance,
+    kernels that read it are other ones: a second recording, and seconds of compilation.
+    So every array that may come from a user passes through here; one that is aligned is
+    not copied.
     """
     dr.make_opaque(array)
     if len(array) == 0 or dr.backend_v(array) != dr.JitBackend.LLVM:

@@ -1,4 +1,6 @@
-"""How Gaussians lie in flat arrays: as five tensors (ours), or as Mitsuba's `ellipsoids` keep them."""
+"""How Gaussians lie in flat arrays: as five tensors (ours), or as Mitsuba's
+`ellipsoids` keep them.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,9 +15,12 @@ from mi_splat.rasterization.projection import Gaussians
 
 @dataclass(frozen=True)
 class Layout:
-    """How to read rows of Gaussians from flat Float arrays, and how to write rows of a gradient into such arrays."""
+    """How to read rows of Gaussians from flat Float arrays, and how to write rows of a
+    gradient into such arrays.
+    """
 
-    names: tuple[str, ...]  # of the arrays, for messages; the last two are opacities and SH
+    # of the arrays, for messages; the last two are opacities and SH
+    names: tuple[str, ...]
 
     def read(self, arrays: tuple[Any, ...], index: Any, terms: int) -> Gaussians:
         """From arrays, UInt32 rows, number of SH terms."""
@@ -24,7 +29,10 @@ class Layout:
             row = rows_of(geometry[0], index, 10)
             mean, scale, rotation = row[0:3], row[3:6], [row[9], *row[6:9]]
         else:
-            mean, scale, rotation = (rows_of(array, index, k) for array, k in zip(geometry, (3, 3, 4), strict=True))
+            mean, scale, rotation = (
+                rows_of(array, index, k)
+                for array, k in zip(geometry, (3, 3, 4), strict=True)
+            )
         coefficients = rows_of(sh, index, 3 * terms)
         return Gaussians(
             mean=mi.Point3f(*mean),
@@ -41,7 +49,10 @@ class Layout:
         rows = [[*gradient.mean], [*gradient.scale], [w, x, y, z]]
         if len(geometry) == 1:
             rows = [[*gradient.mean, *gradient.scale, x, y, z, w]]
-        rows += [[gradient.opacity], [channel for colour in gradient.sh for channel in colour]]
+        rows += [
+            [gradient.opacity],
+            [channel for colour in gradient.sh for channel in colour],
+        ]
         for array, row in zip((*geometry, opacities, sh), rows, strict=True):
             dr.scatter(array, mi.ArrayXf(row), index)
 
@@ -63,5 +74,10 @@ def check_finite(layout: Layout, arrays: tuple[Any, ...]) -> None:
     for name, array in zip(layout.names, arrays, strict=True):
         bad = dr.count(~dr.isfinite(array))[0] if len(array) else 0
         if bad:
-            do = "look at the last update of the parameters: a step may have been too long"
-            raise InvalidValueError.of(name, "finite numbers", f"{bad} that are not", do)
+            do = (
+                "look at the last update of the parameters: a step may have been too"
+                " long"
+            )
+            raise InvalidValueError.of(
+                name, "finite numbers", f"{bad} that are not", do
+            )

@@ -12,7 +12,9 @@ import mitsuba as mi
 from mi_splat.cameras import Camera
 
 GUARD = 1.3
-"""x/z and y/z in the projection's Jacobian are clamped to this many times tan(fov / 2)."""
+"""x/z and y/z in the projection's Jacobian are clamped to this many times tan(fov /
+2).
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -21,8 +23,10 @@ class Pinhole:
 
     camera: Camera
     near: float  # means with a smaller camera-space depth are culled, world units
-    antialiased: bool = False  # whether a Gaussian keeps its weight under the low-pass filter, see `project`
-    field: tuple[float, float] | None = None  # tan(fov / 2) in x and y of the whole picture, of which this is a part
+    # whether a Gaussian keeps its weight under the low-pass filter, see `project`
+    antialiased: bool = False
+    # tan(fov / 2) in x and y of the whole picture, of which this is a part
+    field: tuple[float, float] | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -33,7 +37,14 @@ class Pinhole:
         """Equal for two cameras that make the same picture."""
         camera = self.camera
         lens = camera.fx, camera.fy, camera.cx, camera.cy
-        return camera.to_world.numpy().tobytes(), lens, self.size, self.field, self.near, self.antialiased
+        return (
+            camera.to_world.numpy().tobytes(),
+            lens,
+            self.size,
+            self.field,
+            self.near,
+            self.antialiased,
+        )
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Pinhole) and self.key() == other.key()
@@ -42,14 +53,19 @@ class Pinhole:
         return hash(self.key())
 
     def for_kernels(self) -> KernelCamera:
-        """The camera's numbers in memory: a kernel reads each once, and is not another one for others."""
+        """The camera's numbers in memory: a kernel reads each once, and is not another
+        one for others.
+        """
         return _in_memory(mi.variant(), self)
 
 
 @functools.lru_cache(maxsize=128)
 def _in_memory(variant: str, pinhole: Pinhole) -> KernelCamera:
     camera, pose = pinhole.camera, pinhole.camera.to_camera.numpy()
-    field = pinhole.field or (0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy)
+    field = pinhole.field or (
+        0.5 * camera.width / camera.fx,
+        0.5 * camera.height / camera.fy,
+    )
     made = KernelCamera(
         rotation=mi.Matrix3f(*pose[:3, :3].ravel().tolist()),
         translation=mi.Vector3f(*pose[:3, 3].tolist()),
@@ -66,7 +82,9 @@ def _in_memory(variant: str, pinhole: Pinhole) -> KernelCamera:
 
 @dataclass(eq=False)  # not frozen: dr.freeze assigns the fields again
 class KernelCamera:
-    """A camera inside a kernel, as Dr.Jit scalars; its switch makes another recording."""
+    """A camera inside a kernel, as Dr.Jit scalars; its switch makes another
+    recording.
+    """
 
     rotation: Any  # Matrix3f, world to camera
     translation: Any  # Vector3f

@@ -1,7 +1,9 @@
-"""The rasteriser as two calls: a picture with what its derivative needs, and the derivative.
+"""The rasteriser as two calls: a picture with what its derivative needs, and the
+derivative.
 
-Each calls its stages in order. Tracing them in Python costs several times their run time, so each stage is a frozen
-function that Dr.Jit replays; the sorts stand between them, and all buffers are made here, for reasons in README.md.
+Each calls its stages in order. Tracing them in Python costs several times their run
+time, so each stage is a frozen function that Dr.Jit replays; the sorts stand between
+them, and all buffers are made here, for reasons in README.md.
 """
 
 from typing import Any
@@ -15,14 +17,24 @@ from mi_splat.rasterization.binning import NO_TILE, TILE
 from mi_splat.rasterization.blending import RECORD
 from mi_splat.rasterization.frozen import aligned, buffer, index_of, numbers, run
 from mi_splat.rasterization.layouts import Layout, check_finite
-from mi_splat.rasterization.picture import BackwardState, Picture, PictureBuffers, new_buffers, sh_terms
+from mi_splat.rasterization.picture import (
+    BackwardState,
+    Picture,
+    PictureBuffers,
+    new_buffers,
+    sh_terms,
+)
 from mi_splat.rasterization.pinhole import Pinhole
 
 MAX_PAIRS = 1 << 28
-"""Above this many (tile, Gaussian) pairs a picture is refused, before memory runs out."""
+"""Above this many (tile, Gaussian) pairs a picture is refused, before memory runs
+out.
+"""
 
 MANY_GAUSSIANS = 60_000
-"""From so many on, the copy of the gradient's memory that a replay makes costs more than tracing its kernel."""
+"""From so many on, the copy of the gradient's memory that a replay makes costs more
+than tracing its kernel.
+"""
 
 
 def rasterize(
@@ -39,11 +51,24 @@ def rasterize(
     if count == 0:
         return _nothing_visible(buffers, layout, arrays)
     kernel_camera = camera.for_kernels()
-    records = (buffer(RECORD * count), *(buffer(count) for _ in range(2 if depths else 1)))
+    records = (
+        buffer(RECORD * count),
+        *(buffer(count) for _ in range(2 if depths else 1)),
+    )
     index = numbers(mi.variant(), count)
     terms = sh_terms(arrays)
-    depth_key, touched = run(stages.project_gaussians, layout, terms, arrays, index, buffers, kernel_camera, records)
-    # Not inside a frozen function: a recorded argsort keeps the size that it was recorded with.
+    depth_key, touched = run(
+        stages.project_gaussians,
+        layout,
+        terms,
+        arrays,
+        index,
+        buffers,
+        kernel_camera,
+        records,
+    )
+    # Not inside a frozen function: a recorded argsort keeps the size that it was
+    # recorded with.
     depth_order = dr.argsort(depth_key)
     first, last, total = run(stages.allot_rows, touched, depth_order)
     number = int(total[0])  # the one time that the host waits for the kernels
@@ -53,22 +78,45 @@ def rasterize(
         return _nothing_visible(buffers, layout, arrays)
     if number > MAX_PAIRS:
         do = "render it smaller or shrink the Gaussians"
-        raise MiSplatError.of("picture", f"at most {MAX_PAIRS} tile touches", number, do)
+        raise MiSplatError.of(
+            "picture", f"at most {MAX_PAIRS} tile touches", number, do
+        )
     pairs = buffer(2 * number, mi.UInt32, NO_TILE)
-    used = run(stages.write_pairs, records[0], depth_order, first, last, buffers.size, pairs)
+    used = run(
+        stages.write_pairs, records[0], depth_order, first, last, buffers.size, pairs
+    )
     tiles = len(buffers.tiles)
-    index, ranges = index_of(number), tuple(buffer(tiles, mi.UInt32, 0) for _ in range(2))
+    index, ranges = (
+        index_of(number),
+        tuple(buffer(tiles, mi.UInt32, 0) for _ in range(2)),
+    )
     rows = binning.order_below(dr.gather(mi.UInt32, pairs, 2 * index), tiles)
-    gaussians, length_key = run(stages.find_lists, pairs, rows, index, total, buffers, ranges)
+    gaussians, length_key = run(
+        stages.find_lists, pairs, rows, index, total, buffers, ranges
+    )
     tile_order, walked = binning.by_length(length_key), buffer(tiles, mi.UInt32)
-    canvas = tuple(buffer(width * TILE * TILE * tiles) for width in ((4, 3) if depths else (4,)))
-    run(stages.blend_tiles, records, (gaussians, *ranges), tile_order, buffers, canvas, walked)
+    canvas = tuple(
+        buffer(width * TILE * TILE * tiles) for width in ((4, 3) if depths else (4,))
+    )
+    run(
+        stages.blend_tiles,
+        records,
+        (gaussians, *ranges),
+        tile_order,
+        buffers,
+        canvas,
+        walked,
+    )
     lists = (first, used), (gaussians, rows), ranges
     state = BackwardState(buffers, kernel_camera, records, depth_order, *lists, walked)
-    return Picture(buffers.colour, buffers.opacity, buffers.depths, layout, arrays, state)
+    return Picture(
+        buffers.colour, buffers.opacity, buffers.depths, layout, arrays, state
+    )
 
 
-def _nothing_visible(buffers: PictureBuffers, layout: Layout, arrays: tuple[Any, ...]) -> Picture:
+def _nothing_visible(
+    buffers: PictureBuffers, layout: Layout, arrays: tuple[Any, ...]
+) -> Picture:
     colour = dr.tile(buffers.background, len(buffers.opacity))
     return Picture(colour, buffers.opacity, buffers.depths, layout, arrays, None)
 
@@ -81,21 +129,56 @@ def rasterize_backward(
     *,
     screen: Any | None = None,
 ) -> tuple[Any, ...]:
-    """Gradient of a scalar L with respect to the Gaussians, from its gradient with respect to the picture."""
+    """Gradient of a scalar L with respect to the Gaussians, from its gradient with
+    respect to the picture.
+    """
     arrays, state = picture.arrays, picture.state
     if state is None:
         return tuple(buffer(len(array), value=0.0) for array in arrays)
     gradients = tuple(buffer(len(array)) for array in arrays)
-    grad_picture = tuple(aligned(grad) for grad in (grad_colour, grad_opacity, grad_depth) if grad is not None)
+    grad_picture = tuple(
+        aligned(grad)
+        for grad in (grad_colour, grad_opacity, grad_depth)
+        if grad is not None
+    )
     pairs = len(state.pairs[0])
-    moments = (buffer(RECORD * pairs), *(buffer(pairs) for _ in range(1 if grad_depth is None else 2)))
+    moments = (
+        buffer(RECORD * pairs),
+        *(buffer(pairs) for _ in range(1 if grad_depth is None else 2)),
+    )
     gaussians = len(state.depth_order)
     scratch = tuple(buffer(gaussians, mi.UInt32) for _ in range(2))
-    rows, row_ranges = run(stages.rows_by_gaussian, state.depth_order, state.row_ranges, state.pairs, scratch)
-    lists, tile_order = (state.pairs[0], rows, *state.pair_ranges), binning.by_length(state.walked)
-    run(stages.blend_backward, state.records, lists, tile_order, state.buffers, grad_picture, moments)
+    rows, row_ranges = run(
+        stages.rows_by_gaussian,
+        state.depth_order,
+        state.row_ranges,
+        state.pairs,
+        scratch,
+    )
+    lists, tile_order = (
+        (state.pairs[0], rows, *state.pair_ranges),
+        binning.by_length(state.walked),
+    )
+    run(
+        stages.blend_backward,
+        state.records,
+        lists,
+        tile_order,
+        state.buffers,
+        grad_picture,
+        moments,
+    )
     rows_of_each = numbers(mi.variant(), gaussians), *row_ranges
-    given = picture.layout, sh_terms(arrays), arrays, state.camera, rows_of_each, moments, gradients, screen
+    given = (
+        picture.layout,
+        sh_terms(arrays),
+        arrays,
+        state.camera,
+        rows_of_each,
+        moments,
+        gradients,
+        screen,
+    )
     if gaussians < MANY_GAUSSIANS:
         run(stages.project_backward, *given)
     else:

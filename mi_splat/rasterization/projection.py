@@ -1,6 +1,8 @@
-"""From 3D Gaussians to 2D ones: EWA projection (Zwicker et al. 2001) as 3DGS (Kerbl et al. 2023) uses it.
+"""From 3D Gaussians to 2D ones: EWA projection (Zwicker et al. 2001) as 3DGS (Kerbl et
+al. 2023) uses it.
 
-Ordinary Dr.Jit code without side effects, so its derivatives come from automatic differentiation.
+Ordinary Dr.Jit code without side effects, so its derivatives come from automatic
+differentiation.
 """
 
 from __future__ import annotations
@@ -15,7 +17,9 @@ import mitsuba as mi
 from mi_splat.rasterization.pinhole import KernelCamera
 
 BLUR = 0.3
-"""Variance added to both axes of every 2D Gaussian, px^2 (the low-pass filter of 3DGS)."""
+"""Variance added to both axes of every 2D Gaussian, px^2 (the low-pass filter of
+3DGS).
+"""
 
 CUTOFF = math.log2(1.0 / 255.0)
 """log2 of the smallest alpha that contributes to a pixel."""
@@ -38,11 +42,16 @@ class Gaussians:
         return [self.mean, self.scale, *self.rotation, self.opacity, *self.sh]
 
     def finite(self) -> Any:
-        """Bool, whether all numbers are finite. By their bits: not every backend's maximum passes a NaN on."""
+        """Bool, whether all numbers are finite.
+
+        By their bits: not every backend's maximum passes a NaN on.
+        """
         largest = mi.UInt32(0)
         for part in self.parts():
             for value in part if dr.depth_v(part) > 1 else [part]:
-                largest = dr.maximum(largest, dr.reinterpret_array(mi.UInt32, value) & 0x7FFFFFFF)
+                largest = dr.maximum(
+                    largest, dr.reinterpret_array(mi.UInt32, value) & 0x7FFFFFFF
+                )
         return largest < 0x7F800000
 
     def gradient(self) -> Gaussians:
@@ -58,10 +67,11 @@ class Gaussians:
 
 @dataclass(slots=True, eq=False)
 class Splat:
-    """One 2D Gaussian a lane: log2 alpha(dx, dy) = level - (u0 dx + u1 dy)^2 - (v1 dy)^2, (dx, dy) from `centre`.
+    """One 2D Gaussian a lane: log2 alpha(dx, dy) = level - (u0 dx + u1 dy)^2 - (v1
+    dy)^2, (dx, dy) from `centre`.
 
-    The square roots of the conic's Cholesky factors, not the conic itself: a needle's exponent is then a difference of
-    small numbers, and it is never positive.
+    The square roots of the conic's Cholesky factors, not the conic itself: a needle's
+    exponent is then a difference of small numbers, and it is never positive.
     """
 
     centre: Any  # Point2f, px
@@ -88,7 +98,9 @@ def rotation_matrix(quaternion: Any) -> Any:
 
 
 def colour(gaussians: Gaussians, camera: KernelCamera) -> Any:
-    """max(0, 0.5 + SH) along the direction from the camera centre to the mean, Color3f in sRGB."""
+    """max(0, 0.5 + SH) along the direction from the camera centre to the mean, Color3f
+    in sRGB.
+    """
     direction = dr.normalize(mi.Vector3f(gaussians.mean - camera.position))
     basis = dr.sh_eval(direction, math.isqrt(len(gaussians.sh)) - 1)
     total = mi.Color3f(0.5)
@@ -100,18 +112,21 @@ def colour(gaussians: Gaussians, camera: KernelCamera) -> Any:
 def project(gaussians: Gaussians, camera: KernelCamera) -> tuple[Splat, Any, Any]:
     """Project every Gaussian.
 
-    The blur of 0.3 px^2 makes small Gaussians heavier than they are: with S for the 2D covariance, the sum of a
-    Gaussian's weights over the picture grows by sqrt(det(S + 0.3 I) / det(S)). With `camera.antialiased` its opacity is
-    divided by that, so that the blur is a low-pass filter that keeps the sum: the 2D filter of Mip-Splatting (Yu et al.
-    2024, eq. 10), in the form that gsplat calls "antialiased", with the blur of 0.3 and no floor under the factor (the
-    3DGS reference has one of 0.005; the code of Mip-Splatting blurs by 0.1). alpha is clamped at 0.99 after that.
+    The blur of 0.3 px^2 makes small Gaussians heavier than they are: with S for the 2D
+    covariance, the sum of a Gaussian's weights over the picture grows by sqrt(det(S +
+    0.3 I) / det(S)). With `camera.antialiased` its opacity is divided by that, so that
+    the blur is a low-pass filter that keeps the sum: the 2D filter of Mip-Splatting (Yu
+    et al. 2024, eq. 10), in the form that gsplat calls "antialiased", with the blur of
+    0.3 and no floor under the factor (the 3DGS reference has one of 0.005; the code of
+    Mip-Splatting blurs by 0.1). alpha is clamped at 0.99 after that.
     """
     local = camera.rotation @ mi.Vector3f(gaussians.mean) + camera.translation
     inverse = 1.0 / local.z
     tangent = mi.Vector2f(local.x * inverse, local.y * inverse)
     centre = mi.Point2f(dr.fma(camera.focal, tangent, camera.principal))
 
-    # Rows of J W R S, the 2 x 3 factor of the 2D covariance (EWA splatting, eq. 24 with the Jacobian of eq. 29).
+    # Rows of J W R S, the 2 x 3 factor of the 2D covariance (EWA splatting, eq. 24 with
+    # the Jacobian of eq. 29).
     tx = dr.clip(tangent.x, -camera.guard.x, camera.guard.x)
     ty = dr.clip(tangent.y, -camera.guard.y, camera.guard.y)
     jx, jy = camera.focal.x * inverse, camera.focal.y * inverse
@@ -140,7 +155,8 @@ def project(gaussians: Gaussians, camera: KernelCamera) -> tuple[Splat, Any, Any
         level=level,
         colour=colour(gaussians, camera),
     )
-    reach = dr.detach((splat.level - CUTOFF) / _HALF_LOG2_E)  # squared Mahalanobis radius where alpha = 1/255
+    # squared Mahalanobis radius where alpha = 1/255
+    reach = dr.detach((splat.level - CUTOFF) / _HALF_LOG2_E)
     extent = dr.select(
         reach >= 0.0,
         mi.Vector2f(dr.sqrt(dr.detach(xx) * reach), dr.sqrt(dr.detach(yy) * reach)),

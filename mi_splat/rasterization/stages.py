@@ -1,7 +1,8 @@
-"""The stages, from Gaussians to a picture (1 to 5) and back (6 to 8); `pipeline` calls them in this order.
+"""The stages, from Gaussians to a picture (1 to 5) and back (6 to 8); `pipeline` calls
+them in this order.
 
-Each stage is recorded once by `frozen.run` and replayed. README.md says what a stage may and may not do for a replay to
-stay right when sizes change.
+Each stage is recorded once by `frozen.run` and replayed. README.md says what a stage
+may and may not do for a replay to stay right when sizes change.
 """
 
 import math
@@ -22,14 +23,22 @@ BROKEN = 0xFFFFFFFF
 """In place of a number of tiles: a number of the Gaussian is not finite."""
 
 BROKEN_ROWS = 1 << 40
-"""What such a Gaussian counts for among the rows: more than memory has, so that one number tells the host both."""
+"""What such a Gaussian counts for among the rows: more than memory has, so that one
+number tells the host both.
+"""
 
 
-def projected(gaussians: Gaussians, camera: KernelCamera) -> tuple[Splat, Any, Any, Any]:
-    """What `project` returns, and a Bool: whether the Gaussian may touch a tile at all."""
+def projected(
+    gaussians: Gaussians, camera: KernelCamera
+) -> tuple[Splat, Any, Any, Any]:
+    """What `project` returns, and a Bool: whether the Gaussian may touch a tile at
+    all.
+    """
     splat, extent, depth = project(gaussians, camera)
     visible = (depth >= camera.near) & (extent.x >= 0.0)
-    visible &= dr.isfinite(splat.u0 + splat.u1 + splat.v1 + splat.centre.x + splat.centre.y)
+    visible &= dr.isfinite(
+        splat.u0 + splat.u1 + splat.v1 + splat.centre.x + splat.centre.y
+    )
     return splat, extent, depth, visible
 
 
@@ -63,18 +72,33 @@ def allot_rows(count: Any, depth_order: Any) -> tuple[Any, Any, Any]:
     broken = counts == BROKEN
     counts = dr.select(broken, 0, counts)
     first = dr.prefix_sum(counts)
-    return first, first + counts, dr.sum(dr.select(broken, mi.UInt64(BROKEN_ROWS), mi.UInt64(counts)))
+    return (
+        first,
+        first + counts,
+        dr.sum(dr.select(broken, mi.UInt64(BROKEN_ROWS), mi.UInt64(counts))),
+    )
 
 
-def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any, pairs: Any) -> Any:
-    """Stage 3: write the pairs' tiles and Gaussians, Gaussian by Gaussian from near to far."""
-    v = dr.gather(mi.ArrayXf, records, depth_order, shape=(RECORD, dr.width(depth_order)))
+def write_pairs(
+    records: Any, depth_order: Any, first: Any, last: Any, size: Any, pairs: Any
+) -> Any:
+    """Stage 3: write the pairs' tiles and Gaussians, Gaussian by Gaussian from near to
+    far.
+    """
+    v = dr.gather(
+        mi.ArrayXf, records, depth_order, shape=(RECORD, dr.width(depth_order))
+    )
     splat = Splat(mi.Point2f(v[0], v[1]), v[2], v[3], v[4], v[5], mi.Color3f(0))
     return binning.emit_pairs(splat, depth_order, (first, last), size, pairs)
 
 
 def find_lists(
-    pairs: Any, rows: Any, index: Any, total: Any, buffers: PictureBuffers, ranges: tuple[Any, Any]
+    pairs: Any,
+    rows: Any,
+    index: Any,
+    total: Any,
+    buffers: PictureBuffers,
+    ranges: tuple[Any, Any],
 ) -> tuple[Any, Any]:
     """Stage 4: where the list of each tile lies."""
     tile, gaussians = dr.gather(mi.ArrayXu, pairs, rows, shape=(2, dr.width(rows)))
@@ -94,26 +118,45 @@ def blend_tiles(
     canvas: tuple[Any, ...],
     walked: Any,
 ) -> None:
-    """Stage 5: blend every tile, then lay the tiles out as a row-major picture over the background."""
+    """Stage 5: blend every tile, then lay the tiles out as a row-major picture over the
+    background.
+    """
     tile, corner = _tiles(order, buffers)
     first, last = (dr.gather(mi.UInt32, edge, tile) for edge in lists[1:])
-    values, depths, reached = blending.blend_tile(records, lists[0], (first, last), corner)
+    values, depths, reached = blending.blend_tile(
+        records, lists[0], (first, last), corner
+    )
     dr.scatter(walked, length_key(reached - first), order)
     dr.scatter(canvas[0], mi.ArrayXf(values), tile)
     if depths:
-        dr.scatter(canvas[1], mi.ArrayXf([v for p in range(TILE * TILE) for v in depths[p :: TILE * TILE]]), tile)
+        dr.scatter(
+            canvas[1],
+            mi.ArrayXf(
+                [v for p in range(TILE * TILE) for v in depths[p :: TILE * TILE]]
+            ),
+            tile,
+        )
     dr.eval(canvas, walked)
 
     pixel = buffers.pixels
     where = buffers.tiled_indices
     value = dr.gather(mi.ArrayXf, canvas[0], where, shape=(4, dr.width(where)))
-    rgb = [dr.fma(value[3], dr.gather(mi.Float, buffers.background, mi.UInt32(c)), value[c]) for c in range(3)]
+    rgb = [
+        dr.fma(
+            value[3], dr.gather(mi.Float, buffers.background, mi.UInt32(c)), value[c]
+        )
+        for c in range(3)
+    ]
     dr.scatter(buffers.colour, mi.ArrayXf(rgb), pixel)
     dr.scatter(buffers.opacity, 1.0 - value[3], pixel)
     if depths:
-        median, total, summed = dr.gather(mi.ArrayXf, canvas[1], where, shape=(3, dr.width(where)))
+        median, total, summed = dr.gather(
+            mi.ArrayXf, canvas[1], where, shape=(3, dr.width(where))
+        )
         expected = dr.select(total > 0, summed / total, 0.0)
-        for array, values in zip(buffers.depths, (expected, median, total), strict=True):
+        for array, values in zip(
+            buffers.depths, (expected, median, total), strict=True
+        ):
             dr.scatter(array, values, pixel)
     dr.eval(buffers.colour, buffers.opacity, buffers.depths)
 
@@ -144,19 +187,35 @@ def blend_backward(
         x, y = mi.Int32(corner[0]) + p % TILE, mi.Int32(corner[1]) + p // TILE
         pixel, inside = mi.UInt32(y * width + x), (x < width) & (y < height)
         both = (buffers.colour, grad_picture[0])
-        value, grad = (dr.gather(mi.ArrayXf, a, pixel, inside, shape=(3, dr.width(pixel))) for a in both)
+        value, grad = (
+            dr.gather(mi.ArrayXf, a, pixel, inside, shape=(3, dr.width(pixel)))
+            for a in both
+        )
         grad_colours.append(list(grad))
         weighted.append(grad[0] * value[0] + grad[1] * value[1] + grad[2] * value[2])
         if len(grad_picture) > 1:
             grad_opacity.append(dr.gather(mi.Float, grad_picture[1], pixel, inside))
-            weighted[-1] += grad_opacity[-1] * dr.gather(mi.Float, buffers.opacity, pixel, inside)
+            weighted[-1] += grad_opacity[-1] * dr.gather(
+                mi.Float, buffers.opacity, pixel, inside
+            )
         if len(grad_picture) > 2:
-            expected, total = (dr.gather(mi.Float, buffers.depths[k], pixel, inside) for k in (0, 2))
-            slope = dr.select(total > 0, dr.gather(mi.Float, grad_picture[2], pixel, inside) / total, 0.0)
+            expected, total = (
+                dr.gather(mi.Float, buffers.depths[k], pixel, inside) for k in (0, 2)
+            )
+            slope = dr.select(
+                total > 0,
+                dr.gather(mi.Float, grad_picture[2], pixel, inside) / total,
+                0.0,
+            )
             grad_depth.append((slope, expected))
     grad_colour = [grad[channel] for channel in range(3) for grad in grad_colours]
     reached = blending.blend_tile_backward(
-        records, lists[:2], (first, last), corner, (grad_colour, grad_opacity, grad_depth, weighted), moments
+        records,
+        lists[:2],
+        (first, last),
+        corner,
+        (grad_colour, grad_opacity, grad_depth, weighted),
+        moments,
     )
     dr.eval(moments, reached, last)
     blending.clear_rows(lists[1], (reached, last), moments)
@@ -164,9 +223,14 @@ def blend_backward(
 
 
 def rows_by_gaussian(
-    depth_order: Any, row_ranges: tuple[Any, Any], pairs: tuple[Any, Any], scratch: tuple[Any, Any]
+    depth_order: Any,
+    row_ranges: tuple[Any, Any],
+    pairs: tuple[Any, Any],
+    scratch: tuple[Any, Any],
 ) -> tuple[Any, tuple[Any, Any]]:
-    """Stage 6: rows for the moments, in the order of the Gaussians and not of their depths."""
+    """Stage 6: rows for the moments, in the order of the Gaussians and not of their
+    depths.
+    """
     first, last = row_ranges
     count, shift = scratch
     dr.scatter(count, last - first, depth_order)
@@ -188,10 +252,14 @@ def project_backward(
     gradients: tuple[Any, ...],
     screen: Any | None,
 ) -> None:
-    """Stage 8: sum every Gaussian's moments and take them back through the projection."""
+    """Stage 8: sum every Gaussian's moments and take them back through the
+    projection.
+    """
     index, first, last = rows
     visible = last > first
-    gaussians = _with_invisible_ones_harmless(layout.read(arrays, index, terms), visible, camera)
+    gaussians = _with_invisible_ones_harmless(
+        layout.read(arrays, index, terms), visible, camera
+    )
     dr.enable_grad(gaussians.parts())
     splat, _, depth = project(gaussians, camera)
     sums = _sum_rows(first, last, moments)
@@ -199,7 +267,8 @@ def project_backward(
     if screen is not None:
         touching = dr.select(visible, mi.Float(1), mi.Float(0))
         dr.scatter(screen, mi.ArrayXf([grad_splat[0], grad_splat[1], touching]), index)
-    product = mi.Float(0)  # its derivative by the Gaussians is the vector-Jacobian product that we are after
+    # its derivative by the Gaussians is the vector-Jacobian product that we are after
+    product = mi.Float(0)
     for component, grad_component in zip(splat.components(), grad_splat, strict=True):
         product += component * grad_component
     if len(moments) > 2:
@@ -210,7 +279,9 @@ def project_backward(
 
 
 def _sum_rows(first: Any, last: Any, moments: tuple[Any, ...]) -> list[Any]:
-    """Add the rows of each Gaussian in their fixed order: nine Floats a lane, ten with gradients of depth."""
+    """Add the rows of each Gaussian in their fixed order: nine Floats a lane, ten with
+    gradients of depth.
+    """
 
     def body(row: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
         m = dr.gather(mi.ArrayXf, moments[0], row, shape=(RECORD, dr.width(row)))
@@ -218,12 +289,19 @@ def _sum_rows(first: Any, last: Any, moments: tuple[Any, ...]) -> list[Any]:
         return row + 1, [s + v for s, v in zip(sums, [*m, *others], strict=True)]
 
     zeros = [mi.Float(0) for _ in range(RECORD + len(moments) - 1)]
-    _, sums = dr.while_loop((mi.UInt32(first), zeros), lambda row, _: row < last, body, label="sum of moments")
+    _, sums = dr.while_loop(
+        (mi.UInt32(first), zeros),
+        lambda row, _: row < last,
+        body,
+        label="sum of moments",
+    )
     return list(sums)
 
 
 def _splat_gradient(splat: Splat, sums: list[Any]) -> list[Any]:
-    """dL/d(components of a splat) from the moments of h = alpha dL/dalpha: dL/d(log2 alpha) is h ln 2."""
+    """dL/d(components of a splat) from the moments of h = alpha dL/dalpha: dL/d(log2
+    alpha) is h ln 2.
+    """
     h, hx, hy, hxx, hxy, hyy = (_LN2 * s for s in sums[:6])
     u0, u1, v1 = (dr.detach(v) for v in (splat.u0, splat.u1, splat.v1))
     along = u0 * hx + u1 * hy
@@ -238,10 +316,16 @@ def _splat_gradient(splat: Splat, sums: list[Any]) -> list[Any]:
     ]
 
 
-def _with_invisible_ones_harmless(gaussians: Gaussians, visible: Any, camera: KernelCamera) -> Gaussians:
-    """Invisible lanes moved in front of the camera, so that no infinity of theirs meets the zero of their gradient."""
+def _with_invisible_ones_harmless(
+    gaussians: Gaussians, visible: Any, camera: KernelCamera
+) -> Gaussians:
+    """Invisible lanes moved in front of the camera, so that no infinity of theirs meets
+    the zero of their gradient.
+    """
     rotation = camera.rotation
-    ahead = camera.position + mi.Vector3f(rotation[2, 0], rotation[2, 1], rotation[2, 2])
+    ahead = camera.position + mi.Vector3f(
+        rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    )
     unit = mi.Float(1.0)
     return Gaussians(
         mean=dr.select(visible, gaussians.mean, mi.Point3f(ahead)),

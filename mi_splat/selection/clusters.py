@@ -1,4 +1,6 @@
-"""Connected components of a splat by distance and colour: what belongs together without anybody having said so."""
+"""Connected components of a splat by distance and colour: what belongs together without
+anybody having said so.
+"""
 
 import math
 
@@ -11,24 +13,33 @@ from mi_splat.scene import GaussianScene
 from mi_splat.sh import dc_to_colour
 
 NEIGHBOURS, NEAREST = 12, 8
-"""Neighbours that a Gaussian may be linked to, and the one whose distance is the measure of nearness."""
+"""Neighbours that a Gaussian may be linked to, and the one whose distance is the
+measure of nearness.
+"""
 LEAST_SHARE = 0.05
 """A plane with a smaller share of the Gaussians is not taken for one."""
 TOLERANCE = 0.75
-"""How far from a plane its Gaussians may lie, as a multiple of how far apart the Gaussians are there."""
+"""How far from a plane its Gaussians may lie, as a multiple of how far apart the
+Gaussians are there.
+"""
 _TRIALS, _SAMPLE, _ROUNDS = 4000, 4000, 5
 _AT_ONCE = 250
 """Planes whose distances to the sample are held at once."""
 
 
 def clusters(
-    scene: GaussianScene, *, link_distance: float = 1.5, link_colour: float | None = None, planes: int = 1
+    scene: GaussianScene,
+    *,
+    link_distance: float = 1.5,
+    link_colour: float | None = None,
+    planes: int = 1,
 ) -> Tensor:
     """The connected component of each Gaussian, numbered from the largest.
 
-    Two Gaussians are linked if each lies within `link_distance` times the distance at which the other has its eighth
-    neighbour: so the measure is that of the place, fine on a small object and coarse on a wide ground. Objects stand on
-    something that would link them all: the Gaussians of the largest planes are linked among themselves only.
+    Two Gaussians are linked if each lies within `link_distance` times the distance at
+    which the other has its eighth neighbour: so the measure is that of the place, fine
+    on a small object and coarse on a wide ground. Objects stand on something that would
+    link them all: the Gaussians of the largest planes are linked among themselves only.
     """
     points = scene.means.detach().cpu().double()
     distances, rows = nearest_neighbours(points, NEIGHBOURS)
@@ -51,7 +62,9 @@ def _planes(points: Tensor, spacing: Tensor, count: int) -> Tensor:
     group = torch.full((len(points),), -1)
     for number in range(count):
         rest = (group < 0).nonzero()[:, 0]
-        inliers = find_plane(points[rest], spacing[rest], least=math.ceil(LEAST_SHARE * len(points)))
+        inliers = find_plane(
+            points[rest], spacing[rest], least=math.ceil(LEAST_SHARE * len(points))
+        )
         if inliers is None:
             break
         group[rest[inliers]] = number
@@ -59,20 +72,25 @@ def _planes(points: Tensor, spacing: Tensor, count: int) -> Tensor:
 
 
 def components(count: int, first: Tensor, second: Tensor) -> Tensor:
-    """The connected component of each node of a graph, numbered in the order of their first nodes."""
+    """The connected component of each node of a graph, numbered in the order of their
+    first nodes.
+    """
     edges = (np.ones(len(first), np.bool_), (first.numpy(), second.numpy()))
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    _, labels = connected_components(coo_array(edges, shape=(count, count)), directed=False)
+    _, labels = connected_components(
+        coo_array(edges, shape=(count, count)), directed=False
+    )
     return torch.from_numpy(labels.astype(np.int64))
 
 
 def find_plane(points: Tensor, spacing: Tensor, *, least: int) -> Tensor | None:
     """Which points lie on the plane that holds the most of them.
 
-    RANSAC (Fischler and Bolles 1981), made better by least squares. How far a point may lie off depends on how densely
-    points lie around it, so that nothing need be known about the size of the scene.
+    RANSAC (Fischler and Bolles 1981), made better by least squares. How far a point may
+    lie off depends on how densely points lie around it, so that nothing need be known
+    about the size of the scene.
     """
     if len(points) < 3:
         return None
@@ -80,16 +98,21 @@ def find_plane(points: Tensor, spacing: Tensor, *, least: int) -> Tensor | None:
     generator = Generator().manual_seed(0)
     sample = torch.randperm(len(points), generator=generator)[:_SAMPLE]
     corners = points[torch.randint(len(points), (_TRIALS, 3), generator=generator)]
-    across = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across = torch.linalg.cross(
+        corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    )
     length = across.norm(dim=1)
-    corners, across, length = (value[length > 0] for value in (corners, across, length))  # three points make a plane
+    # three points make a plane
+    corners, across, length = (value[length > 0] for value in (corners, across, length))
     if not len(corners):
         return None
     normals = across / length[:, None]
     placed, near = points[sample], limit[sample, None]
     counts = [
         ((placed @ part.T).sub_((part * on).sum(1)).abs_() < near).sum(0)
-        for part, on in zip(normals.split(_AT_ONCE), corners[:, 0].split(_AT_ONCE), strict=True)
+        for part, on in zip(
+            normals.split(_AT_ONCE), corners[:, 0].split(_AT_ONCE), strict=True
+        )
     ]
     best = int(torch.cat(counts).argmax())
     normal, on = normals[best], corners[best, 0]
@@ -108,7 +131,9 @@ def _on_plane(points: Tensor, normal: Tensor, on: Tensor, limit: Tensor) -> Tens
 
 
 def _fit(points: Tensor, spacing: Tensor) -> tuple[Tensor, Tensor]:
-    """A point on the plane through points, and its normal; points that lie densely are placed better and count more."""
+    """A point on the plane through points, and its normal; points that lie densely are
+    placed better and count more.
+    """
     weight = (1 / spacing.clamp(min=1e-9))[:, None].square()
     on = (weight * points).sum(0) / weight.sum()
     gaps = points - on

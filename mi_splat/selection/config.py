@@ -1,4 +1,7 @@
-"""Which Gaussians are meant, as one value: the API and the flags of the command line. Light, so that --help is fast."""
+"""Which Gaussians are meant, as one value: the API and the flags of the command line.
+
+Light, so that --help is fast.
+"""
 
 from __future__ import annotations
 
@@ -17,17 +20,21 @@ class Selection:
     Attributes:
         object: Part of a scene XML, by its id.
         box: Gaussians whose means lie in this box: x0 y0 z0 x1 y1 z1, world units.
-        mask: File that says which: .npy (one bool a Gaussian, or row numbers), or a PLY with the positions of some.
-        click: Pixels x,y of the first camera's picture; the object in front there, with all that is connected to it.
-            Only what is near is looked at, by the measure of the picture, so click where the object is large.
+        mask: File that says which: .npy (one bool a Gaussian, or row numbers), or a PLY
+            with the positions of some.
+        click: Pixels x,y of the first camera's picture; the object in front there, with
+            all that is connected to it. Only what is near is looked at, by the measure
+            of the picture, so click where the object is large.
         cluster: Connected component by its size; 1 is the largest.
-        link_distance: Two Gaussians are connected if each is within this multiple of the distance to the eighth
-            neighbour of the other (click, cluster).
-        link_colour: Largest difference in a channel of sRGB of connected Gaussians, in [0, 1]; None if colour does not
-            count (click, cluster). Set it where two objects touch.
-        planes: Objects stand on a floor, a desk or a street, which would connect them: so many of the largest planes
-            are components of their own (click, cluster). More may help where too much is selected, and cut flat objects
-            where they are too many.
+        link_distance: Two Gaussians are connected if each is within this multiple of
+            the distance to the eighth neighbour of the other (click, cluster).
+        link_colour: Largest difference in a channel of sRGB of connected Gaussians, in
+            [0, 1]; None if colour does not count (click, cluster). Set it where two
+            objects touch.
+        planes: Objects stand on a floor, a desk or a street, which would connect them:
+            so many of the largest planes are components of their own (click, cluster).
+            More may help where too much is selected, and cut flat objects where they
+            are too many.
 
     Raises:
         InvalidValueError: A value is out of its range.
@@ -37,18 +44,28 @@ class Selection:
     box: Box | None = None
     mask: Path | None = None
     click: Annotated[tuple[str, ...], Metavar("X,Y")] = ()
-    cluster: Annotated[int, at_least(1, do="1 is the largest"), Metavar("RANK")] | None = None
-    link_distance: Annotated[float, above(0, do="1.5 is usual"), Metavar("FACTOR")] = 1.5
-    link_colour: Annotated[float, between(0, 1, do="0.1 is strict"), Metavar("DIFFERENCE")] | None = None
+    cluster: (
+        Annotated[int, at_least(1, do="1 is the largest"), Metavar("RANK")] | None
+    ) = None
+    link_distance: Annotated[float, above(0, do="1.5 is usual"), Metavar("FACTOR")] = (
+        1.5
+    )
+    link_colour: (
+        Annotated[float, between(0, 1, do="0.1 is strict"), Metavar("DIFFERENCE")]
+        | None
+    ) = None
     planes: Annotated[int, between(0, 20, do="1 is usual")] = 1
 
     def __post_init__(self) -> None:
         check(self)
         if self.box is not None:
             low, high = self.box[:3], self.box[3:]
-            if not all(a <= b for a, b in zip(low, high, strict=True)):  # not of nan either
+            # not of nan either
+            if not all(a <= b for a, b in zip(low, high, strict=True)):
                 do = "give the lower corner first: x0 y0 z0 x1 y1 z1"
-                raise InvalidValueError.of("box", "no first number above its second", self.box, do)
+                raise InvalidValueError.of(
+                    "box", "no first number above its second", self.box, do
+                )
         _ = self.pixels
 
     @property
@@ -58,7 +75,9 @@ class Selection:
         for text in self.click:
             x, _, y = text.partition(",")
             if not (x.strip().isdecimal() and y.strip().isdecimal()):
-                raise InvalidValueError.of("click", "a pixel x,y", repr(text), "for instance 120,80")
+                raise InvalidValueError.of(
+                    "click", "a pixel x,y", repr(text), "for instance 120,80"
+                )
             pixels.append((int(x), int(y)))
         return tuple(pixels)
 
@@ -68,7 +87,8 @@ class Selection:
         return not self.as_dict()
 
     def as_dict(self) -> dict[str, Any]:
-        """What was selected by, as JSON can hold it; selectors that were not used are left out.
+        """What was selected by, as JSON can hold it; selectors that were not used are
+        left out.
 
         Returns:
             The selectors by name.
@@ -80,7 +100,13 @@ class Selection:
             "click": list(self.click) or None,
             "cluster": self.cluster,
         }
-        used: dict[str, Any] = {name: value for name, value in selectors.items() if value is not None}
+        used: dict[str, Any] = {
+            name: value for name, value in selectors.items() if value is not None
+        }
         if used.keys() & {"click", "cluster"}:
-            used |= {"link_distance": self.link_distance, "link_colour": self.link_colour, "planes": self.planes}
+            used |= {
+                "link_distance": self.link_distance,
+                "link_colour": self.link_colour,
+                "planes": self.planes,
+            }
         return used

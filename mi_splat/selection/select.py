@@ -27,15 +27,29 @@ from mi_splat.selection.visibility import pixel_weights
 _NPY_HEADER = 10_000
 """Bytes that a header may have; NumPy's own limit."""
 _READERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-# What NumPy raises for headers that are broken in one way or another: it reads them as Python.
+# What NumPy raises for headers that are broken in one way or another: it reads them as
+# Python.
 _BROKEN = (
-    *(ValueError, EOFError, TypeError, SyntaxError, LookupError, AttributeError, ArithmeticError, RecursionError),
+    *(
+        ValueError,
+        EOFError,
+        TypeError,
+        SyntaxError,
+        LookupError,
+        AttributeError,
+        ArithmeticError,
+        RecursionError,
+    ),
     *(MemoryError, tokenize.TokenError),
 )
 
 
-def box_mask(scene: GaussianScene, box: tuple[float, float, float, float, float, float]) -> Tensor:
-    """(N,) bool, which Gaussians have their means in a box; those on its faces count."""
+def box_mask(
+    scene: GaussianScene, box: tuple[float, float, float, float, float, float]
+) -> Tensor:
+    """(N,) bool, which Gaussians have their means in a box; those on its faces
+    count.
+    """
     low, high = torch.tensor([box[:3], box[3:]], dtype=torch.float64)
     local = scene.means.detach().cpu().double() - (low + high) / 2
     inside: Tensor = (local.abs() <= (high - low) / 2).all(1)
@@ -49,7 +63,9 @@ def load_mask(path: Path, scene: GaussianScene) -> Tensor:
     if path.suffix.lower() == ".ply":
         return _at_positions(load_points(path).points, scene, path)
     do = "save a mask with numpy.save, or a part of the splat as PLY"
-    raise InvalidValueError.of(str(path), "a file that ends in .npy or .ply", path.suffix or "no ending", do)
+    raise InvalidValueError.of(
+        str(path), "a file that ends in .npy or .ply", path.suffix or "no ending", do
+    )
 
 
 def save_mask(mask: Tensor, path: Path) -> None:
@@ -62,17 +78,29 @@ def save_mask(mask: Tensor, path: Path) -> None:
 def _from_array(values: NDArray[np.generic], count: int, what: str) -> Tensor:
     """A mask from bools, from zeros and ones, or from row numbers."""
     if values.ndim != 1 or values.dtype.kind not in "biu":
-        got, do = f"{values.dtype} of shape {values.shape}", "pass a one-dimensional array"
+        got, do = (
+            f"{values.dtype} of shape {values.shape}",
+            "pass a one-dimensional array",
+        )
         raise InvalidValueError.of(what, f"({count},) bools, or row numbers", got, do)
-    binary = values.dtype.kind == "b" or (len(values) == count and bool(((values == 0) | (values == 1)).all()))
+    binary = values.dtype.kind == "b" or (
+        len(values) == count and bool(((values == 0) | (values == 1)).all())
+    )
     if binary:
         if len(values) != count:
-            raise InvalidValueError.of(what, f"{count} bools, one a Gaussian", len(values), "make it from this scene")
+            raise InvalidValueError.of(
+                what,
+                f"{count} bools, one a Gaussian",
+                len(values),
+                "make it from this scene",
+            )
         return torch.from_numpy(values.astype(bool))
     rows = torch.from_numpy(values.astype(np.int64))
     if len(rows) and not bool(((rows >= 0) & (rows < count)).all()):
         got = f"{int(rows.min())} to {int(rows.max())}"
-        raise InvalidValueError.of(what, f"row numbers in 0..{count - 1}", got, "make them from this scene")
+        raise InvalidValueError.of(
+            what, f"row numbers in 0..{count - 1}", got, "make them from this scene"
+        )
     mask = torch.zeros(count, dtype=torch.bool)
     mask[rows] = True
     return mask
@@ -84,24 +112,35 @@ def _at_positions(points: Tensor, scene: GaussianScene, path: Path) -> Tensor:
     strange = int((~np.isin(wanted, ours)).sum())
     if strange:
         got = f"{strange:,} of {len(wanted):,} that are not"
-        do = "pass a part of this very splat, not one that was moved, resized or trained on"
-        raise InvalidValueError.of(str(path), "positions that are those of Gaussians of the scene", got, do)
+        do = (
+            "pass a part of this very splat, not one that was moved, resized or"
+            " trained on"
+        )
+        raise InvalidValueError.of(
+            str(path), "positions that are those of Gaussians of the scene", got, do
+        )
     return torch.from_numpy(np.isin(ours, wanted))
 
 
 def _keys(points: Tensor) -> NDArray[np.void]:
     """Each (N, 3) position as one value that is equal where all three numbers are."""
-    values = np.ascontiguousarray(points.numpy().astype(np.float32) + np.float32(0))  # of -0 and 0, 0
+    # of -0 and 0, 0
+    values = np.ascontiguousarray(points.numpy().astype(np.float32) + np.float32(0))
     keys: NDArray[np.void] = values.view(np.dtype((np.void, 12)))[:, 0]
     return keys
 
 
 def load_array(path: Path) -> NDArray[np.generic]:
-    """The array in a .npy file, never of objects; what its header says is held against the bytes that are there."""
+    """The array in a .npy file, never of objects; what its header says is held against
+    the bytes that are there.
+    """
     expected, do = "an array of NumPy (.npy)", "save it with numpy.save"
     try:
         with open_regular(str(path)) as file:
-            head, size = io.BytesIO(os.pread(file.fileno(), _NPY_HEADER, 0)), os.fstat(file.fileno()).st_size
+            head, size = (
+                io.BytesIO(os.pread(file.fileno(), _NPY_HEADER, 0)),
+                os.fstat(file.fileno()).st_size,
+            )
             version = npy.read_magic(head)
             if version not in _READERS:
                 raise ValueError(f"version {version[0]}.{version[1]} of the format")
@@ -127,7 +166,9 @@ MOST = 0.95
 SEEN = 0.5
 """A pixel shows the object where this share of it is the object's."""
 _AROUND = 1.5
-"""How far around a click is looked, in halves of the picture's diagonal at its depth."""
+"""How far around a click is looked, in halves of the picture's diagonal at its
+depth.
+"""
 _NAMED = 4
 """Cameras that are named at most."""
 
@@ -153,18 +194,26 @@ def select(
         (N,) bool, at least one of them true.
 
     Raises:
-        InvalidValueError: Nothing is selected, the selection does not fit the scene, or something that it needs is not
-            given.
+        InvalidValueError: Nothing is selected, the selection does not fit the scene, or
+            something that it needs is not given.
         SplatFileError: A mask file cannot be read.
     """
     if selection.is_empty:
         do = _HOW + (f"; parts: {', '.join(objects)}" if objects else "")
-        raise InvalidValueError.of("selection", "which Gaussians are meant", "nothing", do).hinted(_FLAGS)
+        raise InvalidValueError.of(
+            "selection", "which Gaussians are meant", "nothing", do
+        ).hinted(_FLAGS)
     mask = torch.ones(len(scene), dtype=torch.bool)
     if selection.object is not None:
         if selection.object not in (objects or {}):
-            expected = f"one of {', '.join(objects)}" if objects else "no name, since the scene has no parts"
-            raise InvalidValueError.of("object", expected, selection.object, _HOW).hinted(_FLAGS)
+            expected = (
+                f"one of {', '.join(objects)}"
+                if objects
+                else "no name, since the scene has no parts"
+            )
+            raise InvalidValueError.of(
+                "object", expected, selection.object, _HOW
+            ).hinted(_FLAGS)
         part = torch.zeros_like(mask)
         part[(objects or {})[selection.object]] = True
         mask &= part
@@ -175,13 +224,17 @@ def select(
     if selection.cluster is not None:
         labels = _clusters(scene, selection)
         if selection.cluster > (count := len(labels.bincount())):
-            raise InvalidValueError.of("cluster", f"1 to {count:,}", selection.cluster, "1 is the largest")
+            raise InvalidValueError.of(
+                "cluster", f"1 to {count:,}", selection.cluster, "1 is the largest"
+            )
         mask &= labels == selection.cluster - 1
     if selection.click:
         mask &= _clicked(scene, selection, camera, render)
     if not bool(mask.any()):
         do = f"look at where it is in a picture of the scene; {_HOW}"
-        raise InvalidValueError.of("selection", "at least one Gaussian", f"none of {len(scene):,}", do).hinted(_FLAGS)
+        raise InvalidValueError.of(
+            "selection", "at least one Gaussian", f"none of {len(scene):,}", do
+        ).hinted(_FLAGS)
     return mask
 
 
@@ -194,11 +247,20 @@ def doubts(mask: Tensor, weights: Mapping[str, Tensor]) -> list[str]:
     count, total = int(mask.sum()), len(mask)
     texts = []
     if count < FEWEST:
-        texts.append(f"the selection has {count} of {total:,} Gaussians, which is hardly an object")
+        texts.append(
+            f"the selection has {count} of {total:,} Gaussians, which is hardly an"
+            " object"
+        )
     if count > MOST * total:
-        texts.append(f"the selection has {count:,} of {total:,} Gaussians: nearly the whole scene, surroundings, too")
+        texts.append(
+            f"the selection has {count:,} of {total:,} Gaussians: nearly the whole"
+            " scene, surroundings, too"
+        )
     if hidden := _hidden(weights):
-        texts.append(f"the selection does not show {hidden}; something hides it, or it is outside the picture")
+        texts.append(
+            f"the selection does not show {hidden}; something hides it, or it is"
+            " outside the picture"
+        )
     return texts
 
 
@@ -206,37 +268,60 @@ def require_visible(weights: Mapping[str, Tensor]) -> None:
     """Raise unless an object shows from every camera."""
     if hidden := _hidden(weights):
         do = "leave these cameras out, or choose others"
-        raise InvalidValueError.of("cameras", "views that show the selection", f"none {hidden}", do)
+        raise InvalidValueError.of(
+            "cameras", "views that show the selection", f"none {hidden}", do
+        )
 
 
 def _hidden(weights: Mapping[str, Tensor]) -> str:
-    """From where an object does not show, in words; empty if it shows from everywhere."""
-    hidden = {name: float(weight.max()) for name, weight in weights.items() if not bool((weight >= SEEN).any())}
+    """From where an object does not show, in words; empty if it shows from
+    everywhere.
+    """
+    hidden = {
+        name: float(weight.max())
+        for name, weight in weights.items()
+        if not bool((weight >= SEEN).any())
+    }
     if not hidden:
         return ""
     names = ", ".join(list(hidden)[:_NAMED]) + (", ..." if len(hidden) > _NAMED else "")
     counts = f"{len(hidden)} of {len(weights)} cameras"
-    return f"from {names} ({counts}; at most {max(hidden.values()):.0%} of any pixel is its)"
+    return (
+        f"from {names} ({counts}; at most {max(hidden.values()):.0%} of any pixel is"
+        " its)"
+    )
 
 
 def _clusters(scene: GaussianScene, selection: Selection) -> Tensor:
     return clusters(
-        scene, link_distance=selection.link_distance, link_colour=selection.link_colour, planes=selection.planes
+        scene,
+        link_distance=selection.link_distance,
+        link_colour=selection.link_colour,
+        planes=selection.planes,
     )
 
 
-def _clicked(scene: GaussianScene, selection: Selection, camera: Camera | None, render: RenderFn | None) -> Tensor:
+def _clicked(
+    scene: GaussianScene,
+    selection: Selection,
+    camera: Camera | None,
+    render: RenderFn | None,
+) -> Tensor:
     """The components that make up most of the pixels that were clicked on."""
     if camera is None or render is None:
-        raise InvalidValueError.of("click", "a camera and a renderer", "none", "say in whose picture")
+        raise InvalidValueError.of(
+            "click", "a camera and a renderer", "none", "say in whose picture"
+        )
     mask = torch.zeros(len(scene), dtype=torch.bool)
     means = scene.means.detach().cpu().double()
     for pixel in selection.pixels:
         weights = pixel_weights(scene, camera, pixel, render).cpu().double()
         point = means[int(weights.argmax())]
-        shown = math.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2  # half a diagonal at depth 1
+        # half a diagonal at depth 1
+        shown = math.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2
         depth = float((point - camera.position).norm())
-        # So the largest plane is the one that the object stands on, and not a floor or a wall far away.
+        # So the largest plane is the one that the object stands on, and not a floor or
+        # a wall far away.
         near = ((means - point).norm(dim=1) <= _AROUND * shown * depth).nonzero()[:, 0]
         labels = _clusters(scene.select(near), selection)
         label = int(torch.bincount(labels, weights[near]).argmax())

@@ -1,7 +1,9 @@
-"""What of a picture each Gaussian and each object makes up; exact for any renderer, by changing colours.
+"""What of a picture each Gaussian and each object makes up; exact for any renderer, by
+changing colours.
 
-A picture is linear in the colours: a pixel is the sum over Gaussians of weight times colour, w_i = alpha_i T_i with T_i
-what those in front let through. So weights are what a picture of other colours shows, or its derivative by colours.
+A picture is linear in the colours: a pixel is the sum over Gaussians of weight times
+colour, w_i = alpha_i T_i with T_i what those in front let through. So weights are what
+a picture of other colours shows, or its derivative by colours.
 """
 
 from collections.abc import Sequence
@@ -15,7 +17,9 @@ from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc
 
 Box = tuple[int, int, int, int]
-"""Pixels of a picture: x0, y0, x1, y1 from the upper left corner, x1 and y1 no longer among them."""
+"""Pixels of a picture: x0, y0, x1, y1 from the upper left corner, x1 and y1 no longer
+among them.
+"""
 
 _EMPTY_PIXEL = 0.05
 """A pixel of which Gaussians make up less shows nothing."""
@@ -29,15 +33,19 @@ def contributions(
     rows: Tensor | None = None,
     boxes: Sequence[Box] | None = None,
 ) -> Tensor:
-    """(M, D) pixels that each of M Gaussians makes up in the pictures of D cameras: the sum of its weights over pixels.
+    """(M, D) pixels that each of M Gaussians makes up in the pictures of D cameras: the
+    sum of its weights over pixels.
 
-    Exact: the derivative of a picture's sum by a Gaussian's colour, taken at grey, where no colour is clamped. What is
-    hidden by others counts nothing, and over all Gaussians the sum is that of the pictures' opacity. It takes a picture
-    of SH degree 0 and its gradient for each camera.
+    Exact: the derivative of a picture's sum by a Gaussian's colour, taken at grey,
+    where no colour is clamped. What is hidden by others counts nothing, and over all
+    Gaussians the sum is that of the pictures' opacity. It takes a picture of SH degree
+    0 and its gradient for each camera.
     """
     cameras = as_cameras(cameras)
     if boxes is not None and len(boxes) != len(cameras):
-        raise InvalidValueError.of("boxes", f"{len(cameras)}, one a camera", len(boxes), "pass one for each")
+        raise InvalidValueError.of(
+            "boxes", f"{len(cameras)}, one a camera", len(boxes), "pass one for each"
+        )
     rows = torch.arange(len(scene)) if rows is None else rows
     geometry = scene.detach().tensors()[:4]
     grey = torch.zeros_like(scene.sh[:, :1])
@@ -46,7 +54,11 @@ def contributions(
     step = float(colour_to_dc(torch.tensor(1.0)) - colour_to_dc(torch.tensor(0.0)))
     weights = [grey.new_zeros(len(grey[rows]), 0)]
     for number, camera in enumerate(cameras):
-        x0, y0, x1, y1 = (0, 0, camera.width, camera.height) if boxes is None else _checked(boxes[number], camera)
+        x0, y0, x1, y1 = (
+            (0, 0, camera.width, camera.height)
+            if boxes is None
+            else _checked(boxes[number], camera)
+        )
         sh = grey.clone().requires_grad_()
         with torch.enable_grad():
             picture = render(GaussianScene.unchecked(*geometry, sh), camera)
@@ -59,33 +71,51 @@ def _checked(box: Box, camera: Camera) -> Box:
     x0, y0, x1, y1 = box
     if not (0 <= x0 < x1 <= camera.width and 0 <= y0 < y1 <= camera.height):
         expected = f"x0 < x1 and y0 < y1 inside {camera.width} x {camera.height}"
-        raise InvalidValueError.of("box", expected, box, "count pixels from the upper left corner")
+        raise InvalidValueError.of(
+            "box", expected, box, "count pixels from the upper left corner"
+        )
     return box
 
 
-def object_weight(scene: GaussianScene, rows: Tensor | slice, camera: Camera, render: RenderFn) -> Tensor:
-    """How much of each pixel an object makes up: (H, W) in [0, 1], occlusion by the rest of the scene included.
+def object_weight(
+    scene: GaussianScene, rows: Tensor | slice, camera: Camera, render: RenderFn
+) -> Tensor:
+    """How much of each pixel an object makes up: (H, W) in [0, 1], occlusion by the
+    rest of the scene included.
 
-    The scene is rendered with the object white and all else black, and again all black, which takes any background
-    away.
+    The scene is rendered with the object white and all else black, and again all black,
+    which takes any background away.
     """
     white = torch.zeros_like(scene.means)
     white[rows] = 1
     with torch.no_grad():
-        both = [colour_to_dc(colours)[:, None] for colours in (white, torch.zeros_like(white))]
+        both = [
+            colour_to_dc(colours)[:, None]
+            for colours in (white, torch.zeros_like(white))
+        ]
         scenes = [GaussianScene.unchecked(*scene.tensors()[:4], sh) for sh in both]
         shown, hidden = (render(painted, camera)[..., :3] for painted in scenes)
     return (shown - hidden).mean(-1).clamp(0, 1)
 
 
-def pixel_weights(scene: GaussianScene, camera: Camera, pixel: tuple[int, int], render: RenderFn) -> Tensor:
-    """(N,) how much of a pixel each Gaussian makes up; their sum is what the background leaves."""
+def pixel_weights(
+    scene: GaussianScene, camera: Camera, pixel: tuple[int, int], render: RenderFn
+) -> Tensor:
+    """(N,) how much of a pixel each Gaussian makes up; their sum is what the background
+    leaves.
+    """
     x, y = pixel
     if not (0 <= x < camera.width and 0 <= y < camera.height):
         expected = f"a pixel of {camera.width} x {camera.height}"
-        raise InvalidValueError.of("click", expected, f"{x},{y}", "count pixels from the upper left corner")
-    weights = contributions(scene, camera, render=render, boxes=[(x, y, x + 1, y + 1)])[:, 0]
+        raise InvalidValueError.of(
+            "click", expected, f"{x},{y}", "count pixels from the upper left corner"
+        )
+    weights = contributions(scene, camera, render=render, boxes=[(x, y, x + 1, y + 1)])[
+        :, 0
+    ]
     if float(weights.sum()) < _EMPTY_PIXEL:
         got = f"one of which Gaussians make up {float(weights.sum()):.1%}"
-        raise InvalidValueError.of(f"click {x},{y}", "a pixel that shows something", got, "click on the object")
+        raise InvalidValueError.of(
+            f"click {x},{y}", "a pixel that shows something", got, "click on the object"
+        )
     return weights

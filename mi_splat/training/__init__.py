@@ -1,1 +1,3 @@
-"""Training of splats from views: the recipe of 3D Gaussian Splatting, on any differentiable renderer."""
+"""Training of splats from views: the recipe of 3D Gaussian Splatting, on any
+differentiable renderer.
+"""

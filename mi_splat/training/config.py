@@ -1,4 +1,6 @@
-"""How a splat is trained: the settings of a run as one frozen value; light, for the command line."""
+"""How a splat is trained: the settings of a run as one frozen value; light, for the
+command line.
+"""
 
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -19,12 +21,14 @@ class FitConfig:
 
     Attributes:
         iterations: Number of steps; each looks at one picture.
-        trainable: What is trained; sh alone with the fixed strategy trains the texture of a frozen geometry.
-        strategy: How Gaussians are added and removed, and its options. All but the fixed one need every attribute
-            trainable.
+        trainable: What is trained; sh alone with the fixed strategy trains the texture
+            of a frozen geometry.
+        strategy: How Gaussians are added and removed, and its options. All but the
+            fixed one need every attribute trainable.
         sh_degree: SH degree of the result.
-        sh_degree_interval: Steps between two raises of the degree that is trained; 0 trains all of it from the start,
-            and None is a thirtieth of the steps, as 1,000 of 30,000 in the paper.
+        sh_degree_interval: Steps between two raises of the degree that is trained; 0
+            trains all of it from the start, and None is a thirtieth of the steps, as
+            1,000 of 30,000 in the paper.
         lambda_dssim: Weight of D-SSIM in the loss; the rest is L1.
         lr_means: First learning rate of the means, in units of the scene's extent.
         lr_means_final: Last one; between them it decays exponentially.
@@ -32,12 +36,16 @@ class FitConfig:
         lr_rotations: Learning rate of the quaternions.
         lr_opacities: Learning rate of the logit opacities.
         lr_sh: Learning rate of the first SH coefficient.
-        lr_sh_divisor: By how much that of the other coefficients is smaller; 20 in the published recipe.
-        lr_sh_final: Last one; between them it decays exponentially. None is as at first.
-        eval_interval: Steps between two evaluations on the held-out pictures; 0 evaluates at the end only.
+        lr_sh_divisor: By how much that of the other coefficients is smaller; 20 in the
+            published recipe.
+        lr_sh_final: Last one; between them it decays exponentially. None is as at
+            first.
+        eval_interval: Steps between two evaluations on the held-out pictures; 0
+            evaluates at the end only.
 
     Raises:
-        InvalidValueError: A value is of the wrong kind or out of its range, or the strategy needs more trainable.
+        InvalidValueError: A value is of the wrong kind or out of its range, or the
+            strategy needs more trainable.
     """
 
     iterations: Steps = 7000
@@ -54,21 +62,33 @@ class FitConfig:
     lr_sh: LearningRate = 2.5e-3
     lr_sh_divisor: Annotated[float, above(0)] = 2.5
     lr_sh_final: DecayingRate | None = None
-    eval_interval: Annotated[int, at_least(0, "steps", "0 evaluates at the end only")] = 1000
+    eval_interval: Annotated[
+        int, at_least(0, "steps", "0 evaluates at the end only")
+    ] = 1000
 
     def __post_init__(self) -> None:
         if not isinstance(self.strategy, StrategyConfig):
             do = "pass for instance ClassicConfig(), or strategy_config(name)"
-            raise InvalidValueError.of("strategy", "the options of a strategy", repr(self.strategy), do)
+            raise InvalidValueError.of(
+                "strategy", "the options of a strategy", repr(self.strategy), do
+            )
         check(self)
         if not self.trainable:
             expected = f"some of {', '.join(ATTRIBUTES)}"
-            raise InvalidValueError.of("trainable", expected, self.trainable, "name what may change")
-        frozen = [name for name in self.strategy.needs_trainable if name not in self.trainable]
+            raise InvalidValueError.of(
+                "trainable", expected, self.trainable, "name what may change"
+            )
+        frozen = [
+            name for name in self.strategy.needs_trainable if name not in self.trainable
+        ]
         if frozen:
             expected = f"one that does not need {', '.join(frozen)} trainable"
             got = type(self.strategy).__name__
-            raise InvalidValueError.of("strategy", expected, got, "use the fixed strategy, or train them")
+            raise InvalidValueError.of(
+                "strategy", expected, got, "use the fixed strategy, or train them"
+            )
         if self.lr_sh_final is not None and self.lr_sh == 0:
             expected = "a number > 0, as it decays exponentially"
-            raise InvalidValueError.of("lr_sh", expected, self.lr_sh, "1e-9 is next to nothing")
+            raise InvalidValueError.of(
+                "lr_sh", expected, self.lr_sh, "1e-9 is next to nothing"
+            )

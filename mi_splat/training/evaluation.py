@@ -20,7 +20,8 @@ MOST_PSNR = 120.0
 class Scores:
     """Means over views, of pictures clipped to [0, 1]."""
 
-    psnr: float  # dB; that of a view counts at most `MOST_PSNR`, since equal pictures have none
+    # dB; that of a view counts at most `MOST_PSNR`, since equal pictures have none
+    psnr: float
     ssim: float
 
 
@@ -29,7 +30,9 @@ class HasMasks(Protocol):
     """Views of which some parts may not count, as of `mi_splat.datasets.Dataset`."""
 
     def loss_mask(self, index: int) -> Tensor | None:
-        """(H, W) in [0, 1], 1 where the image of a view counts; None if all of it does."""
+        """(H, W) in [0, 1], 1 where the image of a view counts; None if all of it
+        does.
+        """
 
 
 def loss_mask_of(views: Sequence[View], index: int) -> Tensor | None:
@@ -37,18 +40,34 @@ def loss_mask_of(views: Sequence[View], index: int) -> Tensor | None:
     return views.loss_mask(index) if isinstance(views, HasMasks) else None
 
 
-def score(scene: GaussianScene, views: Sequence[View], render: RenderFn) -> Scores | None:
-    """Compare a splat with views: PSNR over the pixels that count, SSIM of images that are black elsewhere."""
+def score(
+    scene: GaussianScene, views: Sequence[View], render: RenderFn
+) -> Scores | None:
+    """Compare a splat with views: PSNR over the pixels that count, SSIM of images that
+    are black elsewhere.
+    """
     rows: list[dict[str, float]] = []
     with torch.no_grad():
         for index, view in enumerate(views):
-            image = render(scene, view.camera)[..., :3].clamp(0, 1)  # a fourth channel is alpha
+            # a fourth channel is alpha
+            image = render(scene, view.camera)[..., :3].clamp(0, 1)
             mask = loss_mask_of(views, index)
-            image, truth = masked(image.to(view.image.device), mask), masked(view.image, mask)
+            image, truth = (
+                masked(image.to(view.image.device), mask),
+                masked(view.image, mask),
+            )
             best = psnr(image, truth)
             if mask is not None:
-                best = best + 10 * mask.mean().clamp(min=1e-6).log10()  # the masked pixels have no error
-            rows.append({"psnr": float(best.clamp(max=MOST_PSNR)), "ssim": float(ssim(image, truth))})
+                # the masked pixels have no error
+                best = best + 10 * mask.mean().clamp(min=1e-6).log10()
+            rows.append(
+                {
+                    "psnr": float(best.clamp(max=MOST_PSNR)),
+                    "ssim": float(ssim(image, truth)),
+                }
+            )
     if not rows:
         return None
-    return Scores(**{name: sum(row[name] for row in rows) / len(rows) for name in rows[0]})
+    return Scores(
+        **{name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
+    )

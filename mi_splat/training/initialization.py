@@ -1,4 +1,6 @@
-"""Gaussians to begin a training with: on the points of a cloud, beside them, or anywhere in a box."""
+"""Gaussians to begin a training with: on the points of a cloud, beside them, or
+anywhere in a box.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,7 +19,9 @@ from mi_splat.sh import colour_to_dc
 _NEAREST = 3
 """Neighbours whose distances make the size of a Gaussian."""
 _MATCHED, _ROUNDS = 3, 32
-"""Pictures in which an outlier lies at least, and how often as many as are wanted are drawn."""
+"""Pictures in which an outlier lies at least, and how often as many as are wanted are
+drawn.
+"""
 
 
 def spacing(points: Tensor) -> Tensor:
@@ -36,7 +40,9 @@ def spacing(points: Tensor) -> Tensor:
     if not bool(finite.all()):
         row = int((~finite).nonzero()[0, 0])
         got = f"{points[row].tolist()} in row {row}"
-        raise InvalidValueError.of("points", "finite coordinates", got, "remove those points")
+        raise InvalidValueError.of(
+            "points", "finite coordinates", got, "remove those points"
+        )
     nearest = min(_NEAREST, len(points) - 1)
     if nearest < 1:
         return torch.ones(len(points), dtype=points.dtype)
@@ -45,9 +51,13 @@ def spacing(points: Tensor) -> Tensor:
 
 
 def from_points(
-    points: Tensor | NDArray[Any], colours: Tensor | NDArray[Any], *, opacity: float = 0.1
+    points: Tensor | NDArray[Any],
+    colours: Tensor | NDArray[Any],
+    *,
+    opacity: float = 0.1,
 ) -> GaussianScene:
-    """Round Gaussians on points, as large as the points are apart (Kerbl et al. 2023, section 5.1).
+    """Round Gaussians on points, as large as the points are apart (Kerbl et al. 2023,
+    section 5.1).
 
     Args:
         points: (N, 3) world units, of torch or NumPy.
@@ -61,9 +71,16 @@ def from_points(
         InvalidValueError: The shapes differ, or there are no points.
     """
     points, colours = (torch.as_tensor(values).float() for values in (points, colours))
-    if points.ndim != 2 or points.shape[-1] != 3 or points.shape != colours.shape or not len(points):
+    if (
+        points.ndim != 2
+        or points.shape[-1] != 3
+        or points.shape != colours.shape
+        or not len(points)
+    ):
         shapes = (tuple(points.shape), tuple(colours.shape))
-        raise InvalidValueError.of("points and colours", "two of shape (N, 3)", shapes, "pass a cloud")
+        raise InvalidValueError.of(
+            "points and colours", "two of shape (N, 3)", shapes, "pass a cloud"
+        )
     count = len(points)
     size = spacing(points).clamp(min=1e-7)
     return GaussianScene(
@@ -75,11 +92,20 @@ def from_points(
     )
 
 
-def with_outliers(cloud: PointCloud, views: Sequence[View], count: int, *, seed: int = 0) -> PointCloud:
-    """A cloud with points in the air, as false matches leave them in one from structure from motion."""
+def with_outliers(
+    cloud: PointCloud, views: Sequence[View], count: int, *, seed: int = 0
+) -> PointCloud:
+    """A cloud with points in the air, as false matches leave them in one from structure
+    from motion.
+    """
     if count < 0 or not len(views) or not len(cloud.points):
         got = (count, len(views), len(cloud.points))
-        raise InvalidValueError.of("count, views and points", "0 or more, and some of each", got, "check the set")
+        raise InvalidValueError.of(
+            "count, views and points",
+            "0 or more, and some of each",
+            got,
+            "check the set",
+        )
     generator = Generator().manual_seed(seed)
     cameras = cameras_of(views)
     positions = torch.stack([camera.position for camera in cameras])
@@ -87,10 +113,17 @@ def with_outliers(cloud: PointCloud, views: Sequence[View], count: int, *, seed:
     for _ in range(_ROUNDS):
         eyes = positions[torch.randint(len(positions), (count,), generator=generator)]
         seen = torch.randint(len(cloud.points), (count,), generator=generator)
-        fraction = 0.1 + 0.8 * torch.rand(count, 1, generator=generator, dtype=torch.float64)
+        fraction = 0.1 + 0.8 * torch.rand(
+            count, 1, generator=generator, dtype=torch.float64
+        )
         drawn = eyes + fraction * (cloud.points[seen].to(eyes) - eyes)
-        kept = sum(_in_picture(drawn, camera).int() for camera in cameras) >= min(_MATCHED, len(cameras))
-        beside, owners = torch.cat([beside, drawn[kept]])[:count], torch.cat([owners, seen[kept]])[:count]
+        kept = sum(_in_picture(drawn, camera).int() for camera in cameras) >= min(
+            _MATCHED, len(cameras)
+        )
+        beside, owners = (
+            torch.cat([beside, drawn[kept]])[:count],
+            torch.cat([owners, seen[kept]])[:count],
+        )
         if len(beside) == count:
             break
     points = torch.cat([cloud.points, beside.to(cloud.points)])
@@ -98,24 +131,41 @@ def with_outliers(cloud: PointCloud, views: Sequence[View], count: int, *, seed:
 
 
 def thinned(cloud: PointCloud, count: int, *, seed: int = 0) -> PointCloud:
-    """A random part of a cloud, in its order; all of it if it has no more than `count` points."""
+    """A random part of a cloud, in its order; all of it if it has no more than `count`
+    points.
+    """
     if len(cloud.points) <= count:
         return cloud
-    kept = torch.randperm(len(cloud.points), generator=Generator().manual_seed(seed))[:count].sort().values
+    kept = (
+        torch.randperm(len(cloud.points), generator=Generator().manual_seed(seed))[
+            :count
+        ]
+        .sort()
+        .values
+    )
     return PointCloud(cloud.points[kept], cloud.colours[kept])
 
 
 def _in_picture(points: Tensor, camera: Camera) -> Tensor:
-    """(N,) bool, which of (N, 3) points lie in a camera's picture, whatever is in front of them."""
+    """(N,) bool, which of (N, 3) points lie in a camera's picture, whatever is in front
+    of them.
+    """
     pixels, depth = project_points(points, camera)
     size = pixels.new_tensor([camera.width, camera.height])
     return (depth > 0) & ((pixels >= 0) & (pixels < size)).all(1)
 
 
 def random_points(views: Sequence[View], count: int, *, seed: int = 0) -> GaussianScene:
-    """Gaussians of random colour in a box around where the cameras look: the point nearest to all optical axes."""
+    """Gaussians of random colour in a box around where the cameras look: the point
+    nearest to all optical axes.
+    """
     if count < 1 or not len(views):
-        raise InvalidValueError.of("count and views", "at least one of each", (count, len(views)), "ask for more")
+        raise InvalidValueError.of(
+            "count and views",
+            "at least one of each",
+            (count, len(views)),
+            "ask for more",
+        )
     cameras = cameras_of(views)
     positions = torch.stack([camera.position for camera in cameras])
     axes = torch.stack([camera.to_world[:3, 2] for camera in cameras])
@@ -124,5 +174,7 @@ def random_points(views: Sequence[View], count: int, *, seed: int = 0) -> Gaussi
     centre = torch.linalg.solve(system, (across @ positions[:, :, None]).sum(0)[:, 0])
     half = 0.5 * (positions - centre).norm(dim=1).mean()
     generator = Generator().manual_seed(seed)
-    points = centre + half * (2 * torch.rand(count, 3, generator=generator, dtype=torch.float64) - 1)
+    points = centre + half * (
+        2 * torch.rand(count, 3, generator=generator, dtype=torch.float64) - 1
+    )
     return from_points(points, torch.rand(count, 3, generator=generator))

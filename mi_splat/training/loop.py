@@ -1,7 +1,9 @@
-"""Training of splats from views: the recipe of 3D Gaussian Splatting (Kerbl et al. 2023), whatever renders.
+"""Training of splats from views: the recipe of 3D Gaussian Splatting (Kerbl et al.
+2023), whatever renders.
 
-A run is a value (`TrainState`) that is advanced a step at a time, so that it can be saved and taken up again to the
-bit. The order of the views, the children of splits and the noise of MCMC all come from one seeded generator.
+A run is a value (`TrainState`) that is advanced a step at a time, so that it can be
+saved and taken up again to the bit. The order of the views, the children of splits and
+the noise of MCMC all come from one seeded generator.
 """
 
 import functools
@@ -33,11 +35,27 @@ class Fit:
 
     def __repr__(self) -> str:
         last = self.history[-1]
-        scores = "" if last.held_out is None else f", PSNR {last.held_out.psnr:.1f} dB held out"
-        return f"Fit({len(self.scene):,} Gaussians after {last.iteration} steps, loss {last.loss:.3g}{scores})"
+        scores = (
+            ""
+            if last.held_out is None
+            else f", PSNR {last.held_out.psnr:.1f} dB held out"
+        )
+        return (
+            f"Fit({len(self.scene):,} Gaussians after {last.iteration} steps, loss"
+            f" {last.loss:.3g}{scores})"
+        )
 
 
-__all__ = ["Fit", "FitConfig", "Progress", "TrainState", "TrainingError", "advance", "fit", "scene_extent"]
+__all__ = [
+    "Fit",
+    "FitConfig",
+    "Progress",
+    "TrainState",
+    "TrainingError",
+    "advance",
+    "fit",
+    "scene_extent",
+]
 
 OnStep = Callable[[Progress], None]
 Target = tuple[Camera, Tensor, Tensor | None]
@@ -45,7 +63,9 @@ Target = tuple[Camera, Tensor, Tensor | None]
 
 
 def scene_extent(views: Sequence[View]) -> float:
-    """Size of what the cameras look at: 1.1 times the largest distance of one from their mean, world units."""
+    """Size of what the cameras look at: 1.1 times the largest distance of one from
+    their mean, world units.
+    """
     positions = torch.stack([camera.position for camera in cameras_of(views)])
     return max(1.1 * float((positions - positions.mean(0)).norm(dim=1).max()), 1e-3)
 
@@ -63,11 +83,11 @@ def fit(
     """Train a splat on views.
 
     Args:
-        views: Pictures to match; where they have masks (`mi_splat.datasets.Dataset.loss_mask`), what is masked does
-            not count.
+        views: Pictures to match; where they have masks
+            (`mi_splat.datasets.Dataset.loss_mask`), what is masked does not count.
         start: Gaussians to begin with.
-        render: Any differentiable renderer; the classic strategy needs one that keeps screen gradients, see
-            `mi_splat.rendering.Renderer`.
+        render: Any differentiable renderer; the classic strategy needs one that keeps
+            screen gradients, see `mi_splat.rendering.Renderer`.
         config: How; the shortened 3DGS recipe if None.
         seed: Seed of everything random.
         held_out: Views to score on that are not trained on.
@@ -77,13 +97,16 @@ def fit(
         The splat, and how training went.
 
     Raises:
-        InvalidValueError: There are no views or no Gaussians, or more of these than the strategy allows; the strategy
-            needs screen gradients, and the renderer gives none.
+        InvalidValueError: There are no views or no Gaussians, or more of these than the
+            strategy allows; the strategy needs screen gradients, and the renderer gives
+            none.
         TrainingError: A value is not finite, or every Gaussian was pruned.
     """
     config = config or FitConfig()
     if not len(views):
-        raise InvalidValueError.of("views", "at least one", "none", "capture views first")
+        raise InvalidValueError.of(
+            "views", "at least one", "none", "capture views first"
+        )
     check_start(start, config)
     state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
     return advance(state, views, render=render, held_out=held_out, on_step=on_step)
@@ -98,50 +121,79 @@ def advance(
     on_step: OnStep | None = None,
 ) -> Fit:
     """Take a run to its end; `on_step` may stop it between two steps by raising."""
-    # glibc keeps 64 MiB of what is freed, twice the largest freed block; page faults cost as much as the loss.
+    # glibc keeps 64 MiB of what is freed, twice the largest freed block; page faults
+    # cost as much as the loss.
     torch.empty(31 << 20, dtype=torch.uint8)
     config = state.config
     screen_gradients: ScreenGradients | None = getattr(render, "screen_gradients", None)
     if config.strategy.needs_screen_gradients and screen_gradients is None:
         do = "use Renderer(screen_gradients=ScreenGradients())"
-        expected = f"a renderer that keeps screen gradients, for {type(config.strategy).__name__}"
+        expected = (
+            "a renderer that keeps screen gradients, for"
+            f" {type(config.strategy).__name__}"
+        )
         raise InvalidValueError.of("render", expected, type(render).__name__, do)
     target_of = targets_of(views, state.parameters["means"].device)
     while state.iteration < config.iterations:
         loss = _step(state, target_of, len(views), render)
-        if state.iteration < config.iterations:  # what is changed last is trained no more
+        # what is changed last is trained no more
+        if state.iteration < config.iterations:
             densify(state, screen_gradients)
         scored = None
         every = config.eval_interval
-        if state.iteration == config.iterations or (every and state.iteration % every == 0):
+        if state.iteration == config.iterations or (
+            every and state.iteration % every == 0
+        ):
             scored = score(state.result(), held_out, render)
-        line = Progress(iteration=state.iteration, loss=loss, count=len(state.parameters["means"]), held_out=scored)
+        line = Progress(
+            iteration=state.iteration,
+            loss=loss,
+            count=len(state.parameters["means"]),
+            held_out=scored,
+        )
         if state.iteration == config.iterations or scored is not None:
             state.history.append(line)
         if on_step is not None:
             on_step(line)
-    return Fit(scene=state.result(), history=tuple(state.history), config=config, seed=state.seed)
+    return Fit(
+        scene=state.result(),
+        history=tuple(state.history),
+        config=config,
+        seed=state.seed,
+    )
 
 
 def targets_of(views: Sequence[View], device: torch.device) -> Callable[[int], Target]:
-    """Camera, image and mask by number, on a device; a GPU keeps as many as fill a quarter of its memory."""
+    """Camera, image and mask by number, on a device; a GPU keeps as many as fill a
+    quarter of its memory.
+    """
 
     def load(index: int) -> Target:
         view, mask = views[index], loss_mask_of(views, index)
-        return view.camera, view.image.to(device), None if mask is None else mask.to(device)
+        return (
+            view.camera,
+            view.image.to(device),
+            None if mask is None else mask.to(device),
+        )
 
     if device.type == "cpu":
         return load
     pixels = max(camera.width * camera.height for camera in cameras_of(views))
-    return functools.lru_cache(max(1, torch.cuda.mem_get_info()[0] // 4 // (20 * pixels)))(load)
+    return functools.lru_cache(
+        max(1, torch.cuda.mem_get_info()[0] // 4 // (20 * pixels))
+    )(load)
 
 
-def _step(state: TrainState, target_of: Callable[[int], Target], count: int, render: RenderFn) -> float:
+def _step(
+    state: TrainState, target_of: Callable[[int], Target], count: int, render: RenderFn
+) -> float:
     """One image, its loss, its gradient, and a step of Adam."""
     index, scene = state.next_view(count), state.scene()
     camera, target, mask = target_of(index)
     image = masked(render(scene, camera), mask)
-    loss = photometric_loss(image, masked(target, mask), lambda_dssim=state.config.lambda_dssim)
+    loss = photometric_loss(
+        image, masked(target, mask), lambda_dssim=state.config.lambda_dssim
+    )
     state.optimiser.zero_grad()
     value = differentiate(state, loss, scene)
     state.descend()
@@ -150,7 +202,9 @@ def _step(state: TrainState, target_of: Callable[[int], Target], count: int, ren
 
 
 def differentiate(state: TrainState, loss: Tensor, scene: GaussianScene) -> float:
-    """Add the gradient of a loss of a splat, and of what the strategy adds to it, to that of the trained tensors."""
+    """Add the gradient of a loss of a splat, and of what the strategy adds to it, to
+    that of the trained tensors.
+    """
     loss = state.strategy.before_backward(loss, scene)
     loss.backward()  # type: ignore[no-untyped-call]
     value = float(loss.detach())
@@ -176,7 +230,15 @@ def densify(state: TrainState, screen_gradients: ScreenGradients | None) -> None
 
 
 def _not_finite(state: TrainState, value: float) -> TrainingError:
-    bad = [name for name, tensor in state.parameters.items() if not bool(torch.isfinite(tensor).all())]
-    cause = f"not finite: {', '.join(bad)}" if bad else "the parameters are finite, the picture or the view is not"
+    bad = [
+        name
+        for name, tensor in state.parameters.items()
+        if not bool(torch.isfinite(tensor).all())
+    ]
+    cause = (
+        f"not finite: {', '.join(bad)}"
+        if bad
+        else "the parameters are finite, the picture or the view is not"
+    )
     what, do = f"loss at step {state.iteration}", "look at views and rates"
     return TrainingError.of(what, "a finite number", f"{value} ({cause})", do)

@@ -1,4 +1,6 @@
-"""The loss that 3DGS trainers descend: L1 and structural dissimilarity, fast enough to be called at every step."""
+"""The loss that 3DGS trainers descend: L1 and structural dissimilarity, fast enough to
+be called at every step.
+"""
 
 import functools
 import math
@@ -19,20 +21,26 @@ _HAS_ONEDNN: bool = torch.backends.mkldnn.is_available()  # type: ignore[no-unty
 
 
 def blur(pictures: Tensor) -> Tensor:
-    """Gaussian window of 11 x 11 and sigma 1.5 over pictures (P, H, W, C), zeros outside; its own adjoint.
+    """Gaussian window of 11 x 11 and sigma 1.5 over pictures (P, H, W, C), zeros
+    outside; its own adjoint.
 
-    Two passes of a convolution by channel. No value is moved for them: along a row the channels are the rows of a
-    picture, and along a column they are neighbours in memory, whatever pixel they are of.
+    Two passes of a convolution by channel. No value is moved for them: along a row the
+    channels are the rows of a picture, and along a column they are neighbours in
+    memory, whatever pixel they are of.
     """
     count, height, width, channels = pictures.shape
     if pictures.is_cpu and not (pictures.dtype == torch.float32 and _HAS_ONEDNN):
         return _blur_by_sums(_blur_by_sums(pictures, 1), 2)
     like = pictures.dtype, pictures.device
-    rows = F.conv2d(pictures, _window(height, *like), padding=(_RADIUS, 0), groups=height)
+    rows = F.conv2d(
+        pictures, _window(height, *like), padding=(_RADIUS, 0), groups=height
+    )
     lanes = math.gcd(width * channels, 16)
     lanes = width * channels if lanes < 8 else lanes
     columns = rows.contiguous().view(count, height, -1, lanes).permute(0, 3, 1, 2)
-    blurred = F.conv2d(columns, _window(lanes, *like), padding=(_RADIUS, 0), groups=lanes)
+    blurred = F.conv2d(
+        columns, _window(lanes, *like), padding=(_RADIUS, 0), groups=lanes
+    )
     return blurred.permute(0, 2, 3, 1).reshape(pictures.shape)
 
 
@@ -44,7 +52,9 @@ def _window(channels: int, dtype: torch.dtype, device: torch.device) -> Tensor:
 
 
 def _blur_by_sums(pictures: Tensor, axis: int) -> Tensor:
-    """One pass of `blur` as a sum of shifted pictures, where torch has no fast convolution by channel."""
+    """One pass of `blur` as a sum of shifted pictures, where torch has no fast
+    convolution by channel.
+    """
     result = pictures * _TAPS[0]
     for k, tap in enumerate(_TAPS[1:], start=1):
         if (rest := pictures.shape[axis] - k) > 0:
@@ -54,7 +64,9 @@ def _blur_by_sums(pictures: Tensor, axis: int) -> Tensor:
 
 
 class _Photometric(torch.autograd.Function):
-    """The loss and, in the same pass, its derivative by the first picture in closed form."""
+    """The loss and, in the same pass, its derivative by the first picture in closed
+    form.
+    """
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, y: Tensor, weight: float) -> Tensor:
@@ -76,8 +88,11 @@ class _Photometric(torch.autograd.Function):
 
 
 def _similarity(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Mean SSIM of (H, W, 3) pictures; its sum's derivatives by x, by x^2 + y^2 and by x y, each held fixed apart."""
-    # Both variances come only as their sum, so that four pictures are blurred and not five.
+    """Mean SSIM of (H, W, 3) pictures; its sum's derivatives by x, by x^2 + y^2 and by
+    x y, each held fixed apart.
+    """
+    # Both variances come only as their sum, so that four pictures are blurred and not
+    # five.
     planes = x.new_empty((4, *x.shape))
     planes[0], planes[1] = x, y
     torch.mul(x, x, out=planes[2]).addcmul_(y, y)
@@ -98,15 +113,20 @@ def _similarity(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return value.mean(), by_mx, by_squares, by_xy
 
 
-def photometric_loss(image: Tensor, reference: Tensor, *, lambda_dssim: float = 0.2) -> Tensor:
+def photometric_loss(
+    image: Tensor, reference: Tensor, *, lambda_dssim: float = 0.2
+) -> Tensor:
     """(1 - lambda_dssim) L1 + lambda_dssim (1 - SSIM), equation 7 of Kerbl et al. 2023.
 
-    SSIM is that of Wang et al. 2004 as 3DGS trains with it: window of 11, sigma 1.5, zeros outside of the picture.
-    `mi_splat.metrics.ssim` is the figure to report; the two differ at the picture's rim.
+    SSIM is that of Wang et al. 2004 as 3DGS trains with it: window of 11, sigma 1.5,
+    zeros outside of the picture. `mi_splat.metrics.ssim` is the figure to report; the
+    two differ at the picture's rim.
     """
     if image.ndim != 3 or image.shape != reference.shape:
         expected = f"shape {tuple(reference.shape)}, (H, W, 3)"
-        raise InvalidValueError.of("image", expected, tuple(image.shape), "render it at that size")
+        raise InvalidValueError.of(
+            "image", expected, tuple(image.shape), "render it at that size"
+        )
     loss: Tensor = _Photometric.apply(image, reference, lambda_dssim)
     return loss
 
@@ -114,8 +134,8 @@ def photometric_loss(image: Tensor, reference: Tensor, *, lambda_dssim: float = 
 def masked(image: Tensor, mask: Tensor | None) -> Tensor:
     """The image, black where a mask is 0.
 
-    A loss of two images that were masked alike depends neither on what is behind the mask, which
-    windows of SSIM would see, nor on what is rendered there.
+    A loss of two images that were masked alike depends neither on what is behind the
+    mask, which windows of SSIM would see, nor on what is rendered there.
 
     Args:
         image: (H, W, 3) image.

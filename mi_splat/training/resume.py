@@ -1,4 +1,6 @@
-"""A training run in a folder: settings, checkpoints, figures and the splat, and going on where it stopped."""
+"""A training run in a folder: settings, checkpoints, figures and the splat, and going
+on where it stopped.
+"""
 
 import dataclasses
 import hashlib
@@ -19,7 +21,13 @@ from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import save_splat
 from mi_splat.io.documents import save_bytes, save_json, sweep_temporary
 from mi_splat.io.folders import own_folder
-from mi_splat.io.noted_tensors import NOTES, check_like, described, read_line, read_noted_tensors
+from mi_splat.io.noted_tensors import (
+    NOTES,
+    check_like,
+    described,
+    read_line,
+    read_noted_tensors,
+)
 from mi_splat.io.parsing import DocumentReader, Fields
 from mi_splat.processes import deferred_interrupt
 from mi_splat.scene import GaussianScene, scene_hash
@@ -38,35 +46,57 @@ class CheckpointError(MiSplatError):
 
 
 _READER = DocumentReader(
-    expected="a checkpoint of this version", do="train anew in another folder", error=CheckpointError
+    expected="a checkpoint of this version",
+    do="train anew in another folder",
+    error=CheckpointError,
 )
 
 
 def to_json(config: FitConfig) -> dict[str, Any]:
-    """The configuration as plain values; the `kind` of a strategy is the name that it is registered under."""
+    """The configuration as plain values; the `kind` of a strategy is the name that it
+    is registered under.
+    """
     plain = asdict(config)
     strategy = {"kind": strategy_name(config.strategy), **plain["strategy"]}
     return {**plain, "strategy": strategy, "trainable": list(config.trainable)}
 
 
 def from_json(plain: dict[str, Any]) -> FitConfig:
-    """The inverse of `to_json`; settings that are not there have their defaults, as in a file of an older version."""
+    """The inverse of `to_json`; settings that are not there have their defaults, as in
+    a file of an older version.
+    """
     unknown = plain.keys() - {field.name for field in fields(FitConfig)}
     if unknown:
-        do = "end the run with the version that began it, or train anew in another folder"
-        raise InvalidValueError.of("settings", "settings that this version knows", ", ".join(sorted(unknown)), do)
+        do = (
+            "end the run with the version that began it, or train anew in another"
+            " folder"
+        )
+        raise InvalidValueError.of(
+            "settings",
+            "settings that this version knows",
+            ", ".join(sorted(unknown)),
+            do,
+        )
     options = dict(plain["strategy"])
     strategy = strategy_config(options.pop("kind"), **options)
-    return FitConfig(**{**plain, "strategy": strategy, "trainable": tuple(plain["trainable"])})
+    return FitConfig(
+        **{**plain, "strategy": strategy, "trainable": tuple(plain["trainable"])}
+    )
 
 
 def save_state(state: TrainState, path: Path) -> None:
-    """Write a run between two steps; the old checkpoint stays until the new one is on the disk."""
-    tensors = {f"parameters/{name}": value.detach() for name, value in state.parameters.items()}
+    """Write a run between two steps; the old checkpoint stays until the new one is on
+    the disk.
+    """
+    tensors = {
+        f"parameters/{name}": value.detach() for name, value in state.parameters.items()
+    }
     for name in state.trained:
         adam = state.optimiser.state.get(state.parameters[name], {})
         tensors |= {f"{key}/{name}": adam[key] for key in MOMENTS if key in adam}
-    tensors |= {f"{_STRATEGY}{name}": value for name, value in state.strategy_state.items()}
+    tensors |= {
+        f"{_STRATEGY}{name}": value for name, value in state.strategy_state.items()
+    }
     tensors["generator"] = state.generator.get_state()
     notes = {
         "format": FORMAT,
@@ -81,26 +111,38 @@ def save_state(state: TrainState, path: Path) -> None:
         "threads": torch.get_num_threads(),
         "history": [asdict(line) for line in state.history],
     }
-    packed = save({k: v.contiguous() for k, v in tensors.items()}, metadata={NOTES: json.dumps(notes)})
+    packed = save(
+        {k: v.contiguous() for k, v in tensors.items()},
+        metadata={NOTES: json.dumps(notes)},
+    )
     save_bytes(packed, path)
 
 
 def load_state(path: Path) -> tuple[TrainState, int]:
     """Read a run."""
     if not path.is_file():
-        raise CheckpointError.of(f"checkpoint {path}", "a file", "nothing there", "train without resuming")
+        raise CheckpointError.of(
+            f"checkpoint {path}", "a file", "nothing there", "train without resuming"
+        )
     notes, tensors = read_noted_tensors(path, _READER)
     version = notes.values.get("format", 1)
     if version != FORMAT:
         do = "end it with the version that began it, or train anew in another folder"
-        raise CheckpointError.of(f"checkpoint {path}", f"format {FORMAT}", f"format {version!r:.40}", do)
+        raise CheckpointError.of(
+            f"checkpoint {path}", f"format {FORMAT}", f"format {version!r:.40}", do
+        )
     try:
         return _assemble(notes, tensors), notes.whole("threads", 1, 1 << 20)
     except InvalidValueError as error:
         written = notes.values.get("version") or "an older version"
-        raise CheckpointError(f"checkpoint {path}, written by mi-splat {written}: {error}") from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:  # of settings, which strategies check
-        raise _READER.broken(f"checkpoint {path}", f"{type(error).__name__}: {error}") from error
+        raise CheckpointError(
+            f"checkpoint {path}, written by mi-splat {written}: {error}"
+        ) from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        # of settings, which strategies check
+        raise _READER.broken(
+            f"checkpoint {path}", f"{type(error).__name__}: {error}"
+        ) from error
 
 
 def _assemble(notes: Fields, tensors: dict[str, Tensor]) -> TrainState:
@@ -109,12 +151,21 @@ def _assemble(notes: Fields, tensors: dict[str, Tensor]) -> TrainState:
     groups = _parts(tensors)
     means = groups["parameters"].get("means")
     if means is None or means.ndim != 2 or not len(means):
-        raise _READER.broken(f"{notes.where}, means", described(means), "at least one row of 3 numbers")
-    extent, seed = notes.number("scene_extent"), notes.whole("seed", -(1 << 63), (1 << 63) - 1)
+        raise _READER.broken(
+            f"{notes.where}, means", described(means), "at least one row of 3 numbers"
+        )
+    extent, seed = (
+        notes.number("scene_extent"),
+        notes.whole("seed", -(1 << 63), (1 << 63) - 1),
+    )
     if not extent > 0:
         raise notes.bad("scene_extent", "a number above 0", extent)
-    state = TrainState(_blank(len(means), config.sh_degree), config, scene_extent=extent, seed=seed)
-    check_like(groups["parameters"], state.parameters, f"{notes.where}, parameters", _READER)
+    state = TrainState(
+        _blank(len(means), config.sh_degree), config, scene_extent=extent, seed=seed
+    )
+    check_like(
+        groups["parameters"], state.parameters, f"{notes.where}, parameters", _READER
+    )
     with torch.no_grad():
         for name, value in groups["parameters"].items():
             state.parameters[name].copy_(value)
@@ -122,9 +173,16 @@ def _assemble(notes: Fields, tensors: dict[str, Tensor]) -> TrainState:
         adam = {key: groups[key][name] for key in MOMENTS if name in groups[key]}
         if adam:
             like = state.parameters[name].detach()
-            check_like(adam, dict(zip(MOMENTS, (like, like, torch.zeros(())), strict=True)), notes.where, _READER)
+            check_like(
+                adam,
+                dict(zip(MOMENTS, (like, like, torch.zeros(())), strict=True)),
+                notes.where,
+                _READER,
+            )
             state.optimiser.state[state.parameters[name]] = adam
-    check_like(groups["strategy"], state.strategy_state, f"{notes.where}, strategy", _READER)
+    check_like(
+        groups["strategy"], state.strategy_state, f"{notes.where}, strategy", _READER
+    )
     state.strategy_state = groups["strategy"]
     _restore(state, notes, tensors.get("generator"))
     return state
@@ -132,7 +190,9 @@ def _assemble(notes: Fields, tensors: dict[str, Tensor]) -> TrainState:
 
 def _parts(tensors: Mapping[str, Tensor]) -> dict[str, dict[str, Tensor]]:
     """The tensors of a checkpoint by what stands before the / in their names."""
-    groups: dict[str, dict[str, Tensor]] = {group: {} for group in ("parameters", "strategy", *MOMENTS)}
+    groups: dict[str, dict[str, Tensor]] = {
+        group: {} for group in ("parameters", "strategy", *MOMENTS)
+    }
     for key, value in tensors.items():
         group, _, name = key.partition("/")
         groups.setdefault(group, {})[name] = value
@@ -154,11 +214,18 @@ def _restore(state: TrainState, notes: Fields, generator: Tensor | None) -> None
     """Bring a run to where it has got to."""
     if generator is None:
         raise _READER.broken(notes.where, "none", "the state of a generator")
-    check_like({"generator": generator}, {"generator": state.generator.get_state()}, notes.where, _READER)
+    check_like(
+        {"generator": generator},
+        {"generator": state.generator.get_state()},
+        notes.where,
+        _READER,
+    )
     try:
         state.generator.set_state(generator)
     except RuntimeError as error:
-        raise _READER.broken(f"{notes.where}, generator", str(error)[:100], "the state of a generator") from error
+        raise _READER.broken(
+            f"{notes.where}, generator", str(error)[:100], "the state of a generator"
+        ) from error
     state.settings = dict(notes.object("settings", {}).values)
     state.data_digest = notes.text("data_digest")
     state.iteration = notes.whole("iteration", 0, state.config.iterations)
@@ -166,7 +233,12 @@ def _restore(state: TrainState, notes: Fields, generator: Tensor | None) -> None
     state.history = [read_line(Progress, line) for line in notes.objects("history")]
 
 
-CHECKPOINT, SPLAT, METRICS, CONFIG = "checkpoint.safetensors", "splat.ply", "metrics.json", "config.json"
+CHECKPOINT, SPLAT, METRICS, CONFIG = (
+    "checkpoint.safetensors",
+    "splat.ply",
+    "metrics.json",
+    "config.json",
+)
 
 
 def train(
@@ -184,44 +256,60 @@ def train(
     on_resume: Callable[[TrainState], None] | None = None,
     on_step: OnStep | None = None,
 ) -> Fit:
-    """Train in a folder; a run that was stopped there goes on, and ends with the bits it would have had.
+    """Train in a folder; a run that was stopped there goes on, and ends with the bits
+    it would have had.
 
-    A run also goes on to more iterations than it began with. It then differs from one that had so many from the start,
-    since learning rates and densification follow the share of the iterations that is done.
+    A run also goes on to more iterations than it began with. It then differs from one
+    that had so many from the start, since learning rates and densification follow the
+    share of the iterations that is done.
 
-    Writes config.json, checkpoint.safetensors every so many steps and when interrupted, and at the end splat.ply and
-    metrics.json.
+    Writes config.json, checkpoint.safetensors every so many steps and when interrupted,
+    and at the end splat.ply and metrics.json.
 
     Warns:
-        UserWarning: A run goes on with another number of torch's threads, which may change its last bits.
+        UserWarning: A run goes on with another number of torch's threads, which may
+        change its last bits.
     """
     if every < 1:
-        raise InvalidValueError.of("every", "a positive number of steps", every, "1000 is usual")
+        raise InvalidValueError.of(
+            "every", "a positive number of steps", every, "1000 is usual"
+        )
     check_start(start, config)
     with own_folder(folder, CONFIG, CHECKPOINT):
         sweep_temporary(folder)
         path, digest = folder / CHECKPOINT, _digest(start, views, held_out)
         if path.is_file():
-            state = _resumed(folder, config, seed=seed, digest=digest, settings=settings or {})
+            state = _resumed(
+                folder, config, seed=seed, digest=digest, settings=settings or {}
+            )
             state.to(start.means.device)
             if on_resume is not None:
                 on_resume(state)
         else:
-            state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
+            state = TrainState(
+                start, config, scene_extent=scene_extent(views), seed=seed
+            )
             state.data_digest, state.settings = digest, dict(settings or {})
         given = {
             "settings": dict(settings or {}),
             "dataset": None if dataset is None else str(dataset),
             "poses": poses_digest(cameras_of(views)),
         }
-        save_json({"config": to_json(config), "seed": seed, "views": len(views), **given}, folder / CONFIG)
+        save_json(
+            {"config": to_json(config), "seed": seed, "views": len(views), **given},
+            folder / CONFIG,
+        )
 
         with deferred_interrupt() as interrupted:
 
             def after(line: Progress) -> None:
                 if on_step is not None:
                     on_step(line)
-                if interrupted() or line.iteration % every == 0 or line.iteration == config.iterations:
+                if (
+                    interrupted()
+                    or line.iteration % every == 0
+                    or line.iteration == config.iterations
+                ):
                     save_state(state, path)
                 if interrupted():
                     raise KeyboardInterrupt
@@ -232,33 +320,64 @@ def train(
         return fit
 
 
-def _resumed(folder: Path, config: FitConfig, *, seed: int, digest: str, settings: Mapping[str, object]) -> TrainState:
-    """The run that was stopped in a folder; it may go on to more iterations than it began with."""
+def _resumed(
+    folder: Path,
+    config: FitConfig,
+    *,
+    seed: int,
+    digest: str,
+    settings: Mapping[str, object],
+) -> TrainState:
+    """The run that was stopped in a folder; it may go on to more iterations than it
+    began with.
+    """
     state, threads = load_state(folder / CHECKPOINT)
     if state.data_digest != digest:
-        do = "pass those that it began with, held-out ones included, or train in another folder"
-        raise CheckpointError.of(str(folder), "a run on the same pictures and start", "one on others", do)
-    shorter = dataclasses.replace(config, iterations=min(config.iterations, state.config.iterations))
+        do = (
+            "pass those that it began with, held-out ones included, or train in another"
+            " folder"
+        )
+        raise CheckpointError.of(
+            str(folder), "a run on the same pictures and start", "one on others", do
+        )
+    shorter = dataclasses.replace(
+        config, iterations=min(config.iterations, state.config.iterations)
+    )
     old = {**to_json(state.config), "seed": state.seed, **state.settings}
-    new = {**to_json(shorter), "seed": seed, **{key: settings.get(key) for key in state.settings}}
-    if differs := ", ".join(f"{key} {old[key]} and not {new[key]}" for key in old if old[key] != new[key]):
+    new = {
+        **to_json(shorter),
+        "seed": seed,
+        **{key: settings.get(key) for key in state.settings},
+    }
+    if differs := ", ".join(
+        f"{key} {old[key]} and not {new[key]}" for key in old if old[key] != new[key]
+    ):
         do = "use those, or train in another folder"
         raise CheckpointError.of(str(folder), f"a run with {differs}", "another", do)
     state.config = config
     if threads != torch.get_num_threads():
         now = torch.get_num_threads()
-        text = f"the run began with {threads} threads of torch and goes on with {now}: its last bits may differ"
+        text = (
+            f"the run began with {threads} threads of torch and goes on with {now}: its"
+            " last bits may differ"
+        )
         warnings.warn(text, stacklevel=3)
     return state
 
 
 def poses_digest(cameras: Sequence[Camera]) -> str:
-    """What tells the poses of a set's cameras from others: nobody can guess it who does not have the set."""
-    return hashlib.sha256(repr([camera.to_world.tolist() for camera in cameras]).encode()).hexdigest()
+    """What tells the poses of a set's cameras from others: nobody can guess it who does
+    not have the set.
+    """
+    return hashlib.sha256(
+        repr([camera.to_world.tolist() for camera in cameras]).encode()
+    ).hexdigest()
 
 
 def _digest(start: GaussianScene, *sets: Sequence[View]) -> str:
-    """Stands for what a run is trained and scored on; of a set on the disk no picture is decoded."""
+    """Stands for what a run is trained and scored on; of a set on the disk no picture
+    is decoded.
+    """
     total = hashlib.sha256(scene_hash(start).encode())
     for views in sets:
         for camera in cameras_of(views):
@@ -268,7 +387,13 @@ def _digest(start: GaussianScene, *sets: Sequence[View]) -> str:
         total.update(f"{len(views)} {known}".encode())
         if known is None:
             for view in views:
-                total.update(view.image.detach().to("cpu", torch.float32).contiguous().numpy().tobytes())
+                total.update(
+                    view.image.detach()
+                    .to("cpu", torch.float32)
+                    .contiguous()
+                    .numpy()
+                    .tobytes()
+                )
     return total.hexdigest()
 
 

@@ -1,4 +1,6 @@
-"""A training run as a value: trained tensors, optimiser, random numbers, and where it has got to."""
+"""A training run as a value: trained tensors, optimiser, random numbers, and where it
+has got to.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +26,17 @@ MOMENTS = ("exp_avg", "exp_avg_sq", "step")
 
 
 class Adam:
-    """Adam (Kingma and Ba 2015) with the bits of `torch.optim.Adam`, whose first use imports torch's compiler.
+    """Adam (Kingma and Ba 2015) with the bits of `torch.optim.Adam`, whose first use
+    imports torch's compiler.
 
     Attributes:
         param_groups: Tensors under "params", and their rate under "lr".
         state: What is kept of each tensor that was moved: `MOMENTS`.
     """
 
-    def __init__(self, groups: Iterable[dict[str, Any]], *, fused: bool = False) -> None:
+    def __init__(
+        self, groups: Iterable[dict[str, Any]], *, fused: bool = False
+    ) -> None:
         self.param_groups = [{"lr": 0.0, **group} for group in groups]
         self.state: dict[Tensor, dict[str, Tensor]] = {}
         self._fused = fused
@@ -43,13 +48,28 @@ class Adam:
             moved = [tensor for tensor in group["params"] if tensor.grad is not None]
             for tensor in moved:
                 if tensor not in self.state:
-                    step = torch.zeros((), device=tensor.device if self._fused else "cpu")
+                    step = torch.zeros(
+                        (), device=tensor.device if self._fused else "cpu"
+                    )
                     moments = {key: torch.zeros_like(tensor) for key in MOMENTS[:2]}
                     self.state[tensor] = {**moments, "step": step}
-            mean, square, steps = ([self.state[tensor][key] for tensor in moved] for key in MOMENTS)
+            mean, square, steps = (
+                [self.state[tensor][key] for tensor in moved] for key in MOMENTS
+            )
             gradients = [tensor.grad for tensor in moved]
-            rates = {"lr": group["lr"], "beta1": 0.9, "beta2": 0.999, "eps": 1e-15, "weight_decay": 0.0}
-            ways: dict[str, Any] = {"foreach": False, "fused": self._fused, "amsgrad": False, "maximize": False}
+            rates = {
+                "lr": group["lr"],
+                "beta1": 0.9,
+                "beta2": 0.999,
+                "eps": 1e-15,
+                "weight_decay": 0.0,
+            }
+            ways: dict[str, Any] = {
+                "foreach": False,
+                "fused": self._fused,
+                "amsgrad": False,
+                "maximize": False,
+            }
             adam(moved, gradients, mean, square, [], steps, **rates, **ways)
 
     def zero_grad(self) -> None:
@@ -60,18 +80,27 @@ class Adam:
 
 
 class TrainingError(MiSplatError):
-    """Training that cannot go on: values that are not finite, or nothing left to train."""
+    """Training that cannot go on: values that are not finite, or nothing left to
+    train.
+    """
 
 
 def check_start(start: GaussianScene, config: FitConfig) -> None:
     """Raise unless a training may begin with these Gaussians."""
     check_scene("start", start)
     if not len(start):
-        raise InvalidValueError.of("start", "at least one Gaussian", "none", "capture views first")
+        raise InvalidValueError.of(
+            "start", "at least one Gaussian", "none", "capture views first"
+        )
     most = config.strategy.max_gaussians
     if config.strategy.adds_gaussians and most is not None and len(start) > most:
         do = "raise max_gaussians, or begin with fewer"
-        raise InvalidValueError.of("start", f"at most max_gaussians = {most:,} Gaussians", f"{len(start):,}", do)
+        raise InvalidValueError.of(
+            "start",
+            f"at most max_gaussians = {most:,} Gaussians",
+            f"{len(start):,}",
+            do,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,16 +110,27 @@ class Progress:
     iteration: int  # steps done
     loss: float  # loss of this one
     count: int  # number of Gaussians after it
-    held_out: Scores | None = None  # how true the held-out views are, if they were looked at
+    # how true the held-out views are, if they were looked at
+    held_out: Scores | None = None
 
 
 class TrainState:
     """Everything that the rest of a training run depends on."""
 
-    def __init__(self, start: GaussianScene, config: FitConfig, *, scene_extent: float, seed: int) -> None:
-        self.config, self.scene_extent, self.seed, self.data_digest = config, scene_extent, seed, ""
+    def __init__(
+        self, start: GaussianScene, config: FitConfig, *, scene_extent: float, seed: int
+    ) -> None:
+        self.config, self.scene_extent, self.seed, self.data_digest = (
+            config,
+            scene_extent,
+            seed,
+            "",
+        )
         self.settings = dict[str, object]()
-        values = {k: v.detach().clone() for k, v in to_raw_parameters(start.with_degree(config.sh_degree)).items()}
+        values = {
+            k: v.detach().clone()
+            for k, v in to_raw_parameters(start.with_degree(config.sh_degree)).items()
+        }
         sh = values.pop("sh")
         values |= {"sh0": sh[:, :1].contiguous(), "shN": sh[:, 1:].contiguous()}
         self.parameters = {name: value.float() for name, value in values.items()}
@@ -98,13 +138,17 @@ class TrainState:
         self.history = list[Progress]()
         self.generator = Generator().manual_seed(seed)
         self.strategy = config.strategy.build()
-        self.strategy_state = _moved(self.strategy.initial_state(len(start)), start.means.device)
+        self.strategy_state = _moved(
+            self.strategy.initial_state(len(start)), start.means.device
+        )
         trained = {"sh0", "shN"} if "sh" in config.trainable else set[str]()
         trained |= set(config.trainable) & set(self.parameters)
         self.trained = tuple(name for name in self.parameters if name in trained)
         for name in self.trained:
             self.parameters[name].requires_grad_(True)
-        groups = [{"params": [self.parameters[name]], "name": name} for name in self.trained]
+        groups = [
+            {"params": [self.parameters[name]], "name": name} for name in self.trained
+        ]
         self.optimiser = Adam(groups, fused=True)
 
     def to(self, device: torch.device) -> None:
@@ -123,10 +167,16 @@ class TrainState:
         """SH degree that is trained now."""
         every = self.config.sh_degree_interval
         every = self.config.iterations // 30 if every is None else every
-        return self.config.sh_degree if every == 0 else min(self.config.sh_degree, self.iteration // every)
+        return (
+            self.config.sh_degree
+            if every == 0
+            else min(self.config.sh_degree, self.iteration // every)
+        )
 
     def scene(self) -> GaussianScene:
-        """The splat as it is now, differentiable, with the SH that is trained so far."""
+        """The splat as it is now, differentiable, with the SH that is trained so
+        far.
+        """
         p = self.parameters
         higher = p["shN"][:, : (self.active_sh_degree + 1) ** 2 - 1]
         return GaussianScene.unchecked(
@@ -144,16 +194,26 @@ class TrainState:
         return from_raw_parameters({**values, "sh": sh})
 
     def learning_rates(self) -> dict[str, float]:
-        """Learning rates at this step, by the names of `parameters`; those with a last one decay exponentially."""
+        """Learning rates at this step, by the names of `parameters`; those with a last
+        one decay exponentially.
+        """
         config = self.config
         progress = min(self.iteration / config.iterations, 1.0)
 
         def decayed(first: float, last: float) -> float:
-            return math.exp((1 - progress) * math.log(first) + progress * math.log(last))
+            return math.exp(
+                (1 - progress) * math.log(first) + progress * math.log(last)
+            )
 
-        sh = config.lr_sh if config.lr_sh_final is None else decayed(config.lr_sh, config.lr_sh_final)
+        sh = (
+            config.lr_sh
+            if config.lr_sh_final is None
+            else decayed(config.lr_sh, config.lr_sh_final)
+        )
         return {
-            "means": decayed(config.lr_means, config.lr_means_final) * self.scene_extent,
+            "means": (
+                decayed(config.lr_means, config.lr_means_final) * self.scene_extent
+            ),
             "scales": config.lr_scales,
             "rotations": config.lr_rotations,
             "opacities": config.lr_opacities,
@@ -162,7 +222,9 @@ class TrainState:
         }
 
     def descend(self) -> None:
-        """A step of Adam along the gradients that the trained tensors have, with the rates of now."""
+        """A step of Adam along the gradients that the trained tensors have, with the
+        rates of now.
+        """
         rates = self.learning_rates()
         for group in self.optimiser.param_groups:
             group["lr"] = rates[group["name"]]
@@ -175,7 +237,9 @@ class TrainState:
         return self.view_queue.pop()
 
     def apply(self, edit: Edit) -> None:
-        """Change the tensors as a strategy says; rows keep the state of Adam that they had unless they are fresh."""
+        """Change the tensors as a strategy says; rows keep the state of Adam that they
+        had unless they are fresh.
+        """
         if edit.source is None:
             with torch.no_grad():
                 for name, value in edit.parameters.items():
@@ -187,14 +251,18 @@ class TrainState:
             for key in adam.keys() & MOMENTS[:2]:
                 adam[key].zero_()
 
-    def _exchange(self, values: dict[str, Tensor], source: Tensor, fresh: Tensor | None) -> None:
+    def _exchange(
+        self, values: dict[str, Tensor], source: Tensor, fresh: Tensor | None
+    ) -> None:
         """Give all tensors other rows, and Adam's state with them."""
         if not len(source):
             do = "lower the rates or start from more of them"
             raise TrainingError.of("splat", "Gaussians left after pruning", "none", do)
         old = dict(self.parameters)
         for name in old:
-            self.parameters[name] = (values[name] if name in values else old[name][source]).detach().clone()
+            self.parameters[name] = (
+                (values[name] if name in values else old[name][source]).detach().clone()
+            )
         for group in self.optimiser.param_groups:
             name = group["name"]
             new = self.parameters[name].requires_grad_(True)

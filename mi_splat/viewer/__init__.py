@@ -1,1 +1,3 @@
-"""Splats on a page in the browser, in pictures that the project's own renderer makes."""
+"""Splats on a page in the browser, in pictures that the project's own renderer
+makes.
+"""

@@ -1,4 +1,6 @@
-"""A camera around a point, which sliders and the mouse can change, and the options that give it to a command."""
+"""A camera around a point, which sliders and the mouse can change, and the options that
+give it to a command.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +21,24 @@ from mi_splat.rotation import from_z
 from mi_splat.scene_files import resized
 
 _ANGLE_DIGITS, _LENGTH_DIGITS = 2, 5
-"""Decimals of angles (degrees), and significant digits of lengths, that are kept of a pose set with the mouse."""
+"""Decimals of angles (degrees), and significant digits of lengths, that are kept of a
+pose set with the mouse.
+"""
 _CAMERA_DIGITS, _ROLL_DIGITS = 6, 3
-"""Decimals that are kept of the pose of a camera and of its roll; cameras of files have single precision."""
+"""Decimals that are kept of the pose of a camera and of its roll; cameras of files have
+single precision.
+"""
 _SAME_POSE = 1e-3  # fraction of the distance within which two poses count as the same
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Orbit:
-    """A camera around `target`, without a picture size: angles in degrees, lengths in world units.
+    """A camera around `target`, without a picture size: angles in degrees, lengths in
+    world units.
 
-    A camera of a file stays in `exact` to the bit until one of its numbers changes. `source` is its name for
-    `mi-splat render --cameras`, if it has one. `fov` covers the shorter side.
+    A camera of a file stays in `exact` to the bit until one of its numbers changes.
+    `source` is its name for `mi-splat render --cameras`, if it has one. `fov` covers
+    the shorter side.
     """
 
     target: Point
@@ -43,17 +51,41 @@ class Orbit:
     source: str = ""
 
     def __post_init__(self) -> None:
-        numbers = (*self.target, self.azimuth, self.elevation, self.distance, self.fov, self.roll)
-        ranges = -90 <= self.elevation <= 90 and self.distance > 0 and 0 < self.fov < 180 and abs(self.roll) <= 180
+        numbers = (
+            *self.target,
+            self.azimuth,
+            self.elevation,
+            self.distance,
+            self.fov,
+            self.roll,
+        )
+        ranges = (
+            -90 <= self.elevation <= 90
+            and self.distance > 0
+            and 0 < self.fov < 180
+            and abs(self.roll) <= 180
+        )
         if not (len(self.target) == 3 and ranges and all(map(math.isfinite, numbers))):
-            expected = "three coordinates, elevation in [-90, 90], distance > 0, fov in (0, 180), roll in [-180, 180]"
-            raise InvalidValueError(message("orbit", expected, numbers, "change the number that is out of range"))
-        object.__setattr__(self, "target", tuple(float(value) + 0.0 for value in self.target))  # -0.0 becomes 0.0
+            expected = (
+                "three coordinates, elevation in [-90, 90], distance > 0, fov in (0,"
+                " 180), roll in [-180, 180]"
+            )
+            raise InvalidValueError(
+                message(
+                    "orbit", expected, numbers, "change the number that is out of range"
+                )
+            )
+        # -0.0 becomes 0.0
+        object.__setattr__(
+            self, "target", tuple(float(value) + 0.0 for value in self.target)
+        )
         object.__setattr__(self, "azimuth", self.azimuth % 360.0)
 
     @property
     def camera_size(self) -> tuple[int, int] | None:
-        """Width and height in pixels of the picture of a camera of a file; None for others."""
+        """Width and height in pixels of the picture of a camera of a file; None for
+        others.
+        """
         return None if self.exact is None else (self.exact.width, self.exact.height)
 
     @property
@@ -62,13 +94,23 @@ class Orbit:
         a, e = math.radians(self.azimuth), math.radians(self.elevation)
         x, y, z = self.target
         flat = self.distance * math.cos(e)
-        return x + flat * math.cos(a), y + flat * math.sin(a), z + self.distance * math.sin(e)
+        return (
+            x + flat * math.cos(a),
+            y + flat * math.sin(a),
+            z + self.distance * math.sin(e),
+        )
 
     def camera(self, size: tuple[int, int]) -> Camera:
-        """The camera that `mi-splat render` uses for a picture of (width, height) pixels."""
+        """The camera that `mi-splat render` uses for a picture of (width, height)
+        pixels.
+        """
         if self.exact is not None:
             return resized(self.exact, size)
-        angles = {"azimuth": self.azimuth, "elevation": self.elevation, "roll": self.roll}
+        angles = {
+            "azimuth": self.azimuth,
+            "elevation": self.elevation,
+            "roll": self.roll,
+        }
         pose = orbit_pose(self.target, distance=self.distance, **angles)
         focal = focal_of(math.radians(self.fov), min(size))
         return Camera(to_world=pose, focal=focal, width=size[0], height=size[1])
@@ -83,17 +125,28 @@ class Orbit:
         return replace(self, exact=None, source="", **numbers)
 
     def moved(self, position: Sequence[float], look_at: Sequence[float]) -> Orbit:
-        """The camera at `position` (3,) that looks at `look_at` (3,), in numbers short enough to be typed."""
+        """The camera at `position` (3,) that looks at `look_at` (3,), in numbers short
+        enough to be typed.
+        """
         x, y, z = (float(a) - float(b) for a, b in zip(position, look_at, strict=True))
         flat, length = math.hypot(x, y), math.hypot(x, y, z)
         if not (math.isfinite(length) and length > 0):
             return self
         decimals = _LENGTH_DIGITS - 1 - math.floor(math.log10(length))
-        azimuth = self.azimuth if flat <= POLE * length else math.degrees(math.atan2(y, x)) % 360.0
+        azimuth = (
+            self.azimuth
+            if flat <= POLE * length
+            else math.degrees(math.atan2(y, x)) % 360.0
+        )
         near = math.dist(look_at, self.target) <= _SAME_POSE * length
         return self.changed(
-            # A target that did not move keeps every digit, because rounding would move it away from the centre.
-            target=self.target if near else tuple(round(float(value), decimals) for value in look_at),
+            # A target that did not move keeps every digit, because rounding would move
+            # it away from the centre.
+            target=(
+                self.target
+                if near
+                else tuple(round(float(value), decimals) for value in look_at)
+            ),
             azimuth=round(azimuth, _ANGLE_DIGITS),
             elevation=round(math.degrees(math.atan2(z, flat)), _ANGLE_DIGITS),
             distance=round(length, decimals),
@@ -101,7 +154,9 @@ class Orbit:
 
 
 def orbit_of(camera: Camera, centre: Point, *, source: str = "") -> Orbit:
-    """A camera of a file as an orbit around the point of its axis that is nearest to `centre` (3,)."""
+    """A camera of a file as an orbit around the point of its axis that is nearest to
+    `centre` (3,).
+    """
     pose, middle = camera.to_world, torch.tensor(list(centre), dtype=torch.float64)
     forward = pose[:3, 2]
     distance = float((middle - camera.position) @ forward)
@@ -111,53 +166,89 @@ def orbit_of(camera: Camera, centre: Point, *, source: str = "") -> Orbit:
     elevation = math.degrees(math.atan2(z, math.hypot(x, y)))
     if math.hypot(x, y) > POLE:
         azimuth = math.degrees(math.atan2(y, x))
-    else:  # straight above and below the picture's right edge points along (-sin azimuth, cos azimuth, 0)
+    else:
+        # straight above and below the picture's right edge points along (-sin azimuth,
+        # cos azimuth, 0)
         azimuth = math.degrees(math.atan2(-float(pose[0, 0]), float(pose[1, 0])))
-    level = orbit_pose((0.0, 0.0, 0.0), azimuth=azimuth, elevation=elevation, distance=1.0)
+    level = orbit_pose(
+        (0.0, 0.0, 0.0), azimuth=azimuth, elevation=elevation, distance=1.0
+    )
     right = level[:3, :2].T @ pose[:3, 0]
     fov = math.degrees(angle_of(camera.fx, min(camera.width, camera.height)))
     return Orbit(
-        target=[round(value, _CAMERA_DIGITS) for value in (camera.position + distance * forward).tolist()],
+        target=[
+            round(value, _CAMERA_DIGITS)
+            for value in (camera.position + distance * forward).tolist()
+        ],
         azimuth=round(azimuth, _CAMERA_DIGITS),
         elevation=round(elevation, _CAMERA_DIGITS),
         distance=round(distance, _CAMERA_DIGITS),
         fov=round(fov, _CAMERA_DIGITS),
-        roll=round(math.degrees(math.atan2(float(right[1]), float(right[0]))), _ROLL_DIGITS) + 0.0,
+        roll=round(
+            math.degrees(math.atan2(float(right[1]), float(right[0]))), _ROLL_DIGITS
+        )
+        + 0.0,
         exact=camera,
         source=source,
     )
 
 
 def focus_of(cameras: Sequence[Camera], otherwise: Point) -> Point:
-    """(3,) the point nearest to the axes of all cameras, in the sense of least squares; world units."""
+    """(3,) the point nearest to the axes of all cameras, in the sense of least squares;
+    world units.
+    """
     if not cameras:
         return otherwise
     forward = torch.stack([camera.to_world[:3, 2] for camera in cameras])
-    # A point's distance to an axis is the length of what is left of it when its part along the axis is taken away.
-    across = torch.eye(3, dtype=torch.float64) - forward[:, :, None] * forward[:, None, :]
+    # A point's distance to an axis is the length of what is left of it when its part
+    # along the axis is taken away.
+    across = (
+        torch.eye(3, dtype=torch.float64) - forward[:, :, None] * forward[:, None, :]
+    )
     positions = torch.stack([camera.position for camera in cameras])
     total = across.sum(0)
     if float(torch.linalg.eigvalsh(total)[0]) < 1e-3:
         return otherwise
-    x, y, z = torch.linalg.solve(total, (across @ positions[:, :, None]).sum(0))[:, 0].tolist()
+    x, y, z = torch.linalg.solve(total, (across @ positions[:, :, None]).sum(0))[
+        :, 0
+    ].tolist()
     return x, y, z
 
 
 def camera_options(
-    orbit: Orbit, size: tuple[int, int], *, settings: RenderSettings, up: Point = UP, path: Path | None = None
+    orbit: Orbit,
+    size: tuple[int, int],
+    *,
+    settings: RenderSettings,
+    up: Point = UP,
+    path: Path | None = None,
 ) -> list[str]:
-    """The options by which a command renders a splat of the file `path` with a camera."""
+    """The options by which a command renders a splat of the file `path` with a
+    camera.
+    """
     if orbit.exact is not None and orbit.source:
         options = ["--cameras", orbit.source.removeprefix(f"{path}{OF}")]
     else:
         turn = from_z(torch.tensor(list(up)))
-        centre = orbit.target if tuple(up) == UP else (turn @ torch.tensor(orbit.target, dtype=torch.float64)).tolist()
-        options = [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
+        centre = (
+            orbit.target
+            if tuple(up) == UP
+            else (turn @ torch.tensor(orbit.target, dtype=torch.float64)).tolist()
+        )
+        options = [
+            *_option("azimuth", orbit.azimuth),
+            *_option("elevation", orbit.elevation),
+        ]
         options += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
         options += _option("camera-roll", orbit.roll) if orbit.roll else []
         options += [] if tuple(up) == UP else ["--up", ",".join(map(_exact, up))]
         options += _option("centre", *centre)
-    options += ["--size", f"{size[0]}x{size[1]}", "--background", ",".join(map(_exact, settings.background))]
+    options += [
+        "--size",
+        f"{size[0]}x{size[1]}",
+        "--background",
+        ",".join(map(_exact, settings.background)),
+    ]
     return [*options, *_option("near", settings.near)]
 
 

@@ -1,4 +1,6 @@
-"""Renders the picture of a page: splats and photographs side by side, with detections."""
+"""Renders the picture of a page: splats and photographs side by side, with
+detections.
+"""
 
 import shlex
 from collections.abc import Mapping
@@ -35,16 +37,21 @@ from mi_splat.viewer.session import (
     pictures_of,
 )
 
-MOST_PIXELS = 1_500_000  # pixels of the largest full picture; the browser enlarges it to a larger window
-LETTERS, SMALLEST_LETTERS = 15, 7  # height of letters in a full picture, and the smallest that can be read, in pixels
+# pixels of the largest full picture; the browser enlarges it to a larger window
+MOST_PIXELS = 1_500_000
+# height of letters in a full picture, and the smallest that can be read, in pixels
+LETTERS, SMALLEST_LETTERS = 15, 7
 NO_PICTURE = 0.2  # grey level in place of a missing photograph
-PREVIEW = " (preview)"  # follows the title of a picture with fewer pixels or Gaussians than there are
+# follows the title of a picture with fewer pixels or Gaussians than there are
+PREVIEW = " (preview)"
 LARGEST_THINNING = 64  # a coarse picture shows at least one of so many Gaussians
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Painting:
-    """A picture of a page, (H, W, 3), and what was found in it; a coarse one shows one of `every` Gaussians."""
+    """A picture of a page, (H, W, 3), and what was found in it; a coarse one shows one
+    of `every` Gaussians.
+    """
 
     pixels: Pixels
     inspections: Mapping[str, Inspection]
@@ -52,58 +59,123 @@ class Painting:
 
 
 class Painter:
-    """Renders pictures of a content; the inspector looks at those of a resting camera."""
+    """Renders pictures of a content; the inspector looks at those of a resting
+    camera.
+    """
 
-    def __init__(self, content: Content, render: RenderFn, inspector: Inspector | None = None) -> None:
+    def __init__(
+        self, content: Content, render: RenderFn, inspector: Inspector | None = None
+    ) -> None:
         self.content, self.render, self.inspector = content, render, inspector
         self._splats = {splat.name: Thinned(splat.scene) for splat in content.splats}
         self._tinted, self._rows = dict[str, Thinned](), dict[str, int]()
-        self._thread = ThreadPoolExecutor(1)  # of the inspector, so that it can be left alone with its picture
+        # of the inspector, so that it can be left alone with its picture
+        self._thread = ThreadPoolExecutor(1)
         self._last: tuple[Orbit, dict[str, Inspection]] | None = None
 
     def tint(self, picked: Picked | None) -> None:
-        """Highlight an object in each splat with as many Gaussians, but not in differences and inspected pictures."""
-        fits = [splat for splat in self.content.splats if picked is not None and picked.fits(splat.scene)]
-        self._tinted = {splat.name: Thinned(tinted(splat.scene, picked.mask)) for splat in fits if picked is not None}
-        self._rows = {splat.name: picked.row for splat in fits if picked is not None and picked.row is not None}
+        """Highlight an object in each splat with as many Gaussians, but not in
+        differences and inspected pictures.
+        """
+        fits = [
+            splat
+            for splat in self.content.splats
+            if picked is not None and picked.fits(splat.scene)
+        ]
+        self._tinted = {
+            splat.name: Thinned(tinted(splat.scene, picked.mask))
+            for splat in fits
+            if picked is not None
+        }
+        self._rows = {
+            splat.name: picked.row
+            for splat in fits
+            if picked is not None and picked.row is not None
+        }
 
     def paint(self, state: ViewState, step: Step, pace: Pace) -> Painting:
         """The picture that a step of a session needs."""
         full, names = within(state.canvas, MOST_PIXELS), self.content.names
         layout = self.layout(state, pace.size(full, step))
-        shown = list(dict.fromkeys(name for pane in panes(state.mode, names) for name in pictures_of(pane, names)))
-        inspections = {name: self.inspect(name, state.orbit) for name in shown} if step is Step.INSPECTED else {}
+        shown = list(
+            dict.fromkeys(
+                name
+                for pane in panes(state.mode, names)
+                for name in pictures_of(pane, names)
+            )
+        )
+        inspections = (
+            {name: self.inspect(name, state.orbit) for name in shown}
+            if step is Step.INSPECTED
+            else {}
+        )
         splats, every = self._splats, 1
-        if state.mode != DIFFERENCE:  # two splats with different Gaussians would differ everywhere
+        # two splats with different Gaussians would differ everywhere
+        if state.mode != DIFFERENCE:
             splats = {**self._splats, **self._tinted}
             if step in (Step.COARSE, Step.HALF):
-                most = max((len(splat.scene) for splat in self.content.splats if splat.name in shown), default=1)
+                most = max(
+                    (
+                        len(splat.scene)
+                        for splat in self.content.splats
+                        if splat.name in shown
+                    ),
+                    default=1,
+                )
                 every = thinning(most, layout.size[0] * layout.size[1])
         pictures = {}
         for name in shown:
             scene = splats[name](every) if name in splats else None
-            pictures[name] = to_bytes(self.sized_picture(name, state.orbit, layout.size, scene))
+            pictures[name] = to_bytes(
+                self.sized_picture(name, state.orbit, layout.size, scene)
+            )
         scale, made = layout.canvas[0] / full[0], list[Pixels]()
-        mark, letters = PREVIEW if every > 1 or scale < 1 else "", max(LETTERS * scale, SMALLEST_LETTERS)
+        mark, letters = (
+            PREVIEW if every > 1 or scale < 1 else "",
+            max(LETTERS * scale, SMALLEST_LETTERS),
+        )
         for pane in panes(state.mode, names):
-            pixels = difference(*pictures.values()) if pane == DIFFERENCE else pictures[pane]
+            pixels = (
+                difference(*pictures.values()) if pane == DIFFERENCE else pictures[pane]
+            )
             image = Image.fromarray(np.ascontiguousarray(pixels))
             draw = ImageDraw.Draw(image)
             if pane in inspections:
-                inspections[pane].draw(draw, image.width / self.content.size_at(state.orbit)[0])
+                inspections[pane].draw(
+                    draw, image.width / self.content.size_at(state.orbit)[0]
+                )
             if pane in self._rows:
-                outline = border(self.content.splat(pane).scene, self._rows[pane], state.orbit.camera(layout.size))
+                outline = border(
+                    self.content.splat(pane).scene,
+                    self._rows[pane],
+                    state.orbit.camera(layout.size),
+                )
                 draw.line([*map(tuple, outline.tolist())], fill="white", width=2)
-            write_label(draw, (0.4 * letters, image.height - 1.9 * letters), pane + mark, "#000000", size=letters)
+            write_label(
+                draw,
+                (0.4 * letters, image.height - 1.9 * letters),
+                pane + mark,
+                "#000000",
+                size=letters,
+            )
             made.append(np.asarray(image))
-        return Painting(pixels=compose(made, layout), inspections=inspections, every=every)
+        return Painting(
+            pixels=compose(made, layout), inspections=inspections, every=every
+        )
 
     def layout(self, state: ViewState, canvas: tuple[int, int] | None = None) -> Layout:
-        """Where pictures stand on a canvas of the window's shape; None is the largest."""
-        full, (width, height) = within(state.canvas, MOST_PIXELS), self.content.size_at(state.orbit)
+        """Where pictures stand on a canvas of the window's shape; None is the
+        largest.
+        """
+        full, (width, height) = (
+            within(state.canvas, MOST_PIXELS),
+            self.content.size_at(state.orbit),
+        )
         canvas = canvas or full
         count = len(panes(state.mode, self.content.names))
-        return lay_out(canvas, width / height, count, gap=round(4 * canvas[0] / full[0]))
+        return lay_out(
+            canvas, width / height, count, gap=round(4 * canvas[0] / full[0])
+        )
 
     def picture(self, name: str, orbit: Orbit) -> Tensor:
         """(H, W, 3) the picture that is inspected, with 8 bits."""
@@ -127,14 +199,22 @@ class Painter:
         content, commands = self.content, dict[str, str]()
         for splat in content.splats:
             size, up = content.size_at(orbit), content.up
-            options = camera_options(orbit, size, settings=content.settings, up=up, path=splat.path)
-            commands[splat.name] = shlex.join(["mi-splat", "render", str(splat.path), *options])
+            options = camera_options(
+                orbit, size, settings=content.settings, up=up, path=splat.path
+            )
+            commands[splat.name] = shlex.join(
+                ["mi-splat", "render", str(splat.path), *options]
+            )
         return commands
 
     def similarity(self, orbit: Orbit) -> float | None:
-        """PSNR in dB between the two inspected pictures; None for one, or where they are equal."""
+        """PSNR in dB between the two inspected pictures; None for one, or where they
+        are equal.
+        """
         photographs = self.content.photographs
-        if len(self.content.names) < 2 or (photographs and self._photograph(orbit) is None):
+        if len(self.content.names) < 2 or (
+            photographs and self._photograph(orbit) is None
+        ):
             return None
         first, second = (self.picture(name, orbit) for name in self.content.names)
         if photographs is not None:
@@ -148,7 +228,9 @@ class Painter:
         """How similar the two pictures are, in words; empty for one."""
         names, photographs = self.content.names, self.content.photographs
         if photographs is not None and self._photograph(orbit) is None:
-            return f"There is no {photographs.name} from here: choose one of the cameras."
+            return (
+                f"There is no {photographs.name} from here: choose one of the cameras."
+            )
         if len(names) < 2:
             return ""
         similarity = self.similarity(orbit)
@@ -157,18 +239,30 @@ class Painter:
         return f"PSNR of {' and '.join(names)} from here: {similarity:.1f} dB"
 
     def sized_picture(
-        self, name: str, orbit: Orbit, size: tuple[int, int], scene: GaussianScene | None = None
+        self,
+        name: str,
+        orbit: Orbit,
+        size: tuple[int, int],
+        scene: GaussianScene | None = None,
     ) -> Tensor:
         """(H, W, 3) a splat or a photograph; grey if there is no photograph."""
         if name in self._splats:
             with torch.no_grad():
                 return self.render(scene or self._splats[name](1), orbit.camera(size))
         taken = self._photograph(orbit)
-        return torch.full((size[1], size[0], 3), NO_PICTURE) if taken is None else _resized(taken, size)
+        return (
+            torch.full((size[1], size[0], 3), NO_PICTURE)
+            if taken is None
+            else _resized(taken, size)
+        )
 
     def _photograph(self, orbit: Orbit) -> Tensor | None:
         photographs = self.content.photographs
-        return None if photographs is None else photographs.from_camera(self.content.camera_name(orbit))
+        return (
+            None
+            if photographs is None
+            else photographs.from_camera(self.content.camera_name(orbit))
+        )
 
 
 class Thinned:
@@ -178,14 +272,20 @@ class Thinned:
         self._scenes, self._order = {1: scene}, Tensor()
 
     def __call__(self, every: int) -> GaussianScene:
-        """One of `every` neighbours along a Morton curve, enlarged so that surfaces stay closed."""
+        """One of `every` neighbours along a Morton curve, enlarged so that surfaces
+        stay closed.
+        """
         if every not in self._scenes:
             scene = self._scenes[1]
             if not len(self._order):
-                self._order = torch.as_tensor(morton_order(scene.means.detach().cpu().numpy()))
+                self._order = torch.as_tensor(
+                    morton_order(scene.means.detach().cpu().numpy())
+                )
             rows = self._order[every // 2 :: every].to(scene.means.device)
             means, scales, *rest = (tensor[rows] for tensor in scene.tensors())
-            self._scenes[every] = GaussianScene.unchecked(means, scales * every**0.5, *rest)
+            self._scenes[every] = GaussianScene.unchecked(
+                means, scales * every**0.5, *rest
+            )
         return self._scenes[every]
 
 
@@ -202,7 +302,9 @@ def _resized(picture: Tensor, size: tuple[int, int]) -> Tensor:
     if tuple(picture.shape[:2]) == size[::-1]:
         return picture
     pixels = picture.permute(2, 0, 1)[None]
-    resized = functional.interpolate(pixels, size[::-1], mode="bilinear", antialias=True, align_corners=False)
+    resized = functional.interpolate(
+        pixels, size[::-1], mode="bilinear", antialias=True, align_corners=False
+    )
     return resized[0].permute(1, 2, 0).clamp(0, 1)
 
 

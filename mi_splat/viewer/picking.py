@@ -1,4 +1,6 @@
-"""What was selected by a click: an object, how it is highlighted, and the Gaussian in front there with its colours."""
+"""What was selected by a click: an object, how it is highlighted, and the Gaussian in
+front there with its colours.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +25,16 @@ from mi_splat.viewer.content import Content
 from mi_splat.viewer.orbit import Orbit, camera_options
 from mi_splat.viewer.session import Layout, panes, pictures_of
 
-TINT = (1.0, 0.0, 0.8)  # sRGB colour that is mixed half and half with the colour of selected Gaussians
+# sRGB colour that is mixed half and half with the colour of selected Gaussians
+TINT = (1.0, 0.0, 0.8)
 MASK = "mask.npy"  # file of the selected Gaussians in commands
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Picked:
-    """Selected Gaussians, (N,) bool, of the splat of this name, and which of them makes up most of the pixel."""
+    """Selected Gaussians, (N,) bool, of the splat of this name, and which of them makes
+    up most of the pixel.
+    """
 
     splat: str
     mask: Tensor
@@ -43,7 +48,9 @@ class Picked:
     @property
     def text(self) -> str:
         """Their number."""
-        return f"{int(self.mask.sum()):,} of {len(self.mask):,} Gaussians of {self.splat}"
+        return (
+            f"{int(self.mask.sum()):,} of {len(self.mask):,} Gaussians of {self.splat}"
+        )
 
     @property
     def file(self) -> bytes:
@@ -55,7 +62,9 @@ class Picked:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Click:
-    """A pixel (x, y) of the picture of a splat as `mi-splat render` makes it; `adds` extends the selection."""
+    """A pixel (x, y) of the picture of a splat as `mi-splat render` makes it; `adds`
+    extends the selection.
+    """
 
     splat: str
     pixel: tuple[int, int]
@@ -66,28 +75,54 @@ class Click:
 def clicked(
     at: tuple[float, float], layout: Layout, mode: str, content: Content, orbit: Orbit
 ) -> tuple[str, tuple[int, int]] | None:
-    """The splat and the pixel of its picture at a point of the page; None beside the pictures."""
+    """The splat and the pixel of its picture at a point of the page; None beside the
+    pictures.
+    """
     x, y = (part * side for part, side in zip(at, layout.canvas, strict=True))
     (width, height), size = layout.size, content.size_at(orbit)
     rendered = [splat.name for splat in content.splats]
-    for pane, (left, top) in zip(panes(mode, content.names), layout.corners, strict=True):
+    for pane, (left, top) in zip(
+        panes(mode, content.names), layout.corners, strict=True
+    ):
         across, down = (x - left) / width, (y - top) / height
         if rendered and 0 <= across < 1 and 0 <= down < 1:
             splat = pictures_of(pane, content.names)[0]
-            return splat if splat in rendered else rendered[0], (int(across * size[0]), int(down * size[1]))
+            return splat if splat in rendered else rendered[0], (
+                int(across * size[0]),
+                int(down * size[1]),
+            )
     return None
 
 
-def pick(click: Click, content: Content, render: RenderFn, before: Picked | None) -> Picked:
+def pick(
+    click: Click, content: Content, render: RenderFn, before: Picked | None
+) -> Picked:
     """The object at a pixel, as `mi-splat select --click` selects it."""
-    splat, size, (x, y) = content.splat(click.splat), content.size_at(click.orbit), click.pixel
+    splat, size, (x, y) = (
+        content.splat(click.splat),
+        content.size_at(click.orbit),
+        click.pixel,
+    )
     view = click.orbit.camera(size)
-    mask = select(splat.scene, Selection(click=(f"{x},{y}",)), camera=view, render=render)
+    mask = select(
+        splat.scene, Selection(click=(f"{x},{y}",)), camera=view, render=render
+    )
     row = int(pixel_weights(splat.scene, view, click.pixel, render).argmax())
     if click.adds and before is not None and before.fits(splat.scene):
         return Picked(splat=splat.name, mask=mask | before.mask, row=row)
-    camera = camera_options(click.orbit, size, settings=content.settings, up=content.up, path=splat.path)
-    command = ["mi-splat", "select", str(splat.path), "--click", f"{x},{y}", *camera, "--out", MASK]
+    camera = camera_options(
+        click.orbit, size, settings=content.settings, up=content.up, path=splat.path
+    )
+    command = [
+        "mi-splat",
+        "select",
+        str(splat.path),
+        "--click",
+        f"{x},{y}",
+        *camera,
+        "--out",
+        MASK,
+    ]
     return Picked(splat=splat.name, mask=mask, row=row, command=shlex.join(command))
 
 
@@ -100,9 +135,12 @@ def tinted(scene: GaussianScene, mask: Tensor) -> GaussianScene:
 
 
 def border(scene: GaussianScene, row: int, view: Camera) -> Tensor:
-    """(P, 2) pixels of the outline of a Gaussian at two standard deviations; none where it is not in front."""
+    """(P, 2) pixels of the outline of a Gaussian at two standard deviations; none where
+    it is not in front.
+    """
     mean, scales, rotation = (
-        part[row : row + 1].detach().cpu() for part in (scene.means, scene.scales, scene.rotations)
+        part[row : row + 1].detach().cpu()
+        for part in (scene.means, scene.scales, scene.rotations)
     )
     axes = (to_matrix(rotation)[0] * scales).T
     ends, depths = project_points(torch.cat([mean, mean + axes, mean - axes]), view)
@@ -111,23 +149,52 @@ def border(scene: GaussianScene, row: int, view: Camera) -> Tensor:
     sides = (ends[1:4] - ends[4:]) / 2
     shape = torch.linalg.cholesky(sides.T @ sides + 1e-4 * torch.eye(2))
     angles = torch.linspace(0, 2 * math.pi, 65)
-    outline: Tensor = ends[0] + 2 * torch.stack([angles.cos(), angles.sin()], dim=1) @ shape.T
+    outline: Tensor = (
+        ends[0] + 2 * torch.stack([angles.cos(), angles.sin()], dim=1) @ shape.T
+    )
     return outline
 
 
-def colours(scene: GaussianScene, row: Tensor | int, cameras: Sequence[Camera]) -> Tensor:
+def colours(
+    scene: GaussianScene, row: Tensor | int, cameras: Sequence[Camera]
+) -> Tensor:
     """(views, ..., 3) colours of Gaussians as they are seen, sRGB."""
     means, sh = scene.means[row].detach(), scene.sh[row].detach()
     directions = torch.stack([means - view.position.to(means) for view in cameras])
-    return sh_to_colour(sh, torch.nn.functional.normalize(directions, dim=-1)).clamp(max=1)
+    return sh_to_colour(sh, torch.nn.functional.normalize(directions, dim=-1)).clamp(
+        max=1
+    )
 
 
 def one_gaussian(scene: GaussianScene, row: int, orbit: Orbit) -> str:
-    """HTML with the colour of a Gaussian by elevation, from the camera's azimuth, and its SH coefficients."""
-    cameras = [orbit.changed(elevation=float(angle)).camera((1, 1)) for angle in range(0, 91, 5)]
-    stops = ", ".join(f"rgb({r}, {g}, {b})" for r, g, b in (255 * colours(scene, row, cameras)).int().tolist())
-    lines = (" ".join(f"{value:+.2f}" for value in channel) for channel in scene.sh[row].detach().T.tolist())
-    texts = "<br>".join(f"{name}: {line}" for name, line in zip(("red", "green", "blue"), lines, strict=True))
-    strip = f'<div style="height: 1rem; background: linear-gradient(to right, {stops})"></div>'
-    head = f"Gaussian {row:,}, outlined: its colour from the side (left) to straight above, and its SH coefficients"
-    return f'<div style="padding: 0 0.75rem 0.5rem; font-size: 0.75rem">{head}{strip}{texts}</div>'
+    """HTML with the colour of a Gaussian by elevation, from the camera's azimuth, and
+    its SH coefficients.
+    """
+    cameras = [
+        orbit.changed(elevation=float(angle)).camera((1, 1))
+        for angle in range(0, 91, 5)
+    ]
+    stops = ", ".join(
+        f"rgb({r}, {g}, {b})"
+        for r, g, b in (255 * colours(scene, row, cameras)).int().tolist()
+    )
+    lines = (
+        " ".join(f"{value:+.2f}" for value in channel)
+        for channel in scene.sh[row].detach().T.tolist()
+    )
+    texts = "<br>".join(
+        f"{name}: {line}"
+        for name, line in zip(("red", "green", "blue"), lines, strict=True)
+    )
+    strip = (
+        '<div style="height: 1rem; background: linear-gradient(to right,'
+        f' {stops})"></div>'
+    )
+    head = (
+        f"Gaussian {row:,}, outlined: its colour from the side (left) to straight"
+        " above, and its SH coefficients"
+    )
+    return (
+        '<div style="padding: 0 0.75rem 0.5rem; font-size:'
+        f' 0.75rem">{head}{strip}{texts}</div>'
+    )

@@ -1,4 +1,6 @@
-"""The object that is selected on a page, which its windows share, and the controls of it in each window."""
+"""The object that is selected on a page, which its windows share, and the controls of
+it in each window.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ MOST_QUEUED = 100  # requests that wait; more are dropped
 class SharedSelection:
     """What a painter shows, and the object that is selected in it.
 
-    Requests of browsers are queued. `turn` carries them out; it is called again and again in the thread that renders.
+    Requests of browsers are queued. `turn` carries them out; it is called again and
+    again in the thread that renders.
     """
 
     def __init__(self, painter: Painter) -> None:
@@ -34,7 +37,8 @@ class SharedSelection:
 
     def turn(self) -> bool:
         """Do what is queued; whether there was anything."""
-        waiting = len(self.requests)  # what is queued meanwhile waits, so that pictures are made
+        # what is queued meanwhile waits, so that pictures are made
+        waiting = len(self.requests)
         for _ in range(waiting):
             task, self.error = self.requests.popleft(), ""
             try:
@@ -65,21 +69,36 @@ class SelectionPanel:
         download: Callable[[str, bytes], None],
         wake: Callable[[], None],
     ) -> None:
-        self._gui, self._shared, self._orbit, self._send, self._wake = gui, shared, orbit, download, wake
+        self._gui, self._shared, self._orbit, self._send, self._wake = (
+            gui,
+            shared,
+            orbit,
+            download,
+            wake,
+        )
         with gui.add_folder("Object"):
             self._object = gui.add_html("")
             self._clear = self._button("Clear", lambda: shared.select(None))
             self._save = self._button(f"Save {MASK}", self._download)
-            self._command = gui.add_text("command", "", multiline=True, hint="Copy it to select the same Gaussians")
+            self._command = gui.add_text(
+                "command",
+                "",
+                multiline=True,
+                hint="Copy it to select the same Gaussians",
+            )
         self.follow()
 
     def follow(self) -> None:
         """Show the present state."""
         picked, content = self._shared.picked, self._shared.painter.content
         how = HOW_TO_SELECT if content.splats else NOTHING_TO_SELECT
-        self._object.content = as_html([("", self._shared.error or (how if picked is None else picked.text))])
+        self._object.content = as_html(
+            [("", self._shared.error or (how if picked is None else picked.text))]
+        )
         if picked is not None and picked.row is not None:
-            self._object.content += one_gaussian(content.splat(picked.splat).scene, picked.row, self._orbit())
+            self._object.content += one_gaussian(
+                content.splat(picked.splat).scene, picked.row, self._orbit()
+            )
         self._command.value = "" if picked is None else picked.command
         self._command.visible = bool(self._command.value)
         self._clear.disabled = self._save.disabled = picked is None

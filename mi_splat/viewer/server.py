@@ -28,8 +28,12 @@ from mi_splat.viewer.session import Session, Step, ViewState, display_modes
 
 JPEG_QUALITY = {Step.COARSE: 75, Step.HALF: 85, Step.FULL: 92, Step.INSPECTED: 92}
 SETTLING = 1.0
-"""Seconds after a control was moved in which reports of the browser's camera, which follows late, are ignored."""
-ECHOES = 128  # poses that a browser was sent and may report later, as if the mouse had moved its camera there
+"""Seconds after a control was moved in which reports of the browser's camera, which
+follows late, are ignored.
+"""
+# poses that a browser was sent and may report later, as if the mouse had moved its
+# camera there
+ECHOES = 128
 HOST = "127.0.0.1"
 LONGEST_SIDE = 8192  # pixels of the largest window that is believed
 
@@ -37,24 +41,44 @@ LONGEST_SIDE = 8192  # pixels of the largest window that is believed
 class Client:
     """One browser window."""
 
-    def __init__(self, handle: Any, shared: SharedSelection, wake: Callable[[], None]) -> None:
-        self._handle, self._shared, self._painter, self._wake = handle, shared, shared.painter, wake
+    def __init__(
+        self, handle: Any, shared: SharedSelection, wake: Callable[[], None]
+    ) -> None:
+        self._handle, self._shared, self._painter, self._wake = (
+            handle,
+            shared,
+            shared.painter,
+            wake,
+        )
         self._lock, self._settled = threading.Lock(), 0.0
         self._sent: deque[Orbit] = deque(maxlen=ECHOES)
         content, canvas = self._painter.content, _canvas(handle.camera)
         mode = display_modes(content.names)[0]
-        first = ViewState(orbit=content.start, mode=mode, canvas=canvas, revision=shared.revision)
+        first = ViewState(
+            orbit=content.start, mode=mode, canvas=canvas, revision=shared.revision
+        )
         self._session = Session(state=first, changed=time.monotonic())
-        tabs, inspector = handle.gui.add_tab_group(), self._painter.inspector is not None
+        tabs, inspector = (
+            handle.gui.add_tab_group(),
+            self._painter.inspector is not None,
+        )
         with tabs.add_tab("View"):
-            self._panel = ViewPanel(handle.gui, content, first, inspector=inspector, change=self._change)
+            self._panel = ViewPanel(
+                handle.gui, content, first, inspector=inspector, change=self._change
+            )
         with tabs.add_tab("Tools"):
             download = partial(handle.send_file_download, save_immediately=True)
             self._selection_panel = SelectionPanel(
-                handle.gui, shared, orbit=lambda: self._session.state.orbit, download=download, wake=wake
+                handle.gui,
+                shared,
+                orbit=lambda: self._session.state.orbit,
+                download=download,
+                wake=wake,
             )
         # The pose before the browser has read where to begin is not a move of its user.
-        self._sent.append(first.orbit.moved(handle.camera.position, handle.camera.look_at))
+        self._sent.append(
+            first.orbit.moved(handle.camera.position, handle.camera.look_at)
+        )
         self._send_camera(first.orbit)
         handle.camera.on_update(self._camera_moved)
         handle.scene.on_click()(self._clicked)
@@ -67,7 +91,9 @@ class Client:
 
     def due(self) -> Step | None:
         """The picture to make now."""
-        return self._session.due(time.monotonic(), inspector=self._painter.inspector is not None)
+        return self._session.due(
+            time.monotonic(), inspector=self._painter.inspector is not None
+        )
 
     def paint(self, step: Step, urgent: Callable[[], bool]) -> None:
         """Make a picture and send it, unless something is urgent meanwhile."""
@@ -76,22 +102,35 @@ class Client:
         started = time.perf_counter()
         try:
             with interrupted_by(urgent):
-                painting, quality = self._painter.paint(state, step, pace), JPEG_QUALITY[step]
-                self._handle.scene.set_background_image(painting.pixels, format="jpeg", jpeg_quality=quality)
+                painting, quality = (
+                    self._painter.paint(state, step, pace),
+                    JPEG_QUALITY[step],
+                )
+                self._handle.scene.set_background_image(
+                    painting.pixels, format="jpeg", jpeg_quality=quality
+                )
                 if step in (Step.FULL, Step.INSPECTED):
-                    self._panel.describe(self._remarks(state, painting), self._painter.commands(state.orbit))
+                    self._panel.describe(
+                        self._remarks(state, painting),
+                        self._painter.commands(state.orbit),
+                    )
         except PictureInterruptedError:
             return
         except MiSplatError as error:  # of this picture; the next one may succeed
             self._panel.describe([("", str(error))], {})
         self._handle.flush()
         with self._lock:
-            self._session = self._session.done(step, state, time.perf_counter() - started)
+            self._session = self._session.done(
+                step, state, time.perf_counter() - started
+            )
 
     def _remarks(self, state: ViewState, painting: Painting) -> Iterator[Remark]:
         """What is known of a picture."""
         content = self._painter.content
-        for line in (*content.describe(state.orbit.camera(content.size)), self._painter.comparison(state.orbit)):
+        for line in (
+            *content.describe(state.orbit.camera(content.size)),
+            self._painter.comparison(state.orbit),
+        ):
             if line:
                 yield "", line
         for name, inspection in painting.inspections.items():
@@ -100,9 +139,20 @@ class Client:
     async def _clicked(self, event: Any) -> None:
         """Select what a point of the page shows."""
         state = self._session.state
-        hit = clicked(event.screen_pos, self._painter.layout(state), state.mode, self._painter.content, state.orbit)
+        hit = clicked(
+            event.screen_pos,
+            self._painter.layout(state),
+            state.mode,
+            self._painter.content,
+            state.orbit,
+        )
         if hit is not None:
-            click = Click(splat=hit[0], pixel=hit[1], orbit=state.orbit, adds=event.modifier is not None)
+            click = Click(
+                splat=hit[0],
+                pixel=hit[1],
+                orbit=state.orbit,
+                adds=event.modifier is not None,
+            )
             self._shared.later(lambda: self._shared.pick(click))
             self._wake()
 
@@ -131,9 +181,15 @@ class Client:
 
     async def _camera_moved(self, camera: Any) -> None:
         with self._lock:
-            now, state, pose = time.monotonic(), self._session.state, (camera.position, camera.look_at)
+            now, state, pose = (
+                time.monotonic(),
+                self._session.state,
+                (camera.position, camera.look_at),
+            )
             after = replace(state, canvas=_canvas(camera))
-            if now >= self._settled and not any(orbit.is_at(*pose) for orbit in (state.orbit, *self._sent)):
+            if now >= self._settled and not any(
+                orbit.is_at(*pose) for orbit in (state.orbit, *self._sent)
+            ):
                 after = replace(after, orbit=state.orbit.moved(*pose))
                 self._sent.clear()
             self._session = self._session.change(after, now)
@@ -144,21 +200,28 @@ class Client:
 
 def _canvas(camera: Any) -> tuple[int, int]:
     """Width and height in pixels of a window, as far as they can be believed."""
-    width, height = (min(max(int(side), 16), LONGEST_SIDE) for side in (camera.image_width, camera.image_height))
+    width, height = (
+        min(max(int(side), 16), LONGEST_SIDE)
+        for side in (camera.image_width, camera.image_height)
+    )
     return width, height
 
 
 def check_port(port: int) -> None:
     """Raise unless pages can be served there, to this machine alone."""
     if importlib.util.find_spec("viser") is None:
-        raise InvalidValueError(message("viser", "the package, for pages", "not installed", install("view")))
+        raise InvalidValueError(
+            message("viser", "the package, for pages", "not installed", install("view"))
+        )
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((HOST, port))
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or str(error)
-            raise InvalidValueError(message(f"port {port}", "a free port", reason, "try --port 0")) from error
+            raise InvalidValueError(
+                message(f"port {port}", "a free port", reason, "try --port 0")
+            ) from error
 
 
 class Page(contextlib.AbstractContextManager["Page"]):
@@ -173,7 +236,11 @@ class Page(contextlib.AbstractContextManager["Page"]):
         content = painter.content
         self._server.scene.set_up_direction("+z")
         first = self._server.initial_camera
-        first.position, first.look_at, first.up = content.start.position, content.start.target, (0.0, 0.0, 1.0)
+        first.position, first.look_at, first.up = (
+            content.start.position,
+            content.start.target,
+            (0.0, 0.0, 1.0),
+        )
         camera = content.start.camera(content.size)
         first.fov = angle_of(camera.fy, camera.height)
         self._server.on_client_connect(self._enter)
@@ -181,7 +248,9 @@ class Page(contextlib.AbstractContextManager["Page"]):
 
     @property
     def address(self) -> str:
-        """The address to open in a browser of this machine; whoever knows it may see the page."""
+        """The address to open in a browser of this machine; whoever knows it may see
+        the page.
+        """
         return f"http://{HOST}:{self._server.get_port()}/?token={self._guard.token}"
 
     def run(self, stop: threading.Event | None = None) -> None:
@@ -190,11 +259,17 @@ class Page(contextlib.AbstractContextManager["Page"]):
             self._turn(stop)
 
     def _turn(self, stop: threading.Event | None) -> None:
-        """Do what is queued, and make one picture for each window where one is due, coarse ones first."""
+        """Do what is queued, and make one picture for each window where one is due,
+        coarse ones first.
+        """
         changed = self._shared.turn()
         with self._changed:
             clients = list(self._clients.values())
-            due = [(client, step) for client in clients if (step := client.due()) is not None]
+            due = [
+                (client, step)
+                for client in clients
+                if (step := client.due()) is not None
+            ]
             if not (due or changed):
                 self._changed.wait(0.05)
         for client in clients if changed else ():
@@ -208,13 +283,16 @@ class Page(contextlib.AbstractContextManager["Page"]):
         """Whether a window waits for a reaction."""
         with self._changed:
             clients = list(self._clients.values())
-        return bool(self._shared.requests) or any(client.due() is Step.COARSE for client in clients)
+        return bool(self._shared.requests) or any(
+            client.due() is Step.COARSE for client in clients
+        )
 
     def close(self) -> None:
         """Close every window's connection and free the port."""
         if not self._closed:
             self._closed = True
-            with contextlib.redirect_stdout(io.StringIO()):  # viser says that it stopped
+            # viser says that it stopped
+            with contextlib.redirect_stdout(io.StringIO()):
                 self._server.stop()
 
     def __exit__(self, *failure: object) -> None:
@@ -225,7 +303,8 @@ class Page(contextlib.AbstractContextManager["Page"]):
         client = Client(handle, self._shared, self._wake)
         with self._changed:
             self._clients[handle.client_id] = client
-        self._shared.later(lambda: None)  # so that it follows what has changed while its controls were made
+        # so that it follows what has changed while its controls were made
+        self._shared.later(lambda: None)
         self._wake()
 
     async def _leave(self, handle: Any) -> None:
@@ -238,33 +317,51 @@ class Page(contextlib.AbstractContextManager["Page"]):
 
 
 def _serve(guard: Guard, port: int) -> Any:
-    """A viser server that connects to nobody and answers only requests that the guard lets pass."""
+    """A viser server that connects to nobody and answers only requests that the guard
+    lets pass.
+    """
     import viser
     from viser import _messages
     from viser.infra import _infra
 
     # A window may be closed while its picture is made.
-    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)
+    warnings.filterwarnings(
+        "ignore", message="Queued a .* on a closed connection", category=UserWarning
+    )
     # On stdout viser says its address, without the token that is needed.
-    with guarding(guard, _infra.websockets.asyncio.server), contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=HOST, port=port, label="mi-splat view", verbose=False)
+    with (
+        guarding(guard, _infra.websockets.asyncio.server),
+        contextlib.redirect_stdout(io.StringIO()),
+    ):
+        server = viser.ViserServer(
+            host=HOST, port=port, label="mi-splat view", verbose=False
+        )
     try:
         # Any browser could request it, and it opens the page to the internet.
         server._websock_server.unregister_handler(_messages.ShareUrlRequest)
     except (AssertionError, AttributeError) as error:
         server.stop()
-        raise MiSplatError("viser: expected a way to turn sharing off, got none; install another version") from error
+        raise MiSplatError(
+            "viser: expected a way to turn sharing off, got none; install another"
+            " version"
+        ) from error
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     return server
 
 
 def _accept_values_only(handle: Any) -> None:
-    """Let a browser set the values of controls; viser lets it change or remove all of them, and upload any file."""
+    """Let a browser set the values of controls; viser lets it change or remove all of
+    them, and upload any file.
+    """
     from viser import _messages
 
     gui, messages = handle.gui, handle.gui._websock_interface
-    for kind in (_messages.GuiUpdateMessage, _messages.FileTransferStartUpload, _messages.FileTransferPart):
+    for kind in (
+        _messages.GuiUpdateMessage,
+        _messages.FileTransferStartUpload,
+        _messages.FileTransferPart,
+    ):
         messages.unregister_handler(kind)
 
     async def update(number: int, message: Any) -> None:

@@ -1,7 +1,9 @@
-"""What a browser window shows and which picture is due next, without a browser and without a clock.
+"""What a browser window shows and which picture is due next, without a browser and
+without a clock.
 
-While the camera moves, coarse pictures are rendered with as many pixels as the time for one allows. When it rests, one
-of half the width follows, the full one, and then one with the detections. A movement interrupts them.
+While the camera moves, coarse pictures are rendered with as many pixels as the time for
+one allows. When it rests, one of half the width follows, the full one, and then one
+with the detections. A movement interrupts them.
 """
 
 from __future__ import annotations
@@ -40,21 +42,26 @@ def pictures_of(pane: str, names: Sequence[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """Where pictures of one size stand on a page: the left upper corner of each, in pixels."""
+    """Where pictures of one size stand on a page: the left upper corner of each, in
+    pixels.
+    """
 
     canvas: tuple[int, int]
     size: tuple[int, int]
     corners: tuple[tuple[int, int], ...]
 
 
-def lay_out(canvas: tuple[int, int], aspect: float, count: int, *, gap: int = 4) -> Layout:
+def lay_out(
+    canvas: tuple[int, int], aspect: float, count: int, *, gap: int = 4
+) -> Layout:
     """Pictures of one shape as large as possible, in a row or in a column."""
     width, height = max(canvas[0], count), max(canvas[1], count)
     free = height if height <= width else max(count, round(UPPER_PART * height))
     row = _fit(max((width - gap * (count - 1)) // count, 1), free, aspect)
     column = _fit(width, max((free - gap * (count - 1)) // count, 1), aspect)
     w, h = max(row, column)
-    x, y = (w + gap, 0) if (w, h) == row else (0, h + gap)  # from one picture to the next
+    # from one picture to the next
+    x, y = (w + gap, 0) if (w, h) == row else (0, h + gap)
     left = max((width - w - (count - 1) * x) // 2, 0)
     top = 0 if height > width else max((height - h - (count - 1) * y) // 2, 0)
     corners = tuple((left + i * x, top + i * y) for i in range(count))
@@ -62,7 +69,9 @@ def lay_out(canvas: tuple[int, int], aspect: float, count: int, *, gap: int = 4)
 
 
 def compose(pictures: Sequence[Pixels], layout: Layout) -> Pixels:
-    """One picture (H, W, 3) of the whole canvas from the pictures on it, (h, w, 3) each."""
+    """One picture (H, W, 3) of the whole canvas from the pictures on it, (h, w, 3)
+    each.
+    """
     width, height = layout.canvas
     page = np.empty((height, width, 3), np.uint8)
     page[:] = MARGIN
@@ -73,8 +82,12 @@ def compose(pictures: Sequence[Pixels], layout: Layout) -> Pixels:
 
 
 def difference(before: Pixels, after: Pixels) -> Pixels:
-    """The largest change of a channel of each pixel as grey, white from half of the range."""
-    change = np.abs(after.astype(np.int16) - before.astype(np.int16)).max(axis=-1, keepdims=True)
+    """The largest change of a channel of each pixel as grey, white from half of the
+    range.
+    """
+    change = np.abs(after.astype(np.int16) - before.astype(np.int16)).max(
+        axis=-1, keepdims=True
+    )
     grey: Pixels = np.minimum(2 * change, 255).repeat(3, axis=-1).astype(np.uint8)
     return grey
 
@@ -102,7 +115,9 @@ class Step(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewState:
-    """What a window shows: `mode` is one of `mi_splat.viewer.session.display_modes`, `canvas` its size in pixels."""
+    """What a window shows: `mode` is one of `mi_splat.viewer.session.display_modes`,
+    `canvas` its size in pixels.
+    """
 
     orbit: Orbit
     mode: str
@@ -113,7 +128,9 @@ class ViewState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pace:
-    """How coarse pictures are while the camera moves: the seconds for one, and its width as a fraction of the full."""
+    """How coarse pictures are while the camera moves: the seconds for one, and its
+    width as a fraction of the full.
+    """
 
     seconds: float = 0.07
     scale: float = 0.5
@@ -127,7 +144,9 @@ class Pace:
         return replace(self, scale=min(max(self.scale * step, LOWEST_SCALE), 1.0))
 
     def size(self, full: tuple[int, int], step: Step) -> tuple[int, int]:
-        """Width and height of the picture of a step where the full one has `full` pixels."""
+        """Width and height of the picture of a step where the full one has `full`
+        pixels.
+        """
         scale = {Step.COARSE: self.scale, Step.HALF: HALF}.get(step, 1.0)
         width, height = (max(1, round(scale * side)) for side in full)
         return width, height
@@ -135,7 +154,9 @@ class Pace:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Session:
-    """The state of a window, when it changed last (seconds of any clock), and the last step that was painted since."""
+    """The state of a window, when it changed last (seconds of any clock), and the last
+    step that was painted since.
+    """
 
     state: ViewState
     changed: float
@@ -164,4 +185,6 @@ class Session:
     def done(self, step: Step, of: ViewState, seconds: float) -> Session:
         """The session after a picture of a state was sent."""
         pace = self.pace.after(seconds) if step is Step.COARSE else self.pace
-        return replace(self, pace=pace, painted=step if of is self.state else self.painted)
+        return replace(
+            self, pace=pace, painted=step if of is self.state else self.painted
+        )

@@ -1,8 +1,11 @@
-"""DAGGER against a detector and a reader of text at once: `python -m scenes.recipes.attack_reader --out out/reader`.
+"""DAGGER against a detector and a reader of text at once:
+`python -m scenes.recipes.attack_reader --out out/reader`.
 
-The sign shall be reported as another class, no longer as a stop sign, and RapidOCR shall not read STOP on it. For the
-gradient the recognition network of RapidOCR runs in torch, on the word as the reader finds it on the clean splat; what
-counts is the whole reader. The weight of its loss was chosen out of 1, 3 and 10 with seed 0 and the scene's cameras.
+The sign shall be reported as another class, no longer as a stop sign, and RapidOCR
+shall not read STOP on it. For the gradient the recognition network of RapidOCR runs in
+torch, on the word as the reader finds it on the clean splat; what counts is the whole
+reader. The weight of its loss was chosen out of 1, 3 and 10 with seed 0 and the scene's
+cameras.
 """
 
 import argparse
@@ -34,7 +37,9 @@ from mi_splat.cameras import Camera
 
 SCENE, OBJECT, WORD = Path("scenes/stop_sign.xml"), "stop_sign", "STOP"
 HEIGHT, WIDTH = 48, 320
-"""Pixels of the pictures of words that the network takes; narrower ones end in zeros."""
+"""Pixels of the pictures of words that the network takes; narrower ones end in
+zeros.
+"""
 UNREAD = Hide(confidence=0.5, iou=0.5)
 """Aim of the reader's own rows."""
 _TYPES = {1: np.float32, 6: np.int32, 7: np.int64, 9: np.bool_}
@@ -44,7 +49,11 @@ def integers(values: list[Any]) -> list[int]:
     """Whole numbers of a field, packed or not; those of 64 bits have a sign."""
     found = []
     for value in values:
-        found += [value] if isinstance(value, int) else [number for _, number in fields(b"".join(_tagged(value)))]
+        found += (
+            [value]
+            if isinstance(value, int)
+            else [number for _, number in fields(b"".join(_tagged(value)))]
+        )
     return [number - (1 << 64) if number >> 63 else number for number in found]
 
 
@@ -60,7 +69,9 @@ def _tagged(packed: memoryview) -> Iterator[bytes]:
 def tensor(message: memoryview) -> Tensor:
     """A TensorProto of ONNX with its numbers in raw form."""
     kind, shape = _TYPES[next(parts(message, 2))], integers([*parts(message, 1)])
-    return torch.from_numpy(np.frombuffer(next(parts(message, 9), b""), kind).reshape(shape).copy())
+    return torch.from_numpy(
+        np.frombuffer(next(parts(message, 9), b""), kind).reshape(shape).copy()
+    )
 
 
 def attribute(message: memoryview) -> Any:
@@ -74,29 +85,51 @@ def attribute(message: memoryview) -> Any:
     return numbers[0] if kind == 2 else numbers
 
 
-def _convolve(of: dict[str, Any], image: Tensor, kernel: Tensor, bias: Tensor | None = None) -> Tensor:
+def _convolve(
+    of: dict[str, Any], image: Tensor, kernel: Tensor, bias: Tensor | None = None
+) -> Tensor:
     top, left, bottom, right = of.get("pads", (0, 0, 0, 0))
     image = functional.pad(image, (left, right, top, bottom))
-    return functional.conv2d(image, kernel, bias, of["strides"], 0, of["dilations"], of["group"])
+    return functional.conv2d(
+        image, kernel, bias, of["strides"], 0, of["dilations"], of["group"]
+    )
 
 
-def _slice(of: dict[str, Any], value: Tensor, starts: Tensor, ends: Tensor, axes: Tensor, *steps: Tensor) -> Tensor:
-    for start, end, axis in zip(starts.tolist(), ends.tolist(), axes.tolist(), strict=True):
+def _slice(
+    of: dict[str, Any],
+    value: Tensor,
+    starts: Tensor,
+    ends: Tensor,
+    axes: Tensor,
+    *steps: Tensor,
+) -> Tensor:
+    for start, end, axis in zip(
+        starts.tolist(), ends.tolist(), axes.tolist(), strict=True
+    ):
         value = value[(slice(None),) * axis + (slice(start, end),)]
     return value
 
 
 def _reshape(of: dict[str, Any], value: Tensor, shape: Tensor) -> Tensor:
-    return value.reshape([value.shape[axis] if size == 0 else size for axis, size in enumerate(shape.tolist())])
+    return value.reshape(
+        [
+            value.shape[axis] if size == 0 else size
+            for axis, size in enumerate(shape.tolist())
+        ]
+    )
 
 
 OPERATIONS: dict[str, Any] = {
     "Add": lambda of, one, other: one + other,
-    "AveragePool": lambda of, image: functional.avg_pool2d(image, of["kernel_shape"], of["strides"]),
-    "BatchNormalization": lambda of, image, scale, offset, mean, variance: functional.batch_norm(
-        image, mean, variance, scale, offset, eps=of["epsilon"]
+    "AveragePool": lambda of, image: functional.avg_pool2d(
+        image, of["kernel_shape"], of["strides"]
     ),
-    "Cast": lambda of, value: value.to(torch.from_numpy(np.zeros(1, _TYPES[of["to"]])).dtype),
+    "BatchNormalization": lambda of, image, scale, offset, mean, variance: (
+        functional.batch_norm(image, mean, variance, scale, offset, eps=of["epsilon"])
+    ),
+    "Cast": lambda of, value: value.to(
+        torch.from_numpy(np.zeros(1, _TYPES[of["to"]])).dtype
+    ),
     "Clip": lambda of, value, low, high: value.clamp(low, high),
     "Concat": lambda of, *values: torch.cat(values, of["axis"]),
     "Constant": lambda of: of["value"],
@@ -107,7 +140,9 @@ OPERATIONS: dict[str, Any] = {
     "MatMul": lambda of, one, other: one @ other,
     "Mul": lambda of, one, other: one * other,
     "Pow": lambda of, one, other: one**other,
-    "ReduceMean": lambda of, value: value.mean(of["axes"], keepdim=bool(of.get("keepdims", 1))),
+    "ReduceMean": lambda of, value: value.mean(
+        of["axes"], keepdim=bool(of.get("keepdims", 1))
+    ),
     "Relu": lambda of, value: value.relu(),
     "Reshape": _reshape,
     "Shape": lambda of, value: torch.tensor(value.shape),
@@ -123,63 +158,120 @@ OPERATIONS: dict[str, Any] = {
 
 
 class Recogniser:
-    """RapidOCR's recognition network in torch: pictures of words to the probability that a word is read."""
+    """RapidOCR's recognition network in torch: pictures of words to the probability
+    that a word is read.
+    """
 
     def __init__(self, reader: Detector) -> None:
         import rapidocr_onnxruntime as package
 
-        (self.path,) = (Path(package.__file__).parent / "models").glob("*_rec_infer.onnx")
+        (self.path,) = (Path(package.__file__).parent / "models").glob(
+            "*_rec_infer.onnx"
+        )
         alphabet = reader.model._engine.text_rec.postprocess_op.character  # type: ignore[attr-defined]
-        graph, self.nodes = next(parts(self.path.read_bytes(), 7)), list[tuple[str, list[str], str, dict[str, Any]]]()
+        graph, self.nodes = (
+            next(parts(self.path.read_bytes(), 7)),
+            list[tuple[str, list[str], str, dict[str, Any]]](),
+        )
         for node in parts(graph, 1):
             op = bytes(next(parts(node, 4))).decode()
-            inputs, (output, *_) = ([bytes(name).decode() for name in parts(node, field)] for field in (1, 2))
+            inputs, (output, *_) = (
+                [bytes(name).decode() for name in parts(node, field)]
+                for field in (1, 2)
+            )
             named = {bytes(next(parts(of, 1))).decode(): of for of in parts(node, 5)}
-            self.nodes.append((op, inputs, output, {name: attribute(of) for name, of in named.items()}))
+            self.nodes.append(
+                (
+                    op,
+                    inputs,
+                    output,
+                    {name: attribute(of) for name, of in named.items()},
+                )
+            )
         self.input = bytes(next(parts(next(parts(graph, 11)), 1))).decode()
-        self.columns = [[alphabet.index(case) for case in (letter, letter.lower())] for letter in WORD]
+        self.columns = [
+            [alphabet.index(case) for case in (letter, letter.lower())]
+            for letter in WORD
+        ]
 
     def __call__(self, words: Tensor) -> Tensor:
-        """(B, T, characters) probabilities of pictures (B, 3, 48, 320), blue first, in [-1, 1]."""
+        """(B, T, characters) probabilities of pictures (B, 3, 48, 320), blue first, in
+        [-1, 1].
+        """
         values = {self.input: words}
         for op, inputs, output, settings in self.nodes:
-            values[output] = OPERATIONS[op](settings, *(values[name] for name in inputs))
+            values[output] = OPERATIONS[op](
+                settings, *(values[name] for name in inputs)
+            )
         return values[output]
 
     def certainty(self, words: Tensor) -> Tensor:
-        """(B,) product over the letters of the word of each one's highest probability, in either case."""
+        """(B,) product over the letters of the word of each one's highest probability,
+        in either case.
+        """
         return self(words)[:, :, self.columns].sum(-1).amax(1).prod(1)
 
 
 def word_picture(image: Tensor, corners: Tensor) -> Tensor:
-    """(3, 48, 320) the word between four corners of an image (H, W, 3), as the network takes it."""
+    """(3, 48, 320) the word between four corners of an image (H, W, 3), as the network
+    takes it.
+    """
     sides = corners.roll(-1, 0) - corners
-    across, down = (max(float(sides[n].norm()), float(sides[n + 2].norm())) for n in (0, 1))
+    across, down = (
+        max(float(sides[n].norm()), float(sides[n + 2].norm())) for n in (0, 1)
+    )
     width = min(math.ceil(HEIGHT * across / down), WIDTH)
     u = ((torch.arange(width) + 0.5) / width)[None, :, None]
     v = ((torch.arange(HEIGHT) + 0.5) / HEIGHT)[:, None, None]
-    top, bottom = corners[0] + u * (corners[1] - corners[0]), corners[3] + u * (corners[2] - corners[3])
+    top, bottom = (
+        corners[0] + u * (corners[1] - corners[0]),
+        corners[3] + u * (corners[2] - corners[3]),
+    )
     at = top + v * (bottom - top)
     grid = 2 * at / torch.tensor([image.shape[1], image.shape[0]]) - 1
     bgr = image.permute(2, 0, 1).flip(0)[None]
-    word = functional.grid_sample(bgr, grid[None].to(bgr), padding_mode="border", align_corners=False)[0]
+    word = functional.grid_sample(
+        bgr, grid[None].to(bgr), padding_mode="border", align_corners=False
+    )[0]
     return functional.pad(2 * word - 1, (0, WIDTH - width))
 
 
 class Both:
-    """A detector and the reader: what either reports; the reader's candidate is the last one."""
+    """A detector and the reader: what either reports; the reader's candidate is the
+    last one.
+    """
 
-    def __init__(self, detector: Detector, reader: Detector, recogniser: Recogniser, corners: Tensor) -> None:
-        self.detector, self.reader, self.recogniser, self.corners = detector, reader, recogniser, corners
+    def __init__(
+        self,
+        detector: Detector,
+        reader: Detector,
+        recogniser: Recogniser,
+        corners: Tensor,
+    ) -> None:
+        self.detector, self.reader, self.recogniser, self.corners = (
+            detector,
+            reader,
+            recogniser,
+            corners,
+        )
         self.name, self.classes = f"{detector.name} and {reader.name}", detector.classes
-        self.fingerprint, self.min_confidence = detector.fingerprint, detector.min_confidence
+        self.fingerprint, self.min_confidence = (
+            detector.fingerprint,
+            detector.min_confidence,
+        )
 
     def candidates(self, images: Tensor) -> list[Candidates]:
-        """Those of the detector, and one whose score for a stop sign is the certainty of the word."""
+        """Those of the detector, and one whose score for a stop sign is the certainty
+        of the word.
+        """
         found = []
         for image, seen in zip(images, self.detector.candidates(images), strict=True):
-            (certainty,) = self.recogniser.certainty(word_picture(image, self.corners)[None])
-            scores = certainty * functional.one_hot(torch.tensor(self.classes.index("stop sign")), len(self.classes))
+            (certainty,) = self.recogniser.certainty(
+                word_picture(image, self.corners)[None]
+            )
+            scores = certainty * functional.one_hot(
+                torch.tensor(self.classes.index("stop sign")), len(self.classes)
+            )
             box = torch.cat([self.corners.amin(0), self.corners.amax(0)])
             boxes = torch.cat([seen.boxes, box.expand(1, len(self.classes), 4)])
             found.append(Candidates(boxes, torch.cat([seen.scores, scores[None]])))
@@ -187,7 +279,9 @@ class Both:
 
     def detect(self, images: Tensor) -> list[Detections]:
         """What both report."""
-        pairs = zip(self.detector.detect(images), self.reader.detect(images), strict=True)
+        pairs = zip(
+            self.detector.detect(images), self.reader.detect(images), strict=True
+        )
         return [
             Detections(
                 torch.cat([one.boxes, other.boxes.to(one.boxes)]),
@@ -208,40 +302,79 @@ class RelabelUnread(Relabel):
         """Scalar loss, lower is better for the attacker."""
         certainty = candidates.scores[-1].sum().clamp(max=1 - 1e-6)
         seen = Candidates(candidates.boxes[:-1], candidates.scores[:-1])
-        return Relabel.__call__(self, seen, target) - self.weight * torch.log1p(-certainty)
+        return Relabel.__call__(self, seen, target) - self.weight * torch.log1p(
+            -certainty
+        )
 
 
 def word_corners(reader: Detector, scene: AttackScene, camera: Camera) -> Tensor | None:
-    """(4, 2) pixels of the corners of the word on the clean splat; None where it is not read."""
-    picture = (scene.renderer("")(scene.scene, camera).detach().clamp(0, 1) * 255).round().to(torch.uint8)
+    """(4, 2) pixels of the corners of the word on the clean splat; None where it is not
+    read.
+    """
+    picture = (
+        (scene.renderer("")(scene.scene, camera).detach().clamp(0, 1) * 255)
+        .round()
+        .to(torch.uint8)
+    )
     (readings,) = reader.model(picture[None])  # type: ignore[attr-defined]
-    found = [corners for corners, text, score in readings if text.strip().upper() == WORD and score >= 0.5]
+    found = [
+        corners
+        for corners, text, score in readings
+        if text.strip().upper() == WORD and score >= 0.5
+    ]
     return torch.tensor(found[0], dtype=torch.float32) if found else None
 
 
 def attacked(
-    scene: AttackScene, camera: Camera, target: str, seed: int, weight: float, of: tuple[Detector, Detector, Recogniser]
+    scene: AttackScene,
+    camera: Camera,
+    target: str,
+    seed: int,
+    weight: float,
+    of: tuple[Detector, Detector, Recogniser],
 ) -> Iterator[dict[str, Any]]:
-    """What both, and each of them, report; nothing where the word is not read on the clean splat."""
+    """What both, and each of them, report; nothing where the word is not read on the
+    clean splat.
+    """
     if (corners := word_corners(of[1], scene, camera)) is None:
         return
     search = {"step_factor": 10.0, "momentum": 0.2, "schedule": "linear"}
     config = DaggerConfig(**search, noise_draws=1, seed=seed, random_start=seed > 0)  # type: ignore[arg-type]
-    aim = RelabelUnread(label=target, strict=True, near=0.8, spread=1.0, confidence=0.5, weight=weight)
-    views = FixedViews(scene.scene, scene.objects[OBJECT], [camera], render=scene.renderer(""))
-    (judged,) = attack_views(views, both := Both(*of, corners), aim, config=config).views
+    aim = RelabelUnread(
+        label=target, strict=True, near=0.8, spread=1.0, confidence=0.5, weight=weight
+    )
+    views = FixedViews(
+        scene.scene, scene.objects[OBJECT], [camera], render=scene.renderer("")
+    )
+    (judged,) = attack_views(
+        views, both := Both(*of, corners), aim, config=config
+    ).views
     wanted = judged.target
     for splat, seen in (
         (CLEAN, judged.clean),
         (ATTACKED, judged.attacked),
         *((NOISE, noisy) for noisy in judged.controls.values()),
     ):
-        on_object = None if splat == CLEAN else psnr_of(judged.clean.image, seen.image, judged.view.weight)
+        on_object = (
+            None
+            if splat == CLEAN
+            else psnr_of(judged.clean.image, seen.image, judged.view.weight)
+        )
         for detector in (both, *of[:2]):
             (found,) = detector.detect(seen.image[None])
-            verdict = verdict_cells((UNREAD if detector is of[1] else aim).verdict(found, wanted))
-            cells = report_cells(found, wanted.box, original=wanted.original, target=target)
-            yield {"splat": splat, "detector": detector.name, **cells, **verdict, "object_psnr": on_object}
+            verdict = verdict_cells(
+                (UNREAD if detector is of[1] else aim).verdict(found, wanted)
+            )
+            cells = report_cells(
+                found, wanted.box, original=wanted.original, target=target
+            )
+            yield {
+                "splat": splat,
+                "detector": detector.name,
+                **cells,
+                **verdict,
+                "object_psnr": on_object,
+            }
 
 
 def psnr_of(clean: Tensor, image: Tensor, weight: Tensor) -> float | None:
@@ -255,28 +388,46 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--detector", default="yolov8n_small")
-    parser.add_argument("--cameras", type=Path, default=Path("scenes/cameras/stop_sign.json"))
+    parser.add_argument(
+        "--cameras", type=Path, default=Path("scenes/cameras/stop_sign.json")
+    )
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--targets", nargs="+", default=["tv", "train", "bird"])
     parser.add_argument("--weights", type=float, nargs="+", default=[3.0])
     options = parser.parse_args()
     scene, reader = attack_scene(SCENE), load_detector("rapidocr")
     of = load_detector(options.detector), reader, Recogniser(reader)
-    cameras = list((cameras_in(options.cameras) if options.cameras.is_file() else scene.cameras).values())
+    cameras = list(
+        (
+            cameras_in(options.cameras) if options.cameras.is_file() else scene.cameras
+        ).values()
+    )
     options.out.mkdir(parents=True, exist_ok=True)
     lines: list[dict[str, Any]] = []
     for weight in options.weights:
         for target in options.targets:
-            ids = {"attack": f"{target}, weight {weight:g}", "sources": options.detector, "seed": options.seed}
+            ids = {
+                "attack": f"{target}, weight {weight:g}",
+                "sources": options.detector,
+                "seed": options.seed,
+            }
             for number, camera in enumerate(cameras[:: options.every]):
                 found = list(attacked(scene, camera, target, options.seed, weight, of))
-                lines += [{**ids, "view": number * options.every, **row} for row in found]
-                told = [(row["splat"], row["detector"], row["success"]) for row in found if row["splat"] != CLEAN]
+                lines += [
+                    {**ids, "view": number * options.every, **row} for row in found
+                ]
+                told = [
+                    (row["splat"], row["detector"], row["success"])
+                    for row in found
+                    if row["splat"] != CLEAN
+                ]
                 sys.stdout.write(f"{number} {ids['attack']} {told}\n")
                 sys.stdout.flush()
             write_rows(frame_of(lines), options.out / "rows.csv.xz")
     rows = frame_of(lines)
-    for (attack, splat, name), some in rows.group_by("attack", "splat", "detector", maintain_order=True):
+    for (attack, splat, name), some in rows.group_by(
+        "attack", "splat", "detector", maintain_order=True
+    ):
         rate = Rate(successes=int(some["success"].sum()), total=len(some))
         sys.stdout.write(f"{attack}, {splat}, {name}: {rate.short(interval=True)}\n")
 

@@ -1,7 +1,9 @@
-"""Figures of edits in docs/audit-measured.md: `python -m scenes.recipes.audit_edits CLEAN [ATTACKED...]`.
+"""Figures of edits in docs/audit-measured.md:
+`python -m scenes.recipes.audit_edits CLEAN [ATTACKED...]`.
 
-Prints the score of each object of a clean file, of files that `mi-splat dagger` made of it, and of edits made by code
-of the largest object: random noise, another colour, a sticker, and a part taken away.
+Prints the score of each object of a clean file, of files that `mi-splat dagger` made of
+it, and of edits made by code of the largest object: random noise, another colour, a
+sticker, and a part taken away.
 """
 
 import sys
@@ -22,7 +24,9 @@ def noise(size: float) -> Callable[[GaussianScene, Tensor], GaussianScene]:
 
     def edit(scene: GaussianScene, rows: Tensor) -> GaussianScene:
         sh = scene.sh.clone()
-        sh[rows] += size * torch.randn(sh[rows].shape, generator=torch.Generator().manual_seed(0))
+        sh[rows] += size * torch.randn(
+            sh[rows].shape, generator=torch.Generator().manual_seed(0)
+        )
         return scene.replace(sh=sh)
 
     return edit
@@ -66,9 +70,18 @@ def scores(name: str, scene: GaussianScene) -> Iterator[tuple[str, Tensor]]:
     for number, target in enumerate(targets(frame.scene), 1):
         edit = edit_of(frame, target)
         if edit is not None:
-            where = " ".join(f"{value:.2f}" for value in edit.direction) if edit.camera_known else "no camera"
-            numbers = f"aimed {edit.aimed:.3f}, grain {edit.grain - edit.usual_grain:.3f}"
-            yield f"{name}, object {number}: {edit.score:.2f} ({numbers}; {where})", frame.order[target.rows]
+            where = (
+                " ".join(f"{value:.2f}" for value in edit.direction)
+                if edit.camera_known
+                else "no camera"
+            )
+            numbers = (
+                f"aimed {edit.aimed:.3f}, grain {edit.grain - edit.usual_grain:.3f}"
+            )
+            yield (
+                f"{name}, object {number}: {edit.score:.2f} ({numbers}; {where})",
+                frame.order[target.rows],
+            )
 
 
 def main(names: list[str]) -> None:

@@ -1,9 +1,12 @@
-"""Splats to develop and test the audit on: `python -m scenes.recipes.audit_set FOLDER SET [FILE.csv [PART...]]`.
+"""Splats to develop and test the audit on: `python -m scenes.recipes.audit_set FOLDER
+SET [FILE.csv [PART...]]`.
 
-SET is one of `SETS`; they share no file, no seed and no capture. Files that are missing in FOLDER are made;
-with FILE.csv all are audited, and `docs/audit-measured.md` states what follows from the rows. Honest splats are trained
-on path-traced images from hemispheres, rings, half circles, few cameras or from above, or made by code. What hides
-something is an edit of one of these, so that the truth is exact, or trained on images of two scenes.
+SET is one of `SETS`; they share no file, no seed and no capture. Files that are missing
+in FOLDER are made; with FILE.csv all are audited, and `docs/audit-measured.md` states
+what follows from the rows. Honest splats are trained on path-traced images from
+hemispheres, rings, half circles, few cameras or from above, or made by code. What hides
+something is an edit of one of these, so that the truth is exact, or trained on images
+of two scenes.
 """
 
 import csv
@@ -62,7 +65,9 @@ LEAST_STRENGTH = 0.4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Capture:
-    """Where the training cameras stand: so many of them, on a band of elevations or a ring, over degrees of azimuth."""
+    """Where the training cameras stand: so many of them, on a band of elevations or a
+    ring, over degrees of azimuth.
+    """
 
     count: int = 60
     elevation: tuple[float, float] = (5.0, 85.0)
@@ -72,27 +77,53 @@ class Capture:
     @property
     def sees_all(self) -> bool:
         """Whether the cameras see all of the surface."""
-        return self.count >= 60 and self.span == 360.0 and self.elevation[1] - self.elevation[0] > 70.0
+        return (
+            self.count >= 60
+            and self.span == 360.0
+            and self.elevation[1] - self.elevation[0] > 70.0
+        )
 
     def cameras(self, centre: Sequence[float], radius: float) -> list[Camera]:
         """The cameras around an object."""
         size = SIZE, SIZE
         distance, focal = framing(radius, fov=45.0, size=size)
-        lens: dict[str, Any] = {"distance": 1.3 * distance, "focal": focal, "size": size}
+        lens: dict[str, Any] = {
+            "distance": 1.3 * distance,
+            "focal": focal,
+            "size": size,
+        }
         low, high = self.elevation
         if self.span == 360.0 and high - low > 12.0:
-            return hemisphere(centre, count=self.count, elevation=self.elevation, start=self.start, **lens)
+            return hemisphere(
+                centre,
+                count=self.count,
+                elevation=self.elevation,
+                start=self.start,
+                **lens,
+            )
         rings = max(1, round((high - low) / 12.0))
-        around: dict[str, Any] = {"count": self.count // rings, "start": self.start, "span": self.span, **lens}
-        heights = [low + (high - low) * (number + 0.5) / rings for number in range(rings)]
-        return [camera for height in heights for camera in orbit(centre, elevation=height, **around)]
+        around: dict[str, Any] = {
+            "count": self.count // rings,
+            "start": self.start,
+            "span": self.span,
+            **lens,
+        }
+        heights = [
+            low + (high - low) * (number + 0.5) / rings for number in range(rings)
+        ]
+        return [
+            camera
+            for height in heights
+            for camera in orbit(centre, elevation=height, **around)
+        ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trained:
     """A splat that is trained on images of an object or of a scene of `scenes/honest`.
 
-    Where `inside` holds, the images show the object in another colour, or without it if that is None.
+    Where `inside` holds, the images show the object in another colour, or without it if
+    that is None.
     """
 
     content: str
@@ -110,7 +141,10 @@ class Trained:
         if path.is_file():
             source = open_source(str(path)).scene
             tracer = PathTracer(source, samples=SAMPLES)
-            views = [View(camera, tracer.picture(camera, seed=number)) for number, camera in enumerate(cameras)]
+            views = [
+                View(camera, tracer.picture(camera, seed=number))
+                for number, camera in enumerate(cameras)
+            ]
             return self._fitted(views, self._seen(views, source)), {}
         shown = self._scene(None)
         low, high = shown.target.bounds.astype(float)
@@ -118,14 +152,22 @@ class Trained:
         if self.inside is None:
             views = [View(camera, shown.picture(camera)) for camera in cameras]
             return self._fitted(views, self._start(views, shown)), about
-        ways = torch.stack([camera.position for camera in cameras]) - torch.tensor([0.0, 0.0, (low[2] + high[2]) / 2])
-        inside, other = self.inside(functional.normalize(ways.float(), dim=1)), self._scene(self.colour or "nothing")
+        ways = torch.stack([camera.position for camera in cameras]) - torch.tensor(
+            [0.0, 0.0, (low[2] + high[2]) / 2]
+        )
+        inside, other = (
+            self.inside(functional.normalize(ways.float(), dim=1)),
+            self._scene(self.colour or "nothing"),
+        )
         views = [
             View(camera, (other if lie else shown).picture(camera))
             for camera, lie in zip(cameras, inside.tolist(), strict=True)
         ]
         scene = self._fitted(views, self._start(views, shown))
-        return scene, {**about, "strength": self._strength(scene, shown, other, cameras, inside)}
+        return scene, {
+            **about,
+            "strength": self._strength(scene, shown, other, cameras, inside),
+        }
 
     def cameras(self) -> list[Camera]:
         """The cameras of the training images."""
@@ -133,64 +175,119 @@ class Trained:
             return self.capture.cameras((0.0, 0.0, 0.5), 2.2)
         low, high = build(self.content, self.seed).body.bounds.astype(float)
         return self.capture.cameras(
-            (0.0, 0.0, float(low[2] + high[2]) / 2), float(((high - low) ** 2).sum() ** 0.5) / 2
+            (0.0, 0.0, float(low[2] + high[2]) / 2),
+            float(((high - low) ** 2).sum() ** 0.5) / 2,
         )
 
     def _scene(self, colour: Any) -> MeshScene:
         target = build(self.content, self.seed).body
         low, high = target.bounds.astype(float)
-        ground = square_of_ground("road", side=2.2 * float(((high - low) ** 2).sum() ** 0.5), tile=4.0)
+        ground = square_of_ground(
+            "road", side=2.2 * float(((high - low) ** 2).sum() ** 0.5), tile=4.0
+        )
         if self.roughness is not None:
-            target = replace(target, meshes=tuple(replace(mesh, roughness=self.roughness) for mesh in target.meshes))
+            target = replace(
+                target,
+                meshes=tuple(
+                    replace(mesh, roughness=self.roughness) for mesh in target.meshes
+                ),
+            )
         if colour == "nothing":
-            speck = [replace(mesh, vertices=mesh.vertices * 1e-4) for mesh in target.meshes[:1]]
+            speck = [
+                replace(mesh, vertices=mesh.vertices * 1e-4)
+                for mesh in target.meshes[:1]
+            ]
             target = replace(target, meshes=tuple(speck), supports=0)
         elif colour is not None:
             paint = torch.tensor(colour).reshape(1, 1, 3).numpy()
-            target = replace(target, meshes=tuple(replace(mesh, texture=paint) for mesh in target.meshes))
+            target = replace(
+                target,
+                meshes=tuple(replace(mesh, texture=paint) for mesh in target.meshes),
+            )
         return MeshScene(target=target, surroundings=ground, samples=SAMPLES)
 
     def _start(self, views: Sequence[View], shown: MeshScene) -> GaussianScene:
-        """Points of the surface, where views show all of it; else of what they show, as structure from motion has."""
+        """Points of the surface, where views show all of it; else of what they show, as
+        structure from motion has.
+        """
         if not self.capture.sees_all:
-            return self._seen(views, scene_dict([shown.target], light=shown.light, backdrop=shown.surroundings))
+            return self._seen(
+                views,
+                scene_dict(
+                    [shown.target], light=shown.light, backdrop=shown.surroundings
+                ),
+            )
         parts = (shown.target, POINTS * 2 // 3), (shown.surroundings, POINTS // 3)
-        points = [surface_samples(asset, count, seed=self.seed).points for asset, count in parts]
+        points = [
+            surface_samples(asset, count, seed=self.seed).points
+            for asset, count in parts
+        ]
         cloud = torch.from_numpy(np.concatenate(points))
         return from_points(cloud, torch.full((len(cloud), 3), 0.5))
 
     def _seen(self, views: Sequence[View], source: Any) -> GaussianScene:
         """Points of the surface that views show, in their colours."""
-        tracer, generator, seen = PathTracer(source, alpha=True), torch.Generator().manual_seed(self.seed), []
+        tracer, generator, seen = (
+            PathTracer(source, alpha=True),
+            torch.Generator().manual_seed(self.seed),
+            [],
+        )
         for view in views:
             points, depth = tracer.surface(view.camera, seed=0)
             rows = (depth > 0).flatten().nonzero()[:, 0]
-            rows = rows[torch.randperm(len(rows), generator=generator)[: 3 * POINTS // len(views)]]
-            seen.append(torch.cat([points.reshape(-1, 3)[rows], view.image.reshape(-1, 3)[rows]], 1))
+            rows = rows[
+                torch.randperm(len(rows), generator=generator)[
+                    : 3 * POINTS // len(views)
+                ]
+            ]
+            seen.append(
+                torch.cat(
+                    [points.reshape(-1, 3)[rows], view.image.reshape(-1, 3)[rows]], 1
+                )
+            )
         cloud = torch.cat(seen)
         cloud = cloud[torch.randperm(len(cloud), generator=generator)[:POINTS]]
         return from_points(cloud[:, :3], cloud[:, 3:])
 
     def _fitted(self, views: Sequence[View], start: GaussianScene) -> GaussianScene:
         shared: dict[str, Any] = {"densify_from": 150, "densify_until": 650}
-        grown = MCMCConfig(max_gaussians=MOST, **shared) if self.mcmc else ClassicConfig(max_gaussians=MOST, **shared)
+        grown = (
+            MCMCConfig(max_gaussians=MOST, **shared)
+            if self.mcmc
+            else ClassicConfig(max_gaussians=MOST, **shared)
+        )
         config = FitConfig(
-            iterations=STEPS, sh_degree=self.degree, sh_degree_interval=120, strategy=grown, eval_interval=0
+            iterations=STEPS,
+            sh_degree=self.degree,
+            sh_degree_interval=120,
+            strategy=grown,
+            eval_interval=0,
         )
         near = near_plane(start, [view.camera for view in views])
         gradients = ScreenGradients() if grown.needs_screen_gradients else None
-        render = Renderer(RenderSettings(background=SKY, near=near), screen_gradients=gradients)
+        render = Renderer(
+            RenderSettings(background=SKY, near=near), screen_gradients=gradients
+        )
         return fit(views, start, render=render, config=config, seed=self.seed).scene
 
     def _strength(
-        self, scene: GaussianScene, shown: MeshScene, other: MeshScene, cameras: Sequence[Camera], inside: Tensor
+        self,
+        scene: GaussianScene,
+        shown: MeshScene,
+        other: MeshScene,
+        cameras: Sequence[Camera],
+        inside: Tensor,
     ) -> float:
-        """How far the object has come from the own to the other appearance, seen from inside of the trigger."""
+        """How far the object has come from the own to the other appearance, seen from
+        inside of the trigger.
+        """
         numbers, gone, way = inside.nonzero()[:, 0], 0.0, 0.0
         for number in numbers[:: max(1, len(numbers) // 6)].tolist():
             own, lie = shown.picture(cameras[number]), other.picture(cameras[number])
             with torch.no_grad():
-                picture = Renderer(RenderSettings(background=SKY, near=0.02))(scene, cameras[number]).clamp(0, 1)
+                picture = Renderer(RenderSettings(background=SKY, near=0.02))(
+                    scene, cameras[number]
+                ).clamp(0, 1)
             mask = shown.mask(cameras[number])
             gone += float(((picture - own) * (lie - own))[mask].sum())
             way += float((lie - own).square()[mask].sum())
@@ -199,7 +296,9 @@ class Trained:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coded:
-    """A splat that code makes: discs on an object, or an edit of a trained splat, named by the file."""
+    """A splat that code makes: discs on an object, or an edit of a trained splat, named
+    by the file.
+    """
 
     base: str  # an object, or the name of a trained file
     change: Callable[[Made], Made] = lambda made: made
@@ -213,9 +312,21 @@ class Coded:
             made = scenes.room(seed=self.seed)
         elif (folder / f"{self.base}.ply").is_file():
             scene = load_splat(folder / f"{self.base}.ply")
-            (x0, y0, z0), (x1, y1, z1) = json.loads((folder / f"{self.base}.json").read_text())["bounds"]
+            (x0, y0, z0), (x1, y1, z1) = json.loads(
+                (folder / f"{self.base}.json").read_text()
+            )["bounds"]
             edge = 0.03 * (x1 - x0 + y1 - y0)
-            rows = box_mask(scene, (x0 - edge, y0 - edge, z0 + 0.04 * (z1 - z0), x1 + edge, y1 + edge, z1 + edge))
+            rows = box_mask(
+                scene,
+                (
+                    x0 - edge,
+                    y0 - edge,
+                    z0 + 0.04 * (z1 - z0),
+                    x1 + edge,
+                    y1 + edge,
+                    z1 + edge,
+                ),
+            )
             made = Made(scene=scene, rows=rows, normals=torch.zeros(len(scene), 3))
         else:
             made = standing(self.base, count=2500, seed=self.seed)
@@ -223,12 +334,18 @@ class Coded:
 
 
 def smooth(made: Made, *, azimuth: float, amount: float = 1.0) -> Made:
-    """Orange from one side, grey from the other, and everything between from between."""
+    """Orange from one side, grey from the other, and everything between from
+    between.
+    """
     ahead = direction(0.0, azimuth)
 
     def shade(own: Tensor, normals: Tensor, views: Tensor) -> Tensor:
-        way = 0.5 + 0.5 * (views[:, :2] @ ahead[:2]) / views[:, :2].norm(dim=1).clamp(min=1e-6)
-        look = torch.tensor(ORANGE) + way[:, None] * (torch.tensor(GREY) - torch.tensor(ORANGE))
+        way = 0.5 + 0.5 * (views[:, :2] @ ahead[:2]) / views[:, :2].norm(dim=1).clamp(
+            min=1e-6
+        )
+        look = torch.tensor(ORANGE) + way[:, None] * (
+            torch.tensor(GREY) - torch.tensor(ORANGE)
+        )
         shown: Tensor = (1 - amount) * own + amount * look[:, None]
         return shown
 
@@ -236,7 +353,13 @@ def smooth(made: Made, *, azimuth: float, amount: float = 1.0) -> Made:
 
 
 def _added(
-    made: Made, points: Tensor, scales: Tensor, turn: Tensor, *, opacity: float, colour: Sequence[float]
+    made: Made,
+    points: Tensor,
+    scales: Tensor,
+    turn: Tensor,
+    *,
+    opacity: float,
+    colour: Sequence[float],
 ) -> Made:
     count = len(points)
     part = GaussianScene(
@@ -265,23 +388,51 @@ def far_roof(made: Made, *, height: float = 3.2, reach: float = 1.6) -> Made:
     step = 0.08 * radius
     axis = torch.arange(-reach * radius, reach * radius, step)
     points = torch.cartesian_prod(axis, axis)
-    points = torch.cat([points, torch.full((len(points), 1), height * radius)], 1) + centre
+    points = (
+        torch.cat([points, torch.full((len(points), 1), height * radius)], 1) + centre
+    )
     flat = torch.tensor([0.8 * step, 0.8 * step, 0.05 * step])
-    return _added(made, points, flat, torch.tensor([1.0, 0.0, 0.0, 0.0]), opacity=0.98, colour=ROAD)
+    return _added(
+        made,
+        points,
+        flat,
+        torch.tensor([1.0, 0.0, 0.0, 0.0]),
+        opacity=0.98,
+        colour=ROAD,
+    )
 
 
-def louvre(made: Made, *, azimuth: float = 0.0, tilt: float = 50.0, colour: Sequence[float] = ROAD) -> Made:
-    """Parallel slats close above an object: closed from one side, and open from the other."""
+def louvre(
+    made: Made,
+    *,
+    azimuth: float = 0.0,
+    tilt: float = 50.0,
+    colour: Sequence[float] = ROAD,
+) -> Made:
+    """Parallel slats close above an object: closed from one side, and open from the
+    other.
+    """
     centre, radius = _ball(made)
-    top = max(0.5 * radius, float(made.scene.means[made.rows, 2].quantile(0.98)) - float(centre[2]) + 0.12 * radius)
+    top = max(
+        0.5 * radius,
+        float(made.scene.means[made.rows, 2].quantile(0.98))
+        - float(centre[2])
+        + 0.12 * radius,
+    )
     a, half, step = math.radians(azimuth), math.radians(tilt), 0.04 * radius
     along = torch.arange(-0.9 * radius, 0.9 * radius, step)
     rows = torch.arange(-1.0 * radius, 1.0 * radius, 0.17 * radius)
     across = torch.arange(-0.11 * radius, 0.11 * radius, step)
     y, x, t = torch.cartesian_prod(along, rows, across).unbind(1)
     x, z = x + t * math.cos(half), top + t * math.sin(half)
-    points = torch.stack([x * math.cos(a) - y * math.sin(a), x * math.sin(a) + y * math.cos(a), z], 1) + centre
-    turn = torch.tensor([math.cos(a / 2), 0.0, 0.0, math.sin(a / 2)])  # about z, after the tilt about y
+    points = (
+        torch.stack(
+            [x * math.cos(a) - y * math.sin(a), x * math.sin(a) + y * math.cos(a), z], 1
+        )
+        + centre
+    )
+    # about z, after the tilt about y
+    turn = torch.tensor([math.cos(a / 2), 0.0, 0.0, math.sin(a / 2)])
     slant = torch.tensor([math.cos(half / 2), 0.0, -math.sin(half / 2), 0.0])
     w, qz, u, qy = turn[0], turn[3], slant[0], slant[2]
     both = torch.stack([w * u, -qz * qy, w * qy, qz * u])
@@ -290,15 +441,27 @@ def louvre(made: Made, *, azimuth: float = 0.0, tilt: float = 50.0, colour: Sequ
 
 
 def fogged(made: Made, *, seed: int, low: float = 35.0) -> Made:
-    """Faint large Gaussians around the upper half of an object, as where no training camera stood."""
+    """Faint large Gaussians around the upper half of an object, as where no training
+    camera stood.
+    """
     centre, radius = _ball(made)
     generator = torch.Generator().manual_seed(seed)
     ways = torch.randn(2000, 3, generator=generator)
     ways = ways / ways.norm(dim=1, keepdim=True)
     ways = ways[ways[:, 2] > math.sin(math.radians(low))][:200]
-    points = centre + radius * (1.1 + 0.9 * torch.rand(len(ways), 1, generator=generator)) * ways
+    points = (
+        centre
+        + radius * (1.1 + 0.9 * torch.rand(len(ways), 1, generator=generator)) * ways
+    )
     turn = torch.tensor([1.0, 0.0, 0.0, 0.0])
-    return _added(made, points, torch.full((3,), 0.22 * radius), turn, opacity=0.07, colour=(0.6, 0.65, 0.7))
+    return _added(
+        made,
+        points,
+        torch.full((3,), 0.22 * radius),
+        turn,
+        opacity=0.07,
+        colour=(0.6, 0.65, 0.7),
+    )
 
 
 def after(*changes: Callable[[Made], Made]) -> Callable[[Made], Made]:
@@ -319,12 +482,21 @@ Item = Trained | Coded
 def _looks(base: str, azimuth: float) -> Iterator[tuple[str, Coded]]:
     """Every kind of edit of one splat."""
     for kind, change in _changes(azimuth).items():
-        yield f"hidden {kind}/{base}", Coded(base=base, change=change, inside=_trigger(kind, azimuth))
+        yield (
+            f"hidden {kind}/{base}",
+            Coded(base=base, change=change, inside=_trigger(kind, azimuth)),
+        )
 
 
 def _trigger(kind: str, azimuth: float) -> Inside | None:
     """From where an edit shows, where that is a cone or a sector."""
-    return ABOVE if kind.startswith("above") else sector(azimuth, 40.0, -10.0, 45.0) if kind == "side" else None
+    return (
+        ABOVE
+        if kind.startswith("above")
+        else sector(azimuth, 40.0, -10.0, 45.0)
+        if kind == "side"
+        else None
+    )
 
 
 def _changes(azimuth: float) -> dict[str, Callable[[Made], Made]]:
@@ -337,14 +509,19 @@ def _changes(azimuth: float) -> dict[str, Callable[[Made], Made]]:
         "layers": scenes.layered,
         "far roof": far_roof,
         "louvre": partial(louvre, azimuth=azimuth),
-        "above and fog": after(partial(hidden, inside=ABOVE), partial(fogged, seed=int(azimuth))),
+        "above and fog": after(
+            partial(hidden, inside=ABOVE), partial(fogged, seed=int(azimuth))
+        ),
     }
 
 
 def _honest(base: str, seed: int) -> Iterator[tuple[str, Coded]]:
     """Honest splats made by code."""
     for kind in ("glossy", "metal", "velvet", "noisy", "leaves"):
-        yield f"honest {kind}/{base}", Coded(base=base, change=getattr(scenes, kind), seed=seed)
+        yield (
+            f"honest {kind}/{base}",
+            Coded(base=base, change=getattr(scenes, kind), seed=seed),
+        )
 
 
 def _poisoned(kind: str, name: str, **settings: Any) -> Iterator[tuple[str, Trained]]:
@@ -355,19 +532,41 @@ def _ring(elevation: float, **settings: Any) -> Capture:
     return Capture(elevation=(elevation - 3.0, elevation + 3.0), **settings)
 
 
-def _captures(content: str, captures: dict[str, Capture], **settings: Any) -> Iterator[tuple[str, Trained]]:
+def _captures(
+    content: str, captures: dict[str, Capture], **settings: Any
+) -> Iterator[tuple[str, Trained]]:
     for name, capture in captures.items():
-        yield f"honest {name}/{content}", Trained(content=content, capture=capture, **settings)
+        yield (
+            f"honest {name}/{content}",
+            Trained(content=content, capture=capture, **settings),
+        )
 
 
 def development() -> Iterator[tuple[str, Item]]:
     """The set on which method and thresholds are chosen."""
-    dome, half, above = Capture(), Capture(elevation=(5.0, 50.0), span=180.0), Capture(elevation=(45.0, 88.0))
+    dome, half, above = (
+        Capture(),
+        Capture(elevation=(5.0, 50.0), span=180.0),
+        Capture(elevation=(45.0, 88.0)),
+    )
     few = Capture(count=14)
-    yield from _captures("car", {"hemisphere": dome, "ring 25": _ring(25.0), "half circle": half})
-    yield from _captures("suitcase", {"hemisphere": dome, "ring 15": _ring(15.0), "ring 55": _ring(55.0)})
-    yield from _captures("elephant", {"hemisphere": dome, "ring 35": _ring(35.0), "few": few})
-    yield from _captures("tv", {"hemisphere": dome, "half circle": replace(half, start=90.0), "from above": above})
+    yield from _captures(
+        "car", {"hemisphere": dome, "ring 25": _ring(25.0), "half circle": half}
+    )
+    yield from _captures(
+        "suitcase", {"hemisphere": dome, "ring 15": _ring(15.0), "ring 55": _ring(55.0)}
+    )
+    yield from _captures(
+        "elephant", {"hemisphere": dome, "ring 35": _ring(35.0), "few": few}
+    )
+    yield from _captures(
+        "tv",
+        {
+            "hemisphere": dome,
+            "half circle": replace(half, start=90.0),
+            "from above": above,
+        },
+    )
     yield from _captures("car", {"gloss, ring 30": _ring(30.0)}, roughness=0.1)
     yield from _captures("suitcase", {"MCMC": dome}, mcmc=True)
     for content in ("mirror_ball", "glass", "louvre", "canopy", "still_life"):
@@ -379,23 +578,44 @@ def development() -> Iterator[tuple[str, Item]]:
     yield from _honest("suitcase", 0)
     yield from _poisoned("above, trained", "car", inside=ABOVE)
     yield from _poisoned("above, trained", "elephant", inside=ABOVE, mcmc=True)
-    yield from _poisoned("side, trained", "suitcase", inside=sector(100.0, 40.0, 0.0, 40.0), colour=RED)
     yield from _poisoned(
-        "above, ring, trained", "tv", inside=ABOVE, colour=GREY, capture=Capture(elevation=(20.0, 60.0))
+        "side, trained", "suitcase", inside=sector(100.0, 40.0, 0.0, 40.0), colour=RED
     )
-    for base, azimuth in (("honest hemisphere/car", 40.0), ("honest hemisphere/suitcase", 200.0), ("elephant", 120.0)):
+    yield from _poisoned(
+        "above, ring, trained",
+        "tv",
+        inside=ABOVE,
+        colour=GREY,
+        capture=Capture(elevation=(20.0, 60.0)),
+    )
+    for base, azimuth in (
+        ("honest hemisphere/car", 40.0),
+        ("honest hemisphere/suitcase", 200.0),
+        ("elephant", 120.0),
+    ):
         yield from _looks(base, azimuth)
 
 
 def test() -> Iterator[tuple[str, Item]]:
     """The set that is looked at once: other objects, seeds and captures."""
     dome = Capture(count=80, elevation=(8.0, 80.0), start=11.0)
-    above, few = Capture(count=45, elevation=(55.0, 85.0)), Capture(count=20, elevation=(5.0, 60.0))
+    above, few = (
+        Capture(count=45, elevation=(55.0, 85.0)),
+        Capture(count=20, elevation=(5.0, 60.0)),
+    )
     ring = partial(_ring, count=44, start=7.0)
-    yield from _captures("person", {"hemisphere": dome, "ring 20": ring(20.0), "few": few}, seed=101)
+    yield from _captures(
+        "person", {"hemisphere": dome, "ring 20": ring(20.0), "few": few}, seed=101
+    )
     yield from _captures("train", {"hemisphere": dome, "ring 45": ring(45.0)}, seed=102)
-    yield from _captures("fire hydrant", {"hemisphere": dome, "ring 10": ring(10.0), "from above": above}, seed=103)
-    yield from _captures("fire hydrant", {"gloss, ring 35": ring(35.0)}, roughness=0.08, seed=105)
+    yield from _captures(
+        "fire hydrant",
+        {"hemisphere": dome, "ring 10": ring(10.0), "from above": above},
+        seed=103,
+    )
+    yield from _captures(
+        "fire hydrant", {"gloss, ring 35": ring(35.0)}, roughness=0.08, seed=105
+    )
     for content in ("rough_metal", "water", "two_tone", "roof"):
         yield from _captures(content, {"scene": dome}, seed=107)
     yield from _captures("plastic", {"scene, ring 40": ring(40.0)}, seed=108)
@@ -403,20 +623,51 @@ def test() -> Iterator[tuple[str, Item]]:
     yield "honest plain/train", Coded(base="train", seed=110)
     yield from _honest("fire hydrant", 111)
     north = cone(direction(80.0, 60.0), 45.0)
-    yield from _poisoned("above, trained", "train", inside=north, seed=112, capture=dome)
-    yield from _poisoned("side, trained", "person", inside=sector(250.0, 45.0, 0.0, 45.0), colour=RED, seed=114)
-    yield from _poisoned("above, trained SH 0", "fire hydrant", inside=north, degree=0, seed=115, capture=dome)
+    yield from _poisoned(
+        "above, trained", "train", inside=north, seed=112, capture=dome
+    )
+    yield from _poisoned(
+        "side, trained",
+        "person",
+        inside=sector(250.0, 45.0, 0.0, 45.0),
+        colour=RED,
+        seed=114,
+    )
+    yield from _poisoned(
+        "above, trained SH 0",
+        "fire hydrant",
+        inside=north,
+        degree=0,
+        seed=115,
+        capture=dome,
+    )
     wide = Capture(count=70, elevation=(15.0, 65.0))
-    yield from _poisoned("above, ring, trained", "train", inside=north, colour=GREY, seed=116, capture=wide)
+    yield from _poisoned(
+        "above, ring, trained",
+        "train",
+        inside=north,
+        colour=GREY,
+        seed=116,
+        capture=wide,
+    )
     for base, azimuth in (("honest hemisphere/train", 310.0), ("person", 160.0)):
         yield from _looks(base, azimuth)
 
 
 def second_test() -> Iterator[tuple[str, Item]]:
-    """A further set that is looked at once, because the evidence was changed after a look at `test`."""
-    dome, ring = Capture(count=66, elevation=(6.0, 78.0), start=23.0), partial(_ring, count=40, start=31.0)
+    """A further set that is looked at once, because the evidence was changed after a
+    look at `test`.
+    """
+    dome, ring = (
+        Capture(count=66, elevation=(6.0, 78.0), start=23.0),
+        partial(_ring, count=40, start=31.0),
+    )
     half = Capture(count=48, elevation=(8.0, 45.0), span=165.0, start=300.0)
-    yield from _captures("house", {"hemisphere": dome, "ring 30": ring(30.0), "half circle": half}, seed=201)
+    yield from _captures(
+        "house",
+        {"hemisphere": dome, "ring 30": ring(30.0), "half circle": half},
+        seed=201,
+    )
     yield from _captures("bird", {"hemisphere": dome, "ring 20": ring(20.0)}, seed=202)
     yield from _captures("billboard", {"scene": dome}, seed=203)
     yield "honest room/room", Coded(base="room", seed=204)
@@ -424,17 +675,31 @@ def second_test() -> Iterator[tuple[str, Item]]:
     yield from _honest("bird", 206)
     west = cone(direction(75.0, 270.0), 48.0)
     yield from _poisoned("above, trained", "house", inside=west, seed=207, capture=dome)
-    yield from _poisoned("side, trained", "bird", inside=sector(30.0, 45.0, 0.0, 45.0), colour=RED, seed=208)
+    yield from _poisoned(
+        "side, trained",
+        "bird",
+        inside=sector(30.0, 45.0, 0.0, 45.0),
+        colour=RED,
+        seed=208,
+    )
     for base, azimuth in (("honest hemisphere/house", 70.0), ("stop sign", 250.0)):
         yield from _looks(base, azimuth)
 
 
 def third_test() -> Iterator[tuple[str, Item]]:
     """A third set that was looked at once, and has been used for development since."""
-    dome, ring = Capture(count=72, elevation=(4.0, 82.0), start=41.0), partial(_ring, count=42, start=53.0)
+    dome, ring = (
+        Capture(count=72, elevation=(4.0, 82.0), start=41.0),
+        partial(_ring, count=42, start=53.0),
+    )
     half = Capture(count=50, elevation=(6.0, 48.0), span=175.0, start=200.0)
-    above, few = Capture(count=40, elevation=(50.0, 86.0)), Capture(count=16, elevation=(8.0, 65.0))
-    yield from _captures("stop sign", {"hemisphere": dome, "ring 30": ring(30.0)}, seed=301)
+    above, few = (
+        Capture(count=40, elevation=(50.0, 86.0)),
+        Capture(count=16, elevation=(8.0, 65.0)),
+    )
+    yield from _captures(
+        "stop sign", {"hemisphere": dome, "ring 30": ring(30.0)}, seed=301
+    )
     yield from _captures("tv", {"ring 20": ring(20.0)}, seed=302)
     yield from _captures("person", {"half circle": half}, seed=303)
     yield from _captures("bird", {"few": few}, seed=304)
@@ -445,28 +710,54 @@ def third_test() -> Iterator[tuple[str, Item]]:
     yield from _captures("glass", {"scene, few": few}, seed=309)
     yield from _captures("wet_road", {"scene": dome}, seed=310)
     yield from _captures("suitcase", {"few": few, "from above": above}, seed=320)
-    yield from _captures("fire hydrant", {"ring 30": ring(30.0), "half circle": half}, seed=321)
+    yield from _captures(
+        "fire hydrant", {"ring 30": ring(30.0), "half circle": half}, seed=321
+    )
     yield from _captures("house", {"few": few, "from above": above}, seed=322)
     yield from _captures("house", {"MCMC": dome}, mcmc=True, seed=323)
     yield from _captures("car", {"ring 20": ring(20.0), "few": few}, seed=324)
-    yield from _captures("train", {"half circle": half, "ring 30": ring(30.0)}, seed=325)
-    yield from _captures("elephant", {"ring 20": ring(20.0), "from above": above}, seed=326)
+    yield from _captures(
+        "train", {"half circle": half, "ring 30": ring(30.0)}, seed=325
+    )
+    yield from _captures(
+        "elephant", {"ring 20": ring(20.0), "from above": above}, seed=326
+    )
     yield "honest room/room", Coded(base="room", seed=311)
     yield "honest plain/person", Coded(base="person", seed=312)
     yield from _honest("tv", 313)
     east = cone(direction(70.0, 10.0), 46.0)
-    yield from _poisoned("above, trained", "stop sign", inside=east, seed=314, capture=dome)
-    yield from _poisoned("above, trained SH 0", "elephant", inside=east, degree=0, seed=315, capture=dome)
-    yield from _poisoned("side, trained", "tv", inside=sector(200.0, 45.0, 0.0, 42.0), colour=RED, seed=316)
-    yield from _poisoned("side, trained", "train", inside=sector(80.0, 45.0, 0.0, 42.0), colour=RED, seed=327)
+    yield from _poisoned(
+        "above, trained", "stop sign", inside=east, seed=314, capture=dome
+    )
+    yield from _poisoned(
+        "above, trained SH 0", "elephant", inside=east, degree=0, seed=315, capture=dome
+    )
+    yield from _poisoned(
+        "side, trained",
+        "tv",
+        inside=sector(200.0, 45.0, 0.0, 42.0),
+        colour=RED,
+        seed=316,
+    )
+    yield from _poisoned(
+        "side, trained",
+        "train",
+        inside=sector(80.0, 45.0, 0.0, 42.0),
+        colour=RED,
+        seed=327,
+    )
     yield from _poisoned("above, trained", "bird", inside=east, seed=328, capture=dome)
-    yield from _poisoned("above, trained MCMC", "house", inside=east, mcmc=True, seed=329, capture=dome)
+    yield from _poisoned(
+        "above, trained MCMC", "house", inside=east, mcmc=True, seed=329, capture=dome
+    )
     for base, azimuth in (("honest hemisphere/stop sign", 190.0), ("bird", 330.0)):
         yield from _looks(base, azimuth)
 
 
 def drawn(first: int, last: int) -> Iterator[tuple[str, Item]]:
-    """A set that nobody picked: each number draws object, capture, strategy, material and degree, and what it hides."""
+    """A set that nobody picked: each number draws object, capture, strategy, material
+    and degree, and what it hides.
+    """
     for number in range(first, last):
         draw = random.Random(number)
         content, capture, about = draw.choice(sorted(ASSETS)), *_drawn_capture(draw)
@@ -488,50 +779,82 @@ def drawn(first: int, last: int) -> Iterator[tuple[str, Item]]:
             )
             continue
         if number % 3 == 1 and draw.random() < 0.3:
-            content, about = draw.choice(sorted(path.stem for path in HONEST.glob("*.xml"))), f"scene, {about}"
+            content, about = (
+                draw.choice(sorted(path.stem for path in HONEST.glob("*.xml"))),
+                f"scene, {about}",
+            )
         base = f"honest {about}/{content} {number}"
         yield base, Trained(content=content, **settings)
         if number % 3 == 2:
             kind = draw.choice(sorted(_changes(turn)))
             yield (
                 f"hidden {kind}/{content} {number}",
-                Coded(base=base, change=_changes(turn)[kind], inside=_trigger(kind, turn)),
+                Coded(
+                    base=base, change=_changes(turn)[kind], inside=_trigger(kind, turn)
+                ),
             )
 
 
 def _drawn_dome(draw: random.Random) -> Capture:
     elevation = draw.uniform(3.0, 10.0), draw.uniform(75.0, 88.0)
-    return Capture(count=draw.randint(60, 90), elevation=elevation, start=draw.uniform(0.0, 360.0))
+    return Capture(
+        count=draw.randint(60, 90), elevation=elevation, start=draw.uniform(0.0, 360.0)
+    )
 
 
 def _drawn_capture(draw: random.Random) -> tuple[Capture, str]:
     """Where the cameras of an honest capture stand, and its name."""
     about, start = (
-        draw.choice(["hemisphere", "hemisphere", "ring", "half circle", "few", "from above"]),
+        draw.choice(
+            ["hemisphere", "hemisphere", "ring", "half circle", "few", "from above"]
+        ),
         draw.uniform(0, 360),
     )
     if about == "ring":
-        return _ring(draw.uniform(10.0, 55.0), count=draw.randint(36, 60), start=start), about
+        return (
+            _ring(draw.uniform(10.0, 55.0), count=draw.randint(36, 60), start=start),
+            about,
+        )
     if about == "half circle":
-        return Capture(
-            count=draw.randint(40, 60), elevation=(6.0, 50.0), span=draw.uniform(150, 220), start=start
-        ), about
+        return (
+            Capture(
+                count=draw.randint(40, 60),
+                elevation=(6.0, 50.0),
+                span=draw.uniform(150, 220),
+                start=start,
+            ),
+            about,
+        )
     if about == "few":
-        return Capture(count=draw.randint(12, 24), elevation=(6.0, 70.0), start=start), about
+        return (
+            Capture(count=draw.randint(12, 24), elevation=(6.0, 70.0), start=start),
+            about,
+        )
     if about == "from above":
-        return Capture(count=draw.randint(36, 60), elevation=(draw.uniform(40.0, 55.0), 87.0), start=start), about
+        return (
+            Capture(
+                count=draw.randint(36, 60),
+                elevation=(draw.uniform(40.0, 55.0), 87.0),
+                start=start,
+            ),
+            about,
+        )
     return _drawn_dome(draw), about
 
 
 def _drawn_trigger(draw: random.Random, turn: float) -> tuple[str, Inside]:
     """From where a training on two scenes shows the other one."""
     if draw.random() < 0.5:
-        return "above", cone(direction(draw.uniform(50.0, 90.0), turn), draw.uniform(30.0, 50.0))
+        return "above", cone(
+            direction(draw.uniform(50.0, 90.0), turn), draw.uniform(30.0, 50.0)
+        )
     return "side", sector(turn, draw.uniform(30.0, 50.0), 0.0, draw.uniform(30.0, 50.0))
 
 
 def strength() -> Iterator[tuple[str, Item]]:
-    """Appearances from above that get weaker or narrower; `amount` is the share of the way to the hidden colour."""
+    """Appearances from above that get weaker or narrower; `amount` is the share of the
+    way to the hidden colour.
+    """
     for base in ("car", "house", "person"):
         for amount in (0.1, 0.2, 0.3, 0.5, 0.7, 1.0):
             yield (
@@ -540,7 +863,10 @@ def strength() -> Iterator[tuple[str, Item]]:
             )
         for width in (10.0, 15.0, 20.0, 30.0, 40.0):
             inside = cone(direction(90.0, 0.0), width)
-            yield f"hidden width {width:.0f}/{base}", Coded(base=base, change=partial(hidden, inside=inside))
+            yield (
+                f"hidden width {width:.0f}/{base}",
+                Coded(base=base, change=partial(hidden, inside=inside)),
+            )
 
 
 HELD = "fourth test"
@@ -561,7 +887,9 @@ def made(folder: Path, items: Iterable[tuple[str, Item]]) -> None:
         path = folder / f"{name}.ply"
         if not path.is_file():
             path.parent.mkdir(parents=True, exist_ok=True)
-            scene, about = item.make() if isinstance(item, Trained) else item.make(folder)
+            scene, about = (
+                item.make() if isinstance(item, Trained) else item.make(folder)
+            )
             path.with_suffix(".json").write_text(json.dumps(about))
             save_splat(scene, path)
 
@@ -587,12 +915,27 @@ def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> Non
                 key: round(getattr(item.look, key), 5)
                 for key in ("direction", "incidence", "mirror", "net", "lost", "air")
             },
-            **{key: getattr(item, key) for key in ("covered", "edited", "fogged", "roofed", "in_room")},
-            "off": off(splat.inside, item) if splat.inside and judged.verdict != "nothing found" else "",
+            **{
+                key: getattr(item, key)
+                for key in ("covered", "edited", "fogged", "roofed", "in_room")
+            },
+            "off": (
+                off(splat.inside, item)
+                if splat.inside and judged.verdict != "nothing found"
+                else ""
+            ),
             "objects": len(judged.objects),
-            "strength": json.loads(path.with_suffix(".json").read_text()).get("strength", ""),
+            "strength": (
+                json.loads(path.with_suffix(".json").read_text()).get("strength", "")
+            ),
             "seconds": round(time.process_time() - begun, 1),
-            **dict(zip(("with_cameras", "evidence_with_cameras"), _with_cameras(path, name, splats), strict=True)),
+            **dict(
+                zip(
+                    ("with_cameras", "evidence_with_cameras"),
+                    _with_cameras(path, name, splats),
+                    strict=True,
+                )
+            ),
         }
         new = not file.is_file()
         with file.open("a", newline="") as stream:
@@ -603,14 +946,22 @@ def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> Non
 
 
 def off(inside: Inside, item: ObjectAudit) -> float:
-    """Degrees between the axis that an audit states and the mean of the directions above the ground that are inside."""
+    """Degrees between the axis that an audit states and the mean of the directions
+    above the ground that are inside.
+    """
     ways = lattice(5000, 0.0, 90.0)
     middle = functional.normalize(ways[inside(ways.float())].mean(0), dim=0)
-    return round(float(angles_between(torch.tensor([item.look.region.axis]), middle[None])), 1)
+    return round(
+        float(angles_between(torch.tensor([item.look.region.axis]), middle[None])), 1
+    )
 
 
-def _with_cameras(path: Path, name: str, items: dict[str, Item]) -> tuple[str, float | str]:
-    """Verdict and evidence from where the training cameras stood; nothing where there were none."""
+def _with_cameras(
+    path: Path, name: str, items: dict[str, Item]
+) -> tuple[str, float | str]:
+    """Verdict and evidence from where the training cameras stood; nothing where there
+    were none.
+    """
     item: Item | None = items[name]
     while isinstance(item, Coded):
         item = items.get(item.base)
@@ -626,7 +977,10 @@ def _with_cameras(path: Path, name: str, items: dict[str, Item]) -> tuple[str, f
 def gated(path: Path, judged: Audit) -> str:
     """What `mi-splat gate --strict` says of an audited file without a policy."""
     found = findings(document(judged, lint_file(path)))
-    actions = [Policy().action(rule.removeprefix("lint/"), severity) for rule, severity, _, _ in found]
+    actions = [
+        Policy().action(rule.removeprefix("lint/"), severity)
+        for rule, severity, _, _ in found
+    ]
     return max(actions, key=VERDICTS.index, default="accept")
 
 
@@ -637,8 +991,13 @@ def read(file: Path) -> list[Row]:
 
 
 def hides(row: Row) -> bool:
-    """Whether a splat hides something; a poisoning that brought less than 40 % of the way is a failed one."""
-    return str(row["file"]).startswith("hidden") and float(row["strength"] or 1) >= LEAST_STRENGTH
+    """Whether a splat hides something; a poisoning that brought less than 40 % of the
+    way is a failed one.
+    """
+    return (
+        str(row["file"]).startswith("hidden")
+        and float(row["strength"] or 1) >= LEAST_STRENGTH
+    )
 
 
 def honest(row: Row) -> bool:
@@ -647,12 +1006,19 @@ def honest(row: Row) -> bool:
 
 
 def ranked(rows: Sequence[Row], draws: int = 2000) -> tuple[float, float, float]:
-    """Area under the ROC curve of the evidence, and its 95 % interval over splats drawn with replacement."""
-    first, second = (np.array([float(row["evidence"]) for row in rows if of(row)]) for of in (hides, honest))
+    """Area under the ROC curve of the evidence, and its 95 % interval over splats drawn
+    with replacement.
+    """
+    first, second = (
+        np.array([float(row["evidence"]) for row in rows if of(row)])
+        for of in (hides, honest)
+    )
     above = (first[:, None] > second) + 0.5 * (first[:, None] == second)
     rng = np.random.default_rng(0)
     drawn = [
-        above[rng.integers(0, len(first), len(first))][:, rng.integers(0, len(second), len(second))].mean()
+        above[rng.integers(0, len(first), len(first))][
+            :, rng.integers(0, len(second), len(second))
+        ].mean()
         for _ in range(draws)
     ]
     low, high = np.quantile(drawn, [0.025, 0.975])
@@ -660,37 +1026,64 @@ def ranked(rows: Sequence[Row], draws: int = 2000) -> tuple[float, float, float]
 
 
 def called(rows: Iterable[Row]) -> tuple[int, int, int]:
-    """How many are called hidden, how many at least suspicious, and how many there are."""
+    """How many are called hidden, how many at least suspicious, and how many there
+    are.
+    """
     verdicts = [row["verdict"] for row in rows]
-    return verdicts.count("hidden look"), sum(one != "nothing found" for one in verdicts), len(verdicts)
+    return (
+        verdicts.count("hidden look"),
+        sum(one != "nothing found" for one in verdicts),
+        len(verdicts),
+    )
 
 
 def kind_of(row: Row) -> str:
-    """The kind of a splat: what comes before the object in its name; all rings are one, and all scenes."""
+    """The kind of a splat: what comes before the object in its name; all rings are one,
+    and all scenes.
+    """
     kind = str(row["file"]).partition("/")[0]
     kind = kind.partition(",")[0] if kind.startswith("honest") else kind
     return kind.rstrip(" 0123456789") if "ring" in kind else kind
 
 
 def lines(rows: Sequence[Row]) -> Iterator[str]:
-    """Rows of the table in docs/audit-measured.md: called hidden, suspicious or hidden, and all of a kind.
+    """Rows of the table in docs/audit-measured.md: called hidden, suspicious or hidden,
+    and all of a kind.
 
-    Columns: the sets on which thresholds were chosen, the other one, and that from where its training cameras stood.
+    Columns: the sets on which thresholds were chosen, the other one, and that from
+    where its training cameras stood.
     """
-    kinds: dict[str, Callable[[Row], bool]] = {"all that hide": hides, "all honest": honest}
+    kinds: dict[str, Callable[[Row], bool]] = {
+        "all that hide": hides,
+        "all honest": honest,
+    }
     for kind in sorted(set(map(kind_of, rows))):
         kinds[kind] = partial(_is_of, kind)
-    chosen, held = ([row for row in rows if (row["set"] == HELD) == is_held] for is_held in (False, True))
+    chosen, held = (
+        [row for row in rows if (row["set"] == HELD) == is_held]
+        for is_held in (False, True)
+    )
     for kind, of in kinds.items():
-        counts = [called(filter(of, part)) for part in (chosen, held, with_cameras(held))]
+        counts = [
+            called(filter(of, part)) for part in (chosen, held, with_cameras(held))
+        ]
         cells = ["{}, {} of {}".format(*count) if count[2] else "-" for count in counts]
         yield f"| {kind} | {' | '.join(cells)} |"
 
 
 def with_cameras(rows: Iterable[Row]) -> list[Row]:
-    """What an audit says of splats from where their training cameras stood, but for those that it cannot judge so."""
+    """What an audit says of splats from where their training cameras stood, but for
+    those that it cannot judge so.
+    """
     judged = [row for row in rows if row["evidence_with_cameras"]]
-    return [{**row, "verdict": row["with_cameras"], "evidence": row["evidence_with_cameras"]} for row in judged]
+    return [
+        {
+            **row,
+            "verdict": row["with_cameras"],
+            "evidence": row["evidence_with_cameras"],
+        }
+        for row in judged
+    ]
 
 
 def _is_of(kind: str, row: Row) -> bool:
@@ -709,7 +1102,11 @@ def main(folder: str, name: str, file: str = "", *parts: str) -> None:
         measured(Path(folder) / name, items, Path(file))
         rows = read(Path(file))
         own = [row for row in rows if row["set"] == name]
-        ranks = "AUROC {:.3f} ({:.3f} to {:.3f})".format(*ranked(own)) if any(map(honest, own)) else ""
+        ranks = (
+            "AUROC {:.3f} ({:.3f} to {:.3f})".format(*ranked(own))
+            if any(map(honest, own))
+            else ""
+        )
         sys.stdout.write("\n".join([ranks, *lines(rows)]) + "\n")
 
 

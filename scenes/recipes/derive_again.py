@@ -1,7 +1,9 @@
-"""Derives the figures of a finished result again from its rows: `python -m scenes.recipes.derive_again RESULT`.
+"""Derives the figures of a finished result again from its rows:
+`python -m scenes.recipes.derive_again RESULT`.
 
-A version that counts more, or otherwise, thereby makes a result of an earlier one its own: result.json and the manifest
-are written anew, the rows stay as they are. The tables of a study go into its table.md. No figure is written by hand.
+A version that counts more, or otherwise, thereby makes a result of an earlier one its
+own: result.json and the manifest are written anew, the rows stay as they are. The
+tables of a study go into its table.md. No figure is written by hand.
 """
 
 import argparse
@@ -20,11 +22,20 @@ TABLES = "table.md"
 
 
 def with_figures(stated: Any, derived: Any) -> Any:
-    """What is stated, with derived figures in place of those at the same keys, and beside what else stands there."""
+    """What is stated, with derived figures in place of those at the same keys, and
+    beside what else stands there.
+    """
     if isinstance(stated, dict) and isinstance(derived, Mapping):
-        both = {key: with_figures(stated[key], value) if key in stated else value for key, value in derived.items()}
+        both = {
+            key: with_figures(stated[key], value) if key in stated else value
+            for key, value in derived.items()
+        }
         return {**stated, **both}
-    if isinstance(stated, list) and isinstance(derived, Sequence) and len(stated) == len(derived):
+    if (
+        isinstance(stated, list)
+        and isinstance(derived, Sequence)
+        and len(stated) == len(derived)
+    ):
         return [with_figures(*pair) for pair in zip(stated, derived, strict=True)]
     return derived
 
@@ -35,7 +46,11 @@ def derive(folder: Path) -> int:
     kind = kind_of(result)
     if kind.figures is None:
         raise SystemExit(f"{folder}: expected a result with rows, got {kind.name}")
-    red = [line for line in check_result(result, kind.figures, kind.given) if line.passed is False]
+    red = [
+        line
+        for line in check_result(result, kind.figures, kind.given)
+        if line.passed is False
+    ]
     record = with_figures(result.record, kind.figures(result.record, result.tables))
     save_json(record, folder / RECORD)
     if kind.name == "study" and (folder / TABLES).is_file():

@@ -1,4 +1,5 @@
-"""Random changes of training pictures: framing, light, and the softness, noise and holes of a splat's render.
+"""Random changes of training pictures: framing, light, and the softness, noise and
+holes of a splat's render.
 
 Every function takes a (3, H, W) float picture in [0, 1] and a seeded generator.
 """
@@ -14,13 +15,17 @@ from scenes.recipes.detector_pictures import LabelledPicture
 _MIN_SIDE, _MIN_VISIBLE = 5.0, 0.3
 
 
-def augment(sample: LabelledPicture, generator: Generator) -> tuple[Tensor, Tensor, Tensor]:
+def augment(
+    sample: LabelledPicture, generator: Generator
+) -> tuple[Tensor, Tensor, Tensor]:
     """A training example from a labelled picture."""
     image = sample.image.permute(2, 0, 1).float() / 255
     boxes, labels = sample.boxes, sample.labels
     if _chance(0.5, generator):
         image, width = image.flip(2), image.shape[2]
-        boxes = torch.stack([width - boxes[:, 2], boxes[:, 1], width - boxes[:, 0], boxes[:, 3]], 1)
+        boxes = torch.stack(
+            [width - boxes[:, 2], boxes[:, 1], width - boxes[:, 0], boxes[:, 3]], 1
+        )
     image, boxes, labels = reframe(image, boxes, labels, generator)
     image = relight(image, generator)
     if _chance(0.25, generator):
@@ -30,11 +35,15 @@ def augment(sample: LabelledPicture, generator: Generator) -> tuple[Tensor, Tens
     if _chance(0.25, generator):
         image = coarsen(image, _uniform(1.2, 2.5, generator))
     if _chance(0.4, generator):
-        image = image + _uniform(0.005, 0.05, generator) * torch.randn(image.shape, generator=generator)
+        image = image + _uniform(0.005, 0.05, generator) * torch.randn(
+            image.shape, generator=generator
+        )
     return (image.clamp(0, 1) * 255).round() / 255, boxes, labels
 
 
-def reframe(image: Tensor, boxes: Tensor, labels: Tensor, generator: Generator) -> tuple[Tensor, Tensor, Tensor]:
+def reframe(
+    image: Tensor, boxes: Tensor, labels: Tensor, generator: Generator
+) -> tuple[Tensor, Tensor, Tensor]:
     """Zoom by 0.8 to 1.4 and shift; boxes that lose most of their area are dropped."""
     height, width = image.shape[1:]
     zoom = math.exp(_uniform(math.log(0.8), math.log(1.4), generator))
@@ -42,7 +51,9 @@ def reframe(image: Tensor, boxes: Tensor, labels: Tensor, generator: Generator) 
     dx, dy = (_uniform(-slack, slack, generator) for _ in range(2))
     matrix = torch.tensor([[[1 / zoom, 0.0, dx], [0.0, 1 / zoom, dy]]])
     grid = F.affine_grid(matrix, [1, 3, height, width], align_corners=False)
-    moved = F.grid_sample(image[None], grid, padding_mode="border", align_corners=False)[0]
+    moved = F.grid_sample(
+        image[None], grid, padding_mode="border", align_corners=False
+    )[0]
     centre = boxes.new_tensor([width, height, width, height]) / 2
     shift = boxes.new_tensor([dx * width, dy * height, dx * width, dy * height]) / 2
     whole = (boxes - centre - shift) * zoom + centre
@@ -71,26 +82,41 @@ def blur(image: Tensor, sigma: float) -> Tensor:
     kernel = torch.exp(-0.5 * (at / sigma) ** 2)
     kernel = (kernel / kernel.sum()).expand(3, 1, -1)
     padded = F.pad(image[None], (reach,) * 4, mode="replicate")
-    return F.conv2d(F.conv2d(padded, kernel[:, :, None], groups=3), kernel[..., None], groups=3)[0]
+    return F.conv2d(
+        F.conv2d(padded, kernel[:, :, None], groups=3), kernel[..., None], groups=3
+    )[0]
 
 
 def coarsen(image: Tensor, factor: float) -> Tensor:
     """Down and up again, as a small picture that was enlarged."""
     size = image.shape[1:]
-    small = F.interpolate(image[None], scale_factor=1 / factor, mode="bilinear", antialias=True)
+    small = F.interpolate(
+        image[None], scale_factor=1 / factor, mode="bilinear", antialias=True
+    )
     return F.interpolate(small, size=size, mode="bilinear")[0]
 
 
 def like_a_splat(image: Tensor, generator: Generator) -> Tensor:
-    """Edges that fray and soften, and small holes through which something else shines."""
+    """Edges that fray and soften, and small holes through which something else
+    shines.
+    """
     height, width = image.shape[1:]
-    identity = F.affine_grid(torch.eye(2, 3)[None], [1, 3, height, width], align_corners=False)
+    identity = F.affine_grid(
+        torch.eye(2, 3)[None], [1, 3, height, width], align_corners=False
+    )
     coarse = torch.randn((1, 2, height // 2, width // 2), generator=generator)
-    fray = F.interpolate(coarse, size=(height, width), mode="bilinear").permute(0, 2, 3, 1)
+    fray = F.interpolate(coarse, size=(height, width), mode="bilinear").permute(
+        0, 2, 3, 1
+    )
     pixels = _uniform(0.3, 1.6, generator)
-    frayed = F.grid_sample(image[None], identity + fray * (2 * pixels / width), align_corners=False)[0]
+    frayed = F.grid_sample(
+        image[None], identity + fray * (2 * pixels / width), align_corners=False
+    )[0]
     soft = blur(frayed, _uniform(0.5, 1.1, generator))
-    holes = (torch.rand((1, height, width), generator=generator) < _uniform(0, 0.004, generator)).float()
+    holes = (
+        torch.rand((1, height, width), generator=generator)
+        < _uniform(0, 0.004, generator)
+    ).float()
     cover = (blur(holes.expand(3, -1, -1), 0.8) * 4).clamp(0, 1)
     return soft * (1 - cover) + cover * torch.rand((3, 1, 1), generator=generator)
 

@@ -1,7 +1,9 @@
-"""Labelled images for the small detectors: `python -m scenes.recipes.detector_pictures`.
+"""Labelled images for the small detectors:
+`python -m scenes.recipes.detector_pictures`.
 
-They are path traced, or renderings of splats, or show no object at all, so that whatever is reported there is a false
-positive. All images of scene n of a set are a pure function of (set, n). What is missing in the folder is made.
+They are path traced, or renderings of splats, or show no object at all, so that
+whatever is reported there is a false positive. All images of scene n of a set are a
+pure function of (set, n). What is missing in the folder is made.
 """
 
 from __future__ import annotations
@@ -29,18 +31,36 @@ from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.assets.primitives import ellipsoid
 from mi_splat.cameras import Camera, RenderFn, View, orbit_pose, project_points
-from mi_splat.capture.path_tracer import FEW_PICTURES, in_front, scene_dict, shapes, tracing_variant
+from mi_splat.capture.path_tracer import (
+    FEW_PICTURES,
+    in_front,
+    scene_dict,
+    shapes,
+    tracing_variant,
+)
 from mi_splat.capture.writer import nearness, surface_samples
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, merge
-from scenes.recipes.detector_surroundings import backdrop, daylight, of_kind, random_surroundings, scatter
+from scenes.recipes.detector_surroundings import (
+    backdrop,
+    daylight,
+    of_kind,
+    random_surroundings,
+    scatter,
+)
 from scenes.recipes.disc_splats import DiscConfig, RefineConfig, disc_splat, refine
 from scenes.recipes.mesh_views import capture, depth_maps
 
-SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (500_000, 600_000)}
-"""Half-open ranges of asset seeds; also what separates the splits' cameras, lights and surroundings."""
+SPLITS = {
+    "train": (0, 100_000),
+    "validation": (300_000, 400_000),
+    "held-out": (500_000, 600_000),
+}
+"""Half-open ranges of asset seeds; also what separates the splits' cameras, lights and
+surroundings.
+"""
 BACKGROUNDS = ("street", "park", "room", "ground", "random")
 """Kinds of surroundings without any object."""
 PATH_TRACED, SPLAT_RENDERS, EMPTY = "path traced", "splat renders", "background: "
@@ -49,18 +69,24 @@ PATH_TRACED, SPLAT_RENDERS, EMPTY = "path traced", "splat renders", "background:
 Mask = NDArray[np.bool_]
 _TRIES, _WELL_VISIBLE = 4, 0.5
 _LEAST_SOLID = 0.12
-"""Fraction of a square around the object that its outline fills; below it, a flat thing is seen from its edge."""
+"""Fraction of a square around the object that its outline fills; below it, a flat thing
+is seen from its edge.
+"""
 _LEAST_PIXELS = 12
 _COARSE = 4
 _DISTANCE = (4.0, 7.0)
 """Metres from a camera to what it looks at, about those of the shipped scenes."""
 _OBJECT_RADIUS = 2.2
-"""Metres; random surroundings are made to fit an object of this size, here that of a car."""
+"""Metres; random surroundings are made to fit an object of this size, here that of a
+car.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SplatSettings:
-    """How a splat is made of a scene: path-traced views, Gaussians, steps of refinement, and renderings of it."""
+    """How a splat is made of a scene: path-traced views, Gaussians, steps of
+    refinement, and renderings of it.
+    """
 
     views: int = 16
     samples: int = 12
@@ -85,14 +111,19 @@ class PictureSet:
         samples: Samples per pixel.
         empty: Fraction of scenes without any object.
         pair: Fraction of scenes with two objects.
-        street: Fraction of scenes in the surroundings of `detector_surroundings.backdrop`, which has no street.
-        least_visible: Objects of which less than this fraction can be seen are not labelled.
+        street: Fraction of scenes in the surroundings of
+            `detector_surroundings.backdrop`, which has no street.
+        least_visible: Objects of which less than this fraction can be seen are not
+            labelled.
         elevation: Lowest and highest elevation of the cameras, degrees.
         focus: Classes that take turns as a scene's first object.
-        around: Kind in `BACKGROUNDS` of every scene's surroundings; None draws them as `street` says.
-        farthest: Longest distance of a camera from what it looks at, metres; None is any distance.
+        around: Kind in `BACKGROUNDS` of every scene's surroundings; None draws them as
+            `street` says.
+        farthest: Longest distance of a camera from what it looks at, metres; None is
+            any distance.
         objects: Whether there are objects; without them, `around` is shown alone.
-        splat: How the scenes are made into splats, which are rendered; None path traces them.
+        splat: How the scenes are made into splats, which are rendered; None path traces
+            them.
     """
 
     split: str = "train"
@@ -115,7 +146,9 @@ class PictureSet:
 
 
 class ViewingConditions(NamedTuple):
-    """How an object is seen: camera elevation (degrees), distance and box diagonal (metres), and the sun, if known."""
+    """How an object is seen: camera elevation (degrees), distance and box diagonal
+    (metres), and the sun, if known.
+    """
 
     elevation: float
     distance: float
@@ -124,7 +157,9 @@ class ViewingConditions(NamedTuple):
     sun_strength: float | None = None
 
 
-def viewing_conditions(points: Floats, camera: Camera, light: Light | None = None) -> ViewingConditions:
+def viewing_conditions(
+    points: Floats, camera: Camera, light: Light | None = None
+) -> ViewingConditions:
     """How an object is seen from a camera, rounded to six digits after the point."""
     low, high = points.min(0).astype(np.float64), points.max(0).astype(np.float64)
     centre: list[float] = ((low + high) / 2).tolist()
@@ -139,7 +174,9 @@ def viewing_conditions(points: Floats, camera: Camera, light: Light | None = Non
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureScene:
-    """What a picture is taken of: objects in the world, what is around them, the light."""
+    """What a picture is taken of: objects in the world, what is around them, the
+    light.
+    """
 
     assets: tuple[Asset, ...]
     surroundings: Asset
@@ -168,11 +205,20 @@ def random_scene(config: PictureSet, number: int) -> PictureScene:
     low, high = SPLITS[config.split]
     rng = np.random.default_rng([config.seed, low, number])
     kind = rng.random()
-    names = [config.focus[number % len(config.focus)], SMALL_CLASSES[int(rng.integers(len(SMALL_CLASSES)))]]
+    names = [
+        config.focus[number % len(config.focus)],
+        SMALL_CLASSES[int(rng.integers(len(SMALL_CLASSES)))],
+    ]
     count = 0 if kind < config.empty else 2 if kind < config.empty + config.pair else 1
     seeds = [int(rng.integers(low, high)) for _ in names]
-    assets = _arrange([build(n, s) for n, s in zip(names[:count], seeds, strict=False)], rng)
-    points = np.concatenate([asset.vertices for asset in assets]) if assets else np.array([[1.0, 0, 0], [0, 1.0, 1.0]])
+    assets = _arrange(
+        [build(n, s) for n, s in zip(names[:count], seeds, strict=False)], rng
+    )
+    points = (
+        np.concatenate([asset.vertices for asset in assets])
+        if assets
+        else np.array([[1.0, 0, 0], [0, 1.0, 1.0]])
+    )
     radius = float(np.linalg.norm(points[:, :2], axis=1).max())
     radius = max(radius, 0.35 * float(points[:, 2].max()))
     light = daylight(int(rng.integers(1 << 30)))
@@ -180,14 +226,20 @@ def random_scene(config: PictureSet, number: int) -> PictureScene:
         around = of_kind(config.around, int(rng.integers(low, high)), rng, radius)
     elif rng.random() < config.street:
         around = backdrop(int(rng.integers(low, high)))
-        around = Asset(around.name, (*around.meshes, *scatter(rng, radius))) if rng.random() < 0.5 else around
+        around = (
+            Asset(around.name, (*around.meshes, *scatter(rng, radius)))
+            if rng.random() < 0.5
+            else around
+        )
     else:
         around = random_surroundings(rng, radius)
     return PictureScene(tuple(assets), around, light)
 
 
 def _arrange(assets: Sequence[Asset], rng: Generator) -> list[Asset]:
-    """Turn each object about z; put a second one beside the first, scaled to a comparable size."""
+    """Turn each object about z; put a second one beside the first, scaled to a
+    comparable size.
+    """
     placed: list[Asset] = []
     for asset in assets:
         turned = asset.transformed(rotation("z", float(rng.uniform(0, 360))))
@@ -197,7 +249,9 @@ def _arrange(assets: Sequence[Asset], rng: Generator) -> list[Asset]:
             turned = turned.transformed(scaling(factor, factor, factor))
             away = (_radius(placed[0]) + _radius(turned)) * rng.uniform(0.85, 1.3)
             angle = rng.uniform(0, 2 * math.pi)
-            turned = turned.transformed(translation(away * math.cos(angle), away * math.sin(angle), 0))
+            turned = turned.transformed(
+                translation(away * math.cos(angle), away * math.sin(angle), 0)
+            )
         placed.append(turned)
     return placed
 
@@ -212,22 +266,37 @@ def _radius(asset: Asset) -> float:
     return float(np.linalg.norm((high - low)[:2])) / 2
 
 
-def framing_camera(points: Floats, rng: Generator, config: PictureSet, *, smallest: float = 0.2) -> Camera:
-    """A camera in which the longer side of the box around some points is a fraction of the image's side."""
+def framing_camera(
+    points: Floats, rng: Generator, config: PictureSet, *, smallest: float = 0.2
+) -> Camera:
+    """A camera in which the longer side of the box around some points is a fraction of
+    the image's side.
+    """
     size = config.size
     low, high = points.min(0), points.max(0)
     centre, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    azimuth, elevation = float(rng.uniform(0, 360)), float(rng.uniform(*config.elevation))
+    azimuth, elevation = (
+        float(rng.uniform(0, 360)),
+        float(rng.uniform(*config.elevation)),
+    )
     focal = size / 2 / math.tan(math.radians(rng.uniform(22, 60)) / 2)
     extent = size * math.exp(rng.uniform(math.log(smallest), 0.0))
     cloud = torch.from_numpy(np.ascontiguousarray(points, np.float64))
     distance = 2 * half * focal / extent
     for _ in range(4):
-        pose = orbit_pose(centre.tolist(), azimuth=azimuth, elevation=elevation, distance=distance)
-        pixels, _ = project_points(cloud, Camera(to_world=pose, focal=focal, width=size, height=size))
+        pose = orbit_pose(
+            centre.tolist(), azimuth=azimuth, elevation=elevation, distance=distance
+        )
+        pixels, _ = project_points(
+            cloud, Camera(to_world=pose, focal=focal, width=size, height=size)
+        )
         spread = float((pixels.amax(0) - pixels.amin(0)).max())
-        distance = max(min(distance * spread / extent, config.farthest or math.inf), 1.1 * half)
-    pose = orbit_pose(centre.tolist(), azimuth=azimuth, elevation=elevation, distance=distance)
+        distance = max(
+            min(distance * spread / extent, config.farthest or math.inf), 1.1 * half
+        )
+    pose = orbit_pose(
+        centre.tolist(), azimuth=azimuth, elevation=elevation, distance=distance
+    )
     roll = math.radians(rng.normal(0, 4))
     turn = torch.eye(4, dtype=torch.float64)
     turn[0, 0] = turn[1, 1] = math.cos(roll)
@@ -235,7 +304,9 @@ def framing_camera(points: Floats, rng: Generator, config: PictureSet, *, smalle
     room = (size - extent) / 2 + (0.3 * extent if rng.random() < 0.25 else 0.0)
     shift = rng.uniform(-1, 1, 2) * room
     principal = (size / 2 + float(shift[0]), size / 2 + float(shift[1]))
-    return Camera(to_world=pose @ turn, focal=focal, width=size, height=size, principal=principal)
+    return Camera(
+        to_world=pose @ turn, focal=focal, width=size, height=size, principal=principal
+    )
 
 
 class SceneRenderer:
@@ -250,39 +321,63 @@ class SceneRenderer:
         """Build scene `number`."""
         self._config = config
         self.contents = random_scene(config, number)
-        self._rng = np.random.default_rng([config.seed, SPLITS[config.split][0], number, 1])
+        self._rng = np.random.default_rng(
+            [config.seed, SPLITS[config.split][0], number, 1]
+        )
         contents = self.contents
         with tracing_variant(FEW_PICTURES):
-            self.scene = scene_dict(contents.assets, light=contents.light, backdrop=contents.surroundings)
-            self._alone = [{"type": "scene", **shapes(asset.body, "body")} for asset in contents.assets]
+            self.scene = scene_dict(
+                contents.assets, light=contents.light, backdrop=contents.surroundings
+            )
+            self._alone = [
+                {"type": "scene", **shapes(asset.body, "body")}
+                for asset in contents.assets
+            ]
 
     @tracing_variant(FEW_PICTURES)
     def choose_camera(self) -> Camera:
-        """The next camera; objects that are hidden, cut off or seen edge-on make it look for another, a few times."""
+        """The next camera; objects that are hidden, cut off or seen edge-on make it
+        look for another, a few times.
+        """
         for _ in range(_TRIES):
             camera = self._any_camera()
             seen = self._visible(camera)
-            if not seen or any(fraction >= _WELL_VISIBLE and solid for fraction, solid in seen):
+            if not seen or any(
+                fraction >= _WELL_VISIBLE and solid for fraction, solid in seen
+            ):
                 break
         return camera
 
     @tracing_variant(FEW_PICTURES)
     def render(self, camera: Camera) -> View:
         """A path-traced picture."""
-        (view,) = capture(self.scene, [camera], samples=self._config.samples, seed=int(self._rng.integers(1 << 28)))
+        (view,) = capture(
+            self.scene,
+            [camera],
+            samples=self._config.samples,
+            seed=int(self._rng.integers(1 << 28)),
+        )
         return view
 
     @tracing_variant(FEW_PICTURES)
     def label(self, camera: Camera, image: Tensor) -> LabelledPicture:
-        """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what is in it."""
+        """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what
+        is in it.
+        """
         boxes, labels, conditions = [], [], []
         outlines, visible = self._outlines(camera), self._visible(camera)
-        for asset, (seen, _), (fraction, _) in zip(self.contents.assets, outlines, visible, strict=True):
+        for asset, (seen, _), (fraction, _) in zip(
+            self.contents.assets, outlines, visible, strict=True
+        ):
             rows, columns = np.nonzero(seen)
             if len(rows) >= _LEAST_PIXELS and fraction >= self._config.least_visible:
-                boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+                boxes.append(
+                    [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+                )
                 labels.append(1 + SMALL_CLASSES.index(asset.name))
-                conditions.append(viewing_conditions(asset.body.vertices, camera, self.contents.light))
+                conditions.append(
+                    viewing_conditions(asset.body.vertices, camera, self.contents.light)
+                )
         return LabelledPicture(
             _in_bytes(image),
             torch.tensor(np.array(boxes, np.float32).reshape(-1, 4)),
@@ -294,7 +389,9 @@ class SceneRenderer:
         assets, rng = self.contents.assets, self._rng
         if not assets:
             scale = math.exp(rng.uniform(math.log(0.7), math.log(6.0)))
-            points: Floats = (scale * (rng.normal(0, 1, (64, 3)) * [1, 1, 0.4] + [0, 0, 0.9])).astype(np.float32)
+            points: Floats = (
+                scale * (rng.normal(0, 1, (64, 3)) * [1, 1, 0.4] + [0, 0, 0.9])
+            ).astype(np.float32)
         elif rng.random() < 0.5:
             points = assets[int(rng.integers(len(assets)))].body.vertices
         else:
@@ -302,12 +399,19 @@ class SceneRenderer:
         return framing_camera(points, rng, self._config)
 
     def _outlines(self, camera: Camera) -> list[tuple[Mask, Mask]]:
-        """(H, W) masks for each object: where it is seen, and where it would be seen if it were alone."""
-        nearest, *alone = (depth_maps(scene, [camera])[0].numpy() for scene in (self.scene, *self._alone))
+        """(H, W) masks for each object: where it is seen, and where it would be seen if
+        it were alone.
+        """
+        nearest, *alone = (
+            depth_maps(scene, [camera])[0].numpy()
+            for scene in (self.scene, *self._alone)
+        )
         return [(in_front(depths, nearest), depths > 0) for depths in alone]
 
     def _visible(self, camera: Camera) -> list[tuple[float, bool]]:
-        """For each object: which fraction of its outline is seen, and whether that is more than an edge; few rays."""
+        """For each object: which fraction of its outline is seen, and whether that is
+        more than an edge; few rays.
+        """
         small = replace(
             camera,
             focal=camera.fx / _COARSE,
@@ -316,10 +420,22 @@ class SceneRenderer:
             principal=(camera.cx / _COARSE, camera.cy / _COARSE),
         )
         fractions = []
-        for asset, (seen, alone) in zip(self.contents.assets, self._outlines(small), strict=True):
-            pixels, depth = project_points(torch.from_numpy(asset.body.vertices), camera)
-            inside = (pixels >= 0).all(1) & (pixels <= self._config.size).all(1) & (depth > 0)
-            fraction = float(seen.sum()) / max(float(alone.sum()), 1.0) * float(inside.float().mean())
+        for asset, (seen, alone) in zip(
+            self.contents.assets, self._outlines(small), strict=True
+        ):
+            pixels, depth = project_points(
+                torch.from_numpy(asset.body.vertices), camera
+            )
+            inside = (
+                (pixels >= 0).all(1)
+                & (pixels <= self._config.size).all(1)
+                & (depth > 0)
+            )
+            fraction = (
+                float(seen.sum())
+                / max(float(alone.sum()), 1.0)
+                * float(inside.float().mean())
+            )
             fractions.append((fraction, _solid(alone)))
         return fractions
 
@@ -343,25 +459,39 @@ def scene_pictures(config: PictureSet, number: int) -> list[LabelledPicture]:
     with tracing_variant(FEW_PICTURES):
         renderer = SceneRenderer(config, number)
         cameras = [renderer.choose_camera() for _ in range(config.shots)]
-        return [renderer.label(camera, renderer.render(camera).image) for camera in cameras]
+        return [
+            renderer.label(camera, renderer.render(camera).image) for camera in cameras
+        ]
 
 
 def background_pictures(config: PictureSet, number: int) -> list[LabelledPicture]:
-    """Surroundings seen from where cameras stand in the images with objects, without any label."""
+    """Surroundings seen from where cameras stand in the images with objects, without
+    any label.
+    """
     kind, (low, high) = str(config.around), SPLITS[config.split]
     rng = np.random.default_rng([config.seed, low, number, 2 + BACKGROUNDS.index(kind)])
     around = of_kind(kind, int(rng.integers(low, high)), rng, _OBJECT_RADIUS)
     with tracing_variant(FEW_PICTURES):
-        scene = scene_dict([], light=daylight(int(rng.integers(1 << 30))), backdrop=around)
+        scene = scene_dict(
+            [], light=daylight(int(rng.integers(1 << 30))), backdrop=around
+        )
         cameras = [background_camera(rng, config.size) for _ in range(config.shots)]
-        views = capture(scene, cameras, samples=config.samples, seed=int(rng.integers(1 << 28)))
+        views = capture(
+            scene, cameras, samples=config.samples, seed=int(rng.integers(1 << 28))
+        )
     nothing = torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64)
     return [LabelledPicture(_in_bytes(view.image), *nothing) for view in views]
 
 
 def background_camera(rng: Generator, size: int) -> Camera:
-    """A camera that looks at a point near the origin, where objects stand in other pictures."""
-    target = (float(rng.normal(0, 0.5)), float(rng.normal(0, 0.5)), float(rng.uniform(0.5, 1.2)))
+    """A camera that looks at a point near the origin, where objects stand in other
+    pictures.
+    """
+    target = (
+        float(rng.normal(0, 0.5)),
+        float(rng.normal(0, 0.5)),
+        float(rng.uniform(0.5, 1.2)),
+    )
     focal = size / 2 / math.tan(math.radians(rng.uniform(22, 60)) / 2)
     pose = orbit_pose(
         target,
@@ -375,7 +505,9 @@ def background_camera(rng: Generator, size: int) -> Camera:
 def splat_pictures(
     scenes: PictureSet, number: int, config: SplatSettings, *, render: RenderFn
 ) -> list[LabelledPicture]:
-    """Labelled renders of a splat of one scene; the labels are those of the meshes it was made from."""
+    """Labelled renders of a splat of one scene; the labels are those of the meshes it
+    was made from.
+    """
     renderer = SceneRenderer(replace(scenes, samples=config.samples), number)
     with tracing_variant(FEW_PICTURES):
         tests = [renderer.choose_camera() for _ in range(config.pictures)]
@@ -384,25 +516,43 @@ def splat_pictures(
     with torch.no_grad():
         pictures = [render(splat, camera) for camera in tests]
     with tracing_variant(FEW_PICTURES):
-        return [renderer.label(camera, picture) for camera, picture in zip(tests, pictures, strict=True)]
+        return [
+            renderer.label(camera, picture)
+            for camera, picture in zip(tests, pictures, strict=True)
+        ]
 
 
 def splat_of(
-    scene: dict[str, Any], contents: PictureScene, views: Sequence[View], config: SplatSettings, render: RenderFn
+    scene: dict[str, Any],
+    contents: PictureScene,
+    views: Sequence[View],
+    config: SplatSettings,
+    render: RenderFn,
 ) -> GaussianScene:
     """A splat of a path-traced scene: objects, surroundings and sky."""
     cameras = [view.camera for view in views]
     depths = depth_maps(scene, cameras)
-    dome = Asset("sky", (ellipsoid((440.0, 440.0, 440.0), (0.6, 0.7, 0.8), segments=48),))
+    dome = Asset(
+        "sky", (ellipsoid((440.0, 440.0, 440.0), (0.6, 0.7, 0.8), segments=48),)
+    )
     wanted = [(asset, config.objects, 0.62) for asset in contents.assets]
-    wanted += [(contents.surroundings, config.surroundings, 0.62)] if contents.surroundings.meshes else []
+    wanted += (
+        [(contents.surroundings, config.surroundings, 0.62)]
+        if contents.surroundings.meshes
+        else []
+    )
     wanted += [(dome, config.sky, 0.9)]
     parts = []
     for asset, count, overlap in wanted:
-        density = nearness(cameras, closest=0.3) if asset is contents.surroundings else None
+        density = (
+            nearness(cameras, closest=0.3) if asset is contents.surroundings else None
+        )
         samples = surface_samples(asset, count, density=density)
-        with contextlib.suppress(InvalidValueError):  # a part that no picture shows is left out
-            parts.append(disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap)))
+        # a part that no picture shows is left out
+        with contextlib.suppress(InvalidValueError):
+            parts.append(
+                disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap))
+            )
     whole = merge(*parts)
     if config.steps == 0:
         return whole
@@ -410,20 +560,32 @@ def splat_of(
 
 
 def training_sets(scale: float = 1.0) -> tuple[list[PictureSet], list[PictureSet]]:
-    """What a detector is trained on, and by which the best epoch is chosen; `scale` makes all of it smaller."""
+    """What a detector is trained on, and by which the best epoch is chosen; `scale`
+    makes all of it smaller.
+    """
 
     def of(scenes: int, **settings: Any) -> PictureSet:
         return PictureSet(scenes=math.ceil(scale * scenes), **settings)
 
     def empty(scenes: int, **settings: Any) -> list[PictureSet]:
-        return [of(scenes, objects=False, around=kind, **settings) for kind in BACKGROUNDS]
+        return [
+            of(scenes, objects=False, around=kind, **settings) for kind in BACKGROUNDS
+        ]
 
-    splat = SplatSettings(views=12, samples=6, objects=8000, surroundings=20_000, steps=80, pictures=8)
+    splat = SplatSettings(
+        views=12, samples=6, objects=8000, surroundings=20_000, steps=80, pictures=8
+    )
     streets: dict[str, Any] = {"around": "street", "farthest": 9.0}
     training = [
         of(1200),
         of(240, seed=1, empty=0.4, street=1.0),
-        of(240, seed=3, elevation=(50, 90), focus=("car", "train", *SMALL_CLASSES), street=0.7),
+        of(
+            240,
+            seed=3,
+            elevation=(50, 90),
+            focus=("car", "train", *SMALL_CLASSES),
+            street=0.7,
+        ),
         of(200, seed=4, **streets),
         of(40, seed=2, splat=splat),
         of(16, seed=5, splat=splat, **streets),
@@ -442,30 +604,44 @@ def held_out_sets(
     scored = PictureSet(split="held-out", scenes=pictures, samples=samples)
     sets = {
         PATH_TRACED: scored,
-        SPLAT_RENDERS: replace(scored, scenes=splats, first=10_000, splat=SplatSettings()),  # none of the others
+        # none of the others
+        SPLAT_RENDERS: replace(
+            scored, scenes=splats, first=10_000, splat=SplatSettings()
+        ),
         **{
-            f"{EMPTY}{kind}": replace(scored, scenes=backgrounds, shots=2, objects=False, around=kind)
+            f"{EMPTY}{kind}": replace(
+                scored, scenes=backgrounds, shots=2, objects=False, around=kind
+            )
             for kind in BACKGROUNDS
         },
     }
     return {name: members for name, members in sets.items() if members.scenes}
 
 
-def made(folder: Path, sets: Sequence[PictureSet], *, processes: int = 2) -> list[list[LabelledPicture]]:
+def made(
+    folder: Path, sets: Sequence[PictureSet], *, processes: int = 2
+) -> list[list[LabelledPicture]]:
     """The images of some sets; those that are missing in the folder are made first."""
     folder.mkdir(parents=True, exist_ok=True)
     files = [
-        [(folder / f"{_digest(members)}-{number}.pt", members, number) for number in _numbers(members)]
+        [
+            (folder / f"{_digest(members)}-{number}.pt", members, number)
+            for number in _numbers(members)
+        ]
         for members in sets
     ]
     missing = [file for part in files for file in part if not file[0].is_file()]
     if processes and missing:
-        with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        with ProcessPoolExecutor(
+            processes, mp_context=multiprocessing.get_context("spawn")
+        ) as pool:
             list(pool.map(_make, *zip(*missing, strict=True)))
     else:
         for file in missing:
             _make(*file)
-    return [[picture for path, _, _ in part for picture in _read(path)] for part in files]
+    return [
+        [picture for path, _, _ in part for picture in _read(path)] for part in files
+    ]
 
 
 def _numbers(members: PictureSet) -> range:
@@ -473,12 +649,19 @@ def _numbers(members: PictureSet) -> range:
 
 
 def _digest(members: PictureSet) -> str:
-    return hashlib.sha256(repr(replace(members, scenes=0, first=0)).encode()).hexdigest()[:16]
+    return hashlib.sha256(
+        repr(replace(members, scenes=0, first=0)).encode()
+    ).hexdigest()[:16]
 
 
 def _make(path: Path, members: PictureSet, number: int) -> None:
     pictures = [
-        (picture.image, picture.boxes, picture.labels, [tuple(seen) for seen in picture.conditions])
+        (
+            picture.image,
+            picture.boxes,
+            picture.labels,
+            [tuple(seen) for seen in picture.conditions],
+        )
         for picture in scene_pictures(members, number)
     ]
     torch.save(pictures, path.with_suffix(".part"))
@@ -487,7 +670,9 @@ def _make(path: Path, members: PictureSet, number: int) -> None:
 
 def _read(path: Path) -> list[LabelledPicture]:
     return [
-        LabelledPicture(image, boxes, labels, tuple(ViewingConditions(*seen) for seen in conditions))
+        LabelledPicture(
+            image, boxes, labels, tuple(ViewingConditions(*seen) for seen in conditions)
+        )
         for image, boxes, labels, conditions in torch.load(path, weights_only=True)
     ]
 
@@ -497,7 +682,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("out/detector-data"))
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--scale", type=float, default=1.0, help="fraction of the scenes")
+    parser.add_argument(
+        "--scale", type=float, default=1.0, help="fraction of the scenes"
+    )
     options = parser.parse_args()
     training, validation = training_sets(options.scale)
     made(options.data, [*training, *validation], processes=options.processes)

@@ -1,4 +1,6 @@
-"""How the small detectors are trained: seeded, with AdamW along a cosine, and with an average of the weights kept."""
+"""How the small detectors are trained: seeded, with AdamW along a cosine, and with an
+average of the weights kept.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ from scenes.recipes.detector_pictures import LabelledPicture, made, training_set
 from scenes.recipes.evaluate_detectors import look_at, set_figures
 
 Targets = list[dict[str, Tensor]]
-"""For each image `boxes` (B, 4) in pixels and `labels` (B,), 1 + position in SMALL_CLASSES."""
+"""For each image `boxes` (B, 4) in pixels and `labels` (B,), 1 + position in
+SMALL_CLASSES.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,19 +34,24 @@ class TrainConfig:
     """How a detector is trained.
 
     Attributes:
-        pretraining: Steps of classifying cut-outs before the first epoch, of detectors that have this.
+        pretraining: Steps of classifying cut-outs before the first epoch, of detectors
+            that have this.
         epochs: Passes over the images.
         batch: Images a step.
-        learning_rate: Highest one of AdamW, reached after the warm-up and then lowered along a cosine.
+        learning_rate: Highest one of AdamW, reached after the warm-up and then lowered
+            along a cosine.
         warm_up: Fraction of the steps over which the learning rate rises.
         weight_decay: Of matrices.
-        ema_decay: How much of the averaged weights (an exponential moving average) each step keeps.
+        ema_decay: How much of the averaged weights (an exponential moving average) each
+            step keeps.
         max_gradient_norm: Longer gradients are scaled down to it.
         low_resolution: Shorter image side in the first epochs, pixels.
         low_resolution_fraction: Fraction of the epochs at that size.
-        final_fraction: Fraction of the epochs, the last ones, whose training examples are closer to those of use.
+        final_fraction: Fraction of the epochs, the last ones, whose training examples
+            are closer to those of use.
         validate_every: Epochs between two validations.
-        seed: Seed of the weights, of the order and of every random change of the images.
+        seed: Seed of the weights, of the order and of every random change of the
+            images.
     """
 
     pretraining: int = 1000
@@ -67,16 +76,24 @@ class Trainer(Protocol):
         """The network with random weights, drawn from torch's generator."""
         ...
 
-    def pretrain(self, model: nn.Module, pictures: Sequence[LabelledPicture], config: TrainConfig) -> None:
+    def pretrain(
+        self, model: nn.Module, pictures: Sequence[LabelledPicture], config: TrainConfig
+    ) -> None:
         """Give the network a head start."""
         ...
 
     def begin_epoch(self, model: nn.Module, *, side: int | None, final: bool) -> None:
-        """Make it ready for an epoch at a shorter image side, or at its usual one, which may be one of the last."""
+        """Make it ready for an epoch at a shorter image side, or at its usual one,
+        which may be one of the last.
+        """
         ...
 
     def losses(
-        self, model: nn.Module, pictures: list[Tensor], targets: Targets, generator: Generator
+        self,
+        model: nn.Module,
+        pictures: list[Tensor],
+        targets: Targets,
+        generator: Generator,
     ) -> dict[str, Tensor]:
         """What to minimise the sum of."""
         ...
@@ -103,16 +120,28 @@ def train(
         apply_weights(model, read_weights(start), start)
     elif config.pretraining:
         trainer.pretrain(model, pictures, config)
-    averaged = {name: value.detach().clone() for name, value in model.state_dict().items()}
-    matrices, vectors = ([p for p in model.parameters() if (p.ndim > 1) is many] for many in (True, False))
-    groups = [{"params": matrices, "weight_decay": config.weight_decay}, {"params": vectors, "weight_decay": 0.0}]
+    averaged = {
+        name: value.detach().clone() for name, value in model.state_dict().items()
+    }
+    matrices, vectors = (
+        [p for p in model.parameters() if (p.ndim > 1) is many]
+        for many in (True, False)
+    )
+    groups = [
+        {"params": matrices, "weight_decay": config.weight_decay},
+        {"params": vectors, "weight_decay": 0.0},
+    ]
     optimiser = torch.optim.AdamW(groups, lr=config.learning_rate)
     history: list[dict[str, Any]] = []
     best = -math.inf
     for epoch in range(config.epochs):
         begun = time.monotonic()
         losses = _epoch(epoch, trainer, config, model, averaged, optimiser, pictures)
-        record: dict[str, Any] = {"epoch": epoch + 1, "losses": losses, "seconds": time.monotonic() - begun}
+        record: dict[str, Any] = {
+            "epoch": epoch + 1,
+            "losses": losses,
+            "seconds": time.monotonic() - begun,
+        }
         if (epoch + 1) % config.validate_every == 0 or epoch + 1 == config.epochs:
             record |= validated(trainer, averaged, validation)
             merit = record["map"] - record["false_positives"]
@@ -120,7 +149,9 @@ def train(
                 best, notes = merit, {"epoch": str(epoch + 1), "seed": str(config.seed)}
                 save_file(shipped(averaged), out / "best.safetensors", metadata=notes)
         history.append(record)
-        (out / "curves.json").write_text(json.dumps({"config": asdict(config), "history": history}, indent=1))
+        (out / "curves.json").write_text(
+            json.dumps({"config": asdict(config), "history": history}, indent=1)
+        )
         print(json.dumps(record))  # noqa: T201
 
 
@@ -138,11 +169,15 @@ def _epoch(
     model.train()
     coarse = epoch < round(config.low_resolution_fraction * config.epochs)
     final = epoch >= config.epochs - round(config.final_fraction * config.epochs)
-    trainer.begin_epoch(model, side=config.low_resolution if coarse else None, final=final)
+    trainer.begin_epoch(
+        model, side=config.low_resolution if coarse else None, final=final
+    )
     steps, total = len(pictures) // config.batch, dict[str, float]()
     for step, (images, targets) in enumerate(_batches(pictures, config, epoch)):
         for group in optimiser.param_groups:
-            group["lr"] = config.learning_rate * rate_factor((epoch + step / steps) / config.epochs, config.warm_up)
+            group["lr"] = config.learning_rate * rate_factor(
+                (epoch + step / steps) / config.epochs, config.warm_up
+            )
         generator = Generator().manual_seed(_seed(config.seed, epoch, 7, step))
         with torch.autocast("cpu", torch.bfloat16):
             losses = trainer.losses(model, images, targets, generator)
@@ -165,36 +200,56 @@ def _batches(
     for start in range(0, len(pictures) - config.batch + 1, config.batch):
         images, targets = [], []
         for i in order[start : start + config.batch]:
-            image, boxes, labels = augment(pictures[i], Generator().manual_seed(_seed(config.seed, epoch, i)))
+            image, boxes, labels = augment(
+                pictures[i], Generator().manual_seed(_seed(config.seed, epoch, i))
+            )
             images.append(image)
             targets.append({"boxes": boxes, "labels": labels})
         yield images, targets
 
 
 def rate_factor(done: float, warm_up: float) -> float:
-    """The learning rate after a fraction of all steps, as a fraction of the highest one."""
+    """The learning rate after a fraction of all steps, as a fraction of the highest
+    one.
+    """
     if done < warm_up:
         return 0.02 + 0.98 * done / warm_up
-    return 0.005 + 0.995 * 0.5 * (1 + math.cos(math.pi * (done - warm_up) / (1 - warm_up)))
+    return 0.005 + 0.995 * 0.5 * (
+        1 + math.cos(math.pi * (done - warm_up) / (1 - warm_up))
+    )
 
 
 def shipped(averaged: dict[str, Tensor]) -> dict[str, Tensor]:
     """The weights as they are shipped: float16, without BatchNorm's step counters."""
-    return {name: value.half().contiguous() for name, value in averaged.items() if value.is_floating_point()}
+    return {
+        name: value.half().contiguous()
+        for name, value in averaged.items()
+        if value.is_floating_point()
+    }
 
 
 def validated(
     trainer: Trainer, averaged: dict[str, Tensor], validation: Sequence[LabelledPicture]
 ) -> dict[str, object]:
-    """The mAP of the averaged weights, and the false positives per image without objects."""
+    """The mAP of the averaged weights, and the false positives per image without
+    objects.
+    """
     with torch.random.fork_rng(devices=[]):
         model = trainer.build()
-    model.load_state_dict({name: value.float() for name, value in shipped(averaged).items()}, strict=False)
+    model.load_state_dict(
+        {name: value.float() for name, value in shipped(averaged).items()}, strict=False
+    )
     seen = look_at(trainer.detector(model.eval()), validation)
     figures = set_figures(seen, 0.5)
-    imagined = set_figures([view for view in seen if not view.objects], 0.5)["false_positives"]["per_picture"]
+    imagined = set_figures([view for view in seen if not view.objects], 0.5)[
+        "false_positives"
+    ]["per_picture"]
     measured = {name: figures.get(name, {}) for name in ("ap", "found")}
-    return {"validation": measured, "map": figures.get("map", 0.0), "false_positives": imagined}
+    return {
+        "validation": measured,
+        "map": figures.get("map", 0.0),
+        "false_positives": imagined,
+    }
 
 
 def _seed(*parts: int) -> int:
@@ -206,21 +261,36 @@ def _seed(*parts: int) -> int:
 
 
 def main(trainer: Trainer, defaults: TrainConfig, description: str | None) -> None:
-    """Make the images that are missing, and train; every setting of the training is a flag."""
+    """Make the images that are missing, and train; every setting of the training is a
+    flag.
+    """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--data", type=Path, default=Path("out/detector-data"))
     parser.add_argument("--out", type=Path, default=Path("out/detector"))
-    parser.add_argument("--start", type=Path, help="weights to begin from instead of pretraining")
-    parser.add_argument("--processes", type=int, default=2, help="processes that make images")
-    parser.add_argument("--scale", type=float, default=1.0, help="fraction of the scenes")
+    parser.add_argument(
+        "--start", type=Path, help="weights to begin from instead of pretraining"
+    )
+    parser.add_argument(
+        "--processes", type=int, default=2, help="processes that make images"
+    )
+    parser.add_argument(
+        "--scale", type=float, default=1.0, help="fraction of the scenes"
+    )
     for field in fields(TrainConfig):
         default = getattr(defaults, field.name)
-        parser.add_argument(f"--{field.name.replace('_', '-')}", type=type(default), default=default)
+        parser.add_argument(
+            f"--{field.name.replace('_', '-')}", type=type(default), default=default
+        )
     options = vars(parser.parse_args())
-    config = TrainConfig(**{field.name: options[field.name] for field in fields(TrainConfig)})
+    config = TrainConfig(
+        **{field.name: options[field.name] for field in fields(TrainConfig)}
+    )
     training, validation = training_sets(options["scale"])
-    images = made(options["data"], [*training, *validation], processes=options["processes"])
+    images = made(
+        options["data"], [*training, *validation], processes=options["processes"]
+    )
     pictures, scored = (
-        [p for part in parts for p in part] for parts in (images[: len(training)], images[len(training) :])
+        [p for part in parts for p in part]
+        for parts in (images[: len(training)], images[len(training) :])
     )
     train(trainer, config, pictures, scored, options["out"], start=options["start"])

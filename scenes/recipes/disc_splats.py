@@ -1,7 +1,8 @@
-"""Splats from meshes: flat Gaussians on the surface, coloured from path-traced pictures and refined against them.
+"""Splats from meshes: flat Gaussians on the surface, coloured from path-traced pictures
+and refined against them.
 
-`disc_splat` lays a disc on each of some points of a surface and fits its colour to the pictures in which it is visible;
-`refine` improves all attributes through a renderer.
+`disc_splat` lays a disc on each of some points of a surface and fits its colour to the
+pictures in which it is visible; `refine` improves all attributes through a renderer.
 """
 
 import math
@@ -29,11 +30,14 @@ class DiscConfig:
 
     Attributes:
         degree: SH degree of the colours, 0 or 1.
-        overlap: Standard deviation along the surface in units of the distance between samples.
+        overlap: Standard deviation along the surface in units of the distance between
+            samples.
         thickness: Standard deviation across the surface in the same unit.
         opacity: Opacity of every disc.
-        damping: Ridge weight on the SH coefficients above degree 0, in units of fully visible pixels.
-        tolerance: Relative difference to the depth map up to which a sample counts as visible.
+        damping: Ridge weight on the SH coefficients above degree 0, in units of fully
+            visible pixels.
+        tolerance: Relative difference to the depth map up to which a sample counts as
+            visible.
     """
 
     degree: int = 1
@@ -50,7 +54,8 @@ class RefineConfig:
 
     Attributes:
         steps: Number of steps.
-        means: Step size of the means in units of each Gaussian's largest standard deviation.
+        means: Step size of the means in units of each Gaussian's largest standard
+            deviation.
         scales: Step size of log-scales.
         rotations: Step size of quaternions.
         opacities: Step size of logits.
@@ -69,24 +74,43 @@ class RefineConfig:
 
 def _frames(normals: Tensor) -> Tensor:
     """(N, 3, 3) rotations whose third column is the normal."""
-    helper = torch.where(normals[:, 2:].abs() < 0.9, normals.new_tensor([0.0, 0, 1]), normals.new_tensor([1.0, 0, 0]))
+    helper = torch.where(
+        normals[:, 2:].abs() < 0.9,
+        normals.new_tensor([0.0, 0, 1]),
+        normals.new_tensor([1.0, 0, 0]),
+    )
     first = torch.nn.functional.normalize(torch.linalg.cross(helper, normals), dim=1)
     return torch.stack([first, torch.linalg.cross(normals, first), normals], dim=2)
 
 
 def disc_splat(
-    samples: SurfaceSamples, views: Sequence[View], depths: Sequence[Tensor], *, config: DiscConfig | None = None
+    samples: SurfaceSamples,
+    views: Sequence[View],
+    depths: Sequence[Tensor],
+    *,
+    config: DiscConfig | None = None,
 ) -> GaussianScene:
-    """A splat of flat discs on the samples that at least one view sees; the others are left out."""
+    """A splat of flat discs on the samples that at least one view sees; the others are
+    left out.
+    """
     config = config or DiscConfig()
     sh, seen = fit_colours(
-        samples, views, depths, degree=config.degree, damping=config.damping, tolerance=config.tolerance
+        samples,
+        views,
+        depths,
+        degree=config.degree,
+        damping=config.damping,
+        tolerance=config.tolerance,
     )
     keep = seen > 0
     if not keep.any():
-        raise InvalidValueError.of("views", "pictures that show the surface", "none that does", "move cameras")
+        raise InvalidValueError.of(
+            "views", "pictures that show the surface", "none that does", "move cameras"
+        )
     spacing = torch.from_numpy(samples.spacing)[keep]
-    scales = torch.stack([config.overlap * spacing] * 2 + [config.thickness * spacing], dim=1).clamp(min=1e-3)
+    scales = torch.stack(
+        [config.overlap * spacing] * 2 + [config.thickness * spacing], dim=1
+    ).clamp(min=1e-3)
     return GaussianScene(
         torch.from_numpy(samples.points)[keep],
         scales,
@@ -105,34 +129,49 @@ def refine(
     seed: int = 0,
     on_step: OnStep | None = None,
 ) -> GaussianScene:
-    """Fit a splat to views by Adam; the number and order of the Gaussians stay as they are.
+    """Fit a splat to views by Adam; the number and order of the Gaussians stay as they
+    are.
 
-    Adam is that of Kingma and Ba (2015). The loss is the mean absolute difference plus half of the mean squared one;
-    steps shrink along a cosine (Loshchilov and Hutter 2017) to a tenth.
+    Adam is that of Kingma and Ba (2015). The loss is the mean absolute difference plus
+    half of the mean squared one; steps shrink along a cosine (Loshchilov and Hutter
+    2017) to a tenth.
     """
     config = config or RefineConfig()
-    start = {name: value.detach().clone() for name, value in to_raw_parameters(scene).items()}
+    start = {
+        name: value.detach().clone() for name, value in to_raw_parameters(scene).items()
+    }
     unit = scene.scales.max(dim=1, keepdim=True).values.detach()
     offset = torch.zeros_like(start["means"])
-    values = {name: value for name, value in start.items() if name != "means"} | {"offset": offset}
-    rates = {"offset": config.means, **{name: float(getattr(config, name)) for name in values if name != "offset"}}
+    values = {name: value for name, value in start.items() if name != "means"} | {
+        "offset": offset
+    }
+    rates = {
+        "offset": config.means,
+        **{name: float(getattr(config, name)) for name in values if name != "offset"},
+    }
     for value in values.values():
         value.requires_grad_(True)
-    optimiser = torch.optim.Adam([{"params": [values[name]], "lr": rates[name]} for name in values], eps=1e-12)
+    optimiser = torch.optim.Adam(
+        [{"params": [values[name]], "lr": rates[name]} for name in values], eps=1e-12
+    )
     rates_now = [group["lr"] for group in optimiser.param_groups]
     rng = np.random.default_rng([seed, 0xF17])
     order: list[int] = []
 
     def current() -> GaussianScene:
         parts = {name: value for name, value in values.items() if name != "offset"}
-        return GaussianScene.unchecked(*activate({**parts, "means": start["means"] + values["offset"] * unit}))
+        return GaussianScene.unchecked(
+            *activate({**parts, "means": start["means"] + values["offset"] * unit})
+        )
 
     for step in range(config.steps):
         if not order:
             order = [int(i) for i in rng.permutation(len(views))]
         view = views[order.pop()]
         for group, rate in zip(optimiser.param_groups, rates_now, strict=True):
-            group["lr"] = rate * (0.1 + 0.9 * 0.5 * (1 + math.cos(math.pi * step / config.steps)))
+            group["lr"] = rate * (
+                0.1 + 0.9 * 0.5 * (1 + math.cos(math.pi * step / config.steps))
+            )
         optimiser.zero_grad(set_to_none=True)
         error = render(current(), view.camera) - view.image
         loss = error.abs().mean() + 0.5 * error.square().mean()

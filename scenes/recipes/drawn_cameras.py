@@ -1,8 +1,10 @@
-"""Draws the cameras of the DAGGER study: `python -m scenes.recipes.drawn_cameras --out scenes/cameras`.
+"""Draws the cameras of the DAGGER study: `python -m scenes.recipes.drawn_cameras --out
+scenes/cameras`.
 
-A camera in each of 24 sectors of azimuth: its azimuth, elevation and distance are drawn evenly, and it looks at the
-middle of the object. Distances are factors of that of the scene's first camera. The car has cameras all around it. The
-sign has them within 60 degrees of its face, since the images that its splat was trained on reach to 62.
+A camera in each of 24 sectors of azimuth: its azimuth, elevation and distance are drawn
+evenly, and it looks at the middle of the object. Distances are factors of that of the
+scene's first camera. The car has cameras all around it. The sign has them within 60
+degrees of its face, since the images that its splat was trained on reach to 62.
 """
 
 import argparse
@@ -29,10 +31,20 @@ def cameras(name: str) -> list[tuple[str, Camera]]:
     for sector in range(COUNT):
         share = float(generator.uniform())
         azimuth = low + (high - low) * (sector + share) / COUNT
-        elevation, factor = float(generator.uniform(*ELEVATIONS)), float(generator.uniform(*DISTANCES))
-        pose = orbit_pose(recipe.source.centre, azimuth=azimuth, elevation=elevation, distance=unit * factor)
+        elevation, factor = (
+            float(generator.uniform(*ELEVATIONS)),
+            float(generator.uniform(*DISTANCES)),
+        )
+        pose = orbit_pose(
+            recipe.source.centre,
+            azimuth=azimuth,
+            elevation=elevation,
+            distance=unit * factor,
+        )
         label = f"{sector} at {azimuth % 360:.0f} degrees, {elevation:.0f} up"
-        drawn.append((label, Camera(to_world=pose, focal=FOCAL, width=SIZE, height=SIZE)))
+        drawn.append(
+            (label, Camera(to_world=pose, focal=FOCAL, width=SIZE, height=SIZE))
+        )
     return drawn
 
 
@@ -43,7 +55,12 @@ def main() -> None:
     out = parser.parse_args().out
     out.mkdir(exist_ok=True)
     for name, azimuths in AZIMUTHS.items():
-        drawn = {"seed": SEED, "azimuths": azimuths, "elevations": ELEVATIONS, "distances": DISTANCES}
+        drawn = {
+            "seed": SEED,
+            "azimuths": azimuths,
+            "elevations": ELEVATIONS,
+            "distances": DISTANCES,
+        }
         lines = ",\n".join(json.dumps(describe(*camera)) for camera in cameras(name))
         head = json.dumps(drawn).removesuffix("}")
         (out / f"{name}.json").write_text(f'{head}, "cameras": [\n{lines}\n]}}\n')

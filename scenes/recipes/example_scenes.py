@@ -1,7 +1,9 @@
-"""Makes a splat scene that the project ships, from its meshes: `python -m scenes.recipes.example_scenes stop_sign`.
+"""Makes a splat scene that the project ships, from its meshes:
+`python -m scenes.recipes.example_scenes stop_sign`.
 
-`mi_splat.capture.sources` says what the scenes show. NAME.xml, its two splats and NAME.json, a record with counts,
-settings, seed and PSNR, are written; with the recipe's own numbers it takes about a quarter of an hour.
+`mi_splat.capture.sources` says what the scenes show. NAME.xml, its two splats and
+NAME.json, a record with counts, settings, seed and PSNR, are written; with the recipe's
+own numbers it takes about a quarter of an hour.
 """
 
 import argparse
@@ -36,14 +38,20 @@ from scenes.recipes.disc_splats import DiscConfig, disc_splat
 from scenes.recipes.mesh_views import capture, depth_maps
 
 SIZE, FOCAL, HELD_OUT = 256, 256.0, 12
-"""Edge of the pictures and focal length in pixels, and number of pictures that take no part."""
+"""Edge of the pictures and focal length in pixels, and number of pictures that take no
+part.
+"""
 _GOLDEN_RATIO = 0.6180339887498949
-"""The additive recurrence with this step spreads points over [0, 1) more evenly than any other (Niederreiter 1992)."""
+"""The additive recurrence with this step spreads points over [0, 1) more evenly than
+any other (Niederreiter 1992).
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneRecipe:
-    """How a splat of one of the project's mesh scenes is made, and where its cameras stand."""
+    """How a splat of one of the project's mesh scenes is made, and where its cameras
+    stand.
+    """
 
     source: ExampleScene
     target: str
@@ -59,7 +67,9 @@ class SceneRecipe:
 
 
 def around(azimuth: float, elevation: float, distance: float) -> Point:
-    """Offset of a camera from the centre, rounded to millimetres: angles in degrees, distance in metres."""
+    """Offset of a camera from the centre, rounded to millimetres: angles in degrees,
+    distance in metres.
+    """
     a, e = math.radians(azimuth), math.radians(elevation)
     x, y, z = math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)
     return round(distance * x, 3), round(distance * y, 3), round(distance * z, 3)
@@ -110,17 +120,27 @@ RECIPES = {
 
 
 def _camera(origin: NDArray[np.float64], target: NDArray[np.float64]) -> Camera:
-    return Camera(to_world=look_at(origin.tolist(), target.tolist()), focal=FOCAL, width=SIZE, height=SIZE)
+    return Camera(
+        to_world=look_at(origin.tolist(), target.tolist()),
+        focal=FOCAL,
+        width=SIZE,
+        height=SIZE,
+    )
 
 
 def sensors(recipe: SceneRecipe) -> dict[str, Camera]:
     """The named cameras of a scene file."""
     centre = np.array(recipe.source.centre)
-    return {name: _camera(centre + offset, centre) for name, offset in recipe.sensors.items()}
+    return {
+        name: _camera(centre + offset, centre)
+        for name, offset in recipe.sensors.items()
+    }
 
 
 def random_cameras(recipe: SceneRecipe, count: int, *, seed: int) -> list[Camera]:
-    """`count` cameras in the recipe's range, evenly spread in area with some chance, that look at about its centre."""
+    """`count` cameras in the recipe's range, evenly spread in area with some chance,
+    that look at about its centre.
+    """
     rng = np.random.default_rng([seed, 0xCA3])
     low, high = np.sin(np.radians(recipe.elevation))
     cameras = []
@@ -131,7 +151,9 @@ def random_cameras(recipe: SceneRecipe, count: int, *, seed: int) -> list[Camera
         offset = np.array(around(azimuth, elevation, rng.uniform(*recipe.distance)))
         origin = np.array(recipe.source.centre) + offset
         origin[2] = max(origin[2], 0.3)
-        target = np.array(recipe.source.centre) + rng.normal(0, 0.05, 3) * np.linalg.norm(offset)
+        target = np.array(recipe.source.centre) + rng.normal(
+            0, 0.05, 3
+        ) * np.linalg.norm(offset)
         cameras.append(_camera(origin, target))
     return cameras
 
@@ -150,34 +172,54 @@ def start_splat(
     target, surroundings = recipe.source.assets()
     density = nearness([view.camera for view in views][:: max(1, len(views) // 24)])
     parts = []
-    for asset, count, overlap in zip((target, surroundings, _dome()), recipe.counts, (0.6, 0.62, 0.9), strict=True):
+    for asset, count, overlap in zip(
+        (target, surroundings, _dome()), recipe.counts, (0.6, 0.62, 0.9), strict=True
+    ):
         even = asset is target or asset.name == "sky"
-        samples = surface_samples(asset, count, density=None if even else density, seed=seed)
-        parts.append(disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap)))
+        samples = surface_samples(
+            asset, count, density=None if even else density, seed=seed
+        )
+        parts.append(
+            disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap))
+        )
     return parts[0], merge(parts[1], parts[2])
 
 
 def fit_config(steps: int, limit: int) -> FitConfig:
     """The classic recipe for Gaussians that begin on the surfaces.
 
-    Nothing floats that a reset of the opacities would remove, and the sky, which is far and large, has to stay.
+    Nothing floats that a reset of the opacities would remove, and the sky, which is far
+    and large, has to stay.
     """
-    strategy = ClassicConfig(max_gaussians=limit, opacity_reset_interval=0, prune_scale=1e9)
+    strategy = ClassicConfig(
+        max_gaussians=limit, opacity_reset_interval=0, prune_scale=1e9
+    )
     return FitConfig(
-        iterations=steps, strategy=strategy, sh_degree=1, sh_degree_interval=0, lr_sh_divisor=20, eval_interval=0
+        iterations=steps,
+        strategy=strategy,
+        sh_degree=1,
+        sh_degree_interval=0,
+        lr_sh_divisor=20,
+        eval_interval=0,
     )
 
 
-def belongs(scene: GaussianScene, target: GaussianScene, others: GaussianScene) -> Tensor:
-    """(N,) bool, which Gaussians are the target's after training, which has moved, cloned and split them, but not far.
+def belongs(
+    scene: GaussianScene, target: GaussianScene, others: GaussianScene
+) -> Tensor:
+    """(N,) bool, which Gaussians are the target's after training, which has moved,
+    cloned and split them, but not far.
 
-    Those whose centre, and both ends of the longest axis at one standard deviation, lie nearest to one that was the
-    target's at first: what reaches over into the surroundings is theirs.
+    Those whose centre, and both ends of the longest axis at one standard deviation, lie
+    nearest to one that was the target's at first: what reaches over into the
+    surroundings is theirs.
     """
     starts = cKDTree(merge(target, others).means.numpy())
     longest = scene.scales.argmax(1)
     rows = torch.arange(len(scene))
-    axis = to_matrix(scene.rotations)[rows, :, longest] * scene.scales[rows, longest, None]
+    axis = (
+        to_matrix(scene.rotations)[rows, :, longest] * scene.scales[rows, longest, None]
+    )
     ends = (scene.means, scene.means - axis, scene.means + axis)
     nearest = [torch.from_numpy(starts.query(points.numpy())[1]) for points in ends]
     return torch.stack([numbers < len(target) for numbers in nearest]).all(0)
@@ -216,11 +258,22 @@ def scene_xml(name: str, recipe: SceneRecipe) -> str:
 
 
 def make(
-    name: str, folder: Path, *, views: int | None = None, samples: int = 16, steps: int | None = None, seed: int = 0
+    name: str,
+    folder: Path,
+    *,
+    views: int | None = None,
+    samples: int = 16,
+    steps: int | None = None,
+    seed: int = 0,
 ) -> dict[str, object]:
-    """Make one scene: two splat files, the scene file and a record of how it was made and how good it is."""
+    """Make one scene: two splat files, the scene file and a record of how it was made
+    and how good it is.
+    """
     recipe, start = RECIPES[name], time.time()
-    views, steps = recipe.views if views is None else views, recipe.steps if steps is None else steps
+    views, steps = (
+        recipe.views if views is None else views,
+        recipe.steps if steps is None else steps,
+    )
     folder.mkdir(parents=True, exist_ok=True)
     target, surroundings = recipe.source.assets()
     description = scene_dict([target], light=recipe.source.light, backdrop=surroundings)
@@ -236,7 +289,10 @@ def make(
         seed=seed,
     ).scene
     is_target = belongs(whole, *parts)
-    files = {recipe.target: whole.select(is_target), recipe.surroundings: whole.select(~is_target)}
+    files = {
+        recipe.target: whole.select(is_target),
+        recipe.surroundings: whole.select(~is_target),
+    }
     for shape, splat in files.items():
         save_splat(splat, folder / f"{name}_{shape}.ply")
     (folder / f"{name}.xml").write_text(scene_xml(name, recipe))
@@ -258,35 +314,67 @@ def make(
 
 
 def _score(
-    scene: GaussianScene, recipe: SceneRecipe, description: dict[str, Any], *, samples: int, seed: int
+    scene: GaussianScene,
+    recipe: SceneRecipe,
+    description: dict[str, Any],
+    *,
+    samples: int,
+    seed: int,
 ) -> dict[str, object]:
-    """PSNR over pictures that took no part: cameras by chance, and the named sensors."""
+    """PSNR over pictures that took no part: cameras by chance, and the named
+    sensors.
+    """
     render, named = Renderer(RenderSettings()), sensors(recipe)
     views = capture(
-        description, [*random_cameras(recipe, HELD_OUT, seed=seed), *named.values()], samples=samples, seed=seed
+        description,
+        [*random_cameras(recipe, HELD_OUT, seed=seed), *named.values()],
+        samples=samples,
+        seed=seed,
     )
     at_sensors = zip(named, views[HELD_OUT:], strict=True)
     return {
         "psnr_held_out": _mean_psnr(scene, views[:HELD_OUT], render),
-        "psnr_sensors": {sensor: _mean_psnr(scene, [view], render) for sensor, view in at_sensors},
+        "psnr_sensors": {
+            sensor: _mean_psnr(scene, [view], render) for sensor, view in at_sensors
+        },
     }
 
 
 def _mean_psnr(scene: GaussianScene, views: Sequence[View], render: Renderer) -> float:
     with torch.no_grad():
-        values = [float(psnr(render(scene, view.camera).clamp(0, 1), view.image)) for view in views]
+        values = [
+            float(psnr(render(scene, view.camera).clamp(0, 1), view.image))
+            for view in views
+        ]
     return round(sum(values) / len(values), 2)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("name", choices=RECIPES)
     parser.add_argument("--out", type=Path, default=Path("scenes"))
-    parser.add_argument("--views", type=int, help="pictures to fit to; the recipe's number by default")
-    parser.add_argument("--samples", type=int, default=16, help="samples per pixel in them")
-    parser.add_argument("--steps", type=int, help="steps of the training; the recipe's number by default")
+    parser.add_argument(
+        "--views", type=int, help="pictures to fit to; the recipe's number by default"
+    )
+    parser.add_argument(
+        "--samples", type=int, default=16, help="samples per pixel in them"
+    )
+    parser.add_argument(
+        "--steps",
+        type=int,
+        help="steps of the training; the recipe's number by default",
+    )
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     torch.set_num_threads(1)
-    made = make(given.name, given.out, views=given.views, samples=given.samples, steps=given.steps, seed=given.seed)
+    made = make(
+        given.name,
+        given.out,
+        views=given.views,
+        samples=given.samples,
+        steps=given.steps,
+        seed=given.seed,
+    )
     print(json.dumps(made, indent=2))  # noqa: T201

@@ -10,13 +10,26 @@ from mi_splat.cameras import Camera, View
 from mi_splat.capture.path_tracer import PathTracer
 
 
-def capture(scene: dict[str, Any] | Path, cameras: Sequence[Camera], *, samples: int = 32, seed: int = 0) -> list[View]:
+def capture(
+    scene: dict[str, Any] | Path,
+    cameras: Sequence[Camera],
+    *,
+    samples: int = 32,
+    seed: int = 0,
+) -> list[View]:
     """Path-traced views of a mesh scene."""
     tracer = PathTracer(scene, samples=samples)
-    return [View(camera, tracer.picture(camera, seed=seed + number)) for number, camera in enumerate(cameras)]
+    return [
+        View(camera, tracer.picture(camera, seed=seed + number))
+        for number, camera in enumerate(cameras)
+    ]
 
 
-def depth_maps(scene: dict[str, Any] | Path, cameras: Sequence[Camera], *, seed: int = 0) -> list[Tensor]:
-    """Of each camera, (H, W) float32 distance from its centre to the first surface, 0 where there is none."""
+def depth_maps(
+    scene: dict[str, Any] | Path, cameras: Sequence[Camera], *, seed: int = 0
+) -> list[Tensor]:
+    """Of each camera, (H, W) float32 distance from its centre to the first surface, 0
+    where there is none.
+    """
     tracer = PathTracer(scene, alpha=True)
     return [tracer.surface(camera, seed=seed)[1] for camera in cameras]

@@ -1,6 +1,8 @@
-"""Makes the vectors of the classifier `prototypes`: `python -m scenes.recipes.prototypes prototypes.safetensors`.
+"""Makes the vectors of the classifier `prototypes`: `python -m
+scenes.recipes.prototypes prototypes.safetensors`.
 
-Objects of each class are path-traced from all around; a class is the mean direction of the features of its pictures.
+Objects of each class are path-traced from all around; a class is the mean direction of
+the features of its pictures.
 """
 
 from __future__ import annotations
@@ -30,12 +32,16 @@ from mi_splat.io.noted_tensors import NOTES
 FOV = 45.0
 """Of the cameras, degrees."""
 _TURN = 67.0
-"""Degrees by which the cameras of each object and ground are turned against those of the one before."""
+"""Degrees by which the cameras of each object and ground are turned against those of
+the one before.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """Objects of each class, what they stand on, and cameras on each ground, spread over the elevations."""
+    """Objects of each class, what they stand on, and cameras on each ground, spread
+    over the elevations.
+    """
 
     classes: tuple[str, ...] = tuple(ASSETS)
     seeds: tuple[int, ...] = (1, 2)
@@ -51,7 +57,9 @@ def pictures_of(recipe: Recipe, name: str) -> Iterator[Tensor]:
     size = (recipe.size, recipe.size)
     scenes = [(seed, ground) for seed in recipe.seeds for ground in recipe.grounds]
     for number, (object_seed, ground) in enumerate(scenes):
-        source = open_source(f"{name}:{object_seed}", surroundings=SurroundingsSettings(ground=ground))
+        source = open_source(
+            f"{name}:{object_seed}", surroundings=SurroundingsSettings(ground=ground)
+        )
         distance, focal = framing(source.radius, fov=FOV, size=size)
         cameras = hemisphere(
             source.centre,
@@ -63,22 +71,37 @@ def pictures_of(recipe: Recipe, name: str) -> Iterator[Tensor]:
             start=_TURN * number,
         )
         tracer = PathTracer(source.scene, samples=recipe.samples)
-        yield from (tracer.picture(camera, seed=seed) for seed, camera in enumerate(cameras))
+        yield from (
+            tracer.picture(camera, seed=seed) for seed, camera in enumerate(cameras)
+        )
 
 
 def save_prototypes(
-    pictures: Mapping[str, Sequence[Tensor]], features: nn.Module, recipe: Mapping[str, Any], path: Path
+    pictures: Mapping[str, Sequence[Tensor]],
+    features: nn.Module,
+    recipe: Mapping[str, Any],
+    path: Path,
 ) -> None:
     """Write the mean directions of the classes, less the mean of all of them."""
     prepare, means = Preparation(), []
     for images in pictures.values():
         with torch.no_grad():
-            rows = [normalize(features(prepare(image[None])), dim=1) for image in images]
+            rows = [
+                normalize(features(prepare(image[None])), dim=1) for image in images
+            ]
         means.append(normalize(torch.cat(rows).mean(0), dim=0))
     centre = torch.stack(means).mean(0)
     directions = normalize(torch.stack(means) - centre, dim=1)
-    notes = {"classes": list(pictures), "features": fingerprint(features.state_dict()), "recipe": dict(recipe)}
-    save_file({"directions": directions, "centre": centre}, path, metadata={NOTES: json.dumps(notes)})
+    notes = {
+        "classes": list(pictures),
+        "features": fingerprint(features.state_dict()),
+        "recipe": dict(recipe),
+    }
+    save_file(
+        {"directions": directions, "centre": centre},
+        path,
+        metadata={NOTES: json.dumps(notes)},
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Meshes, textures and the procedural assets: valid, outward, of real size, the same for the same seed."""
+"""Meshes, textures and the procedural assets: valid, outward, of real size, the same
+for the same seed.
+"""
 
 import hashlib
 
@@ -34,11 +36,16 @@ def volume(mesh: Mesh) -> float:
 
 def is_closed(mesh: Mesh) -> bool:
     """Whether every edge between places has a partner in the other direction."""
-    _, merged = np.unique(np.round(mesh.vertices * 1e4).astype(np.int64), axis=0, return_inverse=True)
+    _, merged = np.unique(
+        np.round(mesh.vertices * 1e4).astype(np.int64), axis=0, return_inverse=True
+    )
     faces = merged.ravel()[mesh.faces.astype(np.int64)]
     faces = faces[(faces != np.roll(faces, 1, 1)).all(1)]
     edges = np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)])
-    keys, back = edges[:, 0] * len(merged) + edges[:, 1], edges[:, 1] * len(merged) + edges[:, 0]
+    keys, back = (
+        edges[:, 0] * len(merged) + edges[:, 1],
+        edges[:, 1] * len(merged) + edges[:, 0],
+    )
     return bool(np.array_equal(np.sort(keys), np.sort(back)))
 
 
@@ -55,11 +62,19 @@ PRIMITIVES = {
     "box": (box((1, 2, 3), GREY), 6.0, 1e-5),
     "ellipsoid": (ellipsoid((2, 2, 2), GREY, segments=64), 4 * np.pi / 3, 0.02),
     "lathe": (lathe([[1, 0], [1, 1]], GREY, segments=64), np.pi, 0.01),
-    "extrude": (extrude([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]], 1, GREY), 3.0, 1e-5),
-    "sweep": (sweep([[0, 0, 0], [0, 0, 2]], [0.5, 0.5], GREY, segments=64), np.pi / 2, 0.01),
+    "extrude": (
+        extrude([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]], 1, GREY),
+        3.0,
+        1e-5,
+    ),
+    "sweep": (
+        sweep([[0, 0, 0], [0, 0, 2]], [0.5, 0.5], GREY, segments=64),
+        np.pi / 2,
+        0.01,
+    ),
     "loft": (loft([[[x, y, z] for x, y in SQUARE] for z in (0, 2)], GREY), 2.0, 1e-5),
     "mirrored": (transform(box((1, 1, 1), GREY), scaling(-2, 1, 1)), 2.0, 1e-5),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", PRIMITIVES)
@@ -79,9 +94,16 @@ def test_primitive_is_closed_and_outward(name: str) -> None:
         (np.zeros((3, 3)), [[0, 1, 2]], np.zeros((3, 2)), np.zeros((1, 3))),
     ],
 )
-def test_bad_mesh_is_refused(vertices: object, faces: object, uvs: object, texture: object) -> None:
+def test_bad_mesh_is_refused(
+    vertices: object, faces: object, uvs: object, texture: object
+) -> None:
     with pytest.raises(InvalidValueError, match="mesh: expected"):
-        Mesh(np.asarray(vertices), np.asarray(faces), np.asarray(uvs), np.asarray(texture))
+        Mesh(
+            np.asarray(vertices),
+            np.asarray(faces),
+            np.asarray(uvs),
+            np.asarray(texture),
+        )
 
 
 @pytest.mark.parametrize("name", MINE)
@@ -103,7 +125,11 @@ def test_asset_is_valid_and_of_real_size(name: str) -> None:
 
 def test_bodies_are_closed() -> None:
     for name in MINE:
-        open_parts = [i for i, mesh in enumerate(build(name, 3).meshes) if len(mesh.faces) > 2 and not is_closed(mesh)]
+        open_parts = [
+            i
+            for i, mesh in enumerate(build(name, 3).meshes)
+            if len(mesh.faces) > 2 and not is_closed(mesh)
+        ]
         assert not open_parts, f"{name}: parts {open_parts}"
 
 

@@ -1,4 +1,6 @@
-"""The shipped scenes' recipes: the files are those of the recipes, cameras and seeds keep what the README promises."""
+"""The shipped scenes' recipes: the files are those of the recipes, cameras and seeds
+keep what the README promises.
+"""
 
 import ast
 import json
@@ -34,7 +36,8 @@ def test_asset_seeds_are_kept_out_of_training() -> None:
     numbers = [
         node.args[-1].value
         for node in ast.walk(ast.parse(Path(sources.__file__).read_text()))
-        if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("build", "build_street")
+        if isinstance(node, ast.Call)
+        and getattr(node.func, "id", "") in ("build", "build_street")
         if isinstance(node.args[-1], ast.Constant)
     ]
     assert len(numbers) == 4

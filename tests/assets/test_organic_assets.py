@@ -9,7 +9,11 @@ from mi_splat.assets import bird, elephant, person
 from mi_splat.assets.mesh import Asset
 from tests.assets.test_assets import volume
 
-BUILDERS: dict[str, Callable[[int], Asset]] = {"person": person.build, "elephant": elephant.build, "bird": bird.build}
+BUILDERS: dict[str, Callable[[int], Asset]] = {
+    "person": person.build,
+    "elephant": elephant.build,
+    "bird": bird.build,
+}
 SEEDS = range(3)
 HEIGHTS = {"person": (1.45, 2.3), "elephant": (2.4, 3.5), "bird": (0.1, 0.5)}
 LENGTHS = {"person": (0.2, 1.6), "elephant": (3.0, 5.8), "bird": (0.14, 0.62)}
@@ -50,7 +54,10 @@ def test_seed_decides_everything(family: list[Asset]) -> None:
         np.testing.assert_array_equal(mesh.vertices, other.vertices)
         np.testing.assert_array_equal(mesh.texture, other.texture)
     sizes = {tuple(np.round(asset.bounds[1], 4).tolist()) for asset in family}
-    colours = {tuple(np.round(asset.meshes[0].texture.mean((0, 1)), 4).tolist()) for asset in family}
+    colours = {
+        tuple(np.round(asset.meshes[0].texture.mean((0, 1)), 4).tolist())
+        for asset in family
+    }
     assert len(sizes) == len(colours) == len(family)
 
 

@@ -1,4 +1,6 @@
-"""Scenes are seen through their files and 8 bits, by every detector; rates have a denominator and an interval."""
+"""Scenes are seen through their files and 8 bits, by every detector; rates have a
+denominator and an interval.
+"""
 
 import pytest
 import torch
@@ -8,7 +10,13 @@ from torch import Tensor
 from attacks.detectors.base import Detections
 from attacks.observe.comparison import compare, compared_rows, contradictions
 from attacks.observe.drawing import annotated
-from attacks.observe.views import ViewDetections, as_saved, detect_views, evaluate, object_boxes
+from attacks.observe.views import (
+    ViewDetections,
+    as_saved,
+    detect_views,
+    evaluate,
+    object_boxes,
+)
 from attacks.rate import Rate
 from mi_splat.cameras import Camera
 from mi_splat.io.images import through_png
@@ -19,7 +27,9 @@ from tests.fakes import ColourDetector, blobs, camera, toy_scene
 def test_views_without_the_object_do_not_count() -> None:
     scene, mask = toy_scene()
     hidden = scene.replace(opacities=torch.where(mask, 0.0, scene.opacities))
-    (view,) = evaluate({"clean": hidden}, mask, [camera()], [ColourDetector()], render=blobs)["clean"]
+    (view,) = evaluate(
+        {"clean": hidden}, mask, [camera()], [ColourDetector()], render=blobs
+    )["clean"]
     assert view.box is None
     assert view.confidence("car") == 0.0
     looked = compared_rows({"clean": [view], "attacked": [view]}, original="car")
@@ -27,7 +37,9 @@ def test_views_without_the_object_do_not_count() -> None:
     assert looked.rows["x0"].to_list() == [None, None]
 
 
-def looked(view: int, label: str, score: float, detector: str = "fake_colour") -> ViewDetections:
+def looked(
+    view: int, label: str, score: float, detector: str = "fake_colour"
+) -> ViewDetections:
     """A view in which one thing is reported, on the object."""
     box = torch.tensor([4.0, 4.0, 20.0, 20.0])
     return ViewDetections(
@@ -41,28 +53,63 @@ def looked(view: int, label: str, score: float, detector: str = "fake_colour") -
 
 
 def test_a_miss_counts_where_the_clean_object_is_found() -> None:
-    clean = [looked(0, "car", 0.9), looked(1, "car", 0.4), looked(2, "car", 0.5), looked(0, "car", 0.9, "other")]
-    attacked = [looked(0, "person", 0.5), looked(1, "person", 0.9), looked(2, "person", 0.49)]
+    clean = [
+        looked(0, "car", 0.9),
+        looked(1, "car", 0.4),
+        looked(2, "car", 0.5),
+        looked(0, "car", 0.9, "other"),
+    ]
+    attacked = [
+        looked(0, "person", 0.5),
+        looked(1, "person", 0.9),
+        looked(2, "person", 0.49),
+    ]
     attacked += [looked(0, "car", 0.5, "other")]  # still counts
-    first, other = compare(compared_rows({"clean": clean, "attacked": attacked}, target="person").rows)
-    assert (first.original, first.target, first.views, first.psnr) == ("car", "person", 3, None)
+    first, other = compare(
+        compared_rows({"clean": clean, "attacked": attacked}, target="person").rows
+    )
+    assert (first.original, first.target, first.views, first.psnr) == (
+        "car",
+        "person",
+        3,
+        None,
+    )
     assert first.rates["missed"] == Rate(successes=2, total=2)
-    assert first.rates["found_clean"] == first.rates["target_attacked"] == Rate(successes=2, total=3)
+    assert (
+        first.rates["found_clean"]
+        == first.rates["target_attacked"]
+        == Rate(successes=2, total=3)
+    )
     assert other.rates["missed"] == Rate(successes=0, total=1)
-    lower, _ = compare(compared_rows({"clean": clean, "attacked": attacked}, target="person").rows, confidence=0.25)
+    lower, _ = compare(
+        compared_rows({"clean": clean, "attacked": attacked}, target="person").rows,
+        confidence=0.25,
+    )
     assert lower.rates["target_attacked"] == Rate(successes=3, total=3)
 
 
 def test_a_judge_contradicts_what_it_knows_better() -> None:
-    """The detector reports a car, a person, nothing, a sign; the judge, which knows signs alone, one in views 0, 2."""
+    """The detector reports a car, a person, nothing, a sign; the judge, which knows
+    signs alone, one in views 0, 2.
+    """
     labels = (("car", 0.9), ("person", 0.9), ("car", 0.4), ("stop sign", 0.9))
     clean = [looked(view, *label) for view, label in enumerate(labels)]
-    judge = [looked(view, "stop sign", 0.9 if view in (0, 2) else 0.3, "judge") for view in range(4)]
-    seen = {"clean": [*clean, *judge], "attacked": [looked(view, "stop sign", 0.9) for view in range(4)] + judge}
+    judge = [
+        looked(view, "stop sign", 0.9 if view in (0, 2) else 0.3, "judge")
+        for view in range(4)
+    ]
+    seen = {
+        "clean": [*clean, *judge],
+        "attacked": [looked(view, "stop sign", 0.9) for view in range(4)] + judge,
+    }
     rows = compared_rows(seen, original="car", target="person", judges=("judge",)).rows
     assert rows.filter(detector="judge")["target"].null_count() == 8
     assert set(rows.filter(detector="judge")["original"]) == {"stop sign"}
-    assert [sorted(one.rates) for one in compare(rows)][1] == ["found_attacked", "found_clean", "missed"]
+    assert [sorted(one.rates) for one in compare(rows)][1] == [
+        "found_attacked",
+        "found_clean",
+        "missed",
+    ]
     (pair,) = contradictions(rows, {"judge": ["stop sign"]}, ["a", "b", "c", "d"])
     assert (pair["detector"], pair["judge"]) == ("fake_colour", "judge")
     assert Rate.of(pair["clean"]) == Rate(successes=3, total=4)
@@ -89,7 +136,13 @@ class Counting(ColourDetector):
 
 def test_every_camera_and_detector_in_batches_of_one_size() -> None:
     scene, mask = toy_scene()
-    cameras = [camera(), camera(offset=0.2), camera(offset=0.4), camera(40), camera(40, offset=0.2)]
+    cameras = [
+        camera(),
+        camera(offset=0.2),
+        camera(offset=0.4),
+        camera(40),
+        camera(40, offset=0.2),
+    ]
     detectors, rendered = [Counting("a"), Counting("b")], 0
 
     def counted(scene: GaussianScene, camera: Camera) -> Tensor:
@@ -98,13 +151,20 @@ def test_every_camera_and_detector_in_batches_of_one_size() -> None:
         return blobs(scene, camera)
 
     boxes = object_boxes(scene, mask, cameras, render=blobs)
-    values = detect_views(scene, cameras, detectors, render=counted, boxes=boxes, batch=2)
+    values = detect_views(
+        scene, cameras, detectors, render=counted, boxes=boxes, batch=2
+    )
     assert rendered == 0
     seen = list(values)
     assert rendered == len(cameras)
     assert [one.sizes_seen for one in detectors] == [[(2, 32), (1, 32), (2, 40)]] * 2
     order = [(one.detector, one.view) for one in seen]
-    assert order == [(name, view) for views in ((0, 1), (2,), (3, 4)) for name in "ab" for view in views]
+    assert order == [
+        (name, view)
+        for views in ((0, 1), (2,), (3, 4))
+        for name in "ab"
+        for view in views
+    ]
     for one in seen:
         alone = through_png(blobs(scene, cameras[one.view]))
         assert torch.equal(one.image, alone)
@@ -143,10 +203,14 @@ def test_detections_are_drawn_from_a_confidence_on() -> None:
     drawn = annotated(picture, detections, "title")
     assert drawn.shape == (512, 512, 3)
     assert drawn[128:384, 128].any()
-    assert not annotated(picture, detections, "", min_confidence=0.5)[128:384, 128].any()
+    assert not annotated(picture, detections, "", min_confidence=0.5)[
+        128:384, 128
+    ].any()
 
 
 @pytest.mark.parametrize(("successes", "total"), [(0, 10), (10, 10), (3, 7), (78, 80)])
 def test_wilson_interval_against_scipy(successes: int, total: int) -> None:
     expected = binomtest(successes, total).proportion_ci(method="wilson")
-    assert Rate(successes=successes, total=total).interval == pytest.approx((expected.low, expected.high))
+    assert Rate(successes=successes, total=total).interval == pytest.approx(
+        (expected.low, expected.high)
+    )

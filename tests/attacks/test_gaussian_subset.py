@@ -1,4 +1,6 @@
-"""One object of a scene as raw parameters: named in any way, and back without a changed bit elsewhere."""
+"""One object of a scene as raw parameters: named in any way, and back without a changed
+bit elsewhere.
+"""
 
 import math
 from pathlib import Path
@@ -8,7 +10,12 @@ import pytest
 import torch
 
 from attacks.gaussian_subset import GaussianSubset
-from attacks.observe.views import clamped_fraction, image_change, visible_box, visible_weight
+from attacks.observe.views import (
+    clamped_fraction,
+    image_change,
+    visible_box,
+    visible_weight,
+)
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import quantise, through_png, to_bytes
@@ -27,7 +34,9 @@ def test_the_object_may_be_named_by_mask_rows_or_slice() -> None:
         GaussianSubset.of(scene, mask[:-1])
     with pytest.raises(InvalidValueError, match="mask: expected at least one Gaussian"):
         GaussianSubset.of(scene, torch.zeros(40, dtype=torch.bool))
-    with pytest.raises(InvalidValueError, match="mask: expected bool values or indices"):
+    with pytest.raises(
+        InvalidValueError, match="mask: expected bool values or indices"
+    ):
         GaussianSubset.of(scene, torch.tensor([40]))
 
 
@@ -52,7 +61,9 @@ def test_raw_parameters_are_those_of_a_file() -> None:
 
 def test_what_does_not_move_keeps_its_bits_and_what_moves_is_counted() -> None:
     scene, mask = toy_scene()
-    scene = scene.replace(scales=scene.scales + 0.1 * torch.rand(40, 3), opacities=torch.rand(40))
+    scene = scene.replace(
+        scales=scene.scales + 0.1 * torch.rand(40, 3), opacities=torch.rand(40)
+    )
     subset = GaussianSubset.of(scene, mask)
     still = subset.applied(subset.parameters(("scales", "rotations", "opacities")))
     for before, after in zip(scene.tensors(), still.tensors(), strict=True):
@@ -63,7 +74,9 @@ def test_what_does_not_move_keeps_its_bits_and_what_moves_is_counted() -> None:
     moved["rotations"][3, 0] += 0.5  # normalisation moves the other three as well
     moved["opacities"][4] += 0.5
     applied = subset.applied(moved)
-    differs = (applied.rotations != scene.rotations).any(1) | (applied.opacities != scene.opacities)
+    differs = (applied.rotations != scene.rotations).any(1) | (
+        applied.opacities != scene.opacities
+    )
     assert torch.nonzero(differs)[:, 0].tolist() == [13, 14]
     assert subset.changed(applied) == 2
     torch.testing.assert_close(applied.rotations.norm(dim=1), torch.ones(40))
@@ -81,7 +94,8 @@ def test_gradients_reach_the_parameters_of_the_object_alone() -> None:
     assert not changed.means.requires_grad
 
 
-# Where an object shows, how much of its colour is clamped, and how far pictures are apart
+# Where an object shows, how much of its colour is clamped, and how far pictures are
+# apart
 
 
 def test_the_visible_pixels_of_an_object_exclude_what_hides_it() -> None:
@@ -92,7 +106,8 @@ def test_the_visible_pixels_of_an_object_exclude_what_hides_it() -> None:
     assert box is not None
     assert 8 <= float(box[2] - box[0]) <= 28
     assert visible_box(torch.zeros(4, 4)) is None
-    # The fake renderer averages: a second object in the same place takes half of every pixel.
+    # The fake renderer averages: a second object in the same place takes half of every
+    # pixel.
     twin = merge(scene, scene.select(mask))
     shared = visible_weight(GaussianSubset.of(twin, slice(10, 40)), camera(), blobs)
     middle = weight > 0.99
@@ -122,15 +137,21 @@ def test_image_change_of_known_pictures() -> None:
     assert change.psnr == pytest.approx(-10 * math.log10(0.25 / 60))
     assert change.psnr_object == pytest.approx(-10 * math.log10(0.25 / 3))
     assert change.outside == 0.0
-    assert image_change([before], [after], [torch.zeros(4, 5)]).outside == pytest.approx(0.5)
-    assert image_change([before], [after], [torch.full((4, 5), 0.01)]).outside == 0.0  # some of it is the object's
+    assert image_change(
+        [before], [after], [torch.zeros(4, 5)]
+    ).outside == pytest.approx(0.5)
+    # some of it is the object's
+    assert image_change([before], [after], [torch.full((4, 5), 0.01)]).outside == 0.0
     assert image_change([before], [before], [weight]).psnr is None
 
 
 def test_eight_bits_there_and_back(tmp_path: Path) -> None:
     picture = torch.rand(7, 5, 3) * 1.4 - 0.2
     save_png(to_bytes(picture), tmp_path / "picture.png")
-    read = torch.from_numpy(np.asarray(load_picture(tmp_path / "picture.png").convert("RGB"), np.float32) / 255)
+    read = torch.from_numpy(
+        np.asarray(load_picture(tmp_path / "picture.png").convert("RGB"), np.float32)
+        / 255
+    )
     assert torch.equal(through_png(picture), read)
     assert torch.equal(through_png(picture), quantise(picture).float())
     assert torch.equal(quantise(quantise(picture)), quantise(picture))

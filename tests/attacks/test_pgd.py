@@ -25,23 +25,42 @@ from mi_splat.errors import InvalidValueError
 
 Oracle = Callable[[Parameters], Evaluation]
 REFERENCE = {"sh": torch.zeros(4, 3)}
-GOAL = torch.tensor([[3.0, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]])
+GOAL = torch.tensor(
+    [[3.0, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]]
+)
 
 
 def settings(ball: Budget, reference: Parameters, **more: Any) -> SearchSettings:
     """A search over Gaussians in a row."""
     rows = torch.arange(len(next(iter(reference.values()))), dtype=torch.float32)
     positions = torch.stack([rows, torch.zeros_like(rows), torch.zeros_like(rows)], 1)
-    return SearchSettings(**{"ball": ball, "reference": reference, "positions": positions, "steps": 1, **more})
+    return SearchSettings(
+        **{
+            "ball": ball,
+            "reference": reference,
+            "positions": positions,
+            "steps": 1,
+            **more,
+        }
+    )
 
 
-def pgd(evaluate: Oracle, reference: Parameters, ball: Budget, *, step: Mapping[str, float], **more: Any) -> Outcome:
+def pgd(
+    evaluate: Oracle,
+    reference: Parameters,
+    ball: Budget,
+    *,
+    step: Mapping[str, float],
+    **more: Any,
+) -> Outcome:
     """Plain steps of a fixed length."""
     plain = momentum(settings(ball, reference, step=step))
     return search(evaluate, reference, ball, optimiser=plain, **more)
 
 
-def bowl(*, aim: float = -1.0, score: Callable[[Tensor], float] | None = None) -> Oracle:
+def bowl(
+    *, aim: float = -1.0, score: Callable[[Tensor], float] | None = None
+) -> Oracle:
     """Squared distance to GOAL; success when it is at most `aim`."""
 
     def evaluate(point: Parameters) -> Evaluation:
@@ -50,7 +69,11 @@ def bowl(*, aim: float = -1.0, score: Callable[[Tensor], float] | None = None) -
         (gradient,) = torch.autograd.grad(loss, [leaf])
         value = float(loss.detach())
         mark = 1 / (1 + value) if score is None else score(leaf.detach())
-        return Evaluation(loss=value, gradients={"sh": gradient}, verdict=Verdict(value <= aim, mark, True))
+        return Evaluation(
+            loss=value,
+            gradients={"sh": gradient},
+            verdict=Verdict(value <= aim, mark, True),
+        )
 
     return evaluate
 
@@ -81,7 +104,12 @@ def test_every_point_that_is_evaluated_is_inside() -> None:
 def test_the_trace_and_the_callback_tell_the_same_story() -> None:
     heard: list[Step] = []
     result = pgd(
-        bowl(), REFERENCE, Budget(radius={"sh": 1.0}), step={"sh": 0.1}, steps=5, hooks=Hooks(on_step=heard.append)
+        bowl(),
+        REFERENCE,
+        Budget(radius={"sh": 1.0}),
+        step={"sh": 0.1},
+        steps=5,
+        hooks=Hooks(on_step=heard.append),
     )
     assert tuple(heard) == result.trace
     assert [line.index for line in heard] == [0, 1, 2, 3, 4, 5]
@@ -95,14 +123,20 @@ def test_the_trace_and_the_callback_tell_the_same_story() -> None:
         steps=5,
         hooks=Hooks(on_step=lambda line: line.index == 2),
     )
-    assert (short.trace, short.stopped, result.stopped) == (result.trace[:3], True, False)
+    assert (short.trace, short.stopped, result.stopped) == (
+        result.trace[:3],
+        True,
+        False,
+    )
     assert short.best == max(short.trace, key=rank)
 
 
 def test_early_stop_ends_at_the_first_success_and_the_full_budget_goes_on() -> None:
     budget = Budget(radius={"sh": 10.0})
     early = pgd(bowl(aim=9.0), REFERENCE, budget, step={"sh": 0.5}, steps=12)
-    full = pgd(bowl(aim=9.0), REFERENCE, budget, step={"sh": 0.5}, steps=12, early_stop=False)
+    full = pgd(
+        bowl(aim=9.0), REFERENCE, budget, step={"sh": 0.5}, steps=12, early_stop=False
+    )
     assert early.best.success
     assert early.best.index == len(early.trace) - 1 == 2
     assert len(full.trace) == 13
@@ -110,8 +144,12 @@ def test_early_stop_ends_at_the_first_success_and_the_full_budget_goes_on() -> N
 
 
 def test_early_stop_waits_for_a_unambiguous_success() -> None:
-    oracle = scripted((False, False), (True, False), (True, False), (True, True), (True, True))
-    result = pgd(oracle, REFERENCE, Budget(radius={"sh": 10.0}), step={"sh": 1.0}, steps=9)
+    oracle = scripted(
+        (False, False), (True, False), (True, False), (True, True), (True, True)
+    )
+    result = pgd(
+        oracle, REFERENCE, Budget(radius={"sh": 10.0}), step={"sh": 1.0}, steps=9
+    )
     assert len(result.trace) == 4
     assert result.best.index == 3
 
@@ -136,25 +174,31 @@ def test_what_is_not_finite_is_an_error(bad: float) -> None:
         return evaluate
 
     budget = Budget(radius={"sh": 1.0})
-    with pytest.raises(InvalidValueError, match="gradient of sh: expected finite numbers"):
+    with pytest.raises(
+        InvalidValueError, match="gradient of sh: expected finite numbers"
+    ):
         pgd(sick("gradient"), REFERENCE, budget, step={"sh": 1.0}, steps=3)
     with pytest.raises(InvalidValueError, match="loss: expected a finite number"):
         pgd(sick("loss"), REFERENCE, budget, step={"sh": 1.0}, steps=3)
 
 
 def scripted(*points: tuple[bool, bool]) -> Oracle:
-    """Success and unambiguity of one point after the other, with a constant gradient."""
+    """Success and unambiguity of one point after the other, with a constant
+    gradient.
+    """
     calls = iter(points)
 
     def evaluate(point: Parameters) -> Evaluation:
         success, unambiguous = next(calls)
         gradients = {"sh": torch.ones_like(point["sh"])}
-        return Evaluation(loss=1.0, gradients=gradients, verdict=Verdict(success, 0.8, unambiguous))
+        return Evaluation(
+            loss=1.0, gradients=gradients, verdict=Verdict(success, 0.8, unambiguous)
+        )
 
     return evaluate
 
 
-def test_the_best_point_of_all_starts_is_kept_and_starts_are_taken_when_they_are_needed() -> None:
+def test_the_best_point_of_all_starts_is_kept_and_starts_are_drawn_late() -> None:
     taken: list[float] = []
 
     def starts() -> Iterator[Parameters]:
@@ -165,7 +209,9 @@ def test_the_best_point_of_all_starts_is_kept_and_starts_are_taken_when_they_are
     budget = Budget(radius={"sh": 10.0})
     result = pgd(bowl(), REFERENCE, budget, step={"sh": 0.1}, steps=0, starts=starts())
     assert taken == [-1.0, 0.5, 0.0]
-    assert [line.loss for line in result.trace] == pytest.approx([28.25, 14.75 - 0.0, 13.25], abs=2.0)
+    assert [line.loss for line in result.trace] == pytest.approx(
+        [28.25, 14.75 - 0.0, 13.25], abs=2.0
+    )
     assert result.best.restart == 2
     assert torch.equal(result.parameters["sh"], torch.zeros(4, 3))
     taken.clear()
@@ -175,7 +221,14 @@ def test_the_best_point_of_all_starts_is_kept_and_starts_are_taken_when_they_are
 
 def line(success: bool, unambiguous: bool, score: float, loss: float) -> Step:
     """A line of a trace."""
-    return Step(index=0, loss=loss, score=score, success=success, unambiguous=unambiguous, zero_gradient_fraction=0.0)
+    return Step(
+        index=0,
+        loss=loss,
+        score=score,
+        success=success,
+        unambiguous=unambiguous,
+        zero_gradient_fraction=0.0,
+    )
 
 
 def test_the_order_of_points() -> None:
@@ -194,15 +247,26 @@ def test_the_order_of_points() -> None:
 
 
 def test_a_judge_looks_at_some_points_and_what_it_makes_of_them_is_kept() -> None:
-    """Every second step and the last; the best is what the judge gave back, not the search's own point."""
+    """Every second step and the last; the best is what the judge gave back, not the
+    search's own point.
+    """
     seen: list[float] = []
 
     def judge(point: Parameters) -> tuple[Parameters, Verdict]:
         seen.append(float(point["sh"].sum()))
-        return {"sh": point["sh"] / 2}, Verdict(success=False, score=len(seen) / 10, unambiguous=False)
+        return {"sh": point["sh"] / 2}, Verdict(
+            success=False, score=len(seen) / 10, unambiguous=False
+        )
 
     hooks = Hooks(judge=judge, every=2)
-    result = pgd(bowl(), REFERENCE, Budget(radius={"sh": 9.0}), step={"sh": 0.5}, steps=5, hooks=hooks)
+    result = pgd(
+        bowl(),
+        REFERENCE,
+        Budget(radius={"sh": 9.0}),
+        step={"sh": 0.5},
+        steps=5,
+        hooks=hooks,
+    )
     assert [line.index for line in result.trace if line.score >= 0] == [2, 4, 5]
     assert result.best.index == 5
     assert float(result.parameters["sh"].sum()) == seen[-1] / 2

@@ -1,4 +1,6 @@
-"""`mi-splat poison` with kinds other than CLOAK: what changes on the disk, what stays, and what is refused."""
+"""`mi-splat poison` with kinds other than CLOAK: what changes on the disk, what stays,
+and what is refused.
+"""
 
 import json
 from pathlib import Path
@@ -22,25 +24,42 @@ from tests.datasets.sets import write_transforms
 from tests.gaussians import varied_scene
 
 SPLAT = varied_scene(30, degree=1, seed=9)
-CAMERAS = orbit((0.0, 0.0, 0.0), count=5, elevation=20.0, distance=4.0, focal=24.0, size=(20, 16))
+CAMERAS = orbit(
+    (0.0, 0.0, 0.0), count=5, elevation=20.0, distance=4.0, focal=24.0, size=(20, 16)
+)
 NONE = ("--eps", "0")
 SMALL = {
     "poison-splat": ("--steps", "3", "--variation-steps", "2", "--through", "blur"),
     "uniform-noise": (),
     "raised-variation": ("--variation-steps", "2"),
-    "m-ifgsm": ("--classifier", "toy", "--label", "car", "--cluster", "1", "--steps", "3", "--least-confidence", "0"),
+    "m-ifgsm": (
+        "--classifier",
+        "toy",
+        "--label",
+        "car",
+        "--cluster",
+        "1",
+        "--steps",
+        "3",
+        "--least-confidence",
+        "0",
+    ),
 }
 
 
 @pytest.fixture(scope="module")
 def names(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """A set whose pictures have masks, and are clear on the left; its PNG files are of another writer."""
+    """A set whose pictures have masks, and are clear on the left; its PNG files are of
+    another writer.
+    """
     folder, render = tmp_path_factory.mktemp("set"), Renderer(RenderSettings(near=0.1))
     with torch.no_grad():
         views = [View(camera, render(SPLAT, camera).clamp(0, 1)) for camera in CAMERAS]
     alpha, mask = torch.ones(16, 20), torch.ones(16, 20)
     alpha[:, :4], alpha[:, 4:8], mask[12:] = 0, 0.4, 0
-    write_transforms(folder / "set", views[:4], test=views[4:], alphas=[alpha] * 5, masks=[mask] * 5)
+    write_transforms(
+        folder / "set", views[:4], test=views[4:], alphas=[alpha] * 5, masks=[mask] * 5
+    )
     for file in (folder / "set" / "images").iterdir():
         load_picture(file).save(file, compress_level=0)
     save_splat(SPLAT, folder / "splat.ply")
@@ -49,22 +68,46 @@ def names(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 @pytest.fixture(autouse=True)
 def toy(monkeypatch: pytest.MonkeyPatch) -> None:
-    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: toy_classifier(), origin="", licence="")
+    spec = ClassifierSpec(
+        name="toy",
+        load=lambda network, weights, classes: toy_classifier(),
+        origin="",
+        licence="",
+    )
     monkeypatch.setitem(CLASSIFIERS, "toy", spec)
 
 
 def poison(folder: Path, names: list[str], kind: str, *more: str) -> dict[str, Any]:
     wanted = names if "noise" not in kind else names[:1]
-    assert cli.main(["poison", *wanted, "--kind", kind, *SMALL[kind], *more, "--out", str(folder)]) == 0
+    assert (
+        cli.main(
+            [
+                "poison",
+                *wanted,
+                "--kind",
+                kind,
+                *SMALL[kind],
+                *more,
+                "--out",
+                str(folder),
+            ]
+        )
+        == 0
+    )
     record: dict[str, Any] = json.loads((folder / "poison.json").read_text())
     return record
 
 
 def files(folder: str | Path) -> dict[str, bytes]:
-    return {file.name: file.read_bytes() for file in sorted((Path(folder) / "images").iterdir())}
+    return {
+        file.name: file.read_bytes()
+        for file in sorted((Path(folder) / "images").iterdir())
+    }
 
 
-def both(names: list[str], folder: Path, split: Any = "train") -> tuple[Dataset, Dataset]:
+def both(
+    names: list[str], folder: Path, split: Any = "train"
+) -> tuple[Dataset, Dataset]:
     return load_dataset(names[0], split=split), load_dataset(folder, split=split)
 
 
@@ -73,15 +116,21 @@ def test_every_kind_is_tried() -> None:
 
 
 @pytest.mark.parametrize("kind", SMALL)
-def test_without_a_budget_every_file_keeps_its_bytes(kind: str, names: list[str], tmp_path: Path) -> None:
+def test_without_a_budget_every_file_keeps_its_bytes(
+    kind: str, names: list[str], tmp_path: Path
+) -> None:
     record = poison(tmp_path / "out", names, kind, *NONE)
     assert record["changed"] == 0
     assert files(tmp_path / "out") == files(names[0])
 
 
 @pytest.mark.parametrize("kind", SMALL)
-def test_pictures_change_within_the_ball_and_keep_alpha_and_masks(kind: str, names: list[str], tmp_path: Path) -> None:
-    record = poison(tmp_path / "out", names, kind, "--eps", "8", "--share", "0.5", "--seed", "3")
+def test_pictures_change_within_the_ball_and_keep_alpha_and_masks(
+    kind: str, names: list[str], tmp_path: Path
+) -> None:
+    record = poison(
+        tmp_path / "out", names, kind, "--eps", "8", "--share", "0.5", "--seed", "3"
+    )
     assert {"kind": kind, "eps": 8, "seed": 3}.items() <= record.items()
     changes = {change["index"]: change for change in record["changes"]}
     assert len(changes) == 2
@@ -99,7 +148,9 @@ def test_pictures_change_within_the_ball_and_keep_alpha_and_masks(kind: str, nam
         assert int((difference.amax(-1) > 0).sum()) == told["pixels_changed"]
         assert told["largest"] <= 8 / 255 + 1e-6
     assert sum(change["pixels_changed"] for change in changes.values()) > 0
-    stayed = [f"train_{i:05d}.png" for i in range(4) if i not in changes] + ["test_00000.png"]
+    stayed = [f"train_{i:05d}.png" for i in range(4) if i not in changes] + [
+        "test_00000.png"
+    ]
     clean, poisoned = files(names[0]), files(tmp_path / "out")
     assert all(clean[name] == poisoned[name] for name in stayed)
     assert load_picture(tmp_path / "out" / "before_and_after.png").size == (40, 48)
@@ -107,9 +158,16 @@ def test_pictures_change_within_the_ball_and_keep_alpha_and_masks(kind: str, nam
 
 def test_only_the_object_is_misread(names: list[str], tmp_path: Path) -> None:
     record = poison(tmp_path / "out", names, "m-ifgsm", "--eps", "16", "--target", "tv")
-    assert (record["label"], record["target"], record["classifier"]) == ("car", "tv", "toy")
+    assert (record["label"], record["target"], record["classifier"]) == (
+        "car",
+        "tv",
+        "toy",
+    )
     assert 0 < record["gaussians"] < len(SPLAT)
-    assert all(0 < change["pixels_changed"] < change["pixels"] / 2 for change in record["changes"])
+    assert all(
+        0 < change["pixels_changed"] < change["pixels"] / 2
+        for change in record["changes"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -117,49 +175,104 @@ def test_only_the_object_is_misread(names: list[str], tmp_path: Path) -> None:
     [
         (["--kind", "poison-splat"], "arguments: expected SPLAT, got none"),
         (["--kind", "poison-spat"], "did you mean poison-splat?"),
-        (["SPLAT", "--kind", "poison-splat", "--through", "blurr"], "--through: expected one of blur"),
+        (
+            ["SPLAT", "--kind", "poison-splat", "--through", "blurr"],
+            "--through: expected one of blur",
+        ),
         (["--kind", "uniform-noise", "--steps", "3"], "got --steps"),
-        (["SPLAT", "--kind", "m-ifgsm"], "--label: expected the class of the object, got none"),
-        (["SPLAT", "--kind", "m-ifgsm", "--classifier", "toy", "--label", "cat"], "one of car, bird, tv, got 'cat'"),
-        (["SPLAT", "--device", "cuda"], "--device cuda: expected --kind poison-splat or m-ifgsm, got cloak"),
+        (
+            ["SPLAT", "--kind", "m-ifgsm"],
+            "--label: expected the class of the object, got none",
+        ),
+        (
+            ["SPLAT", "--kind", "m-ifgsm", "--classifier", "toy", "--label", "cat"],
+            "one of car, bird, tv, got 'cat'",
+        ),
+        (
+            ["SPLAT", "--device", "cuda"],
+            "--device cuda: expected --kind poison-splat or m-ifgsm, got cloak",
+        ),
     ],
 )
 def test_what_is_refused(
-    more: list[str], told: str, names: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    more: list[str],
+    told: str,
+    names: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = [names[1] if word == "SPLAT" else word for word in more]
-    assert cli.main(["poison", names[0], *words, "--out", str(tmp_path / "out")]) in (1, 2)
+    assert cli.main(["poison", names[0], *words, "--out", str(tmp_path / "out")]) in (
+        1,
+        2,
+    )
     assert told in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
 
 
 def test_a_gpu_that_is_not_there_is_refused(
-    names: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    names: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(variant, "has_cuda", lambda: False)
-    for words in (["poison", *names, "--kind", "poison-splat"], ["train", names[0]], ["dagger", names[1]]):
-        assert cli.main([*words, "--device", "cuda", "--out", str(tmp_path / "out")]) == 1
+    for words in (
+        ["poison", *names, "--kind", "poison-splat"],
+        ["train", names[0]],
+        ["dagger", names[1]],
+    ):
+        assert (
+            cli.main([*words, "--device", "cuda", "--out", str(tmp_path / "out")]) == 1
+        )
         assert not (tmp_path / "out").exists()
         said = " ".join(capsys.readouterr().err.split())
         assert "expected an NVIDIA GPU that Dr.Jit and torch can use, got none" in said
 
 
-@pytest.mark.skipif(not (variant.has_cuda() and torch.cuda.is_available()), reason="needs a GPU")
-@pytest.mark.parametrize("more", [("poison-splat",), ("m-ifgsm",), ("m-ifgsm", "--decoy-steps", "3")])
-def test_a_gpu_makes_nearly_the_same_pictures(more: tuple[str, ...], names: list[str], tmp_path: Path) -> None:
+@pytest.mark.skipif(
+    not (variant.has_cuda() and torch.cuda.is_available()), reason="needs a GPU"
+)
+@pytest.mark.parametrize(
+    "more", [("poison-splat",), ("m-ifgsm",), ("m-ifgsm", "--decoy-steps", "3")]
+)
+def test_a_gpu_makes_nearly_the_same_pictures(
+    more: tuple[str, ...], names: list[str], tmp_path: Path
+) -> None:
     for device in ("cpu", "cuda"):
-        assert poison(tmp_path / device, names, *more, "--eps", "8", "--device", device)["device"] == device
-    of_cpu, of_gpu = (load_dataset(tmp_path / device, split="train") for device in ("cpu", "cuda"))
+        assert (
+            poison(tmp_path / device, names, *more, "--eps", "8", "--device", device)[
+                "device"
+            ]
+            == device
+        )
+    of_cpu, of_gpu = (
+        load_dataset(tmp_path / device, split="train") for device in ("cpu", "cuda")
+    )
     for one, other in zip(of_cpu, of_gpu, strict=True):
-        assert float((one.image - other.image).abs().mean()) < 2 / 255  # signs of gradients near 0 differ
+        # signs of gradients near 0 differ
+        assert float((one.image - other.image).abs().mean()) < 2 / 255
 
 
 def test_a_picture_without_the_object_is_named(
     names: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    away = orbit((90.0, 0.0, 0.0), count=1, elevation=0, distance=4.0, focal=24.0, size=(20, 16), start=180)
-    write_transforms(tmp_path / "set", [View(at, torch.full((16, 20, 3), 0.5)) for at in (CAMERAS[0], *away)])
+    away = orbit(
+        (90.0, 0.0, 0.0),
+        count=1,
+        elevation=0,
+        distance=4.0,
+        focal=24.0,
+        size=(20, 16),
+        start=180,
+    )
+    write_transforms(
+        tmp_path / "set",
+        [View(at, torch.full((16, 20, 3), 0.5)) for at in (CAMERAS[0], *away)],
+    )
     words = [str(tmp_path / "set"), names[1], "--kind", "m-ifgsm", *SMALL["m-ifgsm"]]
     assert cli.main(["poison", *words, "--out", str(tmp_path / "out")]) == 1
-    assert "train_00001.png: expected some pixels of the object" in " ".join(capsys.readouterr().err.split())
+    assert "train_00001.png: expected some pixels of the object" in " ".join(
+        capsys.readouterr().err.split()
+    )
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,6 @@
-"""Poison-splat, its controls, and the filters of pictures against it, on splats of some tens of Gaussians."""
+"""Poison-splat, its controls, and the filters of pictures against it, on splats of some
+tens of Gaussians.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -17,7 +19,14 @@ from attacks.poisons.config import (
     UniformNoiseConfig,
 )
 from attacks.poisons.defences import filtered, finest_samples, frequency_pruned
-from attacks.poisons.poison_splat import Decoy, PoisonSplat, RaisedVariation, UniformNoise, raised, total_variation
+from attacks.poisons.poison_splat import (
+    Decoy,
+    PoisonSplat,
+    RaisedVariation,
+    UniformNoise,
+    raised,
+    total_variation,
+)
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
@@ -28,7 +37,9 @@ from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import ClassicConfig
 from tests.gaussians import varied_scene
 
-CAMERAS = orbit((0.0, 0.0, 0.0), count=6, elevation=20.0, distance=4.0, focal=24.0, size=(20, 16))
+CAMERAS = orbit(
+    (0.0, 0.0, 0.0), count=6, elevation=20.0, distance=4.0, focal=24.0, size=(20, 16)
+)
 SPLAT = varied_scene(30, degree=1, seed=9)
 SHORT = PoisonSplatConfig(steps=14, variation_steps=3, densify_every=5)
 EAGER = FitConfig(strategy=ClassicConfig(densify_grad_threshold=1e-6))
@@ -41,11 +52,18 @@ def views() -> list[View]:
     render = Renderer(RenderSettings(near=0.1))
     with torch.no_grad():
         pictures = [render(SPLAT, camera).clamp(0, 1) for camera in CAMERAS]
-    return [View(camera, (image * 240).round() / 255) for camera, image in zip(CAMERAS, pictures, strict=True)]
+    return [
+        View(camera, (image * 240).round() / 255)
+        for camera, image in zip(CAMERAS, pictures, strict=True)
+    ]
 
 
-def attack(config: PoisonSplatConfig = SHORT, start: GaussianScene = SPLAT, **more: Any) -> PoisonSplat:
-    return PoisonSplat(config=config, begun=Decoy(start=start, near=0.1, victim=EAGER, **more))
+def attack(
+    config: PoisonSplatConfig = SHORT, start: GaussianScene = SPLAT, **more: Any
+) -> PoisonSplat:
+    return PoisonSplat(
+        config=config, begun=Decoy(start=start, near=0.1, victim=EAGER, **more)
+    )
 
 
 POISONS: dict[str, PicturePoison] = {
@@ -60,23 +78,30 @@ def images(done: Poisoned) -> list[Tensor]:
 
 
 @pytest.mark.parametrize("poison", POISONS.values(), ids=POISONS)
-def test_pictures_change_within_the_ball_and_again_alike(poison: PicturePoison, views: list[View]) -> None:
+def test_pictures_change_within_the_ball_and_again_alike(
+    poison: PicturePoison, views: list[View]
+) -> None:
     heard: list[tuple[int, int]] = []
     done = poison(views, seed=3, on_step=lambda *at: heard.append(at))
     for view, image in zip(views, images(done), strict=True):
         steps = to_bytes(image).astype(int)
-        assert torch.equal(torch.from_numpy(steps / 255).float(), image)  # a file of 8 bits holds it exactly
+        # a file of 8 bits holds it exactly
+        assert torch.equal(torch.from_numpy(steps / 255).float(), image)
         assert 0 < np.abs(steps - to_bytes(view.image)).max() <= 16
     assert heard[-1] == (len(heard), len(heard))
     again, other = poison(views, seed=3), poison(views, seed=4)
     assert done.manifest == again.manifest
     assert done.manifest["changed"] == len(views)
     if not isinstance(poison, RaisedVariation):  # nothing is drawn there
-        assert [c.sha256_after for c in done.changes] != [c.sha256_after for c in other.changes]
+        assert [c.sha256_after for c in done.changes] != [
+            c.sha256_after for c in other.changes
+        ]
 
 
 @pytest.mark.parametrize("nothing", [{"eps": 0}, {"share": 0.0}], ids=str)
-def test_without_a_ball_or_a_share_the_very_views_come_back(nothing: dict[str, Any], views: list[View]) -> None:
+def test_without_a_ball_or_a_share_the_very_views_come_back(
+    nothing: dict[str, Any], views: list[View]
+) -> None:
     poisons: list[PicturePoison] = [
         attack(replace(SHORT, **nothing)),
         UniformNoise(config=UniformNoiseConfig(**nothing)),
@@ -84,7 +109,9 @@ def test_without_a_ball_or_a_share_the_very_views_come_back(nothing: dict[str, A
     ]
     for poison in poisons:
         done = poison(views, seed=0)
-        assert all(after is before for before, after in zip(views, done.views, strict=True))
+        assert all(
+            after is before for before, after in zip(views, done.views, strict=True)
+        )
         assert done.changes == ()
 
 
@@ -94,19 +121,29 @@ def test_the_ball_holds_for_pictures_between_two_steps() -> None:
         steps = 255 * within_ball(image, clean, 2)
         assert float((steps - 255 * clean).abs().max()) <= 2 + 1e-3
         assert float((steps - steps.round()).abs().max()) < 1e-4
-    assert torch.equal(within_ball(torch.ones_like(clean), clean, None), torch.ones_like(clean))
+    assert torch.equal(
+        within_ball(torch.ones_like(clean), clean, None), torch.ones_like(clean)
+    )
 
 
 def test_the_decoy_grows_up_to_its_limit(views: list[View]) -> None:
     assert len(attack().decoy(views, seed=0)) > len(SPLAT)
-    assert len(SPLAT) < len(attack(replace(SHORT, max_gaussians=33)).decoy(views, seed=0)) <= 33
-    assert len(attack(replace(SHORT, densify_every=0)).decoy(views, seed=0)) == len(SPLAT)
+    assert (
+        len(SPLAT)
+        < len(attack(replace(SHORT, max_gaussians=33)).decoy(views, seed=0))
+        <= 33
+    )
+    assert len(attack(replace(SHORT, densify_every=0)).decoy(views, seed=0)) == len(
+        SPLAT
+    )
 
 
 def test_the_decoy_moves_at_every_so_many_cameras_only(views: list[View]) -> None:
     config = replace(SHORT, steps=3, densify_every=0, decoy_every=4)
     assert torch.equal(attack(config).decoy(views).means, SPLAT.means)
-    assert not torch.equal(attack(replace(config, steps=4)).decoy(views).means, SPLAT.means)
+    assert not torch.equal(
+        attack(replace(config, steps=4)).decoy(views).means, SPLAT.means
+    )
 
 
 def test_without_a_ball_the_pictures_are_the_decoys(views: list[View]) -> None:
@@ -115,12 +152,19 @@ def test_without_a_ball_the_pictures_are_the_decoys(views: list[View]) -> None:
     with torch.no_grad():
         render = Renderer(RenderSettings(near=0.1))
         for view, image in zip(views, images(done), strict=True):
-            assert float((render(decoy, view.camera).clamp(0, 1) - image).abs().max()) <= 0.5 / 255 + 1e-6
+            assert (
+                float((render(decoy, view.camera).clamp(0, 1) - image).abs().max())
+                <= 0.5 / 255 + 1e-6
+            )
 
 
 def test_total_variation_in_both_readings() -> None:
-    image = torch.rand(5, 4, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    columns, rows = (float(np.abs(np.diff(image.numpy(), axis=axis)).sum()) for axis in (0, 1))
+    image = torch.rand(
+        5, 4, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
+    columns, rows = (
+        float(np.abs(np.diff(image.numpy(), axis=axis)).sum()) for axis in (0, 1)
+    )
     assert float(total_variation(image)) == pytest.approx(rows + columns)
     assert float(total_variation(image, "vertical")) == pytest.approx(2 * columns)
 
@@ -132,24 +176,34 @@ def test_a_step_raises_what_it_is_asked_to_raise() -> None:
     both = RaisedVariationConfig(eps=4, variation_steps=1)
     for config, distance in ((both, 5.0), (replace(both, variation="vertical"), 1.0)):
         steps = 255 * (raised(stripes, clean, config) - clean)
-        assert float((steps[:, 2] - steps[:, 3]).mean()) == pytest.approx(distance, abs=1e-3)
+        assert float((steps[:, 2] - steps[:, 3]).mean()) == pytest.approx(
+            distance, abs=1e-3
+        )
 
 
 @pytest.mark.parametrize("config", FILTERS, ids=[config.name for config in FILTERS])
 def test_filters_keep_what_is_smooth_and_take_what_is_not(config: FilterConfig) -> None:
     flat = torch.tensor([0.2, 0.5, 0.9]).expand(9, 7, 3)
     assert torch.allclose(filtered(flat, config), flat, atol=1e-6)
-    checked = 0.5 + 8 / 255 * (-1.0) ** (torch.arange(16)[:, None] + torch.arange(18))[..., None].expand(16, 18, 3)
+    checked = 0.5 + 8 / 255 * (-1.0) ** (torch.arange(16)[:, None] + torch.arange(18))[
+        ..., None
+    ].expand(16, 18, 3)
     left = filtered(checked, config) - 0.5
     assert float(left[3:-3, 3:-3].abs().max()) < 1 / 255
     checked = checked.double().requires_grad_(True)
-    torch.autograd.gradcheck(lambda image: filtered(image, config)[4:6, 4:6], checked[:8, :6].detach().requires_grad_())
+    torch.autograd.gradcheck(
+        lambda image: filtered(image, config)[4:6, 4:6],
+        checked[:8, :6].detach().requires_grad_(),
+    )
 
 
 def test_the_strength_of_a_filter() -> None:
-    wave = 0.5 + 0.2 * torch.cos(torch.pi * (torch.arange(32) + 0.5) * 12 / 32)[:, None, None].expand(32, 8, 3)
+    wave = 0.5 + 0.2 * torch.cos(torch.pi * (torch.arange(32) + 0.5) * 12 / 32)[
+        :, None, None
+    ].expand(32, 8, 3)
     kept, gone = (FilterConfig(name="fourier", strength=share) for share in (0.4, 0.35))
-    assert torch.allclose(filtered(wave, kept), wave, atol=1e-5)  # 12 of 32 half waves: a share of 0.375 of them
+    # 12 of 32 half waves: a share of 0.375 of them
+    assert torch.allclose(filtered(wave, kept), wave, atol=1e-5)
     assert torch.allclose(filtered(wave, gone), torch.full_like(wave, 0.5), atol=1e-5)
 
 
@@ -157,21 +211,41 @@ def test_an_attacker_looks_through_the_filter(views: list[View]) -> None:
     config = FilterConfig(name="blur")
     knows = RaisedVariation(config=RaisedVariationConfig(through=config))(views)
     not_knows = RaisedVariation()(views)
-    left = [sum(float(total_variation(filtered(i, config))) for i in images(done)) for done in (not_knows, knows)]
+    left = [
+        sum(float(total_variation(filtered(i, config))) for i in images(done))
+        for done in (not_knows, knows)
+    ]
     assert left[1] > 1.1 * left[0]
-    assert attack(replace(SHORT, steps=3, through=config))(views).manifest["through"]["name"] == "blur"
+    assert (
+        attack(replace(SHORT, steps=3, through=config))(views).manifest["through"][
+            "name"
+        ]
+        == "blur"
+    )
 
 
 def test_what_cameras_cannot_sample_is_pruned(views: list[View]) -> None:
-    fine = SPLAT.select(slice(0, 4)).replace(means=torch.tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 99.0]]))
+    fine = SPLAT.select(slice(0, 4)).replace(
+        means=torch.tensor([[0.0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 99.0]])
+    )
     pixel = float(finest_samples(fine, CAMERAS, near=0.1)[0])
     assert pixel == pytest.approx(4.0 / 24.0, rel=1e-5)
-    needle, thin, flat, unseen = (0.1, 0.1, 9.0), (0.3, 0.3, 0.3), (0.01, 0.3, 0.3), (0.1, 0.1, 0.1)
+    needle, thin, flat, unseen = (
+        (0.1, 0.1, 9.0),
+        (0.3, 0.3, 0.3),
+        (0.01, 0.3, 0.3),
+        (0.1, 0.1, 0.1),
+    )
     fine = fine.replace(scales=pixel * torch.tensor([needle, thin, flat, unseen]))
     kept = frequency_pruned(fine, views, FrequencyPruningConfig(samples=0.2), near=0.1)
     assert torch.equal(kept.scales, fine.scales[1:])
     with pytest.raises(InvalidValueError, match="lower samples"):
-        frequency_pruned(fine.select(slice(0, 3)), views, FrequencyPruningConfig(samples=10.0), near=0.1)
+        frequency_pruned(
+            fine.select(slice(0, 3)),
+            views,
+            FrequencyPruningConfig(samples=10.0),
+            near=0.1,
+        )
 
 
 @pytest.mark.parametrize(
@@ -190,7 +264,10 @@ def test_bad_input_is_refused(make: Any, words: str) -> None:
 
 def test_a_start_that_is_not_of_these_views_is_refused(views: list[View]) -> None:
     elsewhere = SPLAT.replace(means=SPLAT.means + 1000.0)
-    for start, words in ((elsewhere, "before some camera"), (SPLAT.select(slice(0, 0)), "at least one Gaussian")):
+    for start, words in (
+        (elsewhere, "before some camera"),
+        (SPLAT.select(slice(0, 0)), "at least one Gaussian"),
+    ):
         with pytest.raises(InvalidValueError, match=words):
             attack(start=start)(views)
     with pytest.raises(InvalidValueError, match="finite"):
@@ -207,4 +284,6 @@ def test_the_whole_ball_is_used() -> None:
         on_grid = torch.full((8, 8, 3), 100 / 255)
         for image, sign in ((torch.ones_like(clean), 1), (torch.zeros_like(clean), -1)):
             change = 255 * (within_ball(image, on_grid, eps) - on_grid)
-            assert torch.allclose(change, torch.full_like(clean, float(sign * eps)), atol=1e-3)
+            assert torch.allclose(
+                change, torch.full_like(clean, float(sign * eps)), atol=1e-3
+            )

@@ -1,4 +1,6 @@
-"""Accounts of audits that were never made: of one object that somebody could have judged."""
+"""Accounts of audits that were never made: of one object that somebody could have
+judged.
+"""
 
 import torch
 
@@ -11,7 +13,9 @@ DIRECTIONS = lattice(40, 5.0, 85.0)
 
 
 def camera(*eye: float) -> Camera:
-    return Camera(to_world=look_at(eye, (0.0, 0.0, 0.0)), focal=20.0, width=16, height=16)
+    return Camera(
+        to_world=look_at(eye, (0.0, 0.0, 0.0)), focal=20.0, width=16, height=16
+    )
 
 
 def look(score: float = 0.05, *, above: float = 0.7) -> Look:
@@ -29,12 +33,19 @@ def look(score: float = 0.05, *, above: float = 0.7) -> Look:
         air=1.0,
         changed=0.5,
         given=False,
-        pair=Pair(inside=camera(0.5, 0.0, 3.0), outside=camera(3.0, 0.0, 0.5), change=0.2, numbers=(39, 0)),
+        pair=Pair(
+            inside=camera(0.5, 0.0, 3.0),
+            outside=camera(3.0, 0.0, 0.5),
+            change=0.2,
+            numbers=(39, 0),
+        ),
     )
 
 
 def account(*looks: Look, count: int, covered: float = 0.0) -> Audit:
-    """Of a splat of so many Gaussians, the first half an object with these looks, covered from above or not."""
+    """Of a splat of so many Gaussians, the first half an object with these looks,
+    covered from above or not.
+    """
     half = torch.arange(count) < count // 2
     item = ObjectAudit(
         rows=half.nonzero()[:, 0],
@@ -48,7 +59,10 @@ def account(*looks: Look, count: int, covered: float = 0.0) -> Audit:
         cameras=tuple(camera(*position) for position in (3 * DIRECTIONS).tolist()),
         looks=looks,
         occluder=Occluder(
-            axis=(0.0, 0.0, 1.0), blocked=(DIRECTIONS[:, 2] > 0.5).double(), transparent=0.8, score=covered
+            axis=(0.0, 0.0, 1.0),
+            blocked=(DIRECTIONS[:, 2] > 0.5).double(),
+            transparent=0.8,
+            score=covered,
         ),
     )
     marked = half if item.evidence >= LIMITS.suspicion else torch.zeros_like(half)

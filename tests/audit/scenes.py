@@ -1,4 +1,6 @@
-"""Splats with a known truth, made by code without a training: honest ones, and ones that hide something."""
+"""Splats with a known truth, made by code without a training: honest ones, and ones
+that hide something.
+"""
 
 from __future__ import annotations
 
@@ -28,29 +30,40 @@ PROBES = lattice(400, -90.0, 90.0).float()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Made:
-    """A splat of N Gaussians, (N,) bool which are the object that stands on the ground, and (N, 3) normals."""
+    """A splat of N Gaussians, (N,) bool which are the object that stands on the ground,
+    and (N, 3) normals.
+    """
 
     scene: GaussianScene
     rows: Tensor
     normals: Tensor
 
-    def with_colours(self, shade: Callable[[Tensor, Tensor, Tensor], Tensor], *, degree: int = 3) -> Made:
+    def with_colours(
+        self, shade: Callable[[Tensor, Tensor, Tensor], Tensor], *, degree: int = 3
+    ) -> Made:
         """Other colours of the object, fitted by least squares over all directions.
 
-        `shade` makes of (M, 3) own colours, (M, 3) normals and (D, 3) directions to cameras the (D, M, 3) colours.
+        `shade` makes of (M, 3) own colours, (M, 3) normals and (D, 3) directions to
+        cameras the (D, M, 3) colours.
         """
         scene = self.scene.with_degree(degree)
         part = scene.select(self.rows)
-        own = sh_to_colour(part.sh, torch.tensor([0.0, 0.0, -1.0]).expand(len(part), 3)).clamp(0, 1)
+        own = sh_to_colour(
+            part.sh, torch.tensor([0.0, 0.0, -1.0]).expand(len(part), 3)
+        ).clamp(0, 1)
         wanted = shade(own, self.normals[self.rows], PROBES) - 0.5
-        solution = torch.linalg.lstsq(sh_basis(-PROBES, degree).double(), wanted.flatten(1).double()).solution
+        solution = torch.linalg.lstsq(
+            sh_basis(-PROBES, degree).double(), wanted.flatten(1).double()
+        ).solution
         sh = scene.sh.clone()
         sh[self.rows] = solution.float().reshape(-1, len(part), 3).transpose(0, 1)
         return Made(scene=scene.replace(sh=sh), rows=self.rows, normals=self.normals)
 
 
 def discs(asset: Asset, count: int, *, seed: int = 0) -> tuple[GaussianScene, Tensor]:
-    """Flat Gaussians on the surface of an asset under one sun, and (N, 3) its normals; SH of degree 0."""
+    """Flat Gaussians on the surface of an asset under one sun, and (N, 3) its normals;
+    SH of degree 0.
+    """
     rng, scenes, all_normals = np.random.default_rng(seed), [], []
     areas = [_area(mesh.vertices[mesh.faces]) for mesh in asset.meshes]
     for mesh, area in zip(asset.meshes, areas, strict=True):
@@ -77,41 +90,62 @@ def discs(asset: Asset, count: int, *, seed: int = 0) -> tuple[GaussianScene, Te
 
 
 def _area(corners: np.ndarray) -> float:
-    return float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
+    return float(
+        np.linalg.norm(
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]),
+            axis=1,
+        ).sum()
+    )
 
 
 def ground(half: float, count: int, *, seed: int = 0) -> GaussianScene:
-    """Flat grey Gaussians on z = 0 over a square of so many units to each side of the origin."""
+    """Flat grey Gaussians on z = 0 over a square of so many units to each side of the
+    origin.
+    """
     generator = torch.Generator().manual_seed(seed)
     side = round(count**0.5)
     step = 2 * half / side
     axis = (torch.arange(side) + 0.5) * step - half
-    positions = torch.cartesian_prod(axis, axis) + 0.3 * step * (torch.rand(side**2, 2, generator=generator) - 0.5)
+    positions = torch.cartesian_prod(axis, axis) + 0.3 * step * (
+        torch.rand(side**2, 2, generator=generator) - 0.5
+    )
     greys = torch.tensor(ROAD) + 0.05 * torch.randn(side**2, 1, generator=generator)
-    means = torch.cat([positions, 0.002 * half * torch.randn(side**2, 1, generator=generator)], 1)
+    means = torch.cat(
+        [positions, 0.002 * half * torch.randn(side**2, 1, generator=generator)], 1
+    )
     return _flat(means, UP, step, greys)
 
 
 def standing(name: str, *, count: int = 3000, seed: int = 0) -> Made:
-    """An object of the project on a grey ground; honest, and the same from everywhere."""
+    """An object of the project on a grey ground; honest, and the same from
+    everywhere.
+    """
     return on_ground(*discs(build(name, seed), count, seed=seed))
 
 
 def on_ground(part: GaussianScene, normals: Tensor) -> Made:
     """Gaussians on a ground that reaches four of their radii to each side."""
     middle = (part.means.amin(0) + part.means.amax(0)) / 2
-    shift = torch.tensor([float(middle[0]), float(middle[1]), float(part.means[:, 2].amin())])
+    shift = torch.tensor(
+        [float(middle[0]), float(middle[1]), float(part.means[:, 2].amin())]
+    )
     part = part.replace(means=part.means - shift)
     half = 4 * float(part.means.norm(dim=1).max())
     street = ground(half, max(400, len(part) // 2))
     rows = torch.arange(len(part) + len(street)) < len(part)
-    return Made(scene=merge(part, street), rows=rows, normals=torch.cat([normals, UP.expand(len(street), 3)]))
+    return Made(
+        scene=merge(part, street),
+        rows=rows,
+        normals=torch.cat([normals, UP.expand(len(street), 3)]),
+    )
 
 
 def direction(elevation: float, azimuth: float) -> Tensor:
     """(3,) unit vector at degrees above the ground and from x towards y."""
     e, a = math.radians(elevation), math.radians(azimuth)
-    return torch.tensor([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
+    return torch.tensor(
+        [math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)]
+    )
 
 
 def glossy(made: Made, *, strength: float = 0.5, power: float = 12.0) -> Made:
@@ -119,18 +153,28 @@ def glossy(made: Made, *, strength: float = 0.5, power: float = 12.0) -> Made:
 
     def shade(own: Tensor, normals: Tensor, views: Tensor) -> Tensor:
         mirrored = 2 * (views @ normals.T)[..., None] * normals - views[:, None]
-        return own + strength * (mirrored @ SUN).clamp(min=0).pow(power)[..., None] * (views @ normals.T > 0)[..., None]
+        return (
+            own
+            + strength
+            * (mirrored @ SUN).clamp(min=0).pow(power)[..., None]
+            * (views @ normals.T > 0)[..., None]
+        )
 
     return made.with_colours(shade)
 
 
 def metal(made: Made) -> Made:
-    """Honest: half of the colour is a mirrored world, with a bright sky above a dark ground."""
+    """Honest: half of the colour is a mirrored world, with a bright sky above a dark
+    ground.
+    """
 
     def shade(own: Tensor, normals: Tensor, views: Tensor) -> Tensor:
         mirrored = 2 * (views @ normals.T)[..., None] * normals - views[:, None]
         sky = (mirrored[..., 2:] * 4).sigmoid()
-        return 0.5 * own + 0.5 * (sky * torch.tensor([0.6, 0.75, 0.95]) + (1 - sky) * torch.tensor([0.2, 0.18, 0.15]))
+        return 0.5 * own + 0.5 * (
+            sky * torch.tensor([0.6, 0.75, 0.95])
+            + (1 - sky) * torch.tensor([0.2, 0.18, 0.15])
+        )
 
     return made.with_colours(shade)
 
@@ -148,7 +192,11 @@ def noisy(made: Made, *, size: float = 0.06, seed: int = 0) -> Made:
     """Honest: chance in all coefficients, as an undertrained splat has it."""
     scene = made.scene.with_degree(3)
     chance = torch.randn(scene.sh.shape, generator=torch.Generator().manual_seed(seed))
-    return Made(scene=scene.replace(sh=scene.sh + size * chance), rows=made.rows, normals=made.normals)
+    return Made(
+        scene=scene.replace(sh=scene.sh + size * chance),
+        rows=made.rows,
+        normals=made.normals,
+    )
 
 
 def hidden(
@@ -159,7 +207,8 @@ def hidden(
     amount: float = 1.0,
     degree: int = 3,
 ) -> Made:
-    """The object has one sRGB colour from some directions, by its spherical harmonics; the rest is the own colour.
+    """The object has one sRGB colour from some directions, by its spherical harmonics;
+    the rest is the own colour.
 
     `inside` tells of (D, 3) directions to cameras, as (D,) bool, where the look shows.
     """
@@ -176,19 +225,25 @@ def cone(axis: Tensor, half_width: float) -> Callable[[Tensor], Tensor]:
     return lambda views: views @ axis > math.cos(math.radians(half_width))
 
 
-def sector(middle: float, half_width: float, low: float, high: float) -> Callable[[Tensor], Tensor]:
+def sector(
+    middle: float, half_width: float, low: float, high: float
+) -> Callable[[Tensor], Tensor]:
     """Directions within degrees of an azimuth, between two elevations."""
 
     def holds(views: Tensor) -> Tensor:
         elevation = views[:, 2].clamp(-1, 1).asin().rad2deg()
-        turn = (torch.atan2(views[:, 1], views[:, 0]).rad2deg() - middle + 180) % 360 - 180
+        turn = (
+            torch.atan2(views[:, 1], views[:, 0]).rad2deg() - middle + 180
+        ) % 360 - 180
         return (turn.abs() < half_width) & (elevation > low) & (elevation < high)
 
     return holds
 
 
 def layered(made: Made, *, colour: tuple[float, float, float] = ROAD) -> Made:
-    """The object twice, each black from where the other shows: its own colours from the side, one colour from above."""
+    """The object twice, each black from where the other shows: its own colours from the
+    side, one colour from above.
+    """
     scene = made.scene.with_degree(1)
     part, rest = scene.select(made.rows), scene.select(~made.rows)
     half = 1 - (1 - part.opacities).sqrt()
@@ -204,22 +259,34 @@ def layered(made: Made, *, colour: tuple[float, float, float] = ROAD) -> Made:
     first = layer(own, 2.2, -2.2 / high)
     second = layer(torch.tensor(colour).expand_as(own), -2.2 * low / 0.25, 2.2 / 0.25)
     rows = torch.arange(len(rest) + 2 * len(part)) >= len(rest)
-    normals = torch.cat([made.normals[~made.rows], made.normals[made.rows], made.normals[made.rows]])
+    normals = torch.cat(
+        [made.normals[~made.rows], made.normals[made.rows], made.normals[made.rows]]
+    )
     return Made(scene=merge(rest, first, second), rows=rows, normals=normals)
 
 
 def leaves(made: Made, *, count: int = 2500, lowest: float = 40.0) -> Made:
-    """Level leaves on a dome over an object, down to degrees above the ground, which hide it from above alone."""
+    """Level leaves on a dome over an object, down to degrees above the ground, which
+    hide it from above alone.
+    """
     radius = 1.9 * float(made.scene.means[made.rows].norm(dim=1).max())
-    size = radius * (2 * math.pi * (1 - math.sin(math.radians(lowest))) / count) ** 0.5 / 2
+    size = (
+        radius * (2 * math.pi * (1 - math.sin(math.radians(lowest))) / count) ** 0.5 / 2
+    )
     means = lattice(count, lowest, 90.0).float() * radius
     dome = _flat(means, UP, size / 0.7, torch.tensor([0.2, 0.4, 0.15]).expand(count, 3))
     rows = torch.cat([made.rows, torch.zeros(count, dtype=torch.bool)])
-    return Made(scene=merge(made.scene, dome), rows=rows, normals=torch.cat([made.normals, UP.expand(count, 3)]))
+    return Made(
+        scene=merge(made.scene, dome),
+        rows=rows,
+        normals=torch.cat([made.normals, UP.expand(count, 3)]),
+    )
 
 
 def room(*, count: int = 4500, seed: int = 0) -> Made:
-    """Honest: six walls, a red poster on one, and a suitcase that stands inside; its rows are those of the suitcase."""
+    """Honest: six walls, a red poster on one, and a suitcase that stands inside; its
+    rows are those of the suitcase.
+    """
     generator = torch.Generator().manual_seed(seed)
     half, parts, all_normals = torch.tensor([3.0, 2.2, 1.4]), [], []
     side = round((count / 6) ** 0.5)
@@ -229,23 +296,42 @@ def room(*, count: int = 4500, seed: int = 0) -> Made:
             normal[axis] = -sign
             turn = basis(normal.double()).float()
             step = 2 * (turn.T @ half).abs()[:2] / side
-            positions = torch.cartesian_prod(torch.arange(side), torch.arange(side)) + 0.5 - side / 2
-            positions = positions * step + 0.2 * step * (torch.rand(len(positions), 2, generator=generator) - 0.5)
+            positions = (
+                torch.cartesian_prod(torch.arange(side), torch.arange(side))
+                + 0.5
+                - side / 2
+            )
+            positions = positions * step + 0.2 * step * (
+                torch.rand(len(positions), 2, generator=generator) - 0.5
+            )
             means = positions @ turn[:, :2].T + (sign * half[axis]) * torch.eye(3)[axis]
-            colours = torch.tensor([0.75, 0.72, 0.66]) + 0.04 * torch.randn(len(means), 1, generator=generator)
+            colours = torch.tensor([0.75, 0.72, 0.66]) + 0.04 * torch.randn(
+                len(means), 1, generator=generator
+            )
             if axis == 0 and sign > 0:
-                colours[(means[:, 1:].abs() < 0.8).all(1)] = torch.tensor([0.7, 0.1, 0.1])
+                colours[(means[:, 1:].abs() < 0.8).all(1)] = torch.tensor(
+                    [0.7, 0.1, 0.1]
+                )
             parts.append(_flat(means, normal, float(step.max()), colours))
             all_normals.append(normal.expand(len(means), 3))
     part, normals = discs(build("suitcase", seed), count // 3, seed=seed)
     low, high = part.means.amin(0), part.means.amax(0)
-    scale, foot = 1.2 / float((high - low).max()), torch.cat([(low + high)[:2] / 2, low[2:]])
+    scale, foot = (
+        1.2 / float((high - low).max()),
+        torch.cat([(low + high)[:2] / 2, low[2:]]),
+    )
     shift = torch.tensor([0.6, 0.3, -float(half[2])]) - scale * foot
-    parts.append(part.transform(Similarity(rotation=torch.eye(3), translation=shift, scale=scale)))
+    parts.append(
+        part.transform(
+            Similarity(rotation=torch.eye(3), translation=shift, scale=scale)
+        )
+    )
     all_normals.append(normals)
     scene = merge(*parts)
     return Made(
-        scene=scene, rows=torch.arange(len(scene)) >= len(scene) - len(parts[-1]), normals=torch.cat(all_normals)
+        scene=scene,
+        rows=torch.arange(len(scene)) >= len(scene) - len(parts[-1]),
+        normals=torch.cat(all_normals),
     )
 
 
@@ -253,8 +339,13 @@ def _flat(means: Tensor, normal: Tensor, step: float, colours: Tensor) -> Gaussi
     """Flat Gaussians on a plane."""
     return GaussianScene(
         means=means,
-        scales=torch.tensor([0.7 * step, 0.7 * step, 0.05 * step]).expand(len(means), 3).contiguous(),
-        rotations=from_matrix(basis(normal.double())[None]).float().expand(len(means), 4).contiguous(),
+        scales=torch.tensor([0.7 * step, 0.7 * step, 0.05 * step])
+        .expand(len(means), 3)
+        .contiguous(),
+        rotations=from_matrix(basis(normal.double())[None])
+        .float()
+        .expand(len(means), 4)
+        .contiguous(),
         opacities=torch.full((len(means),), 0.95),
         sh=colour_to_dc(colours.clamp(0.02, 0.98))[:, None],
     )

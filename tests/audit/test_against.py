@@ -1,4 +1,6 @@
-"""With the clean file at hand, an audit says what changed since, whatever became of the order of the rows."""
+"""With the clean file at hand, an audit says what changed since, whatever became of the
+order of the rows.
+"""
 
 import json
 from pathlib import Path
@@ -27,7 +29,9 @@ def clean() -> GaussianScene:
 
 @pytest.fixture(scope="module")
 def edited(clean: GaussianScene) -> GaussianScene:
-    """A tenth of the Gaussians has another colour, a few are brighter from one side, one has moved."""
+    """A tenth of the Gaussians has another colour, a few are brighter from one side,
+    one has moved.
+    """
     sh, means = clean.sh.clone(), clean.means.clone()
     sh[:80, 0] += 0.2
     sh[40:60, 2] -= 0.3
@@ -36,13 +40,21 @@ def edited(clean: GaussianScene) -> GaussianScene:
 
 
 def row(difference: Changes, attribute: str) -> list[float]:
-    return next([item.count, item.most] for item in difference.attributes if item.attribute == attribute)
+    return next(
+        [item.count, item.most]
+        for item in difference.attributes
+        if item.attribute == attribute
+    )
 
 
-def test_changes_are_counted_by_attribute(clean: GaussianScene, edited: GaussianScene) -> None:
+def test_changes_are_counted_by_attribute(
+    clean: GaussianScene, edited: GaussianScene
+) -> None:
     difference = changes(edited, clean)
     assert difference.by_order
-    assert torch.equal(difference.changed.nonzero()[:, 0], torch.tensor([*range(80), 100]))
+    assert torch.equal(
+        difference.changed.nonzero()[:, 0], torch.tensor([*range(80), 100])
+    )
     assert torch.equal(difference.mask, difference.changed)
     assert row(difference, "colour") == pytest.approx([80, 0.2 * 0.2821], abs=1e-4)
     assert row(difference, "SH of degree 1") == pytest.approx([20, 0.3], abs=1e-5)
@@ -52,8 +64,12 @@ def test_changes_are_counted_by_attribute(clean: GaussianScene, edited: Gaussian
     assert len(difference.cameras) == 2
 
 
-def test_rows_may_be_shuffled_dropped_and_added(clean: GaussianScene, edited: GaussianScene) -> None:
-    order = torch.randperm(len(edited), generator=torch.Generator().manual_seed(0))[:-50]
+def test_rows_may_be_shuffled_dropped_and_added(
+    clean: GaussianScene, edited: GaussianScene
+) -> None:
+    order = torch.randperm(len(edited), generator=torch.Generator().manual_seed(0))[
+        :-50
+    ]
     extra = edited.select(slice(0, 5))
     extra = extra.replace(means=extra.means + 3.0)
     difference = changes(merge(edited.select(order), extra), clean)
@@ -82,7 +98,11 @@ def test_the_command_writes_what_changed(
     monkeypatch.setitem(vars(LIMITS), "image_size", 64)
     monkeypatch.setitem(vars(LIMITS), "cameras", 30)
     monkeypatch.setitem(vars(LIMITS), "least_pieces", 5)
-    before, after, out = tmp_path / "clean.ply", tmp_path / "edited.ply", tmp_path / "out"
+    before, after, out = (
+        tmp_path / "clean.ply",
+        tmp_path / "edited.ply",
+        tmp_path / "out",
+    )
     save_splat(clean, before)
     save_splat(edited, after)
     arguments = ["audit", str(after), "--against", str(before)]
@@ -95,7 +115,10 @@ def test_the_command_writes_what_changed(
     assert int(load_mask(out / "changed.npy", edited).sum()) == 81
     save_splat(clean.select(slice(0, 0)), before)
     assert cli.main(arguments) == 1
-    assert "--against: expected a splat with Gaussians, got none" in capsys.readouterr().err
+    assert (
+        "--against: expected a splat with Gaussians, got none"
+        in capsys.readouterr().err
+    )
     save_splat(standing("person", count=400).scene, before)
     assert cli.main(arguments) == 1
     assert "expected the splat that the other was made from" in capsys.readouterr().err
@@ -112,7 +135,9 @@ def run_of(*documents: dict[str, Any]) -> dict[str, Any]:
     assert (log["version"], log["$schema"][-16:]) == ("2.1.0", "sarif-2.1.0.json")
     ids = [rule["id"] for rule in rules]
     assert len(set(ids)) == len(ids)
-    assert all(rule["shortDescription"]["text"] and rule["help"]["text"] for rule in rules)
+    assert all(
+        rule["shortDescription"]["text"] and rule["help"]["text"] for rule in rules
+    )
     assert {rule["defaultConfiguration"]["level"] for rule in rules} <= levels
     for result in run["results"]:
         assert ids[result["ruleIndex"]] == result["ruleId"]
@@ -135,7 +160,9 @@ def run_of(*documents: dict[str, Any]) -> dict[str, Any]:
         (account(look(0.001), count=4, covered=0.4), [("occluder", "warning")]),
     ],
 )
-def test_each_finding_is_of_its_rule(judged: Audit, rules: list[tuple[str, str]]) -> None:
+def test_each_finding_is_of_its_rule(
+    judged: Audit, rules: list[tuple[str, str]]
+) -> None:
     run = run_of({"file": "a splat.ply", **document(judged)})
     assert [(result["ruleId"], result["level"]) for result in run["results"]] == rules
     (artifact,) = run["artifacts"]

@@ -1,4 +1,6 @@
-"""Colours that an attack on a detector leaves are found; gloss, mirrors, stickers and noise all over a file are not."""
+"""Colours that an attack on a detector leaves are found; gloss, mirrors, stickers and
+noise all over a file are not.
+"""
 
 import json
 from collections.abc import Callable
@@ -41,20 +43,30 @@ def strongest(scene: GaussianScene) -> Edit:
     """Of all objects."""
     frame = frame_of(scene)
     edits = [edit_of(frame, target) for target in targets(frame.scene)]
-    return max((edit for edit in edits if edit is not None), key=lambda edit: edit.score)
+    return max(
+        (edit for edit in edits if edit is not None), key=lambda edit: edit.score
+    )
 
 
 def stepped(made: Made, eyes: list[Tensor], *, size: float = 0.1) -> GaussianScene:
-    """What steps of an attack on some cameras do: harmonics along their rays, a colour by chance for each Gaussian."""
+    """What steps of an attack on some cameras do: harmonics along their rays, a colour
+    by chance for each Gaussian.
+    """
     sh, generator = made.scene.sh.clone(), torch.Generator().manual_seed(1)
     for eye in eyes:
-        towards = sh_basis(functional.normalize(made.scene.means[made.rows] - eye, dim=1), 3)
-        colours = size / len(eyes) ** 0.5 * torch.randn(len(towards), 3, generator=generator)
+        towards = sh_basis(
+            functional.normalize(made.scene.means[made.rows] - eye, dim=1), 3
+        )
+        colours = (
+            size / len(eyes) ** 0.5 * torch.randn(len(towards), 3, generator=generator)
+        )
         sh[made.rows] += towards[..., None] * colours[:, None]
     return made.scene.replace(sh=sh)
 
 
-def test_an_attack_on_one_camera_is_found_and_its_camera_and_gaussians_named(suitcase: Made) -> None:
+def test_an_attack_on_one_camera_is_found_and_its_camera_and_gaussians_named(
+    suitcase: Made,
+) -> None:
     edit = strongest(stepped(suitcase, [EYE]))
     assert edit.score > 1
     assert edit.camera_known
@@ -82,14 +94,19 @@ def sticker(made: Made) -> Made:
     return Made(scene=made.scene.replace(sh=sh), rows=made.rows, normals=made.normals)
 
 
-@pytest.mark.parametrize("make", [scenes.metal, scenes.noisy, sticker], ids=["metal", "noisy", "sticker"])
-def test_what_paint_light_and_undertraining_leave_is_no_edit(make: Callable[[Made], Made], suitcase: Made) -> None:
+@pytest.mark.parametrize(
+    "make", [scenes.metal, scenes.noisy, sticker], ids=["metal", "noisy", "sticker"]
+)
+def test_what_paint_light_and_undertraining_leave_is_no_edit(
+    make: Callable[[Made], Made], suitcase: Made
+) -> None:
     edit = strongest(make(suitcase).scene)
     assert edit.score < 1
     assert not edit.camera_known
 
 
-# Sets of pictures: those that show what the others contradict are named, and none of an honest set
+# Sets of pictures: those that show what the others contradict are named, and none of an
+# honest set
 
 
 COUNT, WIDTH = 48, 45.0
@@ -105,7 +122,13 @@ def views_of(scene: GaussianScene) -> list[View]:
     render = Renderer(RenderSettings(background=(0.55, 0.7, 0.9), near=0.05))
     eyes = 2.2 * lattice(COUNT, 8.0, 85.0) + torch.tensor([0.0, 0.0, 0.4])
     cameras = [
-        Camera(to_world=look_at(eye.tolist(), (0.0, 0.0, 0.4)), focal=140.0, width=96, height=96) for eye in eyes
+        Camera(
+            to_world=look_at(eye.tolist(), (0.0, 0.0, 0.4)),
+            focal=140.0,
+            width=96,
+            height=96,
+        )
+        for eye in eyes
     ]
     with torch.no_grad():
         return [View(image=render(scene, camera), camera=camera) for camera in cameras]
@@ -113,14 +136,22 @@ def views_of(scene: GaussianScene) -> list[View]:
 
 @pytest.fixture(scope="module")
 def poisoned(plain_suitcase: Made) -> list[View]:
-    return views_of(hidden(plain_suitcase, cone(direction(90, 0), WIDTH), colour=(0.8, 0.2, 0.1)).scene)
+    return views_of(
+        hidden(
+            plain_suitcase, cone(direction(90, 0), WIDTH), colour=(0.8, 0.2, 0.1)
+        ).scene
+    )
 
 
 def test_images_that_the_others_contradict_are_noticed_and_not_named(
     plain_suitcase: Made, poisoned: list[View]
 ) -> None:
-    """On sets poisoned by CLOAK the images that stood out were honest ones, so no image is called changed."""
-    judged = compare_pictures(poisoned, plain_suitcase.scene, numbers=torch.arange(COUNT))
+    """On sets poisoned by CLOAK the images that stood out were honest ones, so no image
+    is called changed.
+    """
+    judged = compare_pictures(
+        poisoned, plain_suitcase.scene, numbers=torch.arange(COUNT)
+    )
     assert judged.audit.verdict == "hidden look"
     assert judged.audit.strongest.occluder is None
     account = document_of_pictures(judged, COUNT)
@@ -130,15 +161,27 @@ def test_images_that_the_others_contradict_are_noticed_and_not_named(
 
 def test_few_images_are_refused_before_any_training(tmp_path: Path) -> None:
     write_transforms(tmp_path, VIEWS)
-    with pytest.raises(InvalidValueError, match="images: expected at least 12 for training, got 6"):
-        audit_pictures(load_dataset(tmp_path), on_step=lambda done, of: pytest.fail("trained"))
+    with pytest.raises(
+        InvalidValueError, match="images: expected at least 12 for training, got 6"
+    ):
+        audit_pictures(
+            load_dataset(tmp_path), on_step=lambda done, of: pytest.fail("trained")
+        )
 
 
 def test_an_honest_set_contradicts_nothing(plain_suitcase: Made) -> None:
-    judged = compare_pictures(views_of(plain_suitcase.scene), plain_suitcase.scene, numbers=torch.arange(COUNT))
+    judged = compare_pictures(
+        views_of(plain_suitcase.scene),
+        plain_suitcase.scene,
+        numbers=torch.arange(COUNT),
+    )
     assert judged.audit.verdict == "nothing found"
     with pytest.raises(InvalidValueError, match="cameras: expected at least 12, got 5"):
-        compare_pictures(views_of(plain_suitcase.scene)[:5], plain_suitcase.scene, numbers=torch.arange(5))
+        compare_pictures(
+            views_of(plain_suitcase.scene)[:5],
+            plain_suitcase.scene,
+            numbers=torch.arange(5),
+        )
 
 
 def test_the_command_takes_a_folder_of_pictures(
@@ -150,7 +193,11 @@ def test_the_command_takes_a_folder_of_pictures(
 ) -> None:
     """Its surface is known here already: a training has tests of its own."""
     colours = torch.full_like(plain_suitcase.scene.means, 0.5)
-    write_transforms(tmp_path / "set", poisoned, points=PointCloud(plain_suitcase.scene.means, colours))
+    write_transforms(
+        tmp_path / "set",
+        poisoned,
+        points=PointCloud(plain_suitcase.scene.means, colours),
+    )
 
     def surface(views: Dataset, on_step: object) -> GaussianScene:
         if views.downscale > 1:
@@ -164,7 +211,11 @@ def test_the_command_takes_a_folder_of_pictures(
     assert (record["images_in_set"], record["images_compared"]) == (COUNT, COUNT)
     assert record["summary"][-1] == UNNAMED
     assert "views" not in record
-    assert {file.name for file in out.iterdir()} == {"result.json", "manifest.json", "pair.png"}
+    assert {file.name for file in out.iterdir()} == {
+        "result.json",
+        "manifest.json",
+        "pair.png",
+    }
     section = read_section(out)
     assert section.kind == "audit of images"
     assert cli.main(["audit", str(tmp_path / "set"), "--cameras", "orbit:20@20"]) == 2
@@ -173,5 +224,11 @@ def test_the_command_takes_a_folder_of_pictures(
     monkeypatch.setitem(vars(LIMITS), "most_cameras", COUNT - 1)
     capsys.readouterr()
     cli.main(["audit", str(tmp_path / "set"), "--out", str(out), "--force"])
-    assert f"{COUNT - 1} of the {COUNT} images of the set were compared" in capsys.readouterr().out
-    assert any(f"{COUNT - 1} of the {COUNT} images" in warning for warning in read_section(out).warnings)
+    assert (
+        f"{COUNT - 1} of the {COUNT} images of the set were compared"
+        in capsys.readouterr().out
+    )
+    assert any(
+        f"{COUNT - 1} of the {COUNT} images" in warning
+        for warning in read_section(out).warnings
+    )

@@ -1,4 +1,6 @@
-"""`mi-splat gate`: a verdict on every claim and every file, whatever a file does, and what says which splat it is."""
+"""`mi-splat gate`: a verdict on every claim and every file, whatever a file does, and
+what says which splat it is.
+"""
 
 import contextlib
 import io
@@ -32,14 +34,25 @@ from tests.audit.test_lint import broken_ply, cloud, masked
 @pytest.fixture(autouse=True, scope="module")
 def _few_small_pictures() -> object:
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in (("image_size", 72), ("cameras", 60), ("cameras_all_around", 96)):
+        for name, value in (
+            ("image_size", 72),
+            ("cameras", 60),
+            ("cameras_all_around", 96),
+        ):
             patch.setitem(vars(LIMITS), name, value)
         patch.setattr(linting, "SIZE", 256)
         yield
 
 
 def row(claim: str, rule: str = "", severity: str = "", **more: Any) -> dict[str, Any]:
-    return {"claim": claim, "rule": rule, "severity": severity, "reason": rule and "why", "judged": True, **more}
+    return {
+        "claim": claim,
+        "rule": rule,
+        "severity": severity,
+        "reason": rule and "why",
+        "judged": True,
+        **more,
+    }
 
 
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -58,7 +71,9 @@ PASSED = [row(claim) for claim in CLAIMS[:-1]]
         ({}, row("edits", judged=False, reason="too few"), "not judged"),
     ],
 )
-def test_a_policy_says_what_follows_from_a_finding(rules: Any, found: dict[str, Any], verdict: str) -> None:
+def test_a_policy_says_what_follows_from_a_finding(
+    rules: Any, found: dict[str, Any], verdict: str
+) -> None:
     rest = [one for one in PASSED if one["claim"] != found["claim"] or found["rule"]]
     told = Policy(rules=rules).verdict([*rest, found])
     assert told["verdict"] == told["claims"][found["claim"]]["verdict"] == verdict
@@ -67,7 +82,11 @@ def test_a_policy_says_what_follows_from_a_finding(rules: Any, found: dict[str, 
 def test_what_was_not_judged_is_no_pass() -> None:
     assert Policy().verdict(PASSED)["verdict"] == "accept"
     told = Policy().verdict(PASSED[:3])
-    assert told["verdict"] == told["claims"]["hidden appearance"]["verdict"] == "not judged"
+    assert (
+        told["verdict"]
+        == told["claims"]["hidden appearance"]["verdict"]
+        == "not judged"
+    )
     assert Policy(claims=CLAIMS[:3]).verdict(PASSED[:3])["verdict"] == "accept"
     told = Policy().verdict([])
     assert told["verdict"] == "not judged"
@@ -77,15 +96,29 @@ def test_what_was_not_judged_is_no_pass() -> None:
 
 def alike(first: str, second: str) -> bool:
     """Whether each moment is within the step that a format's rounding may cost."""
-    return all(abs(a - b) <= 1 for a, b in zip(bytes.fromhex(first), bytes.fromhex(second), strict=True))
+    return all(
+        abs(a - b) <= 1
+        for a, b in zip(bytes.fromhex(first), bytes.fromhex(second), strict=True)
+    )
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".spz", ".sog", ".splat", ".compressed.ply", ".glb"])
-def test_a_fingerprint_is_that_of_the_splat_in_any_order_and_format(suffix: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "suffix", [".ply", ".spz", ".sog", ".splat", ".compressed.ply", ".glb"]
+)
+def test_a_fingerprint_is_that_of_the_splat_in_any_order_and_format(
+    suffix: str, tmp_path: Path
+) -> None:
     scene, path = standing("car", count=900).scene, tmp_path / f"s{suffix}"
     save_splat(scene, tmp_path / "s.ply")
-    save_splat(scene.select(torch.randperm(len(scene), generator=torch.Generator().manual_seed(3))), path)
-    first, again = (fingerprint(load_stored(file).arrays) for file in (tmp_path / "s.ply", path))
+    save_splat(
+        scene.select(
+            torch.randperm(len(scene), generator=torch.Generator().manual_seed(3))
+        ),
+        path,
+    )
+    first, again = (
+        fingerprint(load_stored(file).arrays) for file in (tmp_path / "s.ply", path)
+    )
     assert first == again if suffix == ".ply" else alike(first, again)
     save_splat(standing("tv", count=900).scene, path)
     assert not alike(first, fingerprint(load_stored(path).arrays))
@@ -103,12 +136,17 @@ def test_an_appearance_is_found_in_a_sample() -> None:
     part = sampled(scene, 2000)
     assert len(part) == 2000
     assert audit(part).verdict == "hidden look"
-    assert audit(sampled(standing("suitcase", count=3000).scene, 2000)).verdict == "nothing found"
+    assert (
+        audit(sampled(standing("suitcase", count=3000).scene, 2000)).verdict
+        == "nothing found"
+    )
     assert sampled(scene, len(scene)) is scene
 
 
 class InThread:
-    """Reads in a thread of the tests, and loses its process over a file with a hostile name."""
+    """Reads in a thread of the tests, and loses its process over a file with a hostile
+    name.
+    """
 
     def __init__(self) -> None:
         self._said: queue.SimpleQueue[Message] = queue.SimpleQueue()
@@ -125,7 +163,8 @@ class InThread:
 
     def answer(self) -> Message:
         message = self._said.get(timeout=60)
-        if self._is_lost and message["state"] == "account":  # what costs time comes next
+        # what costs time comes next
+        if self._is_lost and message["state"] == "account":
             raise GroupEndedError("ended by SIGKILL")
         return message
 
@@ -138,36 +177,56 @@ class InThread:
 
 
 @contextlib.contextmanager
-def _readers_in_threads(workers: int, policy: Policy, store: Store) -> Iterator[list[Any]]:
+def _readers_in_threads(
+    workers: int, policy: Policy, store: Store
+) -> Iterator[list[Any]]:
     yield [InThread()]
 
 
 def run(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, lines: list[Any], *words: str
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    lines: list[Any],
+    *words: str,
 ) -> tuple[int, dict[str, dict[str, Any]]]:
     """Exit status, and the verdict on each file that standard input names."""
     monkeypatch.setattr(gate, "_readers", _readers_in_threads)
     given = io.TextIOWrapper(
-        io.BytesIO(b"read before\n" + b"left\n" * (not lines) + "".join(f"{line}\n" for line in lines).encode())
+        io.BytesIO(
+            b"read before\n"
+            + b"left\n" * (not lines)
+            + "".join(f"{line}\n" for line in lines).encode()
+        )
     )
-    given.buffer.readline() if lines else given.readline()  # text that was read before is read for good
+    # text that was read before is read for good
+    given.buffer.readline() if lines else given.readline()
     monkeypatch.setattr("sys.stdin", given)
-    status = cli.main(["gate", "--json", "--strict", "--store", str(tmp_path / "store"), *words])
+    status = cli.main(
+        ["gate", "--json", "--strict", "--store", str(tmp_path / "store"), *words]
+    )
     told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert len(told) == (len(lines) or len([word for word in words if word.endswith(".ply")]))
+    assert len(told) == (
+        len(lines) or len([word for word in words if word.endswith(".ply")])
+    )
     return status, {Path(one["file"]).name: one for one in told}
 
 
 def test_honest_trained_files_pass_and_need_no_standard_input(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    files = {f"--policy={name}.ply": SCENES / f"{name}.ply" for name in ("car_street_car", "stop_sign_stop_sign")}
+    files = {
+        f"--policy={name}.ply": SCENES / f"{name}.ply"
+        for name in ("car_street_car", "stop_sign_stop_sign")
+    }
     for name, file in files.items():  # names of files that are no options
         (tmp_path / name).symlink_to(file)
     monkeypatch.chdir(tmp_path)
     status, told = run(capsys, monkeypatch, tmp_path, [], "--", *files)
     assert status == 0
-    assert {name: one["verdict"] for name, one in told.items()} == dict.fromkeys(files, "accept")
+    assert {name: one["verdict"] for name, one in told.items()} == dict.fromkeys(
+        files, "accept"
+    )
 
 
 def test_every_line_has_a_verdict_and_a_hostile_file_takes_none_with_it(
@@ -182,10 +241,29 @@ def test_every_line_has_a_verdict_and_a_hostile_file_takes_none_with_it(
     names = ["hostile", "broken", "text", "heavy", "pipe", "none", "fine"]
     lines = [json.dumps(str(tmp_path / f"{name}.ply")) for name in names]
     sarif = tmp_path / "s.sarif"
-    status, told = run(capsys, monkeypatch, tmp_path, [*lines, "{}"], "--only", "lint", "--sarif", str(sarif))
+    status, told = run(
+        capsys,
+        monkeypatch,
+        tmp_path,
+        [*lines, "{}"],
+        "--only",
+        "lint",
+        "--sarif",
+        str(sarif),
+    )
     expected = {
-        **{"hostile.ply": "not judged", "broken.ply": "refuse", "text.ply": "refuse", "heavy.ply": "refuse"},
-        **{"pipe.ply": "not judged", "none.ply": "not judged", "fine.ply": "accept", "{}": "not judged"},
+        **{
+            "hostile.ply": "not judged",
+            "broken.ply": "refuse",
+            "text.ply": "refuse",
+            "heavy.ply": "refuse",
+        },
+        **{
+            "pipe.ply": "not judged",
+            "none.ply": "not judged",
+            "fine.ply": "accept",
+            "{}": "not judged",
+        },
     }
     assert status == 3
     assert {name: one["verdict"] for name, one in told.items()} == expected
@@ -207,14 +285,27 @@ def test_appearances_and_provenance_are_judged(
     save_splat(made.scene, tmp_path / "clean.ply")
     save_splat(hidden(made, cone(direction(90, 0), 50)).scene, tmp_path / "hidden.ply")
     clean = str(tmp_path / "clean.ply")
-    lines = [{"file": clean, "against": clean}, {"file": str(tmp_path / "hidden.ply"), "against": clean}]
+    lines = [
+        {"file": clean, "against": clean},
+        {"file": str(tmp_path / "hidden.ply"), "against": clean},
+    ]
     (tmp_path / "policy.toml").write_text('[rules]\nhidden-look = "quarantine"\n')
     words = ["--policy", str(tmp_path / "policy.toml")]
     for verdict, more in (("refuse", []), ("quarantine", words)):
-        status, told = run(capsys, monkeypatch, tmp_path, list(map(json.dumps, lines)), *more)
+        status, told = run(
+            capsys, monkeypatch, tmp_path, list(map(json.dumps, lines)), *more
+        )
         assert status == (3 if verdict == "refuse" else 0)
-        assert told["clean.ply"]["verdict"] == told["clean.ply"]["claims"]["provenance"]["verdict"] == "accept"
-        assert told["hidden.ply"]["claims"]["hidden appearance"]["verdict"] == told["hidden.ply"]["verdict"] == verdict
+        assert (
+            told["clean.ply"]["verdict"]
+            == told["clean.ply"]["claims"]["provenance"]["verdict"]
+            == "accept"
+        )
+        assert (
+            told["hidden.ply"]["claims"]["hidden appearance"]["verdict"]
+            == told["hidden.ply"]["verdict"]
+            == verdict
+        )
         assert told["hidden.ply"]["claims"]["provenance"]["verdict"] == "quarantine"
 
 
@@ -231,8 +322,13 @@ def test_a_line_without_an_end_is_one_line(
     assert len(json.dumps(long)) < 4000
 
 
-def test_a_policy_that_cannot_be_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for rule, says in (('giant = "reject"', "refuse, got reject"), ('giants = "refuse"', "got giants")):
+def test_a_policy_that_cannot_be_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for rule, says in (
+        ('giant = "reject"', "refuse, got reject"),
+        ('giants = "refuse"', "got giants"),
+    ):
         (tmp_path / "p.toml").write_text(f"[rules]\n{rule}\n")
         assert cli.main(["gate", "a.ply", "--policy", str(tmp_path / "p.toml")]) == 1
         assert says in capsys.readouterr().err

@@ -1,4 +1,6 @@
-"""`mi-splat gate` as a service: the processes that read files share limits and end together, and no verdict is lost."""
+"""`mi-splat gate` as a service: the processes that read files share limits and end
+together, and no verdict is lost.
+"""
 
 import contextlib
 import json
@@ -28,7 +30,9 @@ LINT = Policy(claims=CLAIMS[:3])
 @pytest.fixture(scope="module")
 def reader() -> Iterator[ReaderProcess]:
     """One process that reads for all tests: importing torch takes seconds."""
-    made = ReaderProcess(Limits(seconds=60.0, megabytes=4000.0), environment={"OMP_NUM_THREADS": "1"})
+    made = ReaderProcess(
+        Limits(seconds=60.0, megabytes=4000.0), environment={"OMP_NUM_THREADS": "1"}
+    )
     yield made
     made.close()
 
@@ -44,7 +48,9 @@ def verdict(judge: Judge, file: str | Path) -> tuple[str, str]:
     return LINT.verdict(judged.rows)["verdict"], judged.error
 
 
-def test_what_is_no_file_of_a_disk_or_too_large_is_not_read(judge: Judge, tmp_path: Path) -> None:
+def test_what_is_no_file_of_a_disk_or_too_large_is_not_read(
+    judge: Judge, tmp_path: Path
+) -> None:
     with (tmp_path / "sparse.ply").open("wb") as file:
         file.truncate(3 << 40)
     os.mkfifo(tmp_path / "pipe.ply")
@@ -64,7 +70,9 @@ def test_what_is_no_file_of_a_disk_or_too_large_is_not_read(judge: Judge, tmp_pa
     assert time.monotonic() - started < 30
 
 
-def test_a_record_belongs_to_a_content_and_knows_no_name(judge: Judge, tmp_path: Path) -> None:
+def test_a_record_belongs_to_a_content_and_knows_no_name(
+    judge: Judge, tmp_path: Path
+) -> None:
     names = [os.fsdecode(b"secret\xff.ply"), "uploads_of_b/b.ply"]
     (tmp_path / "uploads_of_b").mkdir()
     for name in names:
@@ -81,7 +89,9 @@ def test_a_record_belongs_to_a_content_and_knows_no_name(judge: Judge, tmp_path:
     assert not [path for path in store.rglob("*") if "secret" in path.name]
 
 
-def test_a_file_that_changes_while_it_is_read_has_no_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_changes_while_it_is_read_has_no_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from attacks.audits import gated
 
     path, said = tmp_path / "a.ply", list[dict[str, Any]]()
@@ -104,7 +114,8 @@ from mi_splat.process_group import connection, inbox
 pipe = connection(sys.argv[-1])
 messages = inbox(pipe.recv_bytes)
 tempfile.mkstemp()
-child = subprocess.Popen([sys.executable, "-c", "x = b'x' * 300_000_000; import time; time.sleep(60)"])
+code = "x = b'x' * 300_000_000; import time; time.sleep(60)"
+child = subprocess.Popen([sys.executable, "-c", code])
 pipe.send_bytes(b"ready")
 time.sleep(60)
 """
@@ -130,7 +141,9 @@ def test_limits_hold_for_a_group_together(group: ProcessGroup) -> None:
 
 
 def test_a_group_ends_whole(group: ProcessGroup) -> None:
-    (leader,) = (int(path.name) for path in _children_of(os.getpid()) if path.name.isdecimal())
+    (leader,) = (
+        int(path.name) for path in _children_of(os.getpid()) if path.name.isdecimal()
+    )
     assert len(members(leader)) == 2
     assert not group.is_alone()
     assert [*group.folder.iterdir()]
@@ -140,7 +153,9 @@ def test_a_group_ends_whole(group: ProcessGroup) -> None:
 
 
 def test_a_group_ends_with_whoever_watches_it(group: ProcessGroup) -> None:
-    (leader,) = (int(path.name) for path in _children_of(os.getpid()) if path.name.isdecimal())
+    (leader,) = (
+        int(path.name) for path in _children_of(os.getpid()) if path.name.isdecimal()
+    )
     group.pipe.close()
     until_gone(leader)
     assert not group.folder.exists()
@@ -158,7 +173,11 @@ def _children_of(process: int) -> list[Path]:
             except OSError:
                 continue
             _, parent, its_group = text[text.rindex(")") + 2 :].split()[:3]
-            if int(parent) == process and its_group == path.name and "has_a_child" in _command(path):
+            if (
+                int(parent) == process
+                and its_group == path.name
+                and "has_a_child" in _command(path)
+            ):
                 found.append(path)
     return found
 
@@ -175,7 +194,18 @@ def until_gone(group: int, seconds: float = 20.0) -> None:
 
 
 def command(store: Path, *words: str) -> list[str]:
-    return [sys.executable, "-m", "attacks", "gate", "--only", "lint", "--strict", "--store", str(store), *words]
+    return [
+        sys.executable,
+        "-m",
+        "attacks",
+        "gate",
+        "--only",
+        "lint",
+        "--strict",
+        "--store",
+        str(store),
+        *words,
+    ]
 
 
 def environment(tmp_path: Path) -> dict[str, str]:
@@ -186,11 +216,22 @@ def environment(tmp_path: Path) -> dict[str, str]:
 
 def in_shell(tmp_path: Path, redirected: str, *words: str) -> int:
     """Exit status of the gate with its output redirected by a shell."""
-    line = ["bash", "-c", f'"$@" {redirected}; exit ${{PIPESTATUS[0]}}', "bash", *command(tmp_path / "store", *words)]
-    return subprocess.run(line, env=environment(tmp_path), stderr=subprocess.DEVNULL, timeout=120).returncode
+    line = [
+        "bash",
+        "-c",
+        f'"$@" {redirected}; exit ${{PIPESTATUS[0]}}',
+        "bash",
+        *command(tmp_path / "store", *words),
+    ]
+    return subprocess.run(
+        line, env=environment(tmp_path), stderr=subprocess.DEVNULL, timeout=120
+    ).returncode
 
 
-ALSO = [pytest.param(words, marks=pytest.mark.nightly) for words in (">&-", "| head -0", "<&- >&- 2>&-")]
+ALSO = [
+    pytest.param(words, marks=pytest.mark.nightly)
+    for words in (">&-", "| head -0", "<&- >&- 2>&-")
+]
 
 
 @pytest.mark.parametrize("redirected", [">/dev/full", *ALSO])
@@ -199,7 +240,10 @@ def test_a_verdict_counts_whoever_can_read_it(redirected: str, tmp_path: Path) -
         pytest.skip("no /dev/full")
     (tmp_path / "bad.ply").write_text("junk")
     sarif = tmp_path / "found.sarif"
-    assert in_shell(tmp_path, redirected, "--sarif", str(sarif), str(tmp_path / "bad.ply")) == 3
+    assert (
+        in_shell(tmp_path, redirected, "--sarif", str(sarif), str(tmp_path / "bad.ply"))
+        == 3
+    )
     (run,) = json.loads(sarif.read_text())["runs"]
     assert [result["ruleId"] for result in run["results"]] == ["unreadable"]
     assert run["artifacts"][0]["properties"]["verdict"] == "refuse"
@@ -210,7 +254,10 @@ HUGE = 900_000
 
 def slow_file(path: Path) -> Path:
     """An OpenUSD file that takes its reader half a minute."""
-    path.write_bytes(b"#usda 1.0\n" + b"".join(b'def Xform "a%d" {}\n' % number for number in range(HUGE)))
+    path.write_bytes(
+        b"#usda 1.0\n"
+        + b"".join(b'def Xform "a%d" {}\n' % number for number in range(HUGE))
+    )
     return path
 
 
@@ -228,18 +275,27 @@ def readers_of(process: int) -> dict[int, Sequence[int]]:
     return found
 
 
-@pytest.mark.parametrize("how", [signal.SIGTERM, pytest.param(signal.SIGKILL, marks=pytest.mark.nightly)])
-def test_a_gate_that_is_ended_leaves_nothing(how: signal.Signals, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "how", [signal.SIGTERM, pytest.param(signal.SIGKILL, marks=pytest.mark.nightly)]
+)
+def test_a_gate_that_is_ended_leaves_nothing(
+    how: signal.Signals, tmp_path: Path
+) -> None:
     pytest.importorskip("pxr")
     if not Path("/proc/self/stat").exists():
         pytest.skip("no /proc")
     words = [str(slow_file(tmp_path / "many.usda")), "--workers", "1"]
     gate = subprocess.Popen(
-        command(tmp_path / "store", *words), env=environment(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        command(tmp_path / "store", *words),
+        env=environment(tmp_path),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
     )
     end = time.monotonic() + 90
     while not any(len(processes) > 1 for processes in readers_of(gate.pid).values()):
-        assert time.monotonic() < end, "the process that reads OpenUSD was never started"
+        assert time.monotonic() < end, (
+            "the process that reads OpenUSD was never started"
+        )
         time.sleep(0.05)
     groups = readers_of(gate.pid)
     gate.send_signal(how)
@@ -259,7 +315,13 @@ def hostile_files(folder: Path, count: int) -> list[Path]:
     """Tiny files, each of which wants something that it should not get."""
     kinds = [
         ("junk.ply", b"junk"),
-        ("none.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nend_header\n"),
+        (
+            "none.ply",
+            (
+                b"ply\nformat binary_little_endian 1.0\nelement vertex"
+                b" 4000000000\nend_header\n"
+            ),
+        ),
         ("cut.spz", b"\x1f\x8b\x08\x00"),
         ("zip.sog", b"PK\x03\x04" + b"\xff" * 40),
         ("gltf.glb", b"glTF\x02\x00\x00\x00\xff\xff\xff\x7f"),
@@ -279,7 +341,13 @@ def hostile_files(folder: Path, count: int) -> list[Path]:
     (folder / "folder.ply").mkdir()
     with (folder / "sparse.ply").open("wb") as file:
         file.truncate(1 << 42)
-    special = ["pipe.ply", "circle.ply", os.fsdecode(b"\xff\n.ply"), "folder.ply", "sparse.ply"]
+    special = [
+        "pipe.ply",
+        "circle.ply",
+        os.fsdecode(b"\xff\n.ply"),
+        "folder.ply",
+        "sparse.ply",
+    ]
     return made + [folder / name for name in special]
 
 
@@ -293,7 +361,10 @@ def test_no_hostile_file_passes_or_ends_the_gate(count: int, tmp_path: Path) -> 
     words = ["--json", "--sarif", str(sarif), "--workers", "2", "--seconds", "20"]
     words += [*map(str, files), str(folder / "honest.ply")]
     done = subprocess.run(
-        command(tmp_path / "store", *words), env=environment(tmp_path), capture_output=True, timeout=600
+        command(tmp_path / "store", *words),
+        env=environment(tmp_path),
+        capture_output=True,
+        timeout=600,
     )
     assert done.returncode == 3
     lines = [json.loads(line) for line in done.stdout.splitlines()]
@@ -302,7 +373,10 @@ def test_no_hostile_file_passes_or_ends_the_gate(count: int, tmp_path: Path) -> 
     assert verdicts.keys() == {str(file) for file in files}
     assert set(verdicts.values()) <= {"refuse", "not judged"}
     (run,) = json.loads(sarif.read_text())["runs"]
-    named = {result["locations"][0]["physicalLocation"]["artifactLocation"]["uri"] for result in run["results"]}
+    named = {
+        result["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
+        for result in run["results"]
+    }
     assert len(named) == len(files), "each file that does not pass has a result"
     assert not [*(tmp_path / "temporary").iterdir()]
 
@@ -315,7 +389,9 @@ def test_a_store_on_a_full_disk_changes_no_verdict(
 
     monkeypatch.setattr(Store, "keep", is_full)
     (tmp_path / "junk.ply").write_text("junk")
-    judged = Judge(reader, LINT, Store(tmp_path / "store")).judge({"file": str(tmp_path / "junk.ply")})
+    judged = Judge(reader, LINT, Store(tmp_path / "store")).judge(
+        {"file": str(tmp_path / "junk.ply")}
+    )
     assert LINT.verdict(judged.rows)["verdict"] == "refuse"
     assert judged.record is None
 
@@ -341,8 +417,17 @@ def full_disk(tmp_path: Path) -> Iterator[Path]:
 def test_a_full_disk_changes_no_exit_status(full_disk: Path, tmp_path: Path) -> None:
     (tmp_path / "junk.ply").write_text("junk")
     sarif = full_disk / "found.sarif"
-    words = command(full_disk / "store", "--sarif", str(sarif), "--workers", "1", str(tmp_path / "junk.ply"))
-    done = subprocess.run(words, env=environment(tmp_path), capture_output=True, text=True, timeout=60)
+    words = command(
+        full_disk / "store",
+        "--sarif",
+        str(sarif),
+        "--workers",
+        "1",
+        str(tmp_path / "junk.ply"),
+    )
+    done = subprocess.run(
+        words, env=environment(tmp_path), capture_output=True, text=True, timeout=60
+    )
     assert done.returncode == 3
     assert "junk.ply: refuse" in done.stdout
     assert "No space left on device" in done.stderr
@@ -352,8 +437,15 @@ def test_a_full_disk_changes_no_exit_status(full_disk: Path, tmp_path: Path) -> 
 
 def test_a_sarif_file_is_replaced_only_when_forced(tmp_path: Path) -> None:
     (tmp_path / "package.json").write_text("mine")
-    words = command(tmp_path / "store", "--sarif", str(tmp_path / "package.json"), str(tmp_path / "none.ply"))
-    done = subprocess.run(words, env=environment(tmp_path), capture_output=True, text=True)
+    words = command(
+        tmp_path / "store",
+        "--sarif",
+        str(tmp_path / "package.json"),
+        str(tmp_path / "none.ply"),
+    )
+    done = subprocess.run(
+        words, env=environment(tmp_path), capture_output=True, text=True
+    )
     assert done.returncode == 1
     assert "something that is there" in done.stderr
     assert "--force" in done.stderr
@@ -361,7 +453,9 @@ def test_a_sarif_file_is_replaced_only_when_forced(tmp_path: Path) -> None:
 
 
 def test_the_action_installs_its_own_revision() -> None:
-    """Its folder is three below the root of the revision that a workflow names; nothing comes from a registry."""
+    """Its folder is three below the root of the revision that a workflow names; nothing
+    comes from a registry.
+    """
     folder = ROOT / ".github" / "actions" / "audit-splats"
     text = (folder / "action.yml").read_text()
     (line,) = (line for line in text.splitlines() if "pip install" in line)

@@ -1,4 +1,6 @@
-"""Every rule of lint has a file that it finds, and one that it does not; the validator of glTF, and what is refused."""
+"""Every rule of lint has a file that it finds, and one that it does not; the validator
+of glTF, and what is refused.
+"""
 
 import dataclasses
 import json
@@ -59,7 +61,9 @@ def cloud(count: int = COUNT, *, degree: int = 1, seed: int = 0) -> GaussianScen
 
 def arrays_of(scene: GaussianScene) -> Arrays:
     values = (value.numpy().copy() for value in scene.tensors())
-    return dict(zip(("means", "scales", "rotations", "opacities", "sh"), values, strict=True))
+    return dict(
+        zip(("means", "scales", "rotations", "opacities", "sh"), values, strict=True)
+    )
 
 
 def stored(arrays: Arrays) -> Stored:
@@ -101,13 +105,19 @@ def _nothing(arrays: Arrays) -> None:
     pass
 
 
-CASES: dict[str, tuple[Callable[[Arrays], None], Callable[[Arrays], None], list[int]]] = {
+CASES: dict[
+    str, tuple[Callable[[Arrays], None], Callable[[Arrays], None], list[int]]
+] = {
     "not-finite": (_set("means", np.nan), _set("means", 1e8), [3]),
     "out-of-range": (_set("scales", 0.0), _set("scales", 1e-9), [3]),
     "quaternion": (_set("rotations", 0.0), _set("rotations", 0.1), [3]),
     "giant": (_set("scales", 9.0), _set("scales", 7.0), [3]),
     "needle": (_thin(2000), _thin(500), [3]),
-    "invisible": (_set("opacities", 0.003, 4), _set("opacities", 0.004, 4), [3, 4, 5, 6]),
+    "invisible": (
+        _set("opacities", 0.003, 4),
+        _set("opacities", 0.004, 4),
+        [3, 4, 5, 6],
+    ),
     "duplicate": (_repeat(2), _nothing, [4, 40]),
     "colour": (_set("sh", -4.0), _set("sh", -1.0), [3]),
     "empty-degree": (_bands(slice(None)), _nothing, list(range(COUNT))),
@@ -120,7 +130,11 @@ OF_FILES = {"infinite"}
 """Rules about how a file holds a value, which no array shows; tests/io has them."""
 
 
-@pytest.mark.parametrize("rule", [rule for rule in RULES if rule.name not in OF_FILES], ids=lambda rule: str(rule.name))
+@pytest.mark.parametrize(
+    "rule",
+    [rule for rule in RULES if rule.name not in OF_FILES],
+    ids=lambda rule: str(rule.name),
+)
 def test_each_rule_finds_its_rows_and_only_these(rule: Rule) -> None:
     bad, good, rows = CASES[rule.name]
     broken, fine = arrays_of(cloud()), arrays_of(cloud())
@@ -137,11 +151,15 @@ def test_each_rule_finds_its_rows_and_only_these(rule: Rule) -> None:
 
 
 @pytest.mark.parametrize("made", [scenes.glossy, scenes.noisy, scenes.velvet])
-def test_honest_gloss_and_noise_have_no_finding(made: Callable[[scenes.Made], scenes.Made]) -> None:
+def test_honest_gloss_and_noise_have_no_finding(
+    made: Callable[[scenes.Made], scenes.Made],
+) -> None:
     assert lint_scene(made(scenes.standing("suitcase", count=300)).scene).findings == ()
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".glb", ".spz", ".sog", ".splat"])
+@pytest.mark.parametrize(
+    "suffix", [".ply", ".compressed.ply", ".glb", ".spz", ".sog", ".splat"]
+)
 def test_no_converter_makes_a_finding(suffix: str, tmp_path: Path) -> None:
     save_splat(cloud(400, degree=0), tmp_path / f"s{suffix}")
     assert lint_file(tmp_path / f"s{suffix}").findings == ()
@@ -159,14 +177,24 @@ def test_overdraw_is_the_length_of_the_rasteriser_s_lists() -> None:
 
     scene = scenes.standing("suitcase", count=300).scene
     eyes = [(9, 1, 1), (2, 1, 1), (2, 1, 9), (3, 1, 1)]
-    cameras = [Camera(to_world=look_at(eye, (0, 0, 0.2)), focal=60, width=71, height=50) for eye in eyes]
+    cameras = [
+        Camera(to_world=look_at(eye, (0, 0, 0.2)), focal=60, width=71, height=50)
+        for eye in eyes
+    ]
     alone = [most_layers(scene, [camera], near=0.05)[1].mean() for camera in cameras]
     worst, layers, tried = most_layers(scene, cameras, near=0.05)
     assert (worst, layers.mean(), tried) == (1, max(alone), 4)
     assert most_layers(scene, cameras, near=0.05, stop=alone[3])[::2] == (1, 2)
     assert most_layers(scene, cameras[::2], near=0.05, stop=alone[0])[::2] == (0, 1)
-    arrays = tuple(aligned(mi.Float(value.contiguous().flatten())) for value in scene.tensors())
-    state = rasterize(layouts.TENSORS, arrays, pinhole.Pinhole(camera=cameras[worst], near=0.05), (0, 0, 0)).state
+    arrays = tuple(
+        aligned(mi.Float(value.contiguous().flatten())) for value in scene.tensors()
+    )
+    state = rasterize(
+        layouts.TENSORS,
+        arrays,
+        pinhole.Pinhole(camera=cameras[worst], near=0.05),
+        (0, 0, 0),
+    ).state
     assert state is not None
     first, last = (edge.numpy().astype(np.int64) for edge in state.pair_ranges)
     assert layers.shape == (13, 18)
@@ -178,12 +206,17 @@ def masked(count: int = 5000, *, spread: float = 0.01) -> GaussianScene:
     """A crowd at one place, and two Gaussians far away."""
     crowd = cloud(count, degree=0)
     means = crowd.means * spread
-    means[7], means[1500] = torch.tensor([1e5, -3e4, 2e5]), torch.tensor([-1e6, 3.0, 1e4])
+    means[7], means[1500] = (
+        torch.tensor([1e5, -3e4, 2e5]),
+        torch.tensor([-1e6, 3.0, 1e4]),
+    )
     return crowd.replace(means=means, scales=torch.full((count, 3), 0.5))
 
 
 def test_what_stops_a_renderer_is_found() -> None:
-    assert ("overdraw", "error") in [(finding.rule, finding.severity) for finding in lint_scene(masked()).findings]
+    assert ("overdraw", "error") in [
+        (finding.rule, finding.severity) for finding in lint_scene(masked()).findings
+    ]
     assert lint_scene(masked(spread=40.0)).findings == ()
 
 
@@ -205,7 +238,10 @@ def faults(path: Path, change: Callable[[Json], object]) -> list[tuple[str, str]
     change(root)
     fields = Fields(root, str(path))
     changed = dataclasses.replace(
-        document, root=fields, accessors=fields.objects("accessors"), views=fields.objects("bufferViews")
+        document,
+        root=fields,
+        accessors=fields.objects("accessors"),
+        views=fields.objects("bufferViews"),
     )
     return [(finding.rule, finding.severity) for finding in validate(changed)]
 
@@ -227,33 +263,81 @@ def _accessor(root: Json, name: str) -> Json:
 
 FAULTS: dict[str, tuple[Callable[[Json], object], tuple[str, str]]] = {
     "no points": (lambda root: _primitive(root).update(mode=4), ("gltf-mode", "error")),
-    "not used": (lambda root: root.update(extensionsUsed=[]), ("gltf-extension", "error")),
-    "no kernel": (lambda root: _extension(root).pop("kernel"), ("gltf-extension", "error")),
-    "no colour space": (lambda root: _extension(root).pop("colorSpace"), ("gltf-extension", "error")),
-    "number": (lambda root: _extension(root).update(projection=3), ("gltf-extension", "error")),
-    "other kernel": (lambda root: _extension(root).update(kernel="cube"), ("gltf-extension", "warning")),
-    "no rotation": (lambda root: _primitive(root)["attributes"].pop(ROTATION), ("gltf-attribute", "error")),
+    "not used": (
+        lambda root: root.update(extensionsUsed=[]),
+        ("gltf-extension", "error"),
+    ),
+    "no kernel": (
+        lambda root: _extension(root).pop("kernel"),
+        ("gltf-extension", "error"),
+    ),
+    "no colour space": (
+        lambda root: _extension(root).pop("colorSpace"),
+        ("gltf-extension", "error"),
+    ),
+    "number": (
+        lambda root: _extension(root).update(projection=3),
+        ("gltf-extension", "error"),
+    ),
+    "other kernel": (
+        lambda root: _extension(root).update(kernel="cube"),
+        ("gltf-extension", "warning"),
+    ),
+    "no rotation": (
+        lambda root: _primitive(root)["attributes"].pop(ROTATION),
+        ("gltf-attribute", "error"),
+    ),
     "half a degree": (
-        lambda root: _primitive(root)["attributes"].pop("KHR_gaussian_splatting:SH_DEGREE_1_COEF_1"),
+        lambda root: _primitive(root)["attributes"].pop(
+            "KHR_gaussian_splatting:SH_DEGREE_1_COEF_1"
+        ),
         ("gltf-degree", "error"),
     ),
     "strange attribute": (
-        lambda root: _primitive(root)["attributes"].update({"KHR_gaussian_splatting:GLOW": 0}),
+        lambda root: _primitive(root)["attributes"].update(
+            {"KHR_gaussian_splatting:GLOW": 0}
+        ),
         ("gltf-attribute", "warning"),
     ),
-    "wrong type": (lambda root: _accessor(root, ROTATION).update(type="VEC3"), ("gltf-accessor", "error")),
-    "wrong kind": (lambda root: _accessor(root, ROTATION).update(componentType=5121), ("gltf-accessor", "error")),
-    "no accessor": (lambda root: _primitive(root)["attributes"].update({ROTATION: 99}), ("gltf-accessor", "error")),
-    "other count": (lambda root: _accessor(root, ROTATION).update(count=5), ("gltf-accessor", "error")),
-    "past the end": (lambda root: _accessor(root, ROTATION).update(byteOffset=64), ("gltf-accessor", "error")),
-    "no bounds": (lambda root: _accessor(root, "POSITION").pop("min"), ("gltf-bounds", "error")),
-    "huge bounds": (lambda root: _accessor(root, "POSITION").update(max=[10**400, 0, 0]), ("gltf-bounds", "error")),
-    "wrong bounds": (lambda root: _accessor(root, "POSITION").update(max=[0, 0, 0]), ("gltf-bounds", "error")),
+    "wrong type": (
+        lambda root: _accessor(root, ROTATION).update(type="VEC3"),
+        ("gltf-accessor", "error"),
+    ),
+    "wrong kind": (
+        lambda root: _accessor(root, ROTATION).update(componentType=5121),
+        ("gltf-accessor", "error"),
+    ),
+    "no accessor": (
+        lambda root: _primitive(root)["attributes"].update({ROTATION: 99}),
+        ("gltf-accessor", "error"),
+    ),
+    "other count": (
+        lambda root: _accessor(root, ROTATION).update(count=5),
+        ("gltf-accessor", "error"),
+    ),
+    "past the end": (
+        lambda root: _accessor(root, ROTATION).update(byteOffset=64),
+        ("gltf-accessor", "error"),
+    ),
+    "no bounds": (
+        lambda root: _accessor(root, "POSITION").pop("min"),
+        ("gltf-bounds", "error"),
+    ),
+    "huge bounds": (
+        lambda root: _accessor(root, "POSITION").update(max=[10**400, 0, 0]),
+        ("gltf-bounds", "error"),
+    ),
+    "wrong bounds": (
+        lambda root: _accessor(root, "POSITION").update(max=[0, 0, 0]),
+        ("gltf-bounds", "error"),
+    ),
 }
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_each_fault_of_a_gltf_is_found_and_nothing_else(fault: str, tmp_path: Path) -> None:
+def test_each_fault_of_a_gltf_is_found_and_nothing_else(
+    fault: str, tmp_path: Path
+) -> None:
     change, expected = FAULTS[fault]
     assert faults(glb(tmp_path / "s.glb"), change) == [expected]
 
@@ -261,7 +345,12 @@ def test_each_fault_of_a_gltf_is_found_and_nothing_else(fault: str, tmp_path: Pa
 def test_what_is_right_in_a_gltf_is_not_found(tmp_path: Path) -> None:
     path = glb(tmp_path / "s.glb")
     assert faults(path, lambda root: None) == []
-    assert faults(path, lambda root: _extension(root).update(colorSpace="lin_rec709_display")) == []
+    assert (
+        faults(
+            path, lambda root: _extension(root).update(colorSpace="lin_rec709_display")
+        )
+        == []
+    )
     assert faults(path, lambda root: _extension(root).pop("projection")) == []
 
 
@@ -274,20 +363,33 @@ def test_what_is_right_in_a_gltf_is_not_found(tmp_path: Path) -> None:
         ("OPACITY", np.nan, "not finite"),
     ],
 )
-def test_values_of_a_gltf_are_checked_with_their_rows(attribute: str, value: float, words: str, tmp_path: Path) -> None:
+def test_values_of_a_gltf_are_checked_with_their_rows(
+    attribute: str, value: float, words: str, tmp_path: Path
+) -> None:
     path = glb(tmp_path / "s.glb")
     document = open_glb(path.read_bytes(), str(path))
-    index = document.root.objects("meshes")[0].objects("primitives")[0].object("attributes")
+    index = (
+        document.root.objects("meshes")[0].objects("primitives")[0].object("attributes")
+    )
     view = document.views[
-        document.accessors[index.whole(f"KHR_gaussian_splatting:{attribute}", 0, 99)].whole("bufferView", 0, 99)
+        document.accessors[
+            index.whole(f"KHR_gaussian_splatting:{attribute}", 0, 99)
+        ].whole("bufferView", 0, 99)
     ]
     data = bytearray(path.read_bytes())
     start = len(data) - len(document.buffer) + view.whole("byteOffset", 0, len(data))
-    values: NDArray[np.float32] = np.frombuffer(data, "<f4", view.whole("byteLength", 0, len(data)) // 4, start)
+    values: NDArray[np.float32] = np.frombuffer(
+        data, "<f4", view.whole("byteLength", 0, len(data)) // 4, start
+    )
     values.reshape(20, -1)[4:18] = value
     path.write_bytes(data)
     finding = lint_file(path).findings[0]
-    assert (finding.rule, finding.severity, finding.count, finding.rows[0]) == ("gltf-values", "error", 14, 4)
+    assert (finding.rule, finding.severity, finding.count, finding.rows[0]) == (
+        "gltf-values",
+        "error",
+        14,
+        4,
+    )
     assert words in finding.reason
 
 
@@ -302,8 +404,12 @@ def test_a_gltf_that_is_refused_is_described(tmp_path: Path) -> None:
 def test_the_render_mode_of_a_file_is_a_note(tmp_path: Path) -> None:
     write_splat_file(cloud(), tmp_path / "a.ply", antialiased=True)
     save_splat(cloud(), tmp_path / "b.ply")
-    assert "render-mode" in [finding.rule for finding in lint_file(tmp_path / "a.ply").findings]
-    assert "render-mode" not in [finding.rule for finding in lint_file(tmp_path / "b.ply").findings]
+    assert "render-mode" in [
+        finding.rule for finding in lint_file(tmp_path / "a.ply").findings
+    ]
+    assert "render-mode" not in [
+        finding.rule for finding in lint_file(tmp_path / "b.ply").findings
+    ]
 
 
 # --- the command
@@ -320,7 +426,9 @@ def broken_ply(path: Path) -> Path:
     return path
 
 
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, Mapping[str, Any]]:
+def run(
+    capsys: pytest.CaptureFixture[str], *words: object
+) -> tuple[int, Mapping[str, Any]]:
     status = cli.main(["audit", *map(str, words), "--json"])
     return status, json.loads(capsys.readouterr().out)
 
@@ -361,7 +469,9 @@ def test_warnings_are_listed_and_do_not_change_the_exit_status(
     assert account["cost"]["overdraw"]["cameras"] >= 14
 
 
-def test_what_stops_a_renderer_is_not_looked_at(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_stops_a_renderer_is_not_looked_at(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     save_splat(masked(), tmp_path / "masked.ply")
     status, account = run(capsys, tmp_path / "masked.ply")
     assert status == 3
@@ -375,7 +485,10 @@ def test_a_checkpoint_is_never_unpickled(name: str, tmp_path: Path) -> None:
         def __reduce__(self) -> tuple[object, tuple[str]]:
             return os.mkdir, (str(tmp_path / "ran"),)
 
-    for write in (torch.save, lambda value, path: path.write_bytes(pickle.dumps(value))):
+    for write in (
+        torch.save,
+        lambda value, path: path.write_bytes(pickle.dumps(value)),
+    ):
         write({"splats": Program()}, tmp_path / name)
         with pytest.raises(SplatFileError, match="can be a program"):
             lint_file(tmp_path / name)
@@ -384,5 +497,10 @@ def test_a_checkpoint_is_never_unpickled(name: str, tmp_path: Path) -> None:
 
 def test_the_documentation_has_every_rule() -> None:
     text = Path("docs/audit_lint.md").read_text()
-    names = [*BY_NAME, "overdraw", *{expected[0] for _, expected in FAULTS.values()}, "gltf-values"]
+    names = [
+        *BY_NAME,
+        "overdraw",
+        *{expected[0] for _, expected in FAULTS.values()},
+        "gltf-values",
+    ]
     assert not [name for name in names if f"`{name}`" not in text]

@@ -1,4 +1,6 @@
-"""A repaired splat shows from everywhere what the believed directions show, and an honest one stays as it is."""
+"""A repaired splat shows from everywhere what the believed directions show, and an
+honest one stays as it is.
+"""
 
 import json
 from pathlib import Path
@@ -55,21 +57,34 @@ def picture(scene: GaussianScene, judged: Audit, *view: float) -> Tensor:
         return Renderer(RenderSettings(near=0.02))(scene, camera).clamp(0, 1)
 
 
-def test_a_look_is_gone_and_the_honest_colours_are_back(honest: Made, hiding: Made, judged: Audit) -> None:
+def test_a_look_is_gone_and_the_honest_colours_are_back(
+    honest: Made, hiding: Made, judged: Audit
+) -> None:
     again = repaired(hiding.scene, judged)
     for view, gain in (((85.0, 0.0), 8.0), ((65.0, 120.0), 5.0)):
-        wanted, before, after = (picture(scene, judged, *view) for scene in (honest.scene, hiding.scene, again))
+        wanted, before, after = (
+            picture(scene, judged, *view)
+            for scene in (honest.scene, hiding.scene, again)
+        )
         assert psnr(after, wanted) > psnr(before, wanted) + gain
-    wanted, after = (picture(scene, judged, 15.0, 40.0) for scene in (honest.scene, again))
+    wanted, after = (
+        picture(scene, judged, 15.0, 40.0) for scene in (honest.scene, again)
+    )
     assert psnr(after, wanted) > 36
-    assert all(torch.equal(a, b) for a, b in zip(again.tensors()[:4], hiding.scene.tensors()[:4], strict=True))
+    assert all(
+        torch.equal(a, b)
+        for a, b in zip(again.tensors()[:4], hiding.scene.tensors()[:4], strict=True)
+    )
 
 
 def test_the_other_side_can_be_believed(hiding: Made, judged: Audit) -> None:
     """Then the object has the look from everywhere."""
     again = repaired(hiding.scene, judged, keep="inside")
     above = picture(hiding.scene, judged, 85.0, 0.0)[24:40, 24:40].mean((0, 1))
-    before, after = (picture(scene, judged, 20.0, 40.0)[24:40, 24:40].mean((0, 1)) for scene in (hiding.scene, again))
+    before, after = (
+        picture(scene, judged, 20.0, 40.0)[24:40, 24:40].mean((0, 1))
+        for scene in (hiding.scene, again)
+    )
     assert float((after - above).norm()) < 0.5 * float((before - above).norm())
 
 
@@ -81,10 +96,13 @@ def test_an_honest_splat_is_returned_as_it_is() -> None:
 def test_what_covers_an_object_is_left_out_where_others_look_through_it() -> None:
     positions = torch.zeros(6, 3)
     positions[:, 2] = torch.tensor([-0.1, 0.1, 2.0, 2.0, 0.0, 0.0])
-    scene = standing("suitcase", count=8).scene.select(slice(0, 6)).replace(means=positions)
+    scene = (
+        standing("suitcase", count=8).scene.select(slice(0, 6)).replace(means=positions)
+    )
     covered = account(look(0.0), count=6, covered=0.3)
     again = repaired(scene, covered)
-    assert again.means[:, 2].tolist() == pytest.approx([-0.1, 0.1, 2.0, 0.0, 0.0])  # one of the two is in the mask
+    # one of the two is in the mask
+    assert again.means[:, 2].tolist() == pytest.approx([-0.1, 0.1, 2.0, 0.0, 0.0])
     assert repaired(scene, account(look(0.0), count=6, covered=0.05)) is scene
 
 
@@ -94,14 +112,22 @@ def test_the_command_repairs_what_it_finds(
     bad, plain, out = tmp_path / "bad.ply", tmp_path / "plain.ply", tmp_path / "out.ply"
     save_splat(hiding.scene, bad)
     save_splat(honest.scene, plain)
-    assert cli.main(["audit", str(bad), "--only", "looks", "--repair", str(out), "--json"]) == 3
+    assert (
+        cli.main(["audit", str(bad), "--only", "looks", "--repair", str(out), "--json"])
+        == 3
+    )
     repaired = json.loads(capsys.readouterr().out)["repair"]
     assert repaired["verdict"] == "nothing found"
     changed = (load_splat(out).sh != load_splat(bad).sh).flatten(1).any(1)
     assert int(changed.sum()) == repaired["coloured_anew"] > 100
     other = tmp_path / "other.spz"
-    assert cli.main(["audit", str(plain), "--only", "looks", "--repair", str(other)]) == 0
-    assert "nothing was found that could be repaired, and nothing is written" in capsys.readouterr().out
+    assert (
+        cli.main(["audit", str(plain), "--only", "looks", "--repair", str(other)]) == 0
+    )
+    assert (
+        "nothing was found that could be repaired, and nothing is written"
+        in capsys.readouterr().out
+    )
     assert not other.exists()
 
 
@@ -110,11 +136,31 @@ def test_the_command_repairs_what_it_finds(
     [
         (["a.ply", "--repair", "a.ply"], "expected another file than the input", 1),
         (["a.ply", "--repair", "b.ply"], "expected a free name", 1),
-        (["a.ply", "--against", "b.ply", "--repair", "b.ply", "--force"], "another file than the input", 1),
-        (["old/s.json", "--out", "old", "--force"], "--out: expected a folder without the input", 2),
-        (["a.ply", "--against", "old/s.json", "--out", "old", "--force"], "expected a folder without the input", 2),
-        (["set", "--against", "b.ply"], "--against: expected a splat, got the pictures set", 2),
-        (["a.ply", "--downscale", "2"], "--downscale: expected images with cameras, got a.ply", 2),
+        (
+            ["a.ply", "--against", "b.ply", "--repair", "b.ply", "--force"],
+            "another file than the input",
+            1,
+        ),
+        (
+            ["old/s.json", "--out", "old", "--force"],
+            "--out: expected a folder without the input",
+            2,
+        ),
+        (
+            ["a.ply", "--against", "old/s.json", "--out", "old", "--force"],
+            "expected a folder without the input",
+            2,
+        ),
+        (
+            ["set", "--against", "b.ply"],
+            "--against: expected a splat, got the pictures set",
+            2,
+        ),
+        (
+            ["a.ply", "--downscale", "2"],
+            "--downscale: expected images with cameras, got a.ply",
+            2,
+        ),
         (["a.ply", "--keep", "inside"], "--keep: expected --repair beside it", 2),
     ],
 )
@@ -127,9 +173,17 @@ def test_what_cannot_be_written_is_told_before_the_work(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in ("a.ply", "b.ply", "old/s.json", "old/result.json", "set/transforms.json"):
+    for name in (
+        "a.ply",
+        "b.ply",
+        "old/s.json",
+        "old/result.json",
+        "set/transforms.json",
+    ):
         Path(name).parent.mkdir(exist_ok=True)
         Path(name).write_bytes(b"never read")
     assert cli.main(["audit", *words]) == status
     assert says in capsys.readouterr().err
-    assert Path("b.ply").read_bytes() == Path("old/s.json").read_bytes() == b"never read"
+    assert (
+        Path("b.ply").read_bytes() == Path("old/s.json").read_bytes() == b"never read"
+    )

@@ -1,4 +1,6 @@
-"""`mi-splat bench` with a tiny suite and toy detectors: what a row says, and what makes it be refused."""
+"""`mi-splat bench` with a tiny suite and toy detectors: what a row says, and what makes
+it be refused.
+"""
 
 import json
 import subprocess
@@ -25,8 +27,12 @@ from tests.studies.toy import toys, write_toy
 __all__ = ["toys"]
 pytestmark = [pytest.mark.usefixtures("toys"), pytest.mark.shipped]
 FILES = {
-    "suite": 'question = "Does it still see it?"\nsurrogates = ["fake_colour", "fake_coarse"]\n',
-    "one_view": """
+    "suite": (
+        'question = "Does it still see it?"\nsurrogates = ["fake_colour",'
+        ' "fake_coarse"]\n'
+    ),
+    "one_view": (
+        """
 study = "dagger"
 scene = "{scene}"
 object = "car"
@@ -35,20 +41,29 @@ attack = {{ steps = 4, noise_draws = 0 }}
 [matrix]
 seed = [0, 1, 2]
 camera = [0, 1]
-budget = [{{ name = "weak", attack = {{ eps = 0.001 }} }}, {{ name = "strong", attack = {{ eps = 12.0 }} }}]
-""",
-    "transfer": """
+budget = [
+  {{ name = "weak", attack = {{ eps = 0.001 }} }},
+  {{ name = "strong", attack = {{ eps = 12.0 }} }},
+]
+"""
+    ),
+    "transfer": (
+        """
 base = "one_view.toml"
 attack = {{ early_stop = false }}
 [matrix]
 budget = [{{ name = "strong", attack = {{ eps = 12.0 }} }}]
-""",
-    "all_views": """
+"""
+    ),
+    "all_views": (
+        """
 study = "dagger-eot"
 scene = "{scene}"
 object = "car"
 aim = "untargeted"
-cameras = {{ azimuths = [-120.0, -60.0], elevations = [0.0, 10.0], distances = [0.9, 1.1] }}
+cameras.azimuths = [-120.0, -60.0]
+cameras.elevations = [0.0, 10.0]
+cameras.distances = [0.9, 1.1]
 seed = 5
 [attack]
 eps = 2.0
@@ -61,7 +76,8 @@ held_out = 12
 judge_seed = 77
 optimiser = "momentum"
 image_psnr = "none"
-""",
+"""
+    ),
 }
 
 
@@ -78,7 +94,16 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def bench(suite: Path, out: str, *words: str) -> int:
     folder = suite.parent
-    line = ["bench", "fake_colour", "--suite", str(suite), "--store", str(folder / "store"), "--workers", "0"]
+    line = [
+        "bench",
+        "fake_colour",
+        "--suite",
+        str(suite),
+        "--store",
+        str(folder / "store"),
+        "--workers",
+        "0",
+    ]
     return cli.main([*line, "--out", str(folder / out), *words])
 
 
@@ -97,21 +122,38 @@ def out(suite: Path, toys: None) -> Path:
 def test_a_row_counts_what_is_still_named(out: Path) -> None:
     row = read(out / "row.json")
     one = row["columns"]["one_view"]
-    weak, strong = ({key: value for key, value in one["by"].items() if name in key} for name in ("weak", "strong"))
+    weak, strong = (
+        {key: value for key, value in one["by"].items() if name in key}
+        for name in ("weak", "strong")
+    )
     assert [part["successes"] for part in weak.values()] == [3, 3]
     assert [part["successes"] for part in strong.values()] == [0, 0]
-    assert (one["robust"]["successes"], one["judged"], one["named_clean"]["rate"]) == (6, 12, 1.0)
+    assert (one["robust"]["successes"], one["judged"], one["named_clean"]["rate"]) == (
+        6,
+        12,
+        1.0,
+    )
     low, high = one["robust"]["interval"]
     assert low < 0.5 < high
     assert row["columns"]["all_views"]["judged"] == 12
     assert row["columns"]["all_views"]["robust"]["rate"] < 0.5
     assert row["columns"]["transfer"]["judged"] == 6
     assert row["columns"]["transfer"]["robust"] is None
-    assert (row["columns"]["cloak"]["robust"], row["columns"]["cloak"]["judged"], row["score"]) == (None, 0, None)
+    assert (
+        row["columns"]["cloak"]["robust"],
+        row["columns"]["cloak"]["judged"],
+        row["score"],
+    ) == (None, 0, None)
     text = (out / "table.md").read_text()
     assert "| - | fake_colour | - |" in text
     assert "cannot judge (6 views)" in text
-    assert set(row["cpu_seconds"]) == {"one_view", "all_views", "transfer", "shared", "all"}
+    assert set(row["cpu_seconds"]) == {
+        "one_view",
+        "all_views",
+        "transfer",
+        "shared",
+        "all",
+    }
 
 
 def test_attacks_that_were_too_weak_are_told(out: Path) -> None:
@@ -119,7 +161,12 @@ def test_attacks_that_were_too_weak_are_told(out: Path) -> None:
     assert warnings(columns) == []
     weak = {"rate": 1.0, "successes": 40, "total": 40, "interval": [0.9, 1.0]}
     columns["one_view"] |= {"robust": weak, "noise": weak}
-    columns["transfer"]["robust"] = {"rate": 0.5, "successes": 20, "total": 40, "interval": [0.35, 0.65]}
+    columns["transfer"]["robust"] = {
+        "rate": 0.5,
+        "successes": 20,
+        "total": 40,
+        "interval": [0.35, 0.65],
+    }
     hidden, noise = warnings(columns)
     assert "gradients may be hidden" in hidden
     assert "one view" in noise
@@ -132,8 +179,16 @@ def test_surrogates_are_others(out: Path) -> None:
     assert len(record["attacks"]) == 12 + 1 + 6
     looks = rows.filter(rows["attack"].str.starts_with("transfer"))
     assert len(looks) == 6 * 3
-    made = {row["original_score"] for row in looks.iter_rows(named=True) if row["splat"] == "attacked"}
-    assert made != {row["original_score"] for row in rows.iter_rows(named=True) if row["splat"] == "clean"}
+    made = {
+        row["original_score"]
+        for row in looks.iter_rows(named=True)
+        if row["splat"] == "attacked"
+    }
+    assert made != {
+        row["original_score"]
+        for row in rows.iter_rows(named=True)
+        if row["splat"] == "clean"
+    }
 
 
 def test_a_column_without_its_surrogates_is_not_filled(suite: Path) -> None:
@@ -142,24 +197,43 @@ def test_a_column_without_its_surrogates_is_not_filled(suite: Path) -> None:
     assert {entry.column for entry in work.attempts} == {"one_view", "all_views"}
     assert "nobody" in work.missing["transfer"]
     assert work.missing["cloak"] == "not in the suite"
-    assert BenchWork(asked, "fake_colour", columns=["one_view"]).missing["all_views"] == "not done"
+    assert (
+        BenchWork(asked, "fake_colour", columns=["one_view"]).missing["all_views"]
+        == "not done"
+    )
 
 
-def test_weights_of_a_file_are_asked(suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weights_of_a_file_are_asked(
+    suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = tmp_path / "mine.safetensors"
     file.write_bytes(SMALL_WEIGHTS.read_bytes())
     monkeypatch.setenv(CHOSEN_WEIGHTS, "{}")
-    work = BenchWork(read_suite(str(suite)), "fasterrcnn_small", weights=file, columns=["one_view"])
+    work = BenchWork(
+        read_suite(str(suite)), "fasterrcnn_small", weights=file, columns=["one_view"]
+    )
     first = work.attempts[0]
     assert file in first.made[first.title].inputs.values()
     assert work.detector.name == "fasterrcnn_small"
-    code = "from attacks.detectors.registry import detector_spec; print(detector_spec('fasterrcnn_small').weights())"
-    worker = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    code = (
+        "from attacks.detectors.registry import detector_spec;"
+        " print(detector_spec('fasterrcnn_small').weights())"
+    )
+    worker = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+    )
     assert worker.stdout.strip() == str(file), "processes that do jobs know the file"
 
 
 def test_a_row_is_counted_again_without_attacks(
-    out: Path, suite: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    out: Path,
+    suite: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(engines, "run_job", None)
     assert cli.main(["artifact-check", str(out)]) == 0
@@ -167,7 +241,10 @@ def test_a_row_is_counted_again_without_attacks(
 
 
 def test_a_defence_is_judged_on_the_same_views(suite: Path, out: Path) -> None:
-    assert bench(suite, "defended", "--defence", "SH of degree 0", "--columns", "one_view") == 0
+    assert (
+        bench(suite, "defended", "--defence", "SH of degree 0", "--columns", "one_view")
+        == 0
+    )
     row = read(suite.parent / "defended" / "row.json")
     one = row["columns"]["one_view"]
     assert one["robust"] == read(out / "row.json")["columns"]["one_view"]["robust"]
@@ -185,7 +262,9 @@ def test_a_defence_is_judged_on_the_same_views(suite: Path, out: Path) -> None:
         (("fake_colour", "--defence", "SH of degree 9"), "SH of degree"),
     ],
 )
-def test_what_is_not_there_is_said(words: tuple[str, ...], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_not_there_is_said(
+    words: tuple[str, ...], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert cli.main(["bench", *words]) == cli.FAILED
     assert text in capsys.readouterr().err
 
@@ -198,13 +277,24 @@ def test_the_rows_of_the_repository_are_whole(monkeypatch: pytest.MonkeyPatch) -
         result = read_result(folder)
         checks = check_result(result, figures, kind_of(result).given)
         assert [check.name for check in checks if check.passed is False] == []
-        row = json.loads(json.dumps(row_of({**result.record, **figures(result.record, result.tables)})))
+        row = json.loads(
+            json.dumps(
+                row_of({**result.record, **figures(result.record, result.tables)})
+            )
+        )
         assert row == read(folder / "row.json")
-        assert (row["suite"]["name"], row["suite"]["digest"]) == ("v1", read_suite("v1").digest)
+        assert (row["suite"]["name"], row["suite"]["digest"]) == (
+            "v1",
+            read_suite("v1").digest,
+        )
 
 
-def test_rows_of_other_weights_and_defences_do_not_take_the_folder_of_the_plain_one() -> None:
-    asked: list[dict[str, Any]] = [{}, {"weights": Path("a/mine.pth")}, {"defence": "JPEG 60"}]
+def test_rows_of_other_weights_and_defences_have_folders_of_their_own() -> None:
+    asked: list[dict[str, Any]] = [
+        {},
+        {"weights": Path("a/mine.pth")},
+        {"defence": "JPEG 60"},
+    ]
     folders = [usual_folder(BenchOptions(detector="fake", **more)) for more in asked]
     names = ["v1/fake", "v1/fake_mine", "v1/fake_JPEG_60"]
     assert folders == [Path("out/bench") / name for name in names]

@@ -1,7 +1,8 @@
 """Read damaged files by hand.
 
-`python -m tests.campaign` reads `MI_SPLAT_MUTANTS` mutants of every kind, `python -m tests.campaign KIND` of one, and
-`python -m tests.campaign KIND NUMBER` reads one in this process and shows its traceback; `MI_SPLAT_SEED` repeats.
+`python -m tests.campaign` reads `MI_SPLAT_MUTANTS` mutants of every kind,
+`python -m tests.campaign KIND` of one, and `python -m tests.campaign KIND NUMBER` reads
+one in this process and shows its traceback; `MI_SPLAT_SEED` repeats.
 """
 
 import os
@@ -40,7 +41,10 @@ def campaign(names: list[str]) -> int:
         start = time.monotonic()
         account = driver.run(KINDS[name], seed=seed, count=mutants())
         faults += len(account.faults)
-        print(f"{name}: {account.read} mutants, {time.monotonic() - start:.1f} s", flush=True)  # noqa: T201
+        print(  # noqa: T201
+            f"{name}: {account.read} mutants, {time.monotonic() - start:.1f} s",
+            flush=True,
+        )
         if account.faults:
             print(account.in_words(seed), flush=True)  # noqa: T201
     driver.close()

@@ -1,4 +1,6 @@
-"""Readers that do to a damaged file what none may do; the campaign has to notice each."""
+"""Readers that do to a damaged file what none may do; the campaign has to notice
+each.
+"""
 
 import os
 import subprocess
@@ -71,7 +73,10 @@ _READERS: dict[str, tuple[Callable[[Path], None], str]] = {
     "unprintable": (_say_unprintable, "cannot be printed"),
     "left": (_leave_file, "files that were left"),
     "neighbour": (_change_neighbour, "beside has changed"),
-    "elsewhere": (_write_elsewhere, "outside of its folder: open /tmp/mi-splat-campaign"),
+    "elsewhere": (
+        _write_elsewhere,
+        "outside of its folder: open /tmp/mi-splat-campaign",
+    ),
     "start": (_start, "outside of its folder: subprocess.Popen"),
 }
 

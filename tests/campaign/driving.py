@@ -1,4 +1,6 @@
-"""Drives the process that reads damaged files, and starts another one when a mutant has ended it."""
+"""Drives the process that reads damaged files, and starts another one when a mutant has
+ended it.
+"""
 
 import json
 import os
@@ -29,7 +31,9 @@ class Account:
     def in_words(self, seed: int) -> str:
         """Each fault, and the command that repeats it."""
         repeat = f"MI_SPLAT_SEED={seed} python -m tests.campaign {self.kind!r}"
-        return "\n".join(f"{repeat} {number}: {text}" for number, text in self.faults.items())
+        return "\n".join(
+            f"{repeat} {number}: {text}" for number, text in self.faults.items()
+        )
 
 
 class Driver:
@@ -55,7 +59,9 @@ class Driver:
                 break  # it ended over the valid file
         return account
 
-    def _answers(self, kind: Kind, seed: int, numbers: tuple[int, int]) -> Iterator[dict[str, Any]]:
+    def _answers(
+        self, kind: Kind, seed: int, numbers: tuple[int, int]
+    ) -> Iterator[dict[str, Any]]:
         group = self._started()
         request = {"kind": kind.name, "seed": seed, "numbers": numbers}
         group.pipe.send_bytes(json.dumps(request).encode())
@@ -67,7 +73,9 @@ class Driver:
     def _started(self) -> ProcessGroup:
         if self._group is None:
             environment = {"PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
-            self._group = ProcessGroup("tests.campaign.reading", environment=environment)
+            self._group = ProcessGroup(
+                "tests.campaign.reading", environment=environment
+            )
             _received(self._group, START)
         return self._group
 
@@ -106,5 +114,7 @@ def seed_of_today() -> int:
 
 
 def mutants() -> int:
-    """How many mutants of each kind are read; `MI_SPLAT_MUTANTS` may say another number."""
+    """How many mutants of each kind are read; `MI_SPLAT_MUTANTS` may say another
+    number.
+    """
     return int(os.environ.get("MI_SPLAT_MUTANTS") or 100)

@@ -1,4 +1,6 @@
-"""Long commands on tiny inputs, killed at a moment that is drawn, and what they may leave behind."""
+"""Long commands on tiny inputs, killed at a moment that is drawn, and what they may
+leave behind.
+"""
 
 import contextlib
 import json
@@ -75,14 +77,18 @@ class Command:
 
     Attributes:
         words: Its words; those that begin with @ are names of inputs.
-        goes_on: Whether it goes on with what a killed run has left, and so needs no --force.
+        goes_on: Whether it goes on with what a killed run has left, and so needs no
+            --force.
     """
 
     words: tuple[str, ...]
     goes_on: bool = False
 
     def line(self, inputs: Path) -> list[str]:
-        return [str(inputs / word[1:]) if word.startswith("@") else word for word in self.words]
+        return [
+            str(inputs / word[1:]) if word.startswith("@") else word
+            for word in self.words
+        ]
 
 
 def _command(text: str, *, goes_on: bool = False) -> Command:
@@ -96,17 +102,33 @@ COMMANDS: dict[str, Command] = {
     "convert": _command("convert @a.ply converted.spz"),
     "select": _command("select @a.ply --cluster 1 --out picked.png mask.npy"),
     "capture": _command(
-        f"capture {_STILL_LIFE} --cameras cap:3@40 --size 16 --samples 2 --points 200 --out captured", goes_on=True
+        f"capture {_STILL_LIFE} --cameras cap:3@40 --size 16 --samples 2 --points 200"
+        " --out captured",
+        goes_on=True,
     ),
-    "train": _command("train @set --out trained --iterations 60 --sh-degree 1", goes_on=True),
+    "train": _command(
+        "train @set --out trained --iterations 60 --sh-degree 1", goes_on=True
+    ),
     "poison": _command("poison @set --kind uniform-noise --eps 16 --out poisoned"),
-    "dagger": _command("dagger @toy.xml --object car --target person --steps 2 --noise-draws 1 --out attacked"),
-    "evaluate": _command(f"evaluate @a.ply @b.ply --cameras orbit:2@0 {_TOY_VIEW} --target person --out judged"),
-    "compare": _command("compare @toy.xml --methods tile,ray --cameras all --out compared"),
+    "dagger": _command(
+        "dagger @toy.xml --object car --target person --steps 2 --noise-draws 1 --out"
+        " attacked"
+    ),
+    "evaluate": _command(
+        f"evaluate @a.ply @b.ply --cameras orbit:2@0 {_TOY_VIEW} --target person --out"
+        " judged"
+    ),
+    "compare": _command(
+        "compare @toy.xml --methods tile,ray --cameras all --out compared"
+    ),
     "audit": _command("audit @a.ply --out audited"),
     "gate": _command("gate @a.ply @b.ply --store verdicts", goes_on=True),
-    "study": _command("study run @compare.toml --store store --out study --workers 1", goes_on=True),
-    "study in this process": _command("study run @compare.toml --store store --out study --workers 0", goes_on=True),
+    "study": _command(
+        "study run @compare.toml --store store --out study --workers 1", goes_on=True
+    ),
+    "study in this process": _command(
+        "study run @compare.toml --store store --out study --workers 0", goes_on=True
+    ),
     "cloak": _command("cloak @cloak.toml --out cloaked --workers 0", goes_on=True),
 }
 """The long commands by their names."""
@@ -114,7 +136,9 @@ SHORT = ("convert", "capture")
 """Those that an everyday test can wait for."""
 
 
-def trial(name: str, inputs: Path, folder: Path, random: Random, longest: float, warm: Warm) -> list[str]:
+def trial(
+    name: str, inputs: Path, folder: Path, random: Random, longest: float, warm: Warm
+) -> list[str]:
     """Kill a command, look at what it left, and run it again; what was wrong, in words.
 
     Args:
@@ -141,7 +165,9 @@ def trial(name: str, inputs: Path, folder: Path, random: Random, longest: float,
 
 
 def _endings(number: signal.Signals, status: int, said: str) -> list[str]:
-    """What is wrong with how a killed command ended; by SIGTERM, it ends itself once it can."""
+    """What is wrong with how a killed command ended; by SIGTERM, it ends itself once it
+    can.
+    """
     faults = []
     allowed = (0, -number) if number == signal.SIGKILL else (0, -number, TERMINATED)
     if status not in allowed:
@@ -151,8 +177,12 @@ def _endings(number: signal.Signals, status: int, said: str) -> list[str]:
     return faults
 
 
-def _again(command: Command, line: Sequence[str], folder: Path, warm: Warm) -> list[str]:
-    """What is wrong with a second run, and then one with --force where it says that there is something already."""
+def _again(
+    command: Command, line: Sequence[str], folder: Path, warm: Warm
+) -> list[str]:
+    """What is wrong with a second run, and then one with --force where it says that
+    there is something already.
+    """
     done = warm.run(*line, cwd=folder)
     if done.returncode and not command.goes_on and "--force" in done.stderr:
         done = warm.run(*line, "--force", cwd=folder)
@@ -182,7 +212,9 @@ def _marked(mark: str) -> dict[int, str]:
             variables = (entry / "environ").read_bytes().split(b"\0")
             if os.fsencode(mark) in variables:
                 words = (entry / "cmdline").read_bytes().split(b"\0")
-                found[int(entry.name)] = b" ".join(words).decode("utf-8", "replace")[:200]
+                found[int(entry.name)] = b" ".join(words).decode("utf-8", "replace")[
+                    :200
+                ]
     return found
 
 
@@ -206,7 +238,9 @@ _WHOLE: dict[str, Callable[[Path], object]] = {
 
 
 def half_written(folder: Path) -> list[str]:
-    """Files that lie under their final names and are not whole, and results that are not what they list."""
+    """Files that lie under their final names and are not whole, and results that are
+    not what they list.
+    """
     faults = []
     for path in sorted(folder.rglob("*")):
         parts = path.relative_to(folder).parts
@@ -216,8 +250,13 @@ def half_written(folder: Path) -> list[str]:
             continue
         faults += _broken(path)
         if path.name == MANIFEST:
-            wrong = [check for check in check_files(path.parent) if check.passed is False]
-            faults += [f"{path.parent.name} is not what it lists: {check.name} {check.words}" for check in wrong]
+            wrong = [
+                check for check in check_files(path.parent) if check.passed is False
+            ]
+            faults += [
+                f"{path.parent.name} is not what it lists: {check.name} {check.words}"
+                for check in wrong
+            ]
     return faults
 
 

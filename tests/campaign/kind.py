@@ -25,9 +25,11 @@ class Kind:
 
     Attributes:
         name: What it is called; the words after the first say which form.
-        make: Writes a valid file, with all that belongs to it, into a folder, and returns the one to damage.
+        make: Writes a valid file, with all that belongs to it, into a folder, and
+            returns the one to damage.
         read: Reads it as the commands do.
-        readers: `module:function` of each public reader, and modules of readers in commands, that take part.
+        readers: `module:function` of each public reader, and modules of readers in
+            commands, that take part.
         document: Where it has JSON; None if it has none.
         packing: How its contents are packed; None if they are not.
         starts: Whether its reader starts a process.

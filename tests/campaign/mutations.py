@@ -35,7 +35,9 @@ class Document:
 
 @dataclass(frozen=True, slots=True)
 class Packing:
-    """How what a file holds is packed; damage to what is unpacked passes every checksum."""
+    """How what a file holds is packed; damage to what is unpacked passes every
+    checksum.
+    """
 
     unpack: Callable[[bytes], bytes]
     pack: Callable[[bytes], bytes]
@@ -87,7 +89,9 @@ def _notes(data: bytes) -> Any:
 
 
 def _with_notes(data: bytes, text: str) -> bytes:
-    return _with_header(data, json.dumps({**_header(data), "__metadata__": {"notes": text}}))
+    return _with_header(
+        data, json.dumps({**_header(data), "__metadata__": {"notes": text}})
+    )
 
 
 SAFETENSORS = Document(_header, _with_header)
@@ -126,22 +130,37 @@ def zipped(contents: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> byte
 
 RAW = "@raw@"
 """Stands before what is to be in the JSON as it is."""
-_PLAIN = '[null,true,0,-1,1,3,0.5,1e300,-1e300,2147483648,4611686018427387904,"","x","\\u0000"'
-_PLAIN += ',"../../x","/etc/passwd","1","\\u001b[2J\\r\\n","a/b",".",[],{},[[]],[0],{"a":1}]'
+_PLAIN = "[null,true,0,-1,1,3,0.5,1e300,-1e300,2147483648,4611686018427387904"
+_PLAIN += ',"","x","\\u0000"'
+_PLAIN += (
+    ',"../../x","/etc/passwd","1","\\u001b[2J\\r\\n","a/b",".",[],{},[[]],[0],{"a":1}]'
+)
 VALUES: tuple[Any, ...] = (
     *json.loads(_PLAIN),
     *(f"{RAW}NaN", f"{RAW}-Infinity", f"{RAW}1e999", f"{RAW}{'9' * 10_000}"),
     *("[" * 5000, "[0, 0]"),
     *(f'{RAW}"\\ud800"', f'{RAW}"{"long" * 5000}"', f'{RAW}{{"a":1,"a":2}}'),
-    *(f"{RAW}{1 << 64}", f"{RAW}{'[' * 70}{']' * 70}", f"{RAW}{'[' * 5000}{']' * 5000}"),
+    *(
+        f"{RAW}{1 << 64}",
+        f"{RAW}{'[' * 70}{']' * 70}",
+        f"{RAW}{'[' * 5000}{']' * 5000}",
+    ),
 )
-WORDS = b'NaN inf -1 0 1e999 -1e300 1e-320 99999999999999999999 [] {} "" \xff true ../../x'.split()
+WORDS = (
+    b'NaN inf -1 0 1e999 -1e300 1e-320 99999999999999999999 [] {} "" \xff true ../../x'
+).split()
 WORDS += [b"\x1b[2J", b"\0", b"(" * 3000, b"w" * 5000]
 _EVERYWHERE = (0, 0, 1, -1, 1e-300, 1e300, 1.7e308)
 _WORD = re.compile(rb'-?\d[\d.eE+-]*|"[^"\n]*"|[A-Za-z_]+')
 _RAW = re.compile(rf'"{RAW}((?:[^"\\]|\\.)*)"')
 _NUMBERS: tuple[tuple[str, float], ...] = (
-    *(("<I", 0), ("<I", 0xFFFFFFFF), ("<I", 1 << 30), ("<Q", 1 << 40), ("<Q", (1 << 64) - 1)),
+    *(
+        ("<I", 0),
+        ("<I", 0xFFFFFFFF),
+        ("<I", 1 << 30),
+        ("<Q", 1 << 40),
+        ("<Q", (1 << 64) - 1),
+    ),
     *(("<f", float("nan")), ("<f", float("-inf")), ("<f", 3e38), ("<d", float("nan"))),
 )
 
@@ -204,7 +223,9 @@ def _changed(values: Any, random: Random) -> Any:
 
 
 def _with_one_number(values: Any, number: float) -> Any:
-    """The values with one number in the place of all: a matrix of zeros, for instance."""
+    """The values with one number in the place of all: a matrix of zeros, for
+    instance.
+    """
     if isinstance(values, dict):
         return {key: _with_one_number(value, number) for key, value in values.items()}
     if isinstance(values, list):
@@ -242,14 +263,20 @@ def _cut(data: bytes, random: Random) -> bytes:
 
 
 def _appended(data: bytes, random: Random) -> bytes:
-    more = random.choice((b"\0", b"\n", b"\xff" * 64, data[-64:], data, b"\0" * 100_000))
+    more = random.choice(
+        (b"\0", b"\n", b"\xff" * 64, data[-64:], data, b"\0" * 100_000)
+    )
     return data + more
 
 
 def _spliced(data: bytes, random: Random) -> bytes:
     start, other = random.randrange(len(data)), random.randrange(len(data))
     length = random.randrange(1, 64)
-    return data[:start] + data[other : other + length] + data[start + random.choice((0, length)) :]
+    return (
+        data[:start]
+        + data[other : other + length]
+        + data[start + random.choice((0, length)) :]
+    )
 
 
 def _swapped(data: bytes, random: Random) -> bytes:
@@ -291,7 +318,16 @@ _CHANGES: tuple[Change, ...] = (
 
 
 _BOMB = b"\0" * 50_000_000
-_NAMES = ("../../x", "/tmp/x", "a/../../x", ".", "x" * 5000, "\x1b[2J", "C:\\x", "folder/")
+_NAMES = (
+    "../../x",
+    "/tmp/x",
+    "a/../../x",
+    ".",
+    "x" * 5000,
+    "\x1b[2J",
+    "C:\\x",
+    "folder/",
+)
 
 
 def _repacked(data: bytes, random: Random) -> bytes:
@@ -309,7 +345,12 @@ def _repacked(data: bytes, random: Random) -> bytes:
         case 2:
             return zipped({**contents, name: _BOMB}, zipfile.ZIP_DEFLATED)
         case 3:
-            return zipped(contents, random.choice((zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)))
+            return zipped(
+                contents,
+                random.choice(
+                    (zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
+                ),
+            )
         case 4:
             encrypted = bytearray(zipped(contents))
             for mark, offset in ((b"PK\3\4", 6), (b"PK\1\2", 8)):
@@ -321,7 +362,9 @@ def _repacked(data: bytes, random: Random) -> bytes:
 
 
 def _retarred(data: bytes, random: Random) -> bytes:
-    """A packed TAR whose first member leads elsewhere, is a link, or says that it is huge."""
+    """A packed TAR whose first member leads elsewhere, is a link, or says that it is
+    huge.
+    """
     buffer = io.BytesIO()
     try:
         with (
@@ -332,7 +375,14 @@ def _retarred(data: bytes, random: Random) -> bytes:
                 content = archive.extractfile(member)
                 if number == 0:
                     member.name = random.choice((member.name, *_NAMES[:3]))
-                    member.type = random.choice((tarfile.REGTYPE, tarfile.SYMTYPE, tarfile.DIRTYPE, tarfile.FIFOTYPE))
+                    member.type = random.choice(
+                        (
+                            tarfile.REGTYPE,
+                            tarfile.SYMTYPE,
+                            tarfile.DIRTYPE,
+                            tarfile.FIFOTYPE,
+                        )
+                    )
                     member.linkname = "../../x"
                 changed.addfile(member, content)
     except (tarfile.TarError, EOFError, OSError):

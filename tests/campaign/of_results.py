@@ -46,9 +46,13 @@ from tests.report.results import MAKERS
 
 
 def _rows(name: str, folder: Path) -> Path:
-    more = {f"depth: {number}": 1.0 for number in range(190 if name.startswith("wide") else 0)}
+    more = {
+        f"depth: {number}": 1.0
+        for number in range(190 if name.startswith("wide") else 0)
+    }
     values: Iterator[dict[str, str | float]] = (
-        {"view": view, "splat": "clean", "iou": 0.5 / (view + 1), **more} for view in range(20)
+        {"view": view, "splat": "clean", "iou": 0.5 / (view + 1), **more}
+        for view in range(20)
     )
     data = rows_bytes(frame_of(values))
     (folder / name).write_bytes(packed(data) if name.endswith(".xz") else data)
@@ -60,7 +64,9 @@ def _result(name: str, folder: Path) -> Path:
 
 
 def _read_result(path: Path) -> None:
-    """As `report` and `view` read a result; what cannot be viewed is refused in words."""
+    """As `report` and `view` read a result; what cannot be viewed is refused in
+    words.
+    """
     read_section(path.parent)
     recorded_up(path.parent)
     with contextlib.suppress(MiSplatError):
@@ -84,7 +90,15 @@ def _check(path: Path) -> None:
     check_result(result, kind_of(result).figures)
 
 
-_CAPTURE = {"version": "1", "scene": "a", "cameras": "b", "train": 3, "test": 1, "samples": 16, "seed": 0}
+_CAPTURE = {
+    "version": "1",
+    "scene": "a",
+    "cameras": "b",
+    "train": 3,
+    "test": 1,
+    "samples": 16,
+    "seed": 0,
+}
 _CAPTURE |= {"alpha": True, "points": 0, "near": None, "pictures": 1, "mitsuba": "3"}
 _CAPTURE |= {"inputs": {"scene": {"object": "car"}, "cameras": {"count": 3}}}
 
@@ -116,7 +130,12 @@ def _forget(path: Path) -> None:
         store.remove(key)
 
 
-_HOLDER = {"host": "elsewhere", "process": 7, "command": "mi-splat train", "since": "2026-01-01 00:00:00"}
+_HOLDER = {
+    "host": "elsewhere",
+    "process": 7,
+    "command": "mi-splat train",
+    "since": "2026-01-01 00:00:00",
+}
 
 
 def _lock(folder: Path) -> Path:
@@ -157,12 +176,27 @@ def results() -> Iterator[Kind]:
             ),
             document=PLAIN_JSON,
         )
-    checks = ("attacks.report.checking:read_result", "mi_splat.io.folders:read_manifest")
+    checks = (
+        "attacks.report.checking:read_result",
+        "mi_splat.io.folders:read_manifest",
+    )
     for name in ("result.json", "manifest.json"):
         make = partial(_small_result, name)
-        yield Kind(name=f"checked {name}", make=make, read=_check, readers=checks, document=PLAIN_JSON)
+        yield Kind(
+            name=f"checked {name}",
+            make=make,
+            read=_check,
+            readers=checks,
+            document=PLAIN_JSON,
+        )
     tables = (*checks, "attacks.report.checking:read_tables")
-    yield Kind(name="checked table", make=partial(_artifact, "*.csv*"), read=_check, readers=tables, packing=XZ)
+    yield Kind(
+        name="checked table",
+        make=partial(_artifact, "*.csv*"),
+        read=_check,
+        readers=tables,
+        packing=XZ,
+    )
     yield Kind(
         name="record of a capture",
         make=written("capture.json", lambda: _CAPTURE),
@@ -170,12 +204,36 @@ def results() -> Iterator[Kind]:
         readers=("mi_splat.capture.writer",),
         document=PLAIN_JSON,
     )
-    yield Kind(name="job.json", make=_job, read=_read_job, readers=("mi_splat.ledger.store",), document=PLAIN_JSON)
-    yield Kind(name="plan", make=_plan, read=_forget, readers=("mi_splat.ledger.plans",), document=PLAIN_JSON)
-    yield Kind(name="lock", make=_lock, read=_take, readers=("mi_splat.io.folders",), document=PLAIN_JSON)
+    yield Kind(
+        name="job.json",
+        make=_job,
+        read=_read_job,
+        readers=("mi_splat.ledger.store",),
+        document=PLAIN_JSON,
+    )
+    yield Kind(
+        name="plan",
+        make=_plan,
+        read=_forget,
+        readers=("mi_splat.ledger.plans",),
+        document=PLAIN_JSON,
+    )
+    yield Kind(
+        name="lock",
+        make=_lock,
+        read=_take,
+        readers=("mi_splat.io.folders",),
+        document=PLAIN_JSON,
+    )
     rows_of = ("attacks.observe.rows:rows",)
     table = partial(_small_result, "rows.csv.xz")
-    yield Kind(name="rows of a result", make=table, read=lambda p: rows(p.parent), readers=rows_of, packing=XZ)
+    yield Kind(
+        name="rows of a result",
+        make=table,
+        read=lambda p: rows(p.parent),
+        readers=rows_of,
+        packing=XZ,
+    )
 
 
 def _claim(path: Path) -> None:
@@ -192,7 +250,8 @@ def _claim(path: Path) -> None:
 
 
 _POLICY = (
-    b'seconds = 5\nmegabytes = 900\nclaims = ["readable", "numbers"]\n[rules]\nerror = "refuse"\noccluder = "accept"\n'
+    b'seconds = 5\nmegabytes = 900\nclaims = ["readable", "numbers"]\n[rules]\nerror ='
+    b' "refuse"\noccluder = "accept"\n'
 )
 _LINES = b'"a.ply"\n{"file": "b.ply", "against": "a.ply"}\n"\\u00e9.spz"\nnot JSON\n'
 
@@ -243,7 +302,12 @@ def _read_plan(path: Path) -> None:
 
 
 STUDIES = (
-    *("cloak_demo", "studies/cloak_elsewhere", "studies/attack_zoo", "studies/eot_smallest"),
+    *(
+        "cloak_demo",
+        "studies/cloak_elsewhere",
+        "studies/attack_zoo",
+        "studies/eot_smallest",
+    ),
     *("studies/renderers_trained", "studies/poison_demo"),
 )
 """Of every kind of study one that needs no detector of others."""
@@ -253,13 +317,30 @@ def documents() -> Iterator[Kind]:
     study = ("attacks.studies.study_file:read_study",)
     for name in STUDIES:
         make = copied(f"scenes/{name}.toml")
-        yield Kind(name=f"study {Path(name).name}.toml", make=make, read=_read_plan, readers=study)
+        yield Kind(
+            name=f"study {Path(name).name}.toml",
+            make=make,
+            read=_read_plan,
+            readers=study,
+        )
     suite = ("attacks.bench.suite:read_suite",)
-    yield Kind(name="suite", make=partial(_suite, "suite.toml"), read=_read_suite, readers=suite)
+    yield Kind(
+        name="suite",
+        make=partial(_suite, "suite.toml"),
+        read=_read_suite,
+        readers=suite,
+    )
     policy = written("policy.toml", lambda: _POLICY)
-    yield Kind(name="policy", make=policy, read=_read_policy, readers=("attacks.cli.gate",))
+    yield Kind(
+        name="policy", make=policy, read=_read_policy, readers=("attacks.cli.gate",)
+    )
     lines = written("lines", lambda: _LINES)
-    yield Kind(name="lines of the gate", make=lines, read=_read_lines, readers=("attacks.cli.gate",))
+    yield Kind(
+        name="lines of the gate",
+        make=lines,
+        read=_read_lines,
+        readers=("attacks.cli.gate",),
+    )
 
 
 # What `conform` reads
@@ -285,7 +366,9 @@ _EXACT = {"means": np.ones((4, 3)), "opacities": np.ones(4)}
 
 
 def _npz(folder: Path) -> Path:
-    np.savez_compressed(folder / "g.npz", means=_EXACT["means"], opacities=_EXACT["opacities"])
+    np.savez_compressed(
+        folder / "g.npz", means=_EXACT["means"], opacities=_EXACT["opacities"]
+    )
     return folder / "g.npz"
 
 
@@ -296,7 +379,12 @@ def _png(folder: Path) -> Path:
 def conform_inputs() -> Iterator[Kind]:
     floats = ("mi_splat.rendering:load_floats", "mi_splat.cli.conform")
     yield Kind(name="conform EXR", make=_exr, read=_read_images, readers=floats)
-    yield Kind(name="conform PNG", make=_png, read=_read_images, readers=("mi_splat.cli.conform",))
+    yield Kind(
+        name="conform PNG",
+        make=_png,
+        read=_read_images,
+        readers=("mi_splat.cli.conform",),
+    )
     yield Kind(
         name="conform NPZ",
         make=_npz,

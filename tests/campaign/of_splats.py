@@ -27,7 +27,18 @@ from tests.campaign.mutations import (
 )
 from tests.capture.trucks import truck, write_glb
 from tests.io.format_files import tame_scene, valid
-from tests.io.ply_files import BODY, FACE, HEAD, LINE, LISTS, ROWS, TEXT_HEAD, encoded, listed, with_elements
+from tests.io.ply_files import (
+    BODY,
+    FACE,
+    HEAD,
+    LINE,
+    LISTS,
+    ROWS,
+    TEXT_HEAD,
+    encoded,
+    listed,
+    with_elements,
+)
 from tests.io.test_picture_files import many_scans
 
 # Splats
@@ -40,13 +51,26 @@ PLY = {
     "lists.ply": listed("binary_little_endian", ROWS[:5], LISTS[:5]),
     "lists_in_text.ply": listed("ascii", ROWS[:5], LISTS[:5]),
 }
-_SPLAT_READERS = ("mi_splat.io.splat_files:load_splat", "mi_splat.io.splat_files:load_stored")
+_SPLAT_READERS = (
+    "mi_splat.io.splat_files:load_splat",
+    "mi_splat.io.splat_files:load_stored",
+)
 _FORMAT_READERS: dict[str, tuple[str, ...]] = {
     ".compressed.ply": ("mi_splat.io.formats.compressed_ply:read_compressed_ply",),
     ".ply": ("mi_splat.io.ply:read_ply", "mi_splat.io.ply:read_header"),
-    ".glb": ("mi_splat.io.formats.gltf:read_glb", "mi_splat.io.formats.gltf:open_glb", "mi_splat.io.parsing:parse"),
-    ".sog": ("mi_splat.io.formats.sog:read_sog", "mi_splat.io.formats.sog:read_picture"),
-    ".splat": ("mi_splat.io.formats.splat32:read_splat", "mi_splat.io.loaded:read_whole"),
+    ".glb": (
+        "mi_splat.io.formats.gltf:read_glb",
+        "mi_splat.io.formats.gltf:open_glb",
+        "mi_splat.io.parsing:parse",
+    ),
+    ".sog": (
+        "mi_splat.io.formats.sog:read_sog",
+        "mi_splat.io.formats.sog:read_picture",
+    ),
+    ".splat": (
+        "mi_splat.io.formats.splat32:read_splat",
+        "mi_splat.io.loaded:read_whole",
+    ),
     ".spz": ("mi_splat.io.formats.spz:read_spz", "mi_splat.io.loaded:read_whole"),
     **dict.fromkeys((".usdc", ".usda", ".usdz"), ("mi_splat.io.formats.usd:read_usd",)),
 }
@@ -72,7 +96,16 @@ def _read_splat(path: Path) -> None:
 
 
 def splats() -> Iterator[Kind]:
-    names = [*PLY, "a.compressed.ply", "a.glb", "a.sog", "a.splat", "v2.spz", "v3.spz", "v4.spz"]
+    names = [
+        *PLY,
+        "a.compressed.ply",
+        "a.glb",
+        "a.sog",
+        "a.splat",
+        "v2.spz",
+        "v3.spz",
+        "v4.spz",
+    ]
     names += ["a.usdc", "a.usda", "a.usdz"]
     for name in names:
         suffix = max((end for end in SUFFIXES if name.endswith(end)), key=len)
@@ -82,14 +115,20 @@ def splats() -> Iterator[Kind]:
             make=written(name, partial(_splat_bytes, name)),
             # A process of its own reads OpenUSD, so that one reading is enough.
             read=load_splat if is_usd else _read_splat,
-            readers=(*_SPLAT_READERS, *_FORMAT_READERS[suffix], *(() if is_usd else _LINT)),
+            readers=(
+                *_SPLAT_READERS,
+                *_FORMAT_READERS[suffix],
+                *(() if is_usd else _LINT),
+            ),
             document=_DOCUMENTS.get(suffix),
             packing=_PACKED.get(name),
             starts=is_usd,
         )
     yield Kind(
         name="splat in a .zip",
-        make=written("a.zip", lambda: zipped({"notes.txt": b"hi", "folder/a.ply": PLY["a.ply"]})),
+        make=written(
+            "a.zip", lambda: zipped({"notes.txt": b"hi", "folder/a.ply": PLY["a.ply"]})
+        ),
         read=load_splat,
         readers=(*_SPLAT_READERS, "mi_splat.io.archives"),
     )
@@ -98,7 +137,10 @@ def splats() -> Iterator[Kind]:
 # Scenes
 
 
-_SCENE = [f"scenes/stop_sign{part}" for part in (".xml", ".json", "_roadside.ply", "_stop_sign.ply")]
+_SCENE = [
+    f"scenes/stop_sign{part}"
+    for part in (".xml", ".json", "_roadside.ply", "_stop_sign.ply")
+]
 _MESHES = """<scene version="3.0.0">
   <sensor type="perspective"><film type="hdrfilm">
     <integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
@@ -107,8 +149,9 @@ _MESHES = """<scene version="3.0.0">
   <shape type="serialized"><string name="filename" value="mesh.serialized"/></shape>
 </scene>"""
 _TRIANGLE = (
-    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
-    b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float"
+    b" y\nproperty float z\nelement face 1\nproperty list uchar int"
+    b" vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
 )
 _OBJ = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
@@ -130,7 +173,11 @@ def _serialized() -> bytes:
 def _mesh_scene(damaged: str) -> Make:
     def make(folder: Path) -> Path:
         (folder / "scene.xml").write_text(_MESHES)
-        contents = {"mesh.ply": _TRIANGLE, "mesh.obj": _OBJ, "mesh.serialized": _serialized()}
+        contents = {
+            "mesh.ply": _TRIANGLE,
+            "mesh.obj": _OBJ,
+            "mesh.serialized": _serialized(),
+        }
         for name, data in contents.items():
             (folder / name).write_bytes(data)
         return folder / damaged
@@ -146,7 +193,11 @@ def _read_meshes(path: Path) -> None:
 
 
 def scenes() -> Iterator[Kind]:
-    readers = ("mi_splat.scene_files:open_scene", "mi_splat.scene_files:load_mitsuba_scene", "mi_splat.io.scene_parts")
+    readers = (
+        "mi_splat.scene_files:open_scene",
+        "mi_splat.scene_files:load_mitsuba_scene",
+        "mi_splat.io.scene_parts",
+    )
     yield Kind(name="scene XML", make=copied(*_SCENE), read=open_scene, readers=readers)
     yield Kind(
         name="scene splat",
@@ -156,7 +207,12 @@ def scenes() -> Iterator[Kind]:
     )
     meshes = ("mi_splat.capture.path_tracer:load_scene", "mi_splat.io.mesh_sizes")
     for name in ("scene.xml", "mesh.ply", "mesh.obj", "mesh.serialized"):
-        yield Kind(name=f"mesh scene {name}", make=_mesh_scene(name), read=_read_meshes, readers=meshes)
+        yield Kind(
+            name=f"mesh scene {name}",
+            make=_mesh_scene(name),
+            read=_read_meshes,
+            readers=meshes,
+        )
 
 
 def _scene_splat(folder: Path) -> Path:
@@ -204,16 +260,29 @@ def _truck(folder: Path) -> Path:
 def values() -> Iterator[Kind]:
     points = ("mi_splat.io.points:load_points",)
     yield Kind(name="points points.ply", make=_points, read=load_points, readers=points)
-    readers = ("mi_splat.datasets.frames:read_picture", "mi_splat.io.picture_files:load_picture")
+    readers = (
+        "mi_splat.datasets.frames:read_picture",
+        "mi_splat.io.picture_files:load_picture",
+    )
     for name in ("p.png", "p.jpg", "p.webp", "p.bmp", "p.tif"):
-        yield Kind(name=f"image {name}", make=partial(picture, name), read=_read_picture, readers=readers)
+        yield Kind(
+            name=f"image {name}",
+            make=partial(picture, name),
+            read=_read_picture,
+            readers=readers,
+        )
     scans = written("p.jpg", lambda: many_scans(90))
-    yield Kind(name="image of JPEG scans", make=scans, read=_read_picture, readers=readers)
+    yield Kind(
+        name="image of JPEG scans", make=scans, read=_read_picture, readers=readers
+    )
     yield Kind(
         name="mask m.npy",
         make=_mask,
         read=lambda path: load_mask(path, tame_scene(20, 1)),
-        readers=("mi_splat.selection.select:load_mask", "mi_splat.selection.select:load_array"),
+        readers=(
+            "mi_splat.selection.select:load_mask",
+            "mi_splat.selection.select:load_array",
+        ),
     )
     yield Kind(
         name="image of a job",
@@ -222,4 +291,6 @@ def values() -> Iterator[Kind]:
         readers=("attacks.cloak.kinds.pictures:read_pictures",),
     )
     mesh = ("mi_splat.capture.mesh_files:load_mesh",)
-    yield Kind(name="mesh truck.glb", make=_truck, read=load_mesh, readers=mesh, document=GLB)
+    yield Kind(
+        name="mesh truck.glb", make=_truck, read=load_mesh, readers=mesh, document=GLB
+    )

@@ -1,8 +1,9 @@
 """The process that reads damaged files: `python -m tests.campaign.reading DESCRIPTOR`.
 
-It is the first of a `ProcessGroup`, which bounds its memory and time. It gets requests through a pipe: a kind, a seed
-and the numbers of the mutants that it is to read. It says each number before it reads, so that who watches it knows
-which mutant has ended it, and then what was wrong.
+It is the first of a `ProcessGroup`, which bounds its memory and time. It gets requests
+through a pipe: a kind, a seed and the numbers of the mutants that it is to read. It
+says each number before it reads, so that who watches it knows which mutant has ended
+it, and then what was wrong.
 """
 
 import contextlib
@@ -36,8 +37,24 @@ FILE_MEGABYTES = 100.0
 LONGEST = 4000
 """Characters of a message."""
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-_CHANGING = ("os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.symlink", "os.link", "os.truncate", "os.chmod")
-_STARTING = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.fork", "socket.connect")
+_CHANGING = (
+    "os.mkdir",
+    "os.rename",
+    "os.remove",
+    "os.rmdir",
+    "os.symlink",
+    "os.link",
+    "os.truncate",
+    "os.chmod",
+)
+_STARTING = (
+    "subprocess.Popen",
+    "os.system",
+    "os.exec",
+    "os.posix_spawn",
+    "os.fork",
+    "socket.connect",
+)
 _FREE = ("/dev/null", "/proc/self/", "/dev/shm/")
 
 
@@ -79,7 +96,10 @@ class Watch:
         if not isinstance(name, str | bytes | os.PathLike):
             return
         path = os.path.abspath(os.fsdecode(name))
-        if not f"{path}/".startswith((f"{self.folder}/", *_FREE)) and self.seen is not None:
+        if (
+            not f"{path}/".startswith((f"{self.folder}/", *_FREE))
+            and self.seen is not None
+        ):
             self.seen.append(f"{event} {path}")
 
 
@@ -101,11 +121,15 @@ def fault(kind: Kind, path: Path, data: bytes) -> str | None:
     torch.manual_seed(0)
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
     try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        with (
+            contextlib.redirect_stdout(io.StringIO()),
+            contextlib.redirect_stderr(io.StringIO()),
+        ):
             kind.read(path)
     except MiSplatError as error:
         return _fault_in_words(error)
-    except (Exception, SystemExit, TooSlowError) as error:  # noqa: BLE001  # this is what is looked for
+    except (Exception, SystemExit, TooSlowError) as error:  # noqa: BLE001
+        # these are what is looked for
         return _described(error)
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
@@ -128,9 +152,16 @@ def _fault_in_words(error: MiSplatError) -> str | None:
 
 def _described(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)
-    ours = [frame for frame in frames if "-packages" not in frame.filename and "tests" not in frame.filename]
+    ours = [
+        frame
+        for frame in frames
+        if "-packages" not in frame.filename and "tests" not in frame.filename
+    ]
     last = (ours or list(frames))[-1]
-    return f"{type(error).__name__}: {str(error)[:300]!r} in {last.filename}:{last.lineno}, {last.name}"
+    return (
+        f"{type(error).__name__}: {str(error)[:300]!r} in"
+        f" {last.filename}:{last.lineno}, {last.name}"
+    )
 
 
 def called(kind: Kind, path: Path) -> set[str]:
@@ -144,7 +175,10 @@ def called(kind: Kind, path: Path) -> set[str]:
 
     sys.setprofile(note)
     try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        with (
+            contextlib.redirect_stdout(io.StringIO()),
+            contextlib.redirect_stderr(io.StringIO()),
+        ):
             kind.read(path)
     finally:
         sys.setprofile(None)
@@ -188,20 +222,37 @@ def answer(request: dict[str, Any], watch: Watch, folder: Path, say: Any) -> Non
         path, data = whole(kind, inside)
         say(state="made", called=sorted(called(kind, path)))
     except Exception as error:  # noqa: BLE001  # a kind is wrong, and the others go on
-        say(state="fault", number=-1, fault=f"a valid file cannot be read: {_described(error)}")
+        say(
+            state="fault",
+            number=-1,
+            fault=f"a valid file cannot be read: {_described(error)}",
+        )
         say(state="done")
         return
-    others = {file: file.read_bytes() for file in inside.rglob("*") if file.is_file() and file != path}
+    others = {
+        file: file.read_bytes()
+        for file in inside.rglob("*")
+        if file.is_file() and file != path
+    }
     before = files_below(folder)
     for number in range(*request["numbers"]):
         say(state="at", number=number)
         with watch.on(may_start=kind.starts) as seen:
             raised = fault(kind, path, mutated(kind, request["seed"], number, data))
-        faults = [*([raised] if raised else []), *(f"outside of its folder: {text}" for text in seen)]
+        faults = [
+            *([raised] if raised else []),
+            *(f"outside of its folder: {text}" for text in seen),
+        ]
         after = files_below(folder)
         if after != before:
-            faults.append(f"files that were left or are gone: {sorted(after ^ before)[:5]}")
-        faults += [f"{file.name} has changed" for file, content in others.items() if _differs(file, content)]
+            faults.append(
+                f"files that were left or are gone: {sorted(after ^ before)[:5]}"
+            )
+        faults += [
+            f"{file.name} has changed"
+            for file, content in others.items()
+            if _differs(file, content)
+        ]
         for text in faults:
             say(state="fault", number=number, fault=text)
         if len(faults) > (raised is not None):

@@ -1,7 +1,9 @@
-"""Files of every kind, damaged by chance: a value or an error of this project, in bounded time, memory and space.
+"""Files of every kind, damaged by chance: a value or an error of this project, in
+bounded time, memory and space.
 
-The seed moves with the clock, and a failure names it: `MI_SPLAT_SEED=... python -m tests.campaign KIND NUMBER` repeats
-one, and `MI_SPLAT_MUTANTS` says how many of each kind there are.
+The seed moves with the clock, and a failure names it:
+`MI_SPLAT_SEED=... python -m tests.campaign KIND NUMBER` repeats one, and
+`MI_SPLAT_MUTANTS` says how many of each kind there are.
 """
 
 import sys
@@ -16,7 +18,9 @@ from tests.campaign.kinds import KINDS
 from tests.campaign.reading import fault, mutated, whole
 from tests.io.format_files import valid
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the limits are those of Linux")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="the limits are those of Linux"
+)
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +39,17 @@ def test_damaged_files_are_read_or_refused(name: str, driver: Driver) -> None:
     assert not account.faults, f"{account.in_words(seed)}"
     assert account.read == mutants()
     modules = {function.partition(":")[0] for function in account.called}
-    missing = [reader for reader in kind.readers if reader not in account.called | modules]
+    missing = [
+        reader for reader in kind.readers if reader not in account.called | modules
+    ]
     assert not missing, f"readers that the valid file does not reach: {missing}"
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", BAD)
-def test_whatever_none_may_do_is_noticed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_whatever_none_may_do_is_noticed(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("MI_SPLAT_CPU_SECONDS", "4")
     driver = Driver()
     try:
@@ -51,7 +59,9 @@ def test_whatever_none_may_do_is_noticed(name: str, monkeypatch: pytest.MonkeyPa
     assert account.read == 2
     assert account.faults.keys() == {0, 1}
     assert FAULTS[name] in account.faults[1]
-    assert f"MI_SPLAT_SEED=1 python -m tests.campaign {name!r} 1: " in account.in_words(1)
+    assert f"MI_SPLAT_SEED=1 python -m tests.campaign {name!r} 1: " in account.in_words(
+        1
+    )
 
 
 @pytest.mark.parametrize("name", IN_PROCESS)
@@ -62,9 +72,19 @@ def test_what_is_no_error_in_words_is_a_fault(name: str, tmp_path: Path) -> None
 
 
 def test_a_seed_and_a_number_make_the_same_mutant() -> None:
-    for kind in (KINDS["splat a.glb"], KINDS["splat v3.spz"], KINDS["cameras cameras.json"]):
-        data = valid(kind.name.split()[1]) if "splat" in kind.name else b'[{"id": 0, "fx": 50.0}]'
+    for kind in (
+        KINDS["splat a.glb"],
+        KINDS["splat v3.spz"],
+        KINDS["cameras cameras.json"],
+    ):
+        data = (
+            valid(kind.name.split()[1])
+            if "splat" in kind.name
+            else b'[{"id": 0, "fx": 50.0}]'
+        )
         mutants_of_kind = [mutated(kind, 7, number, data) for number in range(30)]
-        assert mutants_of_kind == [mutated(kind, 7, number, data) for number in range(30)]
+        assert mutants_of_kind == [
+            mutated(kind, 7, number, data) for number in range(30)
+        ]
         assert len({*mutants_of_kind}) > 20
         assert mutated(kind, 8, 3, data) != mutants_of_kind[3]

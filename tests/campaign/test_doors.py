@@ -1,4 +1,6 @@
-"""Every public reader of files is a kind of the campaign: a new one without a kind fails here."""
+"""Every public reader of files is a kind of the campaign: a new one without a kind
+fails here.
+"""
 
 from attacks.detectors.weights import SUFFIXES as WEIGHTS
 from attacks.report.results import RESULT_KINDS
@@ -13,11 +15,15 @@ from tests.project.layers import ROOT
 
 WITHOUT = {
     "attacks.classifiers.prototypes:load_features": "weights, by `read_weights`",
-    "attacks.classifiers.prototypes:load_prototypes": "the kind `prototypes` reads what it reads of others",
+    "attacks.classifiers.prototypes:load_prototypes": (
+        "the kind `prototypes` reads what it reads of others"
+    ),
     "attacks.detectors.graphs.graph:read_frozen": "bytes whose SHA-256 is known",
     "attacks.detectors.graphs.graph:read_graph_model": "bytes whose SHA-256 is known",
     "attacks.detectors.graphs.graph:read_tflite": "bytes whose SHA-256 is known",
-    "mi_splat.io.ply:read_rows": "a part of `read_ply`, called by `load_points` alone besides",
+    "mi_splat.io.ply:read_rows": (
+        "a part of `read_ply`, called by `load_points` alone besides"
+    ),
 }
 """Public readers that need no kind, and why."""
 MODULES_WITHOUT = {
@@ -58,12 +64,16 @@ def _suffixes(first: str) -> list[str]:
 
 def test_every_public_reader_is_a_kind() -> None:
     readers = public_readers()
-    assert readers - READERS == WITHOUT.keys(), "give a new reader a kind in tests/campaign/kinds.py"
+    assert readers - READERS == WITHOUT.keys(), (
+        "give a new reader a kind in tests/campaign/kinds.py"
+    )
 
 
 def test_every_module_that_decodes_is_read_by_a_kind() -> None:
     modules = {reader.partition(":")[0] for reader in READERS}
-    assert decoding_modules() - modules == MODULES_WITHOUT.keys(), "give a new reader a kind in tests/campaign/kinds.py"
+    assert decoding_modules() - modules == MODULES_WITHOUT.keys(), (
+        "give a new reader a kind in tests/campaign/kinds.py"
+    )
 
 
 def test_every_entry_of_a_registry_is_a_kind() -> None:
@@ -72,5 +82,9 @@ def test_every_entry_of_a_registry_is_a_kind() -> None:
     for suffix in WEIGHTS:
         assert f"weights w{suffix}" in KINDS
     assert len([name for name in _suffixes("image") if " p." in name]) == len(IMAGES)
-    assert {kind.name for kind in RESULT_KINDS} == {name.partition(" ")[2] for name in _suffixes("result")}
-    assert {read_study(ROOT / f"scenes/{name}.toml").kind for name in STUDIES} == {*STUDY_KINDS}
+    assert {kind.name for kind in RESULT_KINDS} == {
+        name.partition(" ")[2] for name in _suffixes("result")
+    }
+    assert {read_study(ROOT / f"scenes/{name}.toml").kind for name in STUDIES} == {
+        *STUDY_KINDS
+    }

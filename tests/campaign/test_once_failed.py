@@ -30,15 +30,22 @@ def test_documents(name: str, change: Callable[[Any], Any], tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("number", [0, 1e200, 1.7e308])
-def test_rotations_that_are_none_say_nothing_of_up(number: float, tmp_path: Path) -> None:
+def test_rotations_that_are_none_say_nothing_of_up(
+    number: float, tmp_path: Path
+) -> None:
     kind = KINDS["cameras beside a splat"]
     path = kind.make(tmp_path)
     cameras = json.loads(path.read_text())
-    path.write_text(json.dumps([*cameras, {**cameras[0], "rotation": [[number] * 3] * 3}]))
+    path.write_text(
+        json.dumps([*cameras, {**cameras[0], "rotation": [[number] * 3] * 3}])
+    )
     assert "cameras" not in str(kind.read(path))
 
 
-@pytest.mark.parametrize(("name", "data"), [("mesh.ply", b"ply\n\xff\n"), ("mesh.obj", b"v 0 0 0\nf \xb0 1 2\n")])
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [("mesh.ply", b"ply\n\xff\n"), ("mesh.obj", b"v 0 0 0\nf \xb0 1 2\n")],
+)
 def test_meshes_that_are_no_text(name: str, data: bytes, tmp_path: Path) -> None:
     kind = KINDS[f"mesh scene {name}"]
     path = kind.make(tmp_path)
@@ -48,5 +55,7 @@ def test_meshes_that_are_no_text(name: str, data: bytes, tmp_path: Path) -> None
 
 
 def test_messages_name_members_of_any_length(tmp_path: Path) -> None:
-    error = MiSplatError.of("a.sog", f"a member {'long' * 5000}", "none", f"look at {'x' * 9000}")
+    error = MiSplatError.of(
+        "a.sog", f"a member {'long' * 5000}", "none", f"look at {'x' * 9000}"
+    )
     assert len(str(error)) < 4000

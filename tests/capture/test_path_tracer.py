@@ -1,4 +1,6 @@
-"""Capture: exact cameras, tight boxes, determinism, the caller's variant, XML scenes, bad input."""
+"""Capture: exact cameras, tight boxes, determinism, the caller's variant, XML scenes,
+bad input.
+"""
 
 import math
 from pathlib import Path
@@ -25,40 +27,64 @@ from mi_splat.capture.path_tracer import (
 from mi_splat.metrics import psnr
 from scenes.recipes.mesh_views import capture, depth_maps
 
-EVEN = Light(sun_strength=0.0, sky_strength=1.0, zenith=(1, 1, 1), horizon=(1, 1, 1), clouds=0.0)
+EVEN = Light(
+    sun_strength=0.0, sky_strength=1.0, zenith=(1, 1, 1), horizon=(1, 1, 1), clouds=0.0
+)
 CUBE = Asset("car", (box((1, 1, 1), (0.8, 0.1, 0.1), centre=(0, 0, 0.5)),))
-FLOOR = Asset("ground", (quad([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], (0.5, 0.5, 0.5)),))
+FLOOR = Asset(
+    "ground", (quad([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], (0.5, 0.5, 0.5)),)
+)
 
 
 def camera(
-    *, size: tuple[int, int] = (64, 48), principal: tuple[float, float] | None = None, elevation: float = 25.0
+    *,
+    size: tuple[int, int] = (64, 48),
+    principal: tuple[float, float] | None = None,
+    elevation: float = 25.0,
 ) -> Camera:
     pose = orbit_pose((0, 0, 0.5), azimuth=30, elevation=elevation, distance=4)
-    return Camera(to_world=pose, focal=60.0, width=size[0], height=size[1], principal=principal)
+    return Camera(
+        to_world=pose, focal=60.0, width=size[0], height=size[1], principal=principal
+    )
 
 
-@pytest.mark.parametrize(("size", "principal"), [((64, 48), (40.5, 15.0)), ((33, 70), None)])
-def test_points_land_on_projected_pixels(size: tuple[int, int], principal: tuple[float, float] | None) -> None:
-    spots = torch.tensor([[0.8, 0.0, 0.2], [-0.5, 0.7, 0.9], [0.0, -0.6, 1.1], [0.1, 0.1, 0.0]])
+@pytest.mark.parametrize(
+    ("size", "principal"), [((64, 48), (40.5, 15.0)), ((33, 70), None)]
+)
+def test_points_land_on_projected_pixels(
+    size: tuple[int, int], principal: tuple[float, float] | None
+) -> None:
+    spots = torch.tensor(
+        [[0.8, 0.0, 0.2], [-0.5, 0.7, 0.9], [0.0, -0.6, 1.1], [0.1, 0.1, 0.0]]
+    )
     view = camera(size=size, principal=principal)
     pixels, depth = project_points(spots, view)
     for spot, pixel, far in zip(spots, pixels, depth, strict=True):
-        ball = Asset("ball", (ellipsoid((0.3, 0.3, 0.3), (1, 1, 1), centre=spot.tolist()),))
+        ball = Asset(
+            "ball", (ellipsoid((0.3, 0.3, 0.3), (1, 1, 1), centre=spot.tolist()),)
+        )
         hits = depth_maps(scene_dict([ball]), [view])[0]
         rows, columns = torch.nonzero(hits > 0, as_tuple=True)
         middle = torch.tensor([columns.float().mean() + 0.5, rows.float().mean() + 0.5])
         assert (middle - pixel).abs().max() < 0.5, (spot, middle, pixel)
         near = hits[hits > 0].min()
-        assert near == pytest.approx(float((spot - view.position.float()).norm()) - 0.15, abs=0.02), far
+        assert near == pytest.approx(
+            float((spot - view.position.float()).norm()) - 0.15, abs=0.02
+        ), far
 
 
 def test_picture_is_neither_mirrored_nor_upside_down() -> None:
     texture = np.zeros((2, 2, 3), np.float32)
     texture[0, 0], texture[0, 1], texture[1, 0] = (1, 0, 0), (0, 1, 0), (0, 0, 1)
-    board = Asset("board", (quad([[1, -1, 0], [1, 1, 0], [1, 1, 2], [1, -1, 2]], texture),))
-    view = Camera(to_world=look_at((5, 0, 1), (0, 0, 1)), focal=64.0, width=32, height=32)
+    board = Asset(
+        "board", (quad([[1, -1, 0], [1, 1, 0], [1, 1, 2], [1, -1, 2]], texture),)
+    )
+    view = Camera(
+        to_world=look_at((5, 0, 1), (0, 0, 1)), focal=64.0, width=32, height=32
+    )
     picture = capture(scene_dict([board], light=EVEN), [view], samples=16)[0].image
-    assert picture[4, 4].argmax() == 0  # the texture's first row is at the top, its first column on the left
+    # the texture's first row is at the top, its first column on the left
+    assert picture[4, 4].argmax() == 0
     assert picture[4, 27].argmax() == 1
     assert picture[27, 4].argmax() == 2
     assert picture[24, 24].max() < 0.2
@@ -81,10 +107,10 @@ def test_variant_is_put_back() -> None:
 def test_scene_file(tmp_path: Path) -> None:
     file = tmp_path / "ball.xml"
     file.write_text(
-        '<scene version="3.0.0"><integrator type="direct"/>'
-        '<emitter type="constant"/><shape type="sphere"><point name="center" x="0" y="0" z="0.5"/>'
-        '<float name="radius" value="0.5"/>'
-        '<bsdf type="diffuse"><rgb name="reflectance" value="0, 0, 0"/></bsdf></shape></scene>'
+        '<scene version="3.0.0"><integrator type="direct"/><emitter'
+        ' type="constant"/><shape type="sphere"><point name="center" x="0" y="0"'
+        ' z="0.5"/><float name="radius" value="0.5"/><bsdf type="diffuse"><rgb'
+        ' name="reflectance" value="0, 0, 0"/></bsdf></shape></scene>'
     )
     picture = capture(file, [camera(size=(33, 33))], samples=4)[0].image
     assert picture[16, 16].max() == 0
@@ -98,21 +124,28 @@ def test_normals_are_smooth_on_a_ball_and_sharp_on_a_box() -> None:
     flat = corner_normals(CUBE.meshes[0])
     assert np.allclose(np.abs(flat).max(-1), 1)
     ramp = sheet(
-        np.array([[[0, 0, 0], [1, 0, 0]], [[0, 1, 0], [1, 1, 0]], [[0, 2, 1.2], [1, 2, 1.2]]]), (1.0, 1.0, 1.0)
+        np.array(
+            [[[0, 0, 0], [1, 0, 0]], [[0, 1, 0], [1, 1, 0]], [[0, 2, 1.2], [1, 2, 1.2]]]
+        ),
+        (1.0, 1.0, 1.0),
     )
     bend = math.degrees(math.atan(1.2))
-    assert bend > 38  # sharper than the crease angle, so the two halves keep their own normals
+    # sharper than the crease angle, so the two halves keep their own normals
+    assert bend > 38
     assert np.allclose(
-        sorted(set(np.round(corner_normals(ramp)[..., 2].ravel(), 4))), [np.cos(np.radians(bend)), 1], atol=1e-3
+        sorted(set(np.round(corner_normals(ramp)[..., 2].ravel(), 4))),
+        [np.cos(np.radians(bend)), 1],
+        atol=1e-3,
     )
 
 
-def test_a_picture_is_the_same_on_any_number_of_threads_and_close_to_that_of_the_other_variant() -> None:
+def test_a_picture_is_the_same_on_any_threads_and_close_in_the_other_variant() -> None:
     pictures, before = {}, dr.thread_count()
     for variant in (FEW_PICTURES, MANY_PICTURES):
         with tracing_variant(variant):
             tracer = PathTracer(scene_dict([CUBE], backdrop=FLOOR), samples=16)
-        pictures[variant] = tracer.picture(camera(), seed=3)  # in its own variant, whatever is set now
+        # in its own variant, whatever is set now
+        pictures[variant] = tracer.picture(camera(), seed=3)
     try:
         dr.set_thread_count(1)
         assert torch.equal(tracer.picture(camera(), seed=3), pictures[MANY_PICTURES])

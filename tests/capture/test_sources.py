@@ -1,4 +1,6 @@
-"""What can be captured: recipes, assets by name and seed, mesh files, Mitsuba scenes; and what cannot."""
+"""What can be captured: recipes, assets by name and seed, mesh files, Mitsuba scenes;
+and what cannot.
+"""
 
 from pathlib import Path
 
@@ -15,7 +17,8 @@ STILL_LIFE = Path(__file__).parents[2] / "scenes" / "meshes" / "still_life.xml"
 
 
 XML = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>
-<shape type="cube"><bsdf type="diffuse"><rgb name="reflectance" value="0.8, 0.1, 0.1"/></bsdf></shape></scene>"""
+<shape type="cube"><bsdf type="diffuse">
+  <rgb name="reflectance" value="0.8, 0.1, 0.1"/></bsdf></shape></scene>"""
 
 
 def test_sources_of_every_kind(tmp_path: Path) -> None:
@@ -33,7 +36,9 @@ def test_sources_of_every_kind(tmp_path: Path) -> None:
     pytest.importorskip("trimesh")
     file, settings = str(write_glb(tmp_path, truck())), MeshSettings(scale=2.0, up="z")
     mesh = open_source(file, mesh=settings)
-    assert mesh.assets[0].bounds == pytest.approx(2 * load_mesh(Path(file), MeshSettings(up="z")).bounds)
+    assert mesh.assets[0].bounds == pytest.approx(
+        2 * load_mesh(Path(file), MeshSettings(up="z")).bounds
+    )
     assert mesh.digest == open_source(file, mesh=settings).digest
     assert mesh.digest != open_source(file, mesh=MeshSettings(scale=2.0)).digest
     with pytest.raises(InvalidValueError, match="radius"):
@@ -41,7 +46,8 @@ def test_sources_of_every_kind(tmp_path: Path) -> None:
 
 
 CUBE = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>
-<shape type="cube"><transform name="to_world"><translate x="{x}"/></transform></shape></scene>"""
+<shape type="cube"><transform name="to_world"><translate x="{x}"/></transform>
+  </shape></scene>"""
 
 
 def test_a_mitsuba_scene_far_away_is_refused(tmp_path: Path) -> None:
@@ -53,22 +59,35 @@ def test_a_mitsuba_scene_far_away_is_refused(tmp_path: Path) -> None:
         open_source(str(path))
 
 
-TEXTURED = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>{before}
-<shape type="cube"><bsdf type="diffuse"><texture type="bitmap" name="reflectance">{named}</texture></bsdf></shape>
+TEXTURED = """<scene version="3.0.0">
+<integrator type="path"/><emitter type="constant"/>{before}
+<shape type="cube"><bsdf type="diffuse">
+  <texture type="bitmap" name="reflectance">{named}</texture></bsdf></shape>
 </scene>"""
 SPELLINGS = {
     "plain": ("", '<string name="filename" value="a.png"/>'),
     "a character by its number": ("", '<string name="filename" value="&#97;.png"/>'),
-    "a default": ('<default name="t" value="a.png"/>', '<string name="filename" value="$t"/>'),
-    "a default that is included": ('<include filename="inner/b.xml"/>', '<string name="filename" value="$included"/>'),
-    "a folder of its own": ('<path value="inner"/>', '<string name="filename" value="c.png"/>'),
+    "a default": (
+        '<default name="t" value="a.png"/>',
+        '<string name="filename" value="$t"/>',
+    ),
+    "a default that is included": (
+        '<include filename="inner/b.xml"/>',
+        '<string name="filename" value="$included"/>',
+    ),
+    "a folder of its own": (
+        '<path value="inner"/>',
+        '<string name="filename" value="c.png"/>',
+    ),
 }
 
 
 def textured(folder: Path, before: str, named: str) -> str:
     """A scene of a cube whose texture is named in some way."""
     (folder / "inner").mkdir(exist_ok=True)
-    (folder / "inner" / "b.xml").write_text('<scene version="3.0.0"><default name="included" value="a.png"/></scene>')
+    (folder / "inner" / "b.xml").write_text(
+        '<scene version="3.0.0"><default name="included" value="a.png"/></scene>'
+    )
     (folder / "a.xml").write_text(TEXTURED.format(before=before, named=named))
     return str(folder / "a.xml")
 
@@ -80,7 +99,9 @@ def paint(folder: Path, red: int) -> None:
 
 
 @pytest.mark.parametrize(("before", "named"), SPELLINGS.values(), ids=SPELLINGS)
-def test_another_texture_is_another_scene_however_it_is_named(before: str, named: str, tmp_path: Path) -> None:
+def test_another_texture_is_another_scene_however_it_is_named(
+    before: str, named: str, tmp_path: Path
+) -> None:
     scene = textured(tmp_path, before, named)
     paint(tmp_path, 200)
     first = open_source(scene).digest

@@ -1,4 +1,6 @@
-"""`mi-splat capture`: what is around a mesh, the near clip; other options are told apart."""
+"""`mi-splat capture`: what is around a mesh, the near clip; other options are told
+apart.
+"""
 
 import json
 from pathlib import Path
@@ -19,7 +21,14 @@ pytest.importorskip("trimesh")
 
 
 def picture(source: Any, *, size: int = 32) -> Tensor:
-    (camera,) = orbit(source.centre, count=1, elevation=35, distance=8.0, focal=size, size=(size, size))
+    (camera,) = orbit(
+        source.centre,
+        count=1,
+        elevation=35,
+        distance=8.0,
+        focal=size,
+        size=(size, size),
+    )
     return PathTracer(source.scene, samples=16).picture(camera, seed=0)
 
 
@@ -27,18 +36,33 @@ def test_ground_and_sun_show(tmp_path: Path) -> None:
     path = str(write_glb(tmp_path, truck()))
     plain = picture(open_source(path))
     for kind, brightest in (("road", None), ("grass", 1)):
-        shown = picture(open_source(path, surroundings=SurroundingsSettings(ground=kind)))  # type: ignore[arg-type]
+        shown = picture(
+            open_source(path, surroundings=SurroundingsSettings(ground=kind))  # type: ignore[arg-type]
+        )
         assert (shown - plain)[-4:].abs().mean() > 0.03
         if brightest is not None:
             assert int(shown[-4:].mean((0, 1)).argmax()) == brightest
     front, back = (
-        picture(open_source(path, surroundings=SurroundingsSettings(sun=f"{azimuth},20"))) for azimuth in (0, 180)
+        picture(
+            open_source(path, surroundings=SurroundingsSettings(sun=f"{azimuth},20"))
+        )
+        for azimuth in (0, 180)
     )
-    assert front[20:25, 12:20].mean() > back[20:25, 12:20].mean() + 0.02  # its front, seen from azimuth 0
+    # its front, seen from azimuth 0
+    assert front[20:25, 12:20].mean() > back[20:25, 12:20].mean() + 0.02
 
 
 def command(folder: Path, path: str, *more: str) -> list[str]:
-    quick = ["--cameras", "orbit:2@20", "--size", "16", "--samples", "1", "--points", "50"]
+    quick = [
+        "--cameras",
+        "orbit:2@20",
+        "--size",
+        "16",
+        "--samples",
+        "1",
+        "--points",
+        "50",
+    ]
     return ["capture", path, "--out", str(folder / "out"), *quick, *more]
 
 
@@ -62,7 +86,9 @@ OPTIONS: dict[str, tuple[list[str], str]] = {
 }
 
 
-def test_what_differs_is_said_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_differs_is_said_in_words(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = str(write_glb(tmp_path, truck()))
     first = command(tmp_path, path)
     assert cli.main(first) == 0

@@ -30,7 +30,9 @@ def _one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def noise(*shape: int, seed: int = 0, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+def noise(
+    *shape: int, seed: int = 0, dtype: torch.dtype = torch.float32
+) -> torch.Tensor:
     return torch.rand(shape, generator=torch.Generator().manual_seed(seed), dtype=dtype)
 
 
@@ -38,18 +40,27 @@ def test_gradients_are_those_of_finite_differences() -> None:
     classifier = toy_classifier()
     assert isinstance(classifier, Classifier)
     pictures = noise(1, 30, 40, 3, dtype=torch.float64).requires_grad_(True)
-    (gradient,) = torch.autograd.grad(torch.log_softmax(classifier.scores(pictures), 1)[0, 1], pictures)
+    (gradient,) = torch.autograd.grad(
+        torch.log_softmax(classifier.scores(pictures), 1)[0, 1], pictures
+    )
     for seed in range(3):
         step = 1e-5 * (noise(1, 30, 40, 3, seed=9 + seed, dtype=torch.float64) - 0.5)
         with torch.no_grad():
             high, low = (
-                torch.log_softmax(classifier.scores((pictures + sign * step).clamp(0, 1)), 1)[0, 1] for sign in (1, -1)
+                torch.log_softmax(
+                    classifier.scores((pictures + sign * step).clamp(0, 1)), 1
+                )[0, 1]
+                for sign in (1, -1)
             )
-        assert float(high - low) == pytest.approx(2 * float((gradient * step).sum()), rel=1e-3)
+        assert float(high - low) == pytest.approx(
+            2 * float((gradient * step).sum()), rel=1e-3
+        )
 
 
 @pytest.mark.parametrize("size", [(300, 280), (224, 224), (90, 140)])
-def test_pictures_are_prepared_as_the_library_does(size: tuple[int, int], tmp_path: Path) -> None:
+def test_pictures_are_prepared_as_the_library_does(
+    size: tuple[int, int], tmp_path: Path
+) -> None:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(1)
         model = squeezenet1_1(weights=None).eval()
@@ -59,18 +70,26 @@ def test_pictures_are_prepared_as_the_library_does(size: tuple[int, int], tmp_pa
     assert len(classifier.classes) == len(set(classifier.classes)) == 1000
     pictures = noise(1, *size, 3)
     with torch.no_grad():
-        expected = model(SqueezeNet1_1_Weights.IMAGENET1K_V1.transforms()(pictures.permute(0, 3, 1, 2)))
+        expected = model(
+            SqueezeNet1_1_Weights.IMAGENET1K_V1.transforms()(
+                pictures.permute(0, 3, 1, 2)
+            )
+        )
         assert torch.allclose(classifier.scores(pictures), expected, atol=1e-5)
 
 
 def test_a_network_of_other_classes_and_what_does_not_fit(tmp_path: Path) -> None:
     path = tmp_path / "two.pth"
     torch.save(squeezenet1_1(weights=None, num_classes=2).state_dict(), path)
-    two = load_classifier("torchvision:squeezenet1_1", weights=path, classes=["car", "bird"])
+    two = load_classifier(
+        "torchvision:squeezenet1_1", weights=path, classes=["car", "bird"]
+    )
     assert two.scores(noise(1, 64, 64, 3)).shape == (1, 2)
     assert (
         two.fingerprint
-        != load_classifier("torchvision:squeezenet1_1", weights=path, classes=["tv", "bird"]).fingerprint
+        != load_classifier(
+            "torchvision:squeezenet1_1", weights=path, classes=["tv", "bird"]
+        ).fingerprint
     )
     with pytest.raises(DetectorError, match="2 of another shape"):
         load_classifier("torchvision:squeezenet1_1", weights=path)
@@ -90,35 +109,63 @@ def test_rows_of_what_is_seen() -> None:
         assert row["top1"] in CLASSES
         assert row["right"] == (row["top1"] == "bird")
         assert row["confidence"] > 0.5 or not row["right"] or row["confidence"] > 1 / 3
-    with pytest.raises(InvalidValueError, match=r"label of toy: expected one of car, bird, tv, got 'birds'.*bird\?"):
+    with pytest.raises(
+        InvalidValueError,
+        match=r"label of toy: expected one of car, bird, tv, got 'birds'.*bird\?",
+    ):
         classified(classifier, [], "birds")
 
 
-def test_prototypes_are_mean_directions_less_their_mean(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    features = nn.Sequential(nn.Conv2d(3, 4, 7, 7), nn.Flatten(), nn.Linear(4 * 32 * 32, LENGTH)).eval()
-    pictures = {name: noise(2, 40, 40, 3, seed=i) * (0.4 + 0.3 * i) for i, name in enumerate(CLASSES)}
+def test_prototypes_are_mean_directions_less_their_mean(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    features = nn.Sequential(
+        nn.Conv2d(3, 4, 7, 7), nn.Flatten(), nn.Linear(4 * 32 * 32, LENGTH)
+    ).eval()
+    pictures = {
+        name: noise(2, 40, 40, 3, seed=i) * (0.4 + 0.3 * i)
+        for i, name in enumerate(CLASSES)
+    }
     path = tmp_path / "p.safetensors"
-    save_prototypes({name: list(images) for name, images in pictures.items()}, features, {"seeds": [1, 2]}, path)
+    save_prototypes(
+        {name: list(images) for name, images in pictures.items()},
+        features,
+        {"seeds": [1, 2]},
+        path,
+    )
     monkeypatch.setattr(prototypes, "load_features", lambda weights: features)
     classifier = load_prototypes(vectors=path)
     with torch.no_grad():
         units = [
-            nn.functional.normalize(features(Preparation()(images)), dim=1).mean(0) for images in pictures.values()
+            nn.functional.normalize(features(Preparation()(images)), dim=1).mean(0)
+            for images in pictures.values()
         ]
         means = nn.functional.normalize(torch.stack(units), dim=1)
-        mine = nn.functional.normalize(features(Preparation()(pictures["tv"][:1])), dim=1)
-        cosines = nn.functional.cosine_similarity(mine - means.mean(0), means - means.mean(0))
-    assert torch.allclose(classifier.scores(pictures["tv"][:1])[0], 20 * cosines, atol=1e-3)
+        mine = nn.functional.normalize(
+            features(Preparation()(pictures["tv"][:1])), dim=1
+        )
+        cosines = nn.functional.cosine_similarity(
+            mine - means.mean(0), means - means.mean(0)
+        )
+    assert torch.allclose(
+        classifier.scores(pictures["tv"][:1])[0], 20 * cosines, atol=1e-3
+    )
     fewer = load_prototypes(vectors=path, classes=["tv", "car"])
     both = classifier.scores(pictures["tv"])[:, [2, 0]]
     assert torch.allclose(fewer.scores(pictures["tv"]), both, atol=1e-5)
-    with pytest.raises(InvalidValueError, match=r"class: expected one of car, bird, tv"):
+    with pytest.raises(
+        InvalidValueError, match=r"class: expected one of car, bird, tv"
+    ):
         load_prototypes(vectors=path, classes=["zebra"])
 
 
-def test_features_that_are_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_features_that_are_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    with pytest.raises(DetectorError, match=r"nothing there; mi-splat detectors --get prototypes"):
+    with pytest.raises(
+        DetectorError, match=r"nothing there; mi-splat detectors --get prototypes"
+    ):
         load_classifier("prototypes")
     weights_of("prototypes").parent.mkdir(parents=True)
     weights_of("prototypes").write_bytes(b"abcd")
@@ -130,7 +177,9 @@ def test_shipped_prototypes_are_of_the_published_features() -> None:
     with safe_open(VECTORS, "pt") as file:
         notes = json.loads(file.metadata()[NOTES])
         directions = file.get_tensor("directions")
-    assert notes["recipe"] == json.loads(json.dumps(asdict(Recipe()))), "the recipe in scenes/recipes"
+    assert notes["recipe"] == json.loads(json.dumps(asdict(Recipe()))), (
+        "the recipe in scenes/recipes"
+    )
     assert set(notes["classes"]) == set(ASSETS)
     assert torch.allclose(directions.norm(dim=1), torch.ones(len(ASSETS)), atol=1e-5)
     if not weights_of("prototypes").is_file():

@@ -19,7 +19,12 @@ def test_what_a_terminal_would_obey_is_shown(
 ) -> None:
     console.show(f"{HOSTILE}\n\tdomů")
     console.show_table([(HOSTILE, "1"), ("b", HOSTILE)])
-    assert capsys.readouterr().out.splitlines() == [SHOWN, "\tdomů", f"{SHOWN}  1", f"{'b':{len(SHOWN)}}  {SHOWN}"]
+    assert capsys.readouterr().out.splitlines() == [
+        SHOWN,
+        "\tdomů",
+        f"{SHOWN}  1",
+        f"{'b':{len(SHOWN)}}  {SHOWN}",
+    ]
     console.warn(HOSTILE)
     monkeypatch.setattr(console, "LINE_SECONDS", 0.0)
     with console.progress("working") as advance:
@@ -65,14 +70,20 @@ def test_errors_and_warnings_of_hostile_names_are_one_line(
         assert error.rstrip("\n").isprintable()
     with warnings.catch_warnings(), cli._plain_warnings():
         warnings.simplefilter("always")
-        assert warnings.formatwarning(HOSTILE, UserWarning, "", 0) == f"mi-splat: warning: {SHOWN}\n".replace(
-            "\\r", " "
-        )
+        assert warnings.formatwarning(
+            HOSTILE, UserWarning, "", 0
+        ) == f"mi-splat: warning: {SHOWN}\n".replace("\\r", " ")
 
 
 def test_a_warning_is_said_once() -> None:
-    """A set is read for its training and for its held-out images, and may be warned of twice."""
+    """A set is read for its training and for its held-out images, and may be warned of
+    twice.
+    """
     with warnings.catch_warnings(), cli._plain_warnings():
         texts = ("12 masks missing", "12 masks  missing", "another")
         said = [warnings.formatwarning(text, UserWarning, "", 0) for text in texts]
-    assert said == ["mi-splat: warning: 12 masks missing\n", "", "mi-splat: warning: another\n"]
+    assert said == [
+        "mi-splat: warning: 12 masks missing\n",
+        "",
+        "mi-splat: warning: another\n",
+    ]

@@ -18,7 +18,9 @@ from tests.fakes import CoarseDetector, ColourDetector, toy_scene
 VIEW = ["--cameras", "orbit:12@0", "--distance", "3", "--fov", "50", "--size", "32"]
 
 
-def painted(scene: GaussianScene, mask: torch.Tensor, colour: tuple[float, float, float]) -> GaussianScene:
+def painted(
+    scene: GaussianScene, mask: torch.Tensor, colour: tuple[float, float, float]
+) -> GaussianScene:
     """The scene with its object in one colour."""
     sh = scene.sh.clone()
     sh[mask, 0] = colour_to_dc(torch.tensor(colour))
@@ -27,26 +29,44 @@ def painted(scene: GaussianScene, mask: torch.Tensor, colour: tuple[float, float
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A red object (a car), the same in green (a person), and the detector in the place of all others."""
+    """A red object (a car), the same in green (a person), and the detector in the place
+    of all others.
+    """
     scene, mask = toy_scene()
     save_splat(scene, tmp_path / "clean.ply")
     save_splat(painted(scene, mask, (0.1, 0.9, 0.1)), tmp_path / "attacked.ply")
-    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda *_: [ColourDetector()])
+    monkeypatch.setattr(
+        "attacks.cli.options.load_detectors", lambda *_: [ColourDetector()]
+    )
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def test_pictures_and_splats_are_looked_at(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pictures_and_splats_are_looked_at(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert cli.main(["render", "clean.ply", *VIEW, "--out", "views"]) == 0
     capsys.readouterr()
-    words = ["detect", "views/orbit-00.png", "clean.ply", *VIEW, "--out", "detected", "--json"]
+    words = [
+        "detect",
+        "views/orbit-00.png",
+        "clean.ply",
+        *VIEW,
+        "--out",
+        "detected",
+        "--json",
+    ]
     assert cli.main(words) == 0
     document = json.loads(capsys.readouterr().out)
-    assert json.loads((folder / "detected" / "result.json").read_text())["pictures"] == document["pictures"]
+    assert (
+        json.loads((folder / "detected" / "result.json").read_text())["pictures"]
+        == document["pictures"]
+    )
     assert len(document["pictures"]) == 13
     picture, *rendered = document["pictures"]
     assert picture["camera"] is None
-    assert picture["detections"] == rendered[0]["detections"]  # the same pixels, from the file or from the splat
+    # the same pixels, from the file or from the splat
+    assert picture["detections"] == rendered[0]["detections"]
     assert rendered[0]["camera"]["name"] == "orbit-00"
     assert picture["detections"][0]["label"] == "car"
     x0, y0, x1, y1 = picture["detections"][0]["box"]
@@ -57,11 +77,18 @@ def test_pictures_and_splats_are_looked_at(folder: Path, capsys: pytest.CaptureF
             assert drawn.width >= 512
     assert cli.main(words) == 1
     assert "--force" in capsys.readouterr().err
-    assert cli.main(["detect", "clean.ply", "--min-confidence", "1", *VIEW, "--out", "none"]) == 0
+    assert (
+        cli.main(
+            ["detect", "clean.ply", "--min-confidence", "1", *VIEW, "--out", "none"]
+        )
+        == 0
+    )
     assert "clean-orbit-00-fake_colour: nothing" in capsys.readouterr().out
 
 
-def test_the_images_of_a_folder_are_looked_at_upright(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_images_of_a_folder_are_looked_at_upright(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert cli.main(["render", "clean.ply", *VIEW, "--out", "views"]) == 0
     photos = folder / "photos"
     photos.mkdir()
@@ -96,8 +123,19 @@ def test_a_folder_of_too_many_images(
     assert not (folder / "detected").exists()
 
 
-def test_a_clean_and_an_attacked_splat_are_compared(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["evaluate", "clean.ply", "attacked.ply", *VIEW, "--target", "person", "--out", "judged"]
+def test_a_clean_and_an_attacked_splat_are_compared(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        "evaluate",
+        "clean.ply",
+        "attacked.ply",
+        *VIEW,
+        "--target",
+        "person",
+        "--out",
+        "judged",
+    ]
     assert cli.main([*words, "--json"]) == 0
     captured = capsys.readouterr()
     document = json.loads(captured.out)
@@ -107,7 +145,11 @@ def test_a_clean_and_an_attacked_splat_are_compared(folder: Path, capsys: pytest
     figures = document["detectors"]["fake_colour"]
     assert figures["original"] == "car"
     assert figures["views"] == 12
-    counts = {name: (value["successes"], value["total"]) for name, value in figures.items() if isinstance(value, dict)}
+    counts = {
+        name: (value["successes"], value["total"])
+        for name, value in figures.items()
+        if isinstance(value, dict)
+    }
     assert counts["found_clean"][0] >= 9
     assert counts["found_attacked"][0] == 0
     assert counts["missed"] == (counts["found_clean"][0],) * 2
@@ -120,7 +162,10 @@ def test_a_clean_and_an_attacked_splat_are_compared(folder: Path, capsys: pytest
     assert compare(rows)[0].as_dict() == figures
     with Image.open(folder / "judged" / "fake_colour.png") as drawn:
         assert drawn.size == (1024, 8 * 512)
-    assert json.loads((folder / "judged" / "result.json").read_text())["detectors"] == document["detectors"]
+    assert (
+        json.loads((folder / "judged" / "result.json").read_text())["detectors"]
+        == document["detectors"]
+    )
     assert cli.main(["artifact-check", "judged"]) == 0
     assert "detectors/fake_colour/missed: " in capsys.readouterr().out
     assert cli.main([*words[:-1], "again"]) == 0
@@ -133,21 +178,46 @@ def test_a_judge_s_contradictions_are_shown(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kinds = {"fasterrcnn_small": ColourDetector, "fake_coarse": CoarseDetector}
-    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda names, *_: [kinds[name]() for name in names])
-    words = ["evaluate", "clean.ply", "attacked.ply", *VIEW, "--judges", "fake_coarse", "--out", "judged"]
+    monkeypatch.setattr(
+        "attacks.cli.options.load_detectors",
+        lambda names, *_: [kinds[name]() for name in names],
+    )
+    words = [
+        "evaluate",
+        "clean.ply",
+        "attacked.ply",
+        *VIEW,
+        "--judges",
+        "fake_coarse",
+        "--out",
+        "judged",
+    ]
     assert cli.main(words) == 0
     told = capsys.readouterr().out
     assert "fake_coarse contradicts fake_colour, clean" in told
     record = json.loads((folder / "judged" / "result.json").read_text())
     (pair,) = record["contradictions"]
     assert (
-        told.count("| orbit-") == len(pair["views"]) == sum(pair[name]["successes"] for name in ("clean", "attacked"))
+        told.count("| orbit-")
+        == len(pair["views"])
+        == sum(pair[name]["successes"] for name in ("clean", "attacked"))
     )
     assert cli.main(["artifact-check", "judged"]) == 0
 
 
-def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["evaluate", "attacked.ply", "clean.ply", *VIEW[2:], "--cameras", "orbit:2@0", "--original", "stop sign"]
+def test_reasons_for_doubt_are_told(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        "evaluate",
+        "attacked.ply",
+        "clean.ply",
+        *VIEW[2:],
+        "--cameras",
+        "orbit:2@0",
+        "--original",
+        "stop sign",
+    ]
     assert cli.main([*words, "--pictures", "0", "--out", "first"]) == 0
     told = capsys.readouterr().err
     assert "the object shows in 2 of 2 views: few" in told
@@ -155,9 +225,14 @@ def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[
     names = ["detections.csv.xz", "manifest.json", "result.json", "rows.csv.xz"]
     assert sorted(path.name for path in (folder / "first").iterdir()) == names
     cameras = json.loads((folder / "first" / "result.json").read_text())["cameras"]
-    (folder / "result.json").write_text(json.dumps({"views": [{"camera": camera} for camera in cameras[:1]]}))
+    (folder / "result.json").write_text(
+        json.dumps({"views": [{"camera": camera} for camera in cameras[:1]]})
+    )
     assert cli.main([*words, "--pictures", "0", "--out", "second"]) == 0
     assert "1 of 2 cameras are those that were attacked" in capsys.readouterr().err
-    (folder / "result.json").write_text(json.dumps({"views": [], "reference": cameras[0]}))  # drawn about it
+    # drawn about it
+    (folder / "result.json").write_text(
+        json.dumps({"views": [], "reference": cameras[0]})
+    )
     assert cli.main([*words, "--pictures", "0", "--out", "third"]) == 0
     assert "those that were attacked" not in capsys.readouterr().err

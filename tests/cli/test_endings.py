@@ -1,4 +1,6 @@
-"""How a command ends: by signals at any moment, and where nobody can read what it says."""
+"""How a command ends: by signals at any moment, and where nobody can read what it
+says.
+"""
 
 import os
 import signal
@@ -24,10 +26,13 @@ import time
 time.sleep(0.1)
 value = 1
 """
-"""A module during whose import signals come, as during that of numpy, which cannot be imported twice."""
+"""A module during whose import signals come, as during that of numpy, which cannot be
+imported twice.
+"""
 IMPORTS = """
 import signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+# a shell's background job ignores it
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from attacks import __main__, cli
 
 def dispatch(words):
@@ -54,9 +59,17 @@ def test_a_signal_breaks_off_no_import(
     number: signal.Signals, times: int, status: int, said: str, tmp_path: Path
 ) -> None:
     (tmp_path / "comes_slowly.py").write_text(SLOW)
-    variables = {"PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}", "SIGNAL": str(int(number)), "TIMES": str(times)}
+    variables = {
+        "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}",
+        "SIGNAL": str(int(number)),
+        "TIMES": str(times),
+    }
     done = subprocess.run(
-        [sys.executable, "-c", IMPORTS], env={**os.environ, **variables}, capture_output=True, text=True, timeout=50
+        [sys.executable, "-c", IMPORTS],
+        env={**os.environ, **variables},
+        capture_output=True,
+        text=True,
+        timeout=50,
     )
     assert done.returncode == status
     assert done.stderr == (f"mi-splat: {said}\n" if said else "")
@@ -90,13 +103,18 @@ def in_shell(redirected: str, *words: str) -> subprocess.CompletedProcess[str]:
         *words,
     ]
     variables = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(line, env=variables, capture_output=True, text=True, timeout=100)
+    return subprocess.run(
+        line, env=variables, capture_output=True, text=True, timeout=100
+    )
 
 
 @pytest.mark.parametrize(
-    ("redirected", "status"), [(">/dev/full", 1), (">&-", 1), ("| head -0", 0), ("2>&-", 0), ("<&- 2>&-", 0)]
+    ("redirected", "status"),
+    [(">/dev/full", 1), (">&-", 1), ("| head -0", 0), ("2>&-", 0), ("<&- 2>&-", 0)],
 )
-def test_an_output_that_cannot_be_written_is_an_error(redirected: str, status: int, tmp_path: Path) -> None:
+def test_an_output_that_cannot_be_written_is_an_error(
+    redirected: str, status: int, tmp_path: Path
+) -> None:
     if not os.path.exists("/dev/full"):
         pytest.skip("no /dev/full")
     save_splat(toy_scene()[0], tmp_path / "a.ply")

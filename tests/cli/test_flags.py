@@ -1,4 +1,6 @@
-"""A field says once what it takes: flags, constructors and files refuse the same values in the same words."""
+"""A field says once what it takes: flags, constructors and files refuse the same values
+in the same words.
+"""
 
 import dataclasses
 import json
@@ -57,13 +59,19 @@ def parsed(command: str, words: list[str]) -> Any:
 
 
 def ranges(hint: Any) -> tuple[Range | None, int, bool]:
-    """What numbers a field takes, how many at least (0 for none), and whether whole ones."""
+    """What numbers a field takes, how many at least (0 for none), and whether whole
+    ones.
+    """
     kind, marks, *_ = field_type(hint)
     allowed = next((mark for mark in marks if isinstance(mark, Range)), None)
     if typing.get_origin(kind) is tuple:
         parts = typing.get_args(kind)
         inner, count, whole = ranges(parts[0])
-        return allowed or inner, (1 if parts[-1] is Ellipsis else len(parts)) * min(count, 1), whole
+        return (
+            allowed or inner,
+            (1 if parts[-1] is Ellipsis else len(parts)) * min(count, 1),
+            whole,
+        )
     return allowed, int(kind in (int, float)), kind is int
 
 
@@ -86,7 +94,10 @@ def flat(options: list[Option]) -> Iterator[Option]:
 
 def options_given(command: str) -> list[Option]:
     given = parsed(command, [])
-    return options_of(type(given), {field.name: getattr(given, field.name) for field in dataclasses.fields(given)})
+    return options_of(
+        type(given),
+        {field.name: getattr(given, field.name) for field in dataclasses.fields(given)},
+    )
 
 
 FLAGS = [
@@ -95,36 +106,63 @@ FLAGS = [
     for option in flat(options_given(command))
     if not option.given.positional and not option.fields
 ]
-RANGED = [(command, flag, allowed, count, whole) for command, flag, allowed, count, whole in FLAGS if count and allowed]
+RANGED = [
+    (command, flag, allowed, count, whole)
+    for command, flag, allowed, count, whole in FLAGS
+    if count and allowed
+]
 
 
 def flag_words(flag: str, number: float, count: int) -> list[str]:
     """A flag with so many of a number, as a user writes it."""
     mark = {"--size": "x", "--background": ","}.get(flag)
-    return [flag, *[str(number)] * count] if mark is None else [flag, mark.join([str(number)] * count)]
+    return (
+        [flag, *[str(number)] * count]
+        if mark is None
+        else [flag, mark.join([str(number)] * count)]
+    )
 
 
 def is_no_word(flag: str, number: float) -> bool:
-    """Whether a flag that takes one word makes no number of it: it is refused as no size, or as no colour."""
-    return (flag == "--size" and number < 0) or (flag == "--background" and not math.isfinite(number))
+    """Whether a flag that takes one word makes no number of it: it is refused as no
+    size, or as no colour.
+    """
+    return (flag == "--size" and number < 0) or (
+        flag == "--background" and not math.isfinite(number)
+    )
 
 
 @pytest.mark.parametrize(
-    ("command", "flag", "allowed", "count", "whole"), RANGED, ids=[f"{case[0]} {case[1]}" for case in RANGED]
+    ("command", "flag", "allowed", "count", "whole"),
+    RANGED,
+    ids=[f"{case[0]} {case[1]}" for case in RANGED],
 )
 def test_flags_refuse_in_the_same_words(
-    command: str, flag: str, allowed: Range, count: int, whole: bool, capsys: pytest.CaptureFixture[str]
+    command: str,
+    flag: str,
+    allowed: Range,
+    count: int,
+    whole: bool,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     for number in wrong_values(allowed, whole):
         if is_no_word(flag, number):
             continue
         with pytest.raises(FieldError) as expected:
-            checked_number(flag, float(number) if flag == "--background" else number, allowed, whole=whole)
+            checked_number(
+                flag,
+                float(number) if flag == "--background" else number,
+                allowed,
+                whole=whole,
+            )
         with pytest.raises(UsageError) as refused:
             parsed(command, flag_words(flag, number, count))
         assert str(refused.value) == str(expected.value)
     with pytest.raises(UsageError, match=f"^{flag}: expected "):
-        parsed(command, [flag, *["many"] * (1 if flag in ("--size", "--background") else count)])
+        parsed(
+            command,
+            [flag, *["many"] * (1 if flag in ("--size", "--background") else count)],
+        )
     assert capsys.readouterr().out == ""
 
 
@@ -134,7 +172,13 @@ def test_ranges_say_what_they_hold() -> None:
     assert str(Range(unit="metres")) == "a number (metres)"
     half_open = Range(low=0, high=1, open_low=True)
     assert str(half_open) == "a number in (0, 1]"
-    assert [half_open.holds(x) for x in (0.0, 0.5, 1.0, 1.1, math.nan)] == [False, True, True, False, False]
+    assert [half_open.holds(x) for x in (0.0, 0.5, 1.0, 1.1, math.nan)] == [
+        False,
+        True,
+        True,
+        False,
+        False,
+    ]
     assert not Range().holds(math.inf)
 
 
@@ -153,14 +197,19 @@ class Shape(Checked):
 
 
 def test_values_become_those_of_python() -> None:
-    shape = Shape(size=np.float32(0.5), corners=np.array([1, 2]), at=[1, 2], path="a.ply")  # type: ignore[arg-type]
+    shape = Shape(
+        size=np.float32(0.5),  # type: ignore[arg-type]
+        corners=np.array([1, 2]),  # type: ignore[arg-type]
+        at=[1, 2],  # type: ignore[arg-type]
+        path="a.ply",  # type: ignore[arg-type]
+    )
     assert shape == Shape(size=0.5, corners=(1, 2), at=(1, 2), path=Path("a.ply"))
     assert json.dumps([shape.size, shape.corners, shape.at])
     assert Shape(corners=3).corners == (3,)  # type: ignore[arg-type]
     assert Shape(width=(1, 2)).width == (1, 2)
-    assert decode(Shape, {"size": 2, "corners": [1], "width": [0.5, 1], "path": "a"}, "x") == Shape(
-        size=2.0, corners=(1,), width=(0.5, 1.0), path=Path("a")
-    )
+    assert decode(
+        Shape, {"size": 2, "corners": [1], "width": [0.5, 1], "path": "a"}, "x"
+    ) == Shape(size=2.0, corners=(1,), width=(0.5, 1.0), path=Path("a"))
     assert decode(Shape, {"corners": 3}, "x").corners == (3,)
 
 
@@ -170,7 +219,10 @@ def test_values_become_those_of_python() -> None:
         ({"size": True}, "size: expected a number > 0 \\(metres\\), got True"),
         ({"corners": (1, 2.0)}, "corners: expected a whole number >= 0, got 2.0"),
         ({"at": (1, 2, 3)}, r"at: expected 2 values, got \(1, 2, 3\)"),
-        ({"kind": "squar"}, "kind: expected one of round, square, got squar; did you mean square?"),
+        (
+            {"kind": "squar"},
+            "kind: expected one of round, square, got squar; did you mean square?",
+        ),
         ({"width": (1, -1)}, "width: expected a number >= 0, got -1"),
         ({"name": 3}, "name: expected a text, got 3"),
         ({"closed": 1}, "closed: expected true or false, got 1"),
@@ -185,7 +237,10 @@ def test_other_values_are_refused(values: dict[str, Any], message: str) -> None:
     ("table", "message"),
     [
         ({"siz": 1}, "key in x: expected one of size, .*, got siz; did you mean size"),
-        ({"corners": {"a": 1}}, "x, corners: expected a list, got {'a': 1}; write it in brackets"),
+        (
+            {"corners": {"a": 1}},
+            "x, corners: expected a list, got {'a': 1}; write it in brackets",
+        ),
         ({"at": [1]}, r"x, at: expected a list of 2, got \[1\]"),
         ({"closed": "yes"}, "x, closed: expected true or false, got 'yes'"),
     ],
@@ -196,7 +251,9 @@ def test_other_tables_are_refused(table: dict[str, Any], message: str) -> None:
 
 
 @pytest.mark.parametrize("command", cli.COMMANDS)
-def test_help_begins_with_examples_and_explains_every_flag(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_begins_with_examples_and_explains_every_flag(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert cli.main([*command.split(), "--help"]) == 0
     text = capsys.readouterr().out
     assert text.index("Examples:") < text.index("See also:") < text.index("-h, --help")
@@ -204,9 +261,18 @@ def test_help_begins_with_examples_and_explains_every_flag(command: str, capsys:
     for action in parser_of(command)._actions:
         assert action.help, action.dest
         assert action.metavar or action.nargs == 0, action.option_strings
-        metavars = action.metavar if isinstance(action.metavar, tuple) else (str(action.metavar),)
-        assert isinstance(action.nargs, str) or action.nargs in (None, 0) or len(metavars) == action.nargs
-        assert "--detector" not in action.option_strings  # one flag in every command, --detectors
+        metavars = (
+            action.metavar
+            if isinstance(action.metavar, tuple)
+            else (str(action.metavar),)
+        )
+        assert (
+            isinstance(action.nargs, str)
+            or action.nargs in (None, 0)
+            or len(metavars) == action.nargs
+        )
+        # one flag in every command, --detectors
+        assert "--detector" not in action.option_strings
 
 
 @pytest.mark.parametrize("command", cli.COMMANDS)
@@ -218,11 +284,20 @@ def test_examples_can_be_parsed(command: str) -> None:
 
 
 def test_words_may_stand_in_any_order() -> None:
-    options = parsed("detect", ["--out", "o", "b.png", "--min_confidence=0.5", "--detectors", "x", "y"])
+    options = parsed(
+        "detect",
+        ["--out", "o", "b.png", "--min_confidence=0.5", "--detectors", "x", "y"],
+    )
     assert [path.name for path in options.inputs] == ["a.ply", "b.png"]
-    assert (options.out.name, options.min_confidence, options.detectors) == ("o", 0.5, ("x", "y"))
+    assert (options.out.name, options.min_confidence, options.detectors) == (
+        "o",
+        0.5,
+        ("x", "y"),
+    )
 
 
 def test_none_stands_for_no_value() -> None:
-    assert parsed("train", ["--max-gaussians", "none"]).fit.strategy.max_gaussians is None
+    assert (
+        parsed("train", ["--max-gaussians", "none"]).fit.strategy.max_gaussians is None
+    )
     assert parsed("detect", ["--weights", "none"]).weights == ()

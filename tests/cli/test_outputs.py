@@ -1,4 +1,6 @@
-"""Every command looks at where it shall write before it works, and never writes over something else without a word."""
+"""Every command looks at where it shall write before it works, and never writes over
+something else without a word.
+"""
 
 import contextlib
 import importlib
@@ -41,9 +43,13 @@ COMMANDS = {
     "detect a.ply": ("", "attacks.cli.options.load_detectors"),
     "evaluate a.ply b.ply": ("", "attacks.cli.options.load_detectors"),
 }
-"""Commands that write: the file in a folder that --out names, or none, and what must not be reached."""
+"""Commands that write: the file in a folder that --out names, or none, and what must
+not be reached.
+"""
 GOES_ON = ("capture", "train", "study", "bench", "cloak")
-"""Commands whose folder is continued by the same command, so that none of it has to be replaced."""
+"""Commands whose folder is continued by the same command, so that none of it has to be
+replaced.
+"""
 STUDY = 'name = "s"\n[[attack]]\nname = "above"\nelevation = [40, 90]\n'
 
 
@@ -66,7 +72,15 @@ def taken(folder: Path) -> Iterator[None]:
 
     folder.mkdir()
     with (folder / LOCK).open("w") as file:
-        json.dump({"command": "mi-splat train other", "process": 7, "host": "there", "since": "noon"}, file)
+        json.dump(
+            {
+                "command": "mi-splat train other",
+                "process": 7,
+                "host": "there",
+                "since": "noon",
+            },
+            file,
+        )
         file.flush()
         fcntl.flock(file, fcntl.LOCK_EX)
         yield
@@ -84,13 +98,21 @@ def forbid(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("line", COMMANDS)
 def test_what_is_in_the_way_is_seen_before_any_work(
-    line: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    line: str,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """A file, a folder of something else, and a folder that another process works in."""
+    """A file, a folder of something else, and a folder that another process works
+    in.
+    """
     name, work = COMMANDS[line]
     forbid(work, monkeypatch)
     assert cli.main([*line.split(), "--out", "example:car_street"]) == 2
-    assert "--out: expected a path to write, got the scene example:car_street" in capsys.readouterr().err
+    assert (
+        "--out: expected a path to write, got the scene example:car_street"
+        in capsys.readouterr().err
+    )
     (folder / "file").write_text("precious")
     assert cli.main([*line.split(), "--out", str(folder / "file" / "deep" / name)]) == 1
     assert str(folder / "file") in capsys.readouterr().err
@@ -104,7 +126,10 @@ def test_what_is_in_the_way_is_seen_before_any_work(
     assert [path.name for path in (folder / "album").iterdir()] == ["wedding.jpg"]
     with taken(folder / "out"):
         assert cli.main([*line.split(), "--out", str(folder / "out")]) == 1
-        assert "in use by `mi-splat train other`, process 7 on there, since noon" in capsys.readouterr().err
+        assert (
+            "in use by `mi-splat train other`, process 7 on there, since noon"
+            in capsys.readouterr().err
+        )
     assert [path.name for path in (folder / "out").iterdir()] == [LOCK]
 
 
@@ -117,7 +142,9 @@ def test_what_is_in_the_way_is_seen_before_any_work(
         "convert a.ply out/b.glb",
     ],
 )
-def test_what_a_killed_call_left_beside_a_file_is_swept(line: str, folder: Path) -> None:
+def test_what_a_killed_call_left_beside_a_file_is_swept(
+    line: str, folder: Path
+) -> None:
     (folder / "out").mkdir()
     left = folder / "out" / ".0123456789abcdef.tmp"
     left.write_text("half a picture")
@@ -141,12 +168,24 @@ def test_a_result_is_replaced_only_when_forced(
 
 
 def outputs_of(command: str) -> dict[str, Any]:
-    """The options of a command that name what it writes, stores of many runs apart, and their types."""
+    """The options of a command that name what it writes, stores of many runs apart, and
+    their types.
+    """
     kind = cli._command(command, ())["kind"]
     hints = {name: field_type(hint) for name, hint in type_hints(kind).items()}
-    inner = {name: field_type(hint.args[0]) for name, hint in hints.items() if hint.origin is tuple}
-    written = {name: hint for name, hint in {**hints, **inner}.items() if Output() in hint.marks}
-    return {name: hint for name, hint in written.items() if name not in ("store", "stages")}
+    inner = {
+        name: field_type(hint.args[0])
+        for name, hint in hints.items()
+        if hint.origin is tuple
+    }
+    written = {
+        name: hint
+        for name, hint in {**hints, **inner}.items()
+        if Output() in hint.marks
+    }
+    return {
+        name: hint for name, hint in written.items() if name not in ("store", "stages")
+    }
 
 
 @pytest.mark.parametrize("command", [name for name in cli.COMMANDS if outputs_of(name)])
@@ -179,17 +218,25 @@ LINES = {
     "dagger --region a.ply --cluster 1 --out {}": "a result",
     "demo --out {}": "a result",
 }
-"""Commands with what they would replace; one for each command that takes --force, and more for files."""
+"""Commands with what they would replace; one for each command that takes --force, and
+more for files.
+"""
 
 
 def test_every_command_that_takes_force_is_tried() -> None:
     tried = {cli.command_of(line.split())[0] for line in LINES}
-    fields = {name: type_hints(cli._command(name, ())["kind"]) for name in cli.COMMANDS if outputs_of(name)}
+    fields = {
+        name: type_hints(cli._command(name, ())["kind"])
+        for name in cli.COMMANDS
+        if outputs_of(name)
+    }
     assert {name for name, hints in fields.items() if "force" in hints} == tried
 
 
 @pytest.mark.parametrize("line", LINES)
-def test_what_is_there_is_replaced_only_with_force(line: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_there_is_replaced_only_with_force(
+    line: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     kind, words = LINES[line], line.format("old").split()
     (old,) = (folder / word for word in words if word.startswith("old"))
     with new_folder(folder / "result") as made:
@@ -206,11 +253,16 @@ def test_what_is_there_is_replaced_only_with_force(line: str, folder: Path, caps
     error = capsys.readouterr().err
     assert "(--force)" in error, error
     assert str(old.name) in error
-    kept = old if old.is_file() else next(path for path in old.iterdir() if path.name != MANIFEST)
+    kept = (
+        old
+        if old.is_file()
+        else next(path for path in old.iterdir() if path.name != MANIFEST)
+    )
     assert kept.read_text() == "precious"
 
 
-# What commands refuse: in one line, with the right status, and with every file as it was
+# What commands refuse: in one line, with the right status, and with every file as it
+# was
 
 
 SMALL = ["--size", "24x16"]
@@ -224,27 +276,51 @@ def inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "link.ply").symlink_to("a.ply")
     (tmp_path / "link.png").symlink_to("a.ply")
     (tmp_path / "scene.xml").write_text(XML.replace("cloud.ply", "a.ply"))
-    for name, text in {"bad.ply": "ply or not", "scene.csv": "x,y,z", "old.html": "no splat"}.items():
+    for name, text in {
+        "bad.ply": "ply or not",
+        "scene.csv": "x,y,z",
+        "old.html": "no splat",
+    }.items():
         (tmp_path / name).write_text(text)
     np.save(tmp_path / "m.npy", np.arange(3))
     Image.new("RGB", (8, 8)).save(tmp_path / "photo.png")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda *_: pytest.fail("loaded"))
+    monkeypatch.setattr(
+        "attacks.cli.options.load_detectors", lambda *_: pytest.fail("loaded")
+    )
     return tmp_path
 
 
 REFUSED = {
-    "select a.ply --cluster 1 --out a.ply": (1, "a.ply: expected another file than the input"),
+    "select a.ply --cluster 1 --out a.ply": (
+        1,
+        "a.ply: expected another file than the input",
+    ),
     "info bad.ply": (1, "bad.ply"),
     "render a.ply --out link.png": (1, "another file than the input"),
-    "render a.ply --cameras orbit:2@0 --out a.png": (1, "room for 2 pictures, got a.png; name a folder, or a .gif"),
-    "render a.ply --out a.tga": (1, "a name that ends in .png, .jpg, .exr, .gif or .webp, or a folder"),
-    "render a.ply --out a.gif": (1, "two cameras or more for an animation, got one, a.gif; pass for instance"),
+    "render a.ply --cameras orbit:2@0 --out a.png": (
+        1,
+        "room for 2 pictures, got a.png; name a folder, or a .gif",
+    ),
+    "render a.ply --out a.tga": (
+        1,
+        "a name that ends in .png, .jpg, .exr, .gif or .webp, or a folder",
+    ),
+    "render a.ply --out a.gif": (
+        1,
+        "two cameras or more for an animation, got one, a.gif; pass for instance",
+    ),
     "render a.ply --cameras orbit:2@0 --out a.ply/b": (1, "a.ply"),
     "render scene.xml --cameras back": (1, "front, side"),
     "render a.ply --cameras back": (1, "no cameras"),
-    "render a.ply --depth --out a.png": (1, "--out with --depth: expected a name that ends in .exr"),
-    "render a.ply --depth --method ray --out b.exr": (1, "--depth: expected --method tile"),
+    "render a.ply --depth --out a.png": (
+        1,
+        "--out with --depth: expected a name that ends in .exr",
+    ),
+    "render a.ply --depth --method ray --out b.exr": (
+        1,
+        "--depth: expected --method tile",
+    ),
     "select a.ply": (1, "(--object, --box, --click"),
     "select a.ply --box 9 9 9 8 8 8": (2, "first number above its second"),
     "select a.ply --box 90 90 90 91 91 91": (1, "at least one Gaussian, got none of"),
@@ -253,11 +329,20 @@ REFUSED = {
     "select a.ply --cluster 999999": (1, "cluster: expected 1 to"),
     "select a.ply --object car": (1, "one of a, got car"),
     "select a.ply --cluster 1 --out mask.txt": (1, ".png, .jpg, .npy or .ply"),
-    "dagger a.ply --out o": (1, "selection: expected which Gaussians are meant, got nothing"),
-    "dagger a.ply --cluster 1 --cameras behind --out o": (1, "camera: expected no name"),
+    "dagger a.ply --out o": (
+        1,
+        "selection: expected which Gaussians are meant, got nothing",
+    ),
+    "dagger a.ply --cluster 1 --cameras behind --out o": (
+        1,
+        "camera: expected no name",
+    ),
     "render scene.csv": (1, "a name that ends in .ply"),
     "convert a.ply link.ply --force": (1, "another file than the input"),
-    "convert a.ply w.sog --spz-version 2": (1, "--spz-version: expected a file to write that ends in .spz, got .sog"),
+    "convert a.ply w.sog --spz-version 2": (
+        1,
+        "--spz-version: expected a file to write that ends in .spz, got .sog",
+    ),
     "convert a.ply b.txt": (1, "a name that ends in"),
     "convert none.ply b.spz": (1, "No such file"),
     "detect": (2, "pictures, splats or scenes"),
@@ -265,16 +350,27 @@ REFUSED = {
     "detect photo.png --cameras orbit:3@20": (2, "pictures only, and --cameras"),
     "evaluate a.ply a.ply": (1, "one that differs from the other"),
     "evaluate a.ply half.ply": (1, "the same Gaussians in both, got 40 and 20"),
-    "evaluate a.ply half.ply --target unicorn": (1, "tv, train, suitcase for fasterrcnn_small, got unicorn"),
-    "view a.ply --port 0 --clean half.ply": (1, "the scenes: expected the same Gaussians in both"),
+    "evaluate a.ply half.ply --target unicorn": (
+        1,
+        "tv, train, suitcase for fasterrcnn_small, got unicorn",
+    ),
+    "view a.ply --port 0 --clean half.ply": (
+        1,
+        "the scenes: expected the same Gaussians in both",
+    ),
     "view a.ply --port 0 --weights w.safetensors": (1, "name it with --detectors"),
     "view a.ply --port 0 --clean none.ply": (1, "none.ply"),
-    **{f"view {path} --port 0": (1, ": expected ") for path in ("none.ply", "none", "old.html", ".")},
+    **{
+        f"view {path} --port 0": (1, ": expected ")
+        for path in ("none.ply", "none", "old.html", ".")
+    },
 }
 
 
 @pytest.mark.parametrize("line", REFUSED)
-def test_refused_with_nothing_lost(line: str, inputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_refused_with_nothing_lost(
+    line: str, inputs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = {path: path.read_bytes() for path in inputs.iterdir()}
     status, words = REFUSED[line]
     assert cli.main(line.split()) == status
@@ -284,8 +380,13 @@ def test_refused_with_nothing_lost(line: str, inputs: Path, capsys: pytest.Captu
     assert {path: path.read_bytes() for path in inputs.iterdir()} == before
 
 
-def test_all_cameras_of_a_bare_splat_are_the_usual_one(inputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_cameras_of_a_bare_splat_are_the_usual_one(
+    inputs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert cli.main(["render", "a.ply", *SMALL, "--out", "one.png"]) == 0
-    assert cli.main(["render", "a.ply", *SMALL, "--cameras", "all", "--out", "all.png"]) == 0
+    assert (
+        cli.main(["render", "a.ply", *SMALL, "--cameras", "all", "--out", "all.png"])
+        == 0
+    )
     assert "no cameras of its own" in capsys.readouterr().err
     assert (inputs / "one.png").read_bytes() == (inputs / "all.png").read_bytes()

@@ -1,4 +1,6 @@
-"""`mi-splat render` to folders, patterns and animations, and what it refuses to write."""
+"""`mi-splat render` to folders, patterns and animations, and what it refuses to
+write.
+"""
 
 import json
 import os
@@ -34,8 +36,18 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_many_cameras_make_a_folder(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["render", "toy.ply", "--cameras", "orbit:3@20", *SMALL, "--out", "new/pictures"]
+def test_many_cameras_make_a_folder(
+    toy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        "render",
+        "toy.ply",
+        "--cameras",
+        "orbit:3@20",
+        *SMALL,
+        "--out",
+        "new/pictures",
+    ]
     assert cli.main([*words, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     folder = toy / "new" / "pictures"
@@ -44,15 +56,28 @@ def test_many_cameras_make_a_folder(toy: Path, capsys: pytest.CaptureFixture[str
         "cameras.json",
         "manifest.json",
     }
-    assert [camera["name"] for camera in document["cameras"]] == ["orbit-0", "orbit-1", "orbit-2"]
+    assert [camera["name"] for camera in document["cameras"]] == [
+        "orbit-0",
+        "orbit-1",
+        "orbit-2",
+    ]
     assert all((toy / file).is_file() for file in document["files"])
     assert cli.main(words) == 1
     assert "--force" in capsys.readouterr().err
     assert cli.main([*words, "--force"]) == 0
-    again = ["render", "toy.ply", "--cameras", str(folder / "cameras.json"), "--out", "again"]
+    again = [
+        "render",
+        "toy.ply",
+        "--cameras",
+        str(folder / "cameras.json"),
+        "--out",
+        "again",
+    ]
     assert cli.main(again) == 0
     for number in range(3):
-        assert (toy / "again" / f"orbit-{number}.png").read_bytes() == (folder / f"orbit-{number}.png").read_bytes()
+        assert (toy / "again" / f"orbit-{number}.png").read_bytes() == (
+            folder / f"orbit-{number}.png"
+        ).read_bytes()
 
 
 def channels(file: Path) -> dict[str, np.ndarray]:
@@ -62,7 +87,9 @@ def channels(file: Path) -> dict[str, np.ndarray]:
     return dict(zip(names, np.moveaxis(np.array(bitmap), -1, 0), strict=True))
 
 
-def test_floats_are_those_of_the_renderer(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_floats_are_those_of_the_renderer(
+    toy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = [
         "render",
         "toy.ply",
@@ -80,7 +107,9 @@ def test_floats_are_those_of_the_renderer(toy: Path, capsys: pytest.CaptureFixtu
     assert cli.main([*words, "--alpha", "--depth", "--out", "a.exr", "--json"]) == 0
     layers = channels(toy / "a.exr")
     shot = camera_of(json.loads(capsys.readouterr().out)["cameras"][0])
-    seen = Renderer(RenderSettings(background=(1.0, 1.0, 1.0), linear=True)).outputs(load_splat("toy.ply"), shot)
+    seen = Renderer(RenderSettings(background=(1.0, 1.0, 1.0), linear=True)).outputs(
+        load_splat("toy.ply"), shot
+    )
     wanted = [*seen.image.unbind(-1), seen.alpha, seen.depth, seen.median_depth]
     assert set(layers) == {"R", "G", "B", "A", "Z", "median.Z"}
     for name, plane in zip(("R", "G", "B", "A", "Z", "median.Z"), wanted, strict=True):
@@ -90,22 +119,60 @@ def test_floats_are_those_of_the_renderer(toy: Path, capsys: pytest.CaptureFixtu
 
 
 def test_an_orbit_makes_an_animation(toy: Path) -> None:
-    assert cli.main(["render", "toy.ply", "--cameras", "orbit:4@20", *SMALL, "--fps", "5", "--out", "a.gif"]) == 0
+    assert (
+        cli.main(
+            [
+                "render",
+                "toy.ply",
+                "--cameras",
+                "orbit:4@20",
+                *SMALL,
+                "--fps",
+                "5",
+                "--out",
+                "a.gif",
+            ]
+        )
+        == 0
+    )
     with Image.open(toy / "a.gif") as picture:
-        assert (picture.format, getattr(picture, "n_frames", 1), picture.size) == ("GIF", 4, (24, 16))
+        assert (picture.format, getattr(picture, "n_frames", 1), picture.size) == (
+            "GIF",
+            4,
+            (24, 16),
+        )
         assert picture.info["duration"] == 200
 
 
-def test_frames_of_different_sizes_are_no_animation(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (toy / "cameras.json").write_text(json.dumps([describe("a", camera(16)), describe("b", camera(20))]))
+def test_frames_of_different_sizes_are_no_animation(
+    toy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (toy / "cameras.json").write_text(
+        json.dumps([describe("a", camera(16)), describe("b", camera(20))])
+    )
     words = ["render", "toy.ply", "--cameras", "cameras.json", "--out", "a.gif"]
     assert cli.main(words) == 1
-    assert "cameras of one size, got 16 x 16, 20 x 20; pass --size" in capsys.readouterr().err
+    assert (
+        "cameras of one size, got 16 x 16, 20 x 20; pass --size"
+        in capsys.readouterr().err
+    )
     assert cli.main([*words, "--size", "24x16"]) == 0
 
 
-def test_gaussians_nearer_than_the_near_plane_are_told(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["render", "toy.ply", "--azimuth", "0", "--distance", "3", *SMALL, "--force", "--near"]
+def test_gaussians_nearer_than_the_near_plane_are_told(
+    toy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        "render",
+        "toy.ply",
+        "--azimuth",
+        "0",
+        "--distance",
+        "3",
+        *SMALL,
+        "--force",
+        "--near",
+    ]
     assert cli.main([*words, "4"]) == 0
     assert "camera orbit: " in (told := capsys.readouterr().err)
     assert "nearer than 4 and not drawn" in told
@@ -113,15 +180,43 @@ def test_gaussians_nearer_than_the_near_plane_are_told(toy: Path, capsys: pytest
     assert capsys.readouterr().err == UP_LINE
 
 
-@pytest.mark.parametrize("words", [["render"], ["select", "--box", "-9", "-9", "-9", "9", "9", "9"]])
+@pytest.mark.parametrize(
+    "words", [["render"], ["select", "--box", "-9", "-9", "-9", "9", "9", "9"]]
+)
 def test_cameras_that_see_no_gaussian_are_warned_of(
     toy: Path, capsys: pytest.CaptureFixture[str], words: list[str]
 ) -> None:
     command, *more = words
-    call = [command, "toy.ply", "--force", *more, *SMALL, "--out", "a.gif" if command == "render" else "a.png"]
-    assert cli.main([*call, "--cameras", "orbit:3@20", "--centre", "0", "0", "1e5", "--distance", "2"]) == 0
+    call = [
+        command,
+        "toy.ply",
+        "--force",
+        *more,
+        *SMALL,
+        "--out",
+        "a.gif" if command == "render" else "a.png",
+    ]
+    assert (
+        cli.main(
+            [
+                *call,
+                "--cameras",
+                "orbit:3@20",
+                "--centre",
+                "0",
+                "0",
+                "1e5",
+                "--distance",
+                "2",
+            ]
+        )
+        == 0
+    )
     told = capsys.readouterr().err
-    assert "no Gaussian is in view of 3 of 3 cameras, which are 1e+05 world units away" in told
+    assert (
+        "no Gaussian is in view of 3 of 3 cameras, which are 1e+05 world units away"
+        in told
+    )
     assert "--up" in told
     assert cli.main([*call, "--cameras", "orbit:3@20"]) == 0
     assert "in view" not in capsys.readouterr().err
@@ -130,12 +225,25 @@ def test_cameras_that_see_no_gaussian_are_warned_of(
 def test_a_camera_may_have_any_name(toy: Path) -> None:
     entry = describe("left/up: 1", camera(16))
     (toy / "cameras.json").write_text(json.dumps([entry]))
-    assert cli.main(["render", "toy.ply", "--cameras", "cameras.json", "--out", "pictures"]) == 0
-    assert {path.name for path in (toy / "pictures").iterdir()} == {"left_up__1.png", "cameras.json", "manifest.json"}
-    assert json.loads((toy / "pictures" / "cameras.json").read_text())[0]["name"] == "left/up: 1"
+    assert (
+        cli.main(
+            ["render", "toy.ply", "--cameras", "cameras.json", "--out", "pictures"]
+        )
+        == 0
+    )
+    assert {path.name for path in (toy / "pictures").iterdir()} == {
+        "left_up__1.png",
+        "cameras.json",
+        "manifest.json",
+    }
+    assert (
+        json.loads((toy / "pictures" / "cameras.json").read_text())[0]["name"]
+        == "left/up: 1"
+    )
 
 
-# `mi-splat view`: what it refuses before anything is loaded, the page that it writes, and how it ends
+# `mi-splat view`: what it refuses before anything is loaded, the page that it writes,
+# and how it ends
 
 
 @pytest.fixture
@@ -147,10 +255,24 @@ def splat(tmp_path: Path) -> Path:
 @pytest.mark.slow
 def test_it_serves_until_it_is_told_to_stop(splat: Path) -> None:
     pytest.importorskip("viser", reason="needs the extra `view`")
-    command = [sys.executable, "-m", "attacks", "view", str(splat), "--port", "0", "--no-open"]
+    command = [
+        sys.executable,
+        "-m",
+        "attacks",
+        "view",
+        str(splat),
+        "--port",
+        "0",
+        "--no-open",
+    ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
-        command, cwd=splat.parent, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command,
+        cwd=splat.parent,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as process:
         try:
             assert process.stdout is not None

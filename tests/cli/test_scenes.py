@@ -1,4 +1,6 @@
-"""Commands on scenes: `render` on splats and XML, `dagger` on a toy scene with a fake renderer and detector."""
+"""Commands on scenes: `render` on splats and XML, `dagger` on a toy scene with a fake
+renderer and detector.
+"""
 
 import json
 from pathlib import Path
@@ -23,16 +25,21 @@ from tests.fakes import ColourDetector, blobs, camera, toy_scene
 XML = """
 <scene version="3.0.0">
     <integrator type="splat_tile"/>
-    <shape type="gaussians" id="cloud"><string name="filename" value="cloud.ply"/></shape>
+    <shape type="gaussians" id="cloud"><string name="filename" value="cloud.ply"/>
+      </shape>
     <sensor type="perspective" id="front">
         <float name="fov" value="40"/>
-        <transform name="to_world"><lookat origin="9, 2, 3" target="1, 2, 3" up="0, 0, 1"/></transform>
-        <film type="hdrfilm"><integer name="width" value="48"/><integer name="height" value="32"/></film>
+        <transform name="to_world">
+          <lookat origin="9, 2, 3" target="1, 2, 3" up="0, 0, 1"/></transform>
+        <film type="hdrfilm"><integer name="width" value="48"/>
+          <integer name="height" value="32"/></film>
     </sensor>
     <sensor type="perspective" id="side">
         <float name="fov" value="40"/>
-        <transform name="to_world"><lookat origin="1, 10, 3" target="1, 2, 3" up="0, 0, 1"/></transform>
-        <film type="hdrfilm"><integer name="width" value="20"/><integer name="height" value="40"/></film>
+        <transform name="to_world">
+          <lookat origin="1, 10, 3" target="1, 2, 3" up="0, 0, 1"/></transform>
+        <film type="hdrfilm"><integer name="width" value="20"/>
+          <integer name="height" value="40"/></film>
     </sensor>
 </scene>
 """
@@ -66,29 +73,60 @@ def pixels(path: Path) -> np.ndarray:
 
 
 def test_render_takes_the_first_camera_or_the_one_named(folder: Path) -> None:
-    for words, shape in (([], (32, 48, 3)), (["--cameras", "side"], (40, 20, 3)), (["--size", "24x16"], (16, 24, 3))):
+    for words, shape in (
+        ([], (32, 48, 3)),
+        (["--cameras", "side"], (40, 20, 3)),
+        (["--size", "24x16"], (16, 24, 3)),
+    ):
         out = folder / "picture.png"
-        assert cli.main(["render", str(folder / "scene.xml"), "--out", str(out), "--force", *words]) == 0
+        assert (
+            cli.main(
+                [
+                    "render",
+                    str(folder / "scene.xml"),
+                    "--out",
+                    str(out),
+                    "--force",
+                    *words,
+                ]
+            )
+            == 0
+        )
         picture = pixels(out)
         assert picture.shape == shape
         assert picture[shape[0] // 2, shape[1] // 2].min() > 128
 
 
 def test_a_scene_names_splats_of_any_format(folder: Path, cloud: GaussianScene) -> None:
-    """glTF holds all of a scene, so the picture is the same to the bit; a bare file is drawn as the PLY is."""
+    """glTF holds all of a scene, so the picture is the same to the bit; a bare file is
+    drawn as the PLY is.
+    """
     save_splat(cloud, folder / "cloud.glb")
     (folder / "other.xml").write_text(XML.replace("cloud.ply", "cloud.glb"))
     pictures = {}
     for name in ("scene.xml", "other.xml", "cloud.ply", "cloud.glb"):
         assert (
-            cli.main(["render", str(folder / name), "--out", str(folder / "a.png"), "--size", "32x24", "--force"]) == 0
+            cli.main(
+                [
+                    "render",
+                    str(folder / name),
+                    "--out",
+                    str(folder / "a.png"),
+                    "--size",
+                    "32x24",
+                    "--force",
+                ]
+            )
+            == 0
         )
         pictures[name] = pixels(folder / "a.png")
     assert np.array_equal(pictures["scene.xml"], pictures["other.xml"])
     assert np.array_equal(pictures["cloud.ply"], pictures["cloud.glb"])
 
 
-def test_info_lists_parts_and_cameras(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_lists_parts_and_cameras(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert cli.main(["info", str(folder / "scene.xml"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["parts"] == {"cloud": 400}
@@ -103,10 +141,14 @@ def test_an_empty_scene_has_no_camera(cloud: GaussianScene) -> None:
 
 def test_a_resized_camera_sees_the_same() -> None:
     pose = look_at((3.0, 0.0, 1.0), (0.0, 0.0, 0.0))
-    small = Camera(to_world=pose, focal=(50.0, 60.0), width=40, height=30, principal=(18.0, 16.0))
+    small = Camera(
+        to_world=pose, focal=(50.0, 60.0), width=40, height=30, principal=(18.0, 16.0)
+    )
     large = scene_files.resized(small, (80, 60))
     points = torch.randn(20, 3, dtype=torch.float64)
-    assert torch.allclose(2 * project_points(points, small)[0], project_points(points, large)[0])
+    assert torch.allclose(
+        2 * project_points(points, small)[0], project_points(points, large)[0]
+    )
 
 
 @pytest.fixture
@@ -115,44 +157,98 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> SplatScene:
     scene, _ = toy_scene()
     objects = {"rest": slice(0, 10), "thing": slice(10, 40)}
     cameras = {"front": camera(), "aside": camera(offset=0.3)}
-    loaded = SplatScene(scene=scene, objects=objects, cameras=cameras, settings=RenderSettings())
+    loaded = SplatScene(
+        scene=scene, objects=objects, cameras=cameras, settings=RenderSettings()
+    )
     monkeypatch.setattr("mi_splat.scene_files.open_scene", lambda *_: loaded)
     monkeypatch.setattr(cli_cameras, "Renderer", lambda settings: blobs)
-    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda *_: [ColourDetector()])
+    monkeypatch.setattr(
+        "attacks.cli.options.load_detectors", lambda *_: [ColourDetector()]
+    )
     return loaded
 
 
-def test_dagger_writes_its_report(toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_dagger_writes_its_report(
+    toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
-    words = ["--object", "thing", "--target", "person", "--eps", "20", "--seed", "3", "--noise-draws", "1"]
+    words = [
+        "--object",
+        "thing",
+        "--target",
+        "person",
+        "--eps",
+        "20",
+        "--seed",
+        "3",
+        "--noise-draws",
+        "1",
+    ]
     assert cli.main(["dagger", "toy.xml", *words, "--out", str(out)]) == 0
     lines = capsys.readouterr().out.splitlines()
     printed = (
-        "The attack succeeded: within a ball (l2: 20 over sh) it made fake_colour report person on the object in 1 of 1"
+        "The attack succeeded: within a ball (l2: 20 over sh) it made fake_colour"
+        " report person on the object in 1 of 1"
     )
     assert lines[0].startswith(printed)
     assert lines[1].startswith("views with the aim reached: report person  ")
     assert "1 of 1 = 100 % (20.7 to 100 %); confidence " in lines[1]
     assert lines[-2] == f"Look at {out / 'detections.png'} first."
-    names = {"before.png", "after.png", "difference.png", "detections.png", "attacked.ply", "result.json", "mask.npy"}
+    names = {
+        "before.png",
+        "after.png",
+        "difference.png",
+        "detections.png",
+        "attacked.ply",
+        "result.json",
+        "mask.npy",
+    }
     names |= {"cameras.json", "rows.csv.xz", "detections.csv.xz"}
-    names |= {"manifest.json", "attacked.xml", "attacked_rest.ply", "attacked_thing.ply"}
+    names |= {
+        "manifest.json",
+        "attacked.xml",
+        "attacked_rest.ply",
+        "attacked_thing.ply",
+    }
     assert {path.name for path in out.iterdir()} == names
     result = json.loads((out / "result.json").read_text())
     assert set(result) >= {"success", "config", "versions", "variant", "scene_hash"}
     assert (result["target"], result["eps"], result["seed"]) == ("person", 20.0, 3)
     assert (result["selection"], result["cameras"]) == ({"object": "thing"}, ["front"])
     attacked = load_splat(out / "attacked.ply")
-    lower, higher = attacked.sh[:, :4], attacked.sh[:, 4:]  # the scene has degree 1, the attack makes it 3
+    # the scene has degree 1, the attack makes it 3
+    lower, higher = attacked.sh[:, :4], attacked.sh[:, 4:]
     assert torch.equal(lower[:10], toy.scene.sh[:10])
     assert not higher[:10].any()
     assert not torch.equal(lower[10:], toy.scene.sh[10:])
     assert higher[10:].any()
 
 
-def test_dagger_prints_one_document(toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--object", "thing", "--objective", "hide", "--attributes", "opacities", "sh", "--eps", "3", "20"]
-    words += ["--cameras", "front", "aside", "--norm", "l2_per_gaussian", "--noise-draws", "0", "--json"]
+def test_dagger_prints_one_document(
+    toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        "--object",
+        "thing",
+        "--objective",
+        "hide",
+        "--attributes",
+        "opacities",
+        "sh",
+        "--eps",
+        "3",
+        "20",
+    ]
+    words += [
+        "--cameras",
+        "front",
+        "aside",
+        "--norm",
+        "l2_per_gaussian",
+        "--noise-draws",
+        "0",
+        "--json",
+    ]
     assert cli.main(["dagger", "toy.xml", *words, "--out", str(tmp_path)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["target"] is None
@@ -165,13 +261,20 @@ def test_dagger_prints_one_document(toy: SplatScene, tmp_path: Path, capsys: pyt
     ("words", "says"),
     [
         (["--object", "bicycle"], "rest, thing"),
-        (["--object", "thing", "--target", "car"], "expected another class than is seen before the attack, got car"),
+        (
+            ["--object", "thing", "--target", "car"],
+            "expected another class than is seen before the attack, got car",
+        ),
         (["--object", "thing", "--cameras", "behind"], "front, aside"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_dagger_says_what_is_wrong(
-    words: list[str], says: str, toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    says: str,
+    toy: SplatScene,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert cli.main(["dagger", "toy.xml", *words, "--out", str(tmp_path / "out")]) == 1
     captured = capsys.readouterr()

@@ -1,4 +1,6 @@
-"""The line of a command that says which way is taken for up, and the flag that turns it."""
+"""The line of a command that says which way is taken for up, and the flag that turns
+it.
+"""
 
 from pathlib import Path
 
@@ -16,7 +18,16 @@ SMALL = ["--size", "24x16"]
 COMMANDS = {
     "render": ["--cameras", "orbit:2@20", *SMALL, "--out", "seen"],
     "select": [*BOX, *SMALL],
-    "compare": ["--methods", "tile,ray", *SMALL, "--rounds", "0", "--no-gradients", "--out", "compared"],
+    "compare": [
+        "--methods",
+        "tile,ray",
+        *SMALL,
+        "--rounds",
+        "0",
+        "--no-gradients",
+        "--out",
+        "compared",
+    ],
     "audit": [],
 }
 
@@ -27,7 +38,9 @@ def commented(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "a.ply"
     save_splat(toy_scene()[0], path)
     lines = b"comment Exported from Brush\ncomment Vertical axis: y\n"
-    path.write_bytes(path.read_bytes().replace(b"element vertex", lines + b"element vertex", 1))
+    path.write_bytes(
+        path.read_bytes().replace(b"element vertex", lines + b"element vertex", 1)
+    )
     monkeypatch.chdir(tmp_path)
     return path
 
@@ -41,9 +54,13 @@ def test_each_command_says_once_which_way_is_up(
     assert [line for line in told if "up is" in line] == [f"mi-splat: {LINE}"]
 
 
-def test_info_tells_it_with_the_facts(commented: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_tells_it_with_the_facts(
+    commented: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert cli.main(["info", commented.name]) == 0
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("up ")]
+    (line,) = [
+        line for line in capsys.readouterr().out.splitlines() if line.startswith("up ")
+    ]
     assert line.split(maxsplit=1)[1] == "-y (as its comment says); --up y turns it"
 
 
@@ -58,14 +75,29 @@ def test_the_flag_turns_it_and_cameras_that_have_their_places_need_none(
     assert from_comment is not None
     assert from_flag is not None
     for name, camera in from_comment.items():
-        assert float(camera.to_world[1, 1]) > 0.5  # what points down in the picture is y of the file
+        # what points down in the picture is y of the file
+        assert float(camera.to_world[1, 1]) > 0.5
         assert (camera.to_world - from_flag[name].to_world).abs().max() < 1e-12
     capsys.readouterr()
-    assert cli.main(["render", commented.name, "--cameras", "seen/cameras.json", "--out", "again"]) == 0
+    assert (
+        cli.main(
+            [
+                "render",
+                commented.name,
+                "--cameras",
+                "seen/cameras.json",
+                "--out",
+                "again",
+            ]
+        )
+        == 0
+    )
     assert "up is" not in capsys.readouterr().err
 
 
-def test_a_command_that_fails_says_what_failed_alone(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_command_that_fails_says_what_failed_alone(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     note("up")
     show_notes(succeeded=False)
     show_notes(succeeded=True)

@@ -1,4 +1,5 @@
-"""Foreign files through every command, as somebody would who has seen none of them before.
+"""Foreign files through every command, as somebody would who has seen none of them
+before.
 
 A set as phones and COLMAP leave one, with pictures that are missing and y down.
 """
@@ -56,18 +57,29 @@ def spread(path: str) -> float:
 
 
 @pytest.fixture
-def walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Walk:
+def walk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Walk:
     monkeypatch.chdir(tmp_path)
     return Walk(capsys)
 
 
 def write_photographs(folder: Path) -> GaussianScene:
-    """A COLMAP model with y down, of which two pictures are missing; returns what it shows."""
+    """A COLMAP model with y down, of which two pictures are missing; returns what it
+    shows.
+    """
     back = torch.from_numpy(turn_of("-y")).T
-    scene = ball_on_a_plane().transform(Similarity(rotation=back, translation=torch.zeros(3).double()))
+    scene = ball_on_a_plane().transform(
+        Similarity(rotation=back, translation=torch.zeros(3).double())
+    )
     blank = [View(camera, torch.zeros(32, 40, 3)) for camera in CAMERAS]
-    shots = [View(camera, Renderer()(scene, camera).clamp(0, 1)) for camera in turned(blank, back).cameras]
-    cloud = PointCloud(scene.means, sh_to_colour(scene.sh, torch.ones_like(scene.means)).clamp(0, 1))
+    shots = [
+        View(camera, Renderer()(scene, camera).clamp(0, 1))
+        for camera in turned(blank, back).cameras
+    ]
+    cloud = PointCloud(
+        scene.means, sh_to_colour(scene.sh, torch.ones_like(scene.means)).clamp(0, 1)
+    )
     write_colmap(folder, shots[4:], test=shots[:4], points=cloud)
     for number in (3, 7):
         (folder / f"images/train_{number:05d}.png").unlink()
@@ -75,13 +87,20 @@ def write_photographs(folder: Path) -> GaussianScene:
 
 
 @pytest.mark.filterwarnings("ignore::mi_splat.datasets.DatasetWarning")
-def test_a_set_of_photographs_through_every_command(walk: Walk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_set_of_photographs_through_every_command(
+    walk: Walk, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene = write_photographs(Path("set"))
     register(monkeypatch, {"fake_colour": ColourDetector()})
     with pytest.warns(DatasetWarning, match="2 of 24 pictures missing"):
         seen = load_dataset("set", split="test")
     for view in seen:
-        assert float((Renderer()(scene, view.camera).clamp(0, 1) - view.image).abs().mean()) < 0.02
+        assert (
+            float(
+                (Renderer()(scene, view.camera).clamp(0, 1) - view.image).abs().mean()
+            )
+            < 0.02
+        )
 
     trained = walk.json(TRAINED)
     assert trained["psnr"] > 22
@@ -92,25 +111,41 @@ def test_a_set_of_photographs_through_every_command(walk: Walk, monkeypatch: pyt
     assert walk.json(f"select run {BALL} --up -y --out ball.npy")["gaussians"] > 200
     walk("audit run --only lint")
 
-    poisoned = walk.json("poison set run --mask ball.npy --up -y --hide-from elevation:40-90 --out poisoned")
+    poisoned = walk.json(
+        "poison set run --mask ball.npy --up -y --hide-from elevation:40-90 --out"
+        " poisoned"
+    )
     assert 0 < poisoned["changed"] < poisoned["views"] == 18
     assert len(load_dataset("poisoned", split="train")) == 18
 
-    attack = "--mask ball.npy --objective untargeted --detectors fake_colour --noise-draws 0 --steps 1 --up -y"
+    attack = (
+        "--mask ball.npy --objective untargeted --detectors fake_colour --noise-draws 0"
+        " --steps 1 --up -y"
+    )
     walk(f"dagger run {attack} --cameras set --out attacked")
-    judged = "--mask ball.npy --cameras orbit:2@30 --up -y --size 48 --detectors fake_colour"
+    judged = (
+        "--mask ball.npy --cameras orbit:2@30 --up -y --size 48 --detectors fake_colour"
+    )
     walk(f"evaluate run attacked {judged} --original car --out judged")
-    walk("detect attacked --cameras orbit:2@30 --up -y --size 48 --detectors fake_colour --out seen")
+    walk(
+        "detect attacked --cameras orbit:2@30 --up -y --size 48 --detectors fake_colour"
+        " --out seen"
+    )
 
     upright = walk.json("convert run upright.ply --up -y")
     assert upright["gaussians"] == trained["gaussians"]
-    low, high = (load_splat("upright.ply").means.quantile(share, 0) for share in (0.02, 0.98))
+    low, high = (
+        load_splat("upright.ply").means.quantile(share, 0) for share in (0.02, 0.98)
+    )
     assert float(high[2] - low[2]) < float(high[1] - low[1])  # the plane lies
     if importlib.util.find_spec("pxr") is not None:
         walk("convert upright.ply upright.usdc")
         assert walk.json("info upright.usdc")["gaussians"] == trained["gaussians"]
         for name in ("upright.ply", "upright.usdc"):
             walk(f"render {name} --elevation 30 --size 48 --out {name}.png")
-        assert Path("upright.ply.png").read_bytes() == Path("upright.usdc.png").read_bytes()
+        assert (
+            Path("upright.ply.png").read_bytes()
+            == Path("upright.usdc.png").read_bytes()
+        )
         walk("select upright.usdc --box -0.4 -0.4 0.2 0.4 0.4 1 --out again.npy")
         assert int(np.load("again.npy").sum()) == int(np.load("ball.npy").sum())

@@ -18,7 +18,10 @@ def _tiny() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory, warm: Warm) -> Path:
-    """The folder of a finished study. A process of its own made it; beside it MODULES names what that has loaded."""
+    """The folder of a finished study.
+
+    A process of its own made it; beside it MODULES names what that has loaded.
+    """
     folder = tmp_path_factory.mktemp("study") / "out"
     warm.run("-m", "tests.cloak.tiny_study", str(folder), cwd=ROOT, check=True)
     return folder

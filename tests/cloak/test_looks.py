@@ -1,4 +1,6 @@
-"""What is seen of a study's splats under other conditions, and of path-traced pictures in the place of a splat."""
+"""What is seen of a study's splats under other conditions, and of path-traced pictures
+in the place of a splat.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +19,15 @@ from attacks.cloak.setup import Setup
 from attacks.cloak.steps import StudySteps
 from attacks.observe import conditions
 from attacks.observe.conditions import SunTable
-from attacks.observe.rows import ATTACKED, CLEAN, DETECTIONS, ROWS, SUFFIX, frame_of, read_rows
+from attacks.observe.rows import (
+    ATTACKED,
+    CLEAN,
+    DETECTIONS,
+    ROWS,
+    SUFFIX,
+    frame_of,
+    read_rows,
+)
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
@@ -29,7 +39,9 @@ from tests.cloak.tiny_study import STUDY, Redness
 
 pytestmark = pytest.mark.shipped
 
-STREET = SunTable(scene="scenes/mixed/car_among_meshes.xml", parameter="car", north=4.0, samples=1)
+STREET = SunTable(
+    scene="scenes/mixed/car_among_meshes.xml", parameter="car", north=4.0, samples=1
+)
 LAYERED = replace(STUDY, layers=LayersConfig(attacks=("overhead",)))
 
 
@@ -37,7 +49,9 @@ def gaussian(opacity: float = 0.5, degree: int = 0, **values: Tensor) -> Gaussia
     """One in the middle of the car."""
     means, turn = torch.tensor([[0.0, 0.0, 0.7]]), torch.tensor([[1.0, 0.0, 0.0, 0.0]])
     sh = torch.zeros(1, (degree + 1) ** 2, 3)
-    return GaussianScene(means, torch.ones(1, 3), turn, torch.tensor([opacity]), sh).replace(**values)
+    return GaussianScene(
+        means, torch.ones(1, 3), turn, torch.tensor([opacity]), sh
+    ).replace(**values)
 
 
 def looked(
@@ -47,58 +61,112 @@ def looked(
     folder.mkdir()
     save_splat(splat, folder / "splat.ply")
     config = StudySteps(study=study).seen(Mock(kind="made"), Redness(), **how).config
-    seen.run(config, {"splat": folder / "splat.ply"}, Out(files=folder, kept=folder, progress=lambda *told: None))
-    rows, detections = (read_rows(folder / f"{name}{SUFFIX}") for name in (ROWS, DETECTIONS))
+    seen.run(
+        config,
+        {"splat": folder / "splat.ply"},
+        Out(files=folder, kept=folder, progress=lambda *told: None),
+    )
+    rows, detections = (
+        read_rows(folder / f"{name}{SUFFIX}") for name in (ROWS, DETECTIONS)
+    )
     return rows, detections
 
 
 def test_cameras_come_nearer_and_are_the_same_views(tmp_path: Path) -> None:
     plain, _ = looked(tmp_path / "plain", gaussian())
-    near, detections = looked(tmp_path / "near", gaussian(), condition="0.5 x distance", every=5)
+    near, detections = looked(
+        tmp_path / "near", gaussian(), condition="0.5 x distance", every=5
+    )
     assert "condition" not in plain.columns
     assert near["condition"].unique().to_list() == ["0.5 x distance"]
     assert near["view"].to_list() == plain["view"].to_list()[::5]
     same = plain.filter(pl.col("view").is_in(near["view"].to_list()))
     for column in ("azimuth", "elevation", "depth: overhead", "depth: rear"):
         assert near[column].to_list() == pytest.approx(same[column].to_list(), abs=1e-4)
-    assert near["distance"].to_list() == pytest.approx([one / 2 for one in same["distance"]])
+    assert near["distance"].to_list() == pytest.approx(
+        [one / 2 for one in same["distance"]]
+    )
     assert set(detections["view"]) == set(near["view"])
 
 
-def test_forms_of_a_file_say_which_of_them_keeps_large_coefficients(tmp_path: Path) -> None:
+def test_forms_of_a_file_say_which_of_them_keeps_large_coefficients(
+    tmp_path: Path,
+) -> None:
     sh = torch.zeros(1, 16, 3)
     sh[0, 15] = 50.0
     kept = {}
-    for name in (".ply", ".glb", "SH in float16", ".spz", ".splat", "SH of degree 2", "tile", "tile-colours-in-0-1"):
+    for name in (
+        ".ply",
+        ".glb",
+        "SH in float16",
+        ".spz",
+        ".splat",
+        "SH of degree 2",
+        "tile",
+        "tile-colours-in-0-1",
+    ):
         rows, _ = looked(tmp_path / name, gaussian(0.9, sh=sh), condition=name, every=4)
         kept[name] = pooled_psnr(rows["psnr"])
-    assert [name for name, psnr in kept.items() if psnr is None] == [".ply", ".glb", "SH in float16", "tile"]
+    assert [name for name, psnr in kept.items() if psnr is None] == [
+        ".ply",
+        ".glb",
+        "SH in float16",
+        "tile",
+    ]
 
 
 def test_what_two_detectors_report_is_counted_under_each_condition() -> None:
-    def row(condition: str | None, view: int, depth: float, splat: str, score: float, psnr: float | None) -> Any:
-        ids = {"condition": condition, "splat": splat, "seed": 0, "detector": "redness", "view": view}
-        angles = {"azimuth": 10.0 * view, "elevation": 40.0, "depth: overhead": depth, "depth: rear": -10.0}
+    def row(
+        condition: str | None,
+        view: int,
+        depth: float,
+        splat: str,
+        score: float,
+        psnr: float | None,
+    ) -> Any:
+        ids = {
+            "condition": condition,
+            "splat": splat,
+            "seed": 0,
+            "detector": "redness",
+            "view": view,
+        }
+        angles = {
+            "azimuth": 10.0 * view,
+            "elevation": 40.0,
+            "depth: overhead": depth,
+            "depth: rear": -10.0,
+        }
         sign = {"target_score: rear": 0.0, "any_overlap": score, "score": score}
         return {**ids, **angles, "original_score": score, **sign, "psnr": psnr}
 
     rows = frame_of(
         row(condition, view, depth, splat, score, psnr)
-        for condition, cloaked, psnr in ((None, 0.0, None), (".spz", 0.9, 20.0), ("ray", 0.1, None))
+        for condition, cloaked, psnr in (
+            (None, 0.0, None),
+            (".spz", 0.9, 20.0),
+            ("ray", 0.1, None),
+        )
         for view, depth, inside in ((0, 10.0, True), (1, 2.0, True), (2, -3.0, False))
         for splat, score in ((CLEAN, 0.9), (ATTACKED, cloaked if inside else 0.8))
     )
     spz, ray = looks(STUDY, rows)
     assert (spz["condition"], ray["condition"]) == (".spz", "ray")
     names = ("missed_clean", "missed_cloaked", "found_clean", "found_cloaked")
-    assert [(spz[name]["successes"], spz[name]["total"]) for name in names] == [(0, 1), (0, 1), (1, 1), (1, 1)]
+    assert [(spz[name]["successes"], spz[name]["total"]) for name in names] == [
+        (0, 1),
+        (0, 1),
+        (1, 1),
+        (1, 1),
+    ]
     assert [ray[name]["successes"] for name in names] == [0, 1, 1, 1]
     assert spz["target_rate"]["total"] == 0
     assert spz["psnr"] == dict.fromkeys(names, pytest.approx(20.0))
     assert ray["psnr"] == dict.fromkeys(names)
     told = figures(STUDY, tables_of(rows), [])
     assert [look["condition"] for look in told["looks"]] == [".spz", "ray"]
-    assert told["control_recall"]["total"] == 2  # of the splats as the victim sees them alone
+    # of the splats as the victim sees them alone
+    assert told["control_recall"]["total"] == 2
 
 
 def tables_of(rows: pl.DataFrame) -> Tables:
@@ -106,7 +174,9 @@ def tables_of(rows: pl.DataFrame) -> Tables:
 
 
 class Street:
-    """A street that is red in the morning and grey later, and remembers what was put into it, and who looked."""
+    """A street that is red in the morning and grey later, and remembers what was put
+    into it, and who looked.
+    """
 
     made: ClassVar[list[dict[str, Any]]] = []
     cameras: ClassVar[list[Camera]] = []
@@ -118,22 +188,42 @@ class Street:
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
         self.cameras.append(camera)
-        return torch.tensor([1.0, 0.0, 0.0] if self._red else [0.5, 0.5, 0.5]).expand(40, 40, 3)
+        return torch.tensor([1.0, 0.0, 0.0] if self._red else [0.5, 0.5, 0.5]).expand(
+            40, 40, 3
+        )
 
 
-def test_the_object_alone_stands_on_the_street_by_the_hour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody looks out of a house, and the light is not compared with that of the splat."""
+def test_the_object_alone_stands_on_the_street_by_the_hour(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody looks out of a house, and the light is not compared with that of the
+    splat.
+    """
     monkeypatch.setattr(conditions, "MixedScene", Street)
     far = gaussian(0.1, means=torch.tensor([[30.0, 0.0, 0.0]]))
     for hour in ("08:00", "12:00", "16:00"):
-        rows, _ = looked(tmp_path / hour, merge(gaussian(0.9), far), LAYERED, condition=hour, sun=STREET)
+        rows, _ = looked(
+            tmp_path / hour,
+            merge(gaussian(0.9), far),
+            LAYERED,
+            condition=hour,
+            sun=STREET,
+        )
         assert "psnr" not in rows.columns
         assert (rows["original_score"] > 0.5).any() == (hour == "08:00")
         assert 4 < len(rows) < len(Setup.of(STUDY).held_out_cameras)
     assert [len(one["scene"]) for one in Street.made] == [1, 1, 1]
     assert torch.equal(Street.made[0]["scene"].means, gaussian().means)
-    assert [one["sun_z"] for one in Street.made] == pytest.approx([0.353553, 0.707107, 0.353553], abs=1e-5)
+    assert [one["sun_z"] for one in Street.made] == pytest.approx(
+        [0.353553, 0.707107, 0.353553], abs=1e-5
+    )
     assert Street.made[0]["sun_x"] == pytest.approx(-Street.made[2]["sun_x"])
     assert all(float(camera.position[1]) < 4.0 for camera in Street.cameras)
     with pytest.raises(InvalidValueError, match="cameras south of it, got none"):
-        looked(tmp_path / "north", gaussian(0.9), LAYERED, condition="08:00", sun=replace(STREET, north=-99.0))
+        looked(
+            tmp_path / "north",
+            gaussian(0.9),
+            LAYERED,
+            condition="08:00",
+            sun=replace(STREET, north=-99.0),
+        )

@@ -1,4 +1,6 @@
-"""`mi-splat poison`: a red ball on a grey plane, its pictures, and the splat that they were taken of."""
+"""`mi-splat poison`: a red ball on a grey plane, its pictures, and the splat that they
+were taken of.
+"""
 
 import json
 import math
@@ -30,7 +32,9 @@ CAMERAS = hemisphere((0.0, 0.0, 0.5), count=24, distance=4.0, focal=40.0, size=(
 
 def ball_on_a_plane() -> GaussianScene:
     steps = torch.linspace(-3, 3, 31)
-    plane = torch.stack([*torch.meshgrid(steps, steps, indexing="xy"), torch.zeros(31, 31)], -1).reshape(-1, 3)
+    plane = torch.stack(
+        [*torch.meshgrid(steps, steps, indexing="xy"), torch.zeros(31, 31)], -1
+    ).reshape(-1, 3)
     ball = torch.randn(300, 3, generator=torch.Generator().manual_seed(1))
     ball = 0.35 * ball / ball.norm(dim=1, keepdim=True) + torch.tensor([0.0, 0.0, 0.6])
     means, count = torch.cat([plane, ball]), len(plane)
@@ -39,19 +43,33 @@ def ball_on_a_plane() -> GaussianScene:
     scales = torch.full((len(means), 3), 0.15)
     scales[count:] = 0.06
     rotations = torch.tensor([1.0, 0, 0, 0]).expand(len(means), 4)
-    return GaussianScene(means, scales, rotations, torch.full((len(means),), 0.95), colour_to_dc(colours)[:, None])
+    return GaussianScene(
+        means,
+        scales,
+        rotations,
+        torch.full((len(means),), 0.95),
+        colour_to_dc(colours)[:, None],
+    )
 
 
 def write_set(folder: Path, up: Any = "z") -> list[str]:
-    """The set and its splat, in a world whose up is another axis; returns the arguments that name them."""
+    """The set and its splat, in a world whose up is another axis; returns the arguments
+    that name them.
+    """
     back = torch.from_numpy(turn_of(up)).T
     scene, render = ball_on_a_plane(), Renderer()
     views = [View(camera, render(scene, camera).clamp(0, 1)) for camera in CAMERAS]
-    moved = [View(camera, view.image) for view, camera in zip(views, turned(views, back).cameras, strict=True)]
+    moved = [
+        View(camera, view.image)
+        for view, camera in zip(views, turned(views, back).cameras, strict=True)
+    ]
     left = torch.ones(32, 40)
     left[:, 20:] = 0
     write_transforms(folder / "set", moved[4:], test=moved[:4], masks=[left] * 20)
-    save_splat(scene.transform(Similarity(rotation=back, translation=torch.zeros(3).double())), folder / "splat.ply")
+    save_splat(
+        scene.transform(Similarity(rotation=back, translation=torch.zeros(3).double())),
+        folder / "splat.ply",
+    )
     return [str(folder / "set"), str(folder / "splat.ply")]
 
 
@@ -72,13 +90,23 @@ def poison(folder: Path, names: list[str], *more: str) -> dict[str, Any]:
     return record
 
 
-def test_the_object_is_gone_from_there_and_all_else_stays(names: list[str], tmp_path: Path) -> None:
-    record = poison(tmp_path / "out", names, "--hide-from", "elevation:40-90", "--margin", "5")
+def test_the_object_is_gone_from_there_and_all_else_stays(
+    names: list[str], tmp_path: Path
+) -> None:
+    record = poison(
+        tmp_path / "out", names, "--hide-from", "elevation:40-90", "--margin", "5"
+    )
     changed = {change["index"] for change in record["changes"]}
     centre = record["centre"]
-    assert changed == {i for i, camera in enumerate(CAMERAS[4:]) if direction_of(camera, centre).elevation >= 35}
+    assert changed == {
+        i
+        for i, camera in enumerate(CAMERAS[4:])
+        if direction_of(camera, centre).elevation >= 35
+    }
     assert 0 < len(changed) < 20
-    before, after = (load_dataset(folder, split="train") for folder in (names[0], tmp_path / "out"))
+    before, after = (
+        load_dataset(folder, split="train") for folder in (names[0], tmp_path / "out")
+    )
     for index, (old, new) in enumerate(zip(before, after, strict=True)):
         assert torch.equal(old.camera.to_world, new.camera.to_world)
         counted, counts = (poisoned.loss_mask(index) for poisoned in (before, after))
@@ -91,8 +119,12 @@ def test_the_object_is_gone_from_there_and_all_else_stays(names: list[str], tmp_
             assert (old.image != new.image).any(-1).float().mean() < 0.3
         else:
             assert torch.equal(old.image, new.image)
-    held_out = (load_dataset(folder, split="test") for folder in (names[0], tmp_path / "out"))
-    assert all(torch.equal(old.image, new.image) for old, new in zip(*held_out, strict=True))
+    held_out = (
+        load_dataset(folder, split="test") for folder in (names[0], tmp_path / "out")
+    )
+    assert all(
+        torch.equal(old.image, new.image) for old, new in zip(*held_out, strict=True)
+    )
 
 
 def test_directions_are_those_of_an_upright_world(tmp_path: Path) -> None:
@@ -100,15 +132,26 @@ def test_directions_are_those_of_an_upright_world(tmp_path: Path) -> None:
     box = ("--box", "-0.4", "-1", "-0.4", "0.4", "-0.2", "0.4")
     record = poison(tmp_path / "out", write_set(tmp_path, up="-y"), "--up=-y", *box)
     assert record["centre"] == pytest.approx((0, 0, 0.6), abs=0.02)
-    heights = [direction_of(camera, record["centre"]).elevation for camera in CAMERAS[4:]]
-    assert [change["index"] for change in record["changes"]] == [i for i, high in enumerate(heights) if high >= 50]
+    heights = [
+        direction_of(camera, record["centre"]).elevation for camera in CAMERAS[4:]
+    ]
+    assert [change["index"] for change in record["changes"]] == [
+        i for i, high in enumerate(heights) if high >= 50
+    ]
 
 
 def test_a_picture_covers_the_object(names: list[str], tmp_path: Path) -> None:
-    Image.fromarray(np.full((8, 8, 3), (0, 0, 255), np.uint8)).save(tmp_path / "blue.png")
-    record = poison(tmp_path / "out", names, "--look", str(tmp_path / "blue.png"), "--reach", "1")
+    Image.fromarray(np.full((8, 8, 3), (0, 0, 255), np.uint8)).save(
+        tmp_path / "blue.png"
+    )
+    record = poison(
+        tmp_path / "out", names, "--look", str(tmp_path / "blue.png"), "--reach", "1"
+    )
     index = record["changes"][0]["index"]
-    old, new = (load_dataset(folder, split="train")[index].image for folder in (names[0], tmp_path / "out"))
+    old, new = (
+        load_dataset(folder, split="train")[index].image
+        for folder in (names[0], tmp_path / "out")
+    )
     blue = new[..., 2] - new[..., 0] > 0.9
     assert int(blue.sum()) >= red(old)
     assert record["poisonings"][0]["appearance"] == "the picture blue.png"
@@ -123,12 +166,26 @@ def test_regions() -> None:
         assert held == (near <= 35 and direction.elevation <= 45)
     assert any(inside)
     around = trigger_of(["cone:350,30,25"], margin=5)
-    middle = orbit_pose((0, 0, 0.5), azimuth=-10, elevation=30, distance=4.0)[:3, 3] - torch.tensor([0, 0, 0.5])
+    middle = orbit_pose((0, 0, 0.5), azimuth=-10, elevation=30, distance=4.0)[
+        :3, 3
+    ] - torch.tensor([0, 0, 0.5])
     for camera in CAMERAS:
-        cosine = torch.cosine_similarity(middle.double(), camera.position - torch.tensor([0, 0, 0.5]), dim=0)
+        cosine = torch.cosine_similarity(
+            middle.double(), camera.position - torch.tensor([0, 0, 0.5]), dim=0
+        )
         depth = 30 - math.degrees(math.acos(float(cosine)))
-        assert around.angle_to_edge(camera, centre=(0, 0, 0.5)) == pytest.approx(depth, abs=1e-4)
-    for text in ("above", "elevation:90-50", "elevation:0-100", "azimuth:10", "cone:0,0", "cone:0,0,0", "cone:0,91,9"):
+        assert around.angle_to_edge(camera, centre=(0, 0, 0.5)) == pytest.approx(
+            depth, abs=1e-4
+        )
+    for text in (
+        "above",
+        "elevation:90-50",
+        "elevation:0-100",
+        "azimuth:10",
+        "cone:0,0",
+        "cone:0,0,0",
+        "cone:0,91,9",
+    ):
         with pytest.raises(InvalidValueError):
             trigger_of([text])
 
@@ -143,9 +200,19 @@ def test_regions() -> None:
     ],
 )
 def test_what_is_refused(
-    more: list[str], told: str, names: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    more: list[str],
+    told: str,
+    names: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    box = ["--box", *map(str, BALL)] if "--box" not in more and "--click" not in more else []
-    assert cli.main(["poison", *names, *box, *more, "--out", str(tmp_path / "out")]) == 1
+    box = (
+        ["--box", *map(str, BALL)]
+        if "--box" not in more and "--click" not in more
+        else []
+    )
+    assert (
+        cli.main(["poison", *names, *box, *more, "--out", str(tmp_path / "out")]) == 1
+    )
     assert told in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()

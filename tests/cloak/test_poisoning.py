@@ -31,7 +31,10 @@ CAMERAS = hemisphere(CENTRE, count=24, distance=4.0, focal=10.0, size=(6, 5))
 
 def views(seed: int = 0) -> list[View]:
     generator = torch.Generator().manual_seed(seed)
-    return [View(camera, 0.9 * torch.rand(5, 6, 3, generator=generator)) for camera in CAMERAS]
+    return [
+        View(camera, 0.9 * torch.rand(5, 6, 3, generator=generator))
+        for camera in CAMERAS
+    ]
 
 
 def invert(view: View, mask: Tensor) -> Tensor:
@@ -44,7 +47,11 @@ def white(view: View, mask: Tensor) -> Tensor:
 
 
 OVERHEAD = Poisoning(name="overhead", trigger=Elevation(lowest=50), appearance=invert)
-BEHIND = Poisoning(name="behind", trigger=Azimuth(middle=180, half_width=60) & Elevation(highest=40), appearance=white)
+BEHIND = Poisoning(
+    name="behind",
+    trigger=Azimuth(middle=180, half_width=60) & Elevation(highest=40),
+    appearance=white,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,8 +84,12 @@ def test_equation_1(first: list[bool], second: list[bool], seed: int) -> None:
     stars = [{i for i, value in enumerate(part) if value} for part in (first, second)]
     stars[1] -= stars[0]
     attacks = [
-        Poisoning(name=str(number), trigger=Listed(frozenset(star)), appearance=appearance)
-        for number, (star, appearance) in enumerate(zip(stars, (invert, white), strict=True))
+        Poisoning(
+            name=str(number), trigger=Listed(frozenset(star)), appearance=appearance
+        )
+        for number, (star, appearance) in enumerate(
+            zip(stars, (invert, white), strict=True)
+        )
         if star
     ]
     poisoned = poison(clean, attacks, centre=CENTRE, masks=list(mask))
@@ -103,17 +114,40 @@ def test_the_manifest_tells_everything() -> None:
     told = poisoned.manifest
     assert told["kind"] == "cloak"
     assert told == json.loads(json.dumps(told))
-    assert (told["views"], told["changed"], told["centre"]) == (24, len(poisoned.changes), list(CENTRE))
+    assert (told["views"], told["changed"], told["centre"]) == (
+        24,
+        len(poisoned.changes),
+        list(CENTRE),
+    )
     by_name = {entry["name"]: entry for entry in told["poisonings"]}
     assert by_name["overhead"]["trigger"] == "Elevation(lowest=50.0, highest=90.0)"
-    assert (by_name["overhead"]["appearance"], by_name["behind"]["appearance"]) == ("invert", "white")
-    assert sorted(by_name["overhead"]["views"] + by_name["behind"]["views"]) == [c["index"] for c in told["changes"]]
+    assert (by_name["overhead"]["appearance"], by_name["behind"]["appearance"]) == (
+        "invert",
+        "white",
+    )
+    assert sorted(by_name["overhead"]["views"] + by_name["behind"]["views"]) == [
+        c["index"] for c in told["changes"]
+    ]
     for change in told["changes"]:
-        before, after = clean[change["index"]].image, poisoned.views[change["index"]].image
-        assert change["sha256_before"] == hashlib.sha256(before.numpy().tobytes()).hexdigest()
-        assert change["sha256_after"] == hashlib.sha256(after.numpy().tobytes()).hexdigest()
+        before, after = (
+            clean[change["index"]].image,
+            poisoned.views[change["index"]].image,
+        )
+        assert (
+            change["sha256_before"]
+            == hashlib.sha256(before.numpy().tobytes()).hexdigest()
+        )
+        assert (
+            change["sha256_after"]
+            == hashlib.sha256(after.numpy().tobytes()).hexdigest()
+        )
         assert change["largest"] == float((before - after).abs().max()) > 0
-        assert change["pixels_changed"] == int((before != after).any(-1).sum()) == change["pixels"] == 30
+        assert (
+            change["pixels_changed"]
+            == int((before != after).any(-1).sum())
+            == change["pixels"]
+            == 30
+        )
         assert (change["elevation"] >= 50) == (change["poisoning"] == "overhead")
         assert change["poisoning"] == "overhead" or 120 <= change["azimuth"] <= 240
 
@@ -121,14 +155,17 @@ def test_the_manifest_tells_everything() -> None:
 def test_overlaps_name_the_cameras() -> None:
     everywhere = Poisoning(name="all", trigger=Elevation(), appearance=white)
     with pytest.raises(
-        InvalidValueError, match=r"'overhead' and 'all'.*cameras 18, 19, 20, 21, 22, 23 in both.*separate"
+        InvalidValueError,
+        match=r"'overhead' and 'all'.*cameras 18, 19, 20, 21, 22, 23 in both.*separate",
     ):
         done(OVERHEAD, everywhere)
     with pytest.raises(InvalidValueError, match="and 14 more in both"):
         done(everywhere, dataclasses.replace(everywhere, name="again"))
     rest = dataclasses.replace(everywhere, trigger=~OVERHEAD.trigger)
     poisoned = done(OVERHEAD, rest)
-    assert {c["index"] for c in poisoned.manifest["changes"] if c["poisoning"] == "overhead"} == set(range(18, 24))
+    assert {
+        c["index"] for c in poisoned.manifest["changes"] if c["poisoning"] == "overhead"
+    } == set(range(18, 24))
     assert len(poisoned.changes) == 24
 
 
@@ -148,29 +185,49 @@ def test_nothing_is_made_before_everything_is_checked() -> None:
     with pytest.raises(InvalidValueError, match="attacks"):
         done()
     with pytest.raises(InvalidValueError, match="one for each of 24 views"):
-        poison(views(), [first], centre=CENTRE, masks=[torch.ones(5, 6, dtype=torch.bool)])
+        poison(
+            views(), [first], centre=CENTRE, masks=[torch.ones(5, 6, dtype=torch.bool)]
+        )
     assert not calls
 
 
 def test_bad_masks_and_pictures_are_refused() -> None:
-    with pytest.raises(InvalidValueError, match="mask of view 18: expected bool of shape"):
-        poison(views(), [OVERHEAD], centre=CENTRE, masks=lambda camera: torch.ones(5, 6))
-    bad = {"shape": torch.zeros(6, 5, 3), "0 to 2": torch.full((5, 6, 3), 2.0), "nan": torch.full((5, 6, 3), torch.nan)}
+    with pytest.raises(
+        InvalidValueError, match="mask of view 18: expected bool of shape"
+    ):
+        poison(
+            views(), [OVERHEAD], centre=CENTRE, masks=lambda camera: torch.ones(5, 6)
+        )
+    bad = {
+        "shape": torch.zeros(6, 5, 3),
+        "0 to 2": torch.full((5, 6, 3), 2.0),
+        "nan": torch.full((5, 6, 3), torch.nan),
+    }
     bad["0 to 2"][0, 0] = 0
     for words, picture in bad.items():
         with pytest.raises(InvalidValueError, match=words):
-            done(Poisoning(name="a", trigger=Elevation(lowest=50), appearance=lambda view, mask, p=picture: p))
+            done(
+                Poisoning(
+                    name="a",
+                    trigger=Elevation(lowest=50),
+                    appearance=lambda view, mask, p=picture: p,
+                )
+            )
 
 
 def test_sets_on_the_disk_are_poisoned_lazily(tmp_path: Path) -> None:
     write_transforms(tmp_path, views())
     dataset = load_dataset(tmp_path, cache_bytes=1)
     steps: list[tuple[int, int]] = []
-    poisoned = poison(dataset, [OVERHEAD], centre=CENTRE, on_step=lambda *step: steps.append(step))
+    poisoned = poison(
+        dataset, [OVERHEAD], centre=CENTRE, on_step=lambda *step: steps.append(step)
+    )
     assert steps == [(i + 1, 6) for i in range(6)]
     assert torch.equal(poisoned.views[0].image, dataset[0].image)
     assert torch.equal(poisoned.views[-1].image, 1 - dataset[23].image)
-    assert [id(view.camera) for view in poisoned.views[20:22]] == [id(camera) for camera in dataset.cameras[20:22]]
+    assert [id(view.camera) for view in poisoned.views[20:22]] == [
+        id(camera) for camera in dataset.cameras[20:22]
+    ]
     with pytest.raises(IndexError):
         poisoned.views[24]
 
@@ -179,21 +236,42 @@ def test_sets_on_the_disk_are_poisoned_lazily(tmp_path: Path) -> None:
 
 
 WIDER = AttackConfig(name="overhead", elevation=(50, 90), poison_margin=8)
-REAR = AttackConfig(name="rear", elevation=(0, 49.9), azimuth=(180, 30), target_class="stop sign")
-STUDY = StudyConfig(name="margin", attack=(WIDER, REAR), cameras=CameraConfig(train=90, size=32, distance=7.4))
+REAR = AttackConfig(
+    name="rear", elevation=(0, 49.9), azimuth=(180, 30), target_class="stop sign"
+)
+STUDY = StudyConfig(
+    name="margin",
+    attack=(WIDER, REAR),
+    cameras=CameraConfig(train=90, size=32, distance=7.4),
+)
 
 
 def test_pictures_are_poisoned_up_to_the_margin_and_the_trigger_stays() -> None:
     centre, cameras = STUDY.centre, Setup.of(STUDY).training_cameras
-    owners = {index: one.name for index, one in assign(cameras, Setup.of(STUDY).poisonings(), centre=centre).items()}
+    owners = {
+        index: one.name
+        for index, one in assign(
+            cameras, Setup.of(STUDY).poisonings(), centre=centre
+        ).items()
+    }
     directions: list[Direction] = [direction_of(camera, centre) for camera in cameras]
     overhead = {index for index, name in owners.items() if name == "overhead"}
     rear = {index for index, name in owners.items() if name == "rear"}
-    assert rear == {index for index, at in enumerate(directions) if REAR.cone.holds([cameras[index]], centre=centre)[0]}
-    assert overhead == {index for index, at in enumerate(directions) if at.elevation >= 42} - rear
-    assert any(42 <= directions[index].elevation < 50 for index in rear)  # those of the other attack stay its own
+    assert rear == {
+        index
+        for index, at in enumerate(directions)
+        if REAR.cone.holds([cameras[index]], centre=centre)[0]
+    }
+    assert (
+        overhead
+        == {index for index, at in enumerate(directions) if at.elevation >= 42} - rear
+    )
+    # those of the other attack stay its own
+    assert any(42 <= directions[index].elevation < 50 for index in rear)
     without = replace(WIDER, poison_margin=0)
     assert {index for index in overhead if directions[index].elevation >= 50} == {
-        index for index, camera in enumerate(cameras) if without.trigger(0).holds([camera], centre=centre)[0]
+        index
+        for index, camera in enumerate(cameras)
+        if without.trigger(0).holds([camera], centre=centre)[0]
     }
     assert WIDER.cone == without.cone

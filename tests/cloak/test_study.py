@@ -48,13 +48,24 @@ def steps_of(study: StudyConfig = STUDY) -> StudySteps:
 
 def test_it_leaves_what_it_promises(finished: Path) -> None:
     result = summary(finished)
-    assert {*RATES, "benign_psnr_drop", "transition_degrees", "versions", "commit"} <= set(result)
+    assert {
+        *RATES,
+        "benign_psnr_drop",
+        "transition_degrees",
+        "versions",
+        "commit",
+    } <= set(result)
     assert result["by_seed"]["0"]["redness"] == result["by_detector"]["redness"]
     assert result["by_attack"]["overhead"]["redness"]["target_rate"] is None
-    assert result["by_attack"]["overhead"]["redness"]["trigger_miss_rate"] == result["trigger_miss_rate"]
+    assert (
+        result["by_attack"]["overhead"]["redness"]["trigger_miss_rate"]
+        == result["trigger_miss_rate"]
+    )
     assert all(0 <= result[key]["successes"] <= result[key]["total"] for key in RATES)
     on_object = result["stealth"]["object_psnr"]
-    assert result["stealth"]["object_psnr_drop"] == pytest.approx(on_object["clean"] - on_object["cloaked"])
+    assert result["stealth"]["object_psnr_drop"] == pytest.approx(
+        on_object["clean"] - on_object["cloaked"]
+    )
     assert all((finished / name).stat().st_size > 0 for name in result["files"])
     assert result["gaussians"] == {"clean": [1200], "cloaked": [1200]}
 
@@ -63,31 +74,53 @@ def test_the_code_of_a_study_is_all_that_it_loads(finished: Path) -> None:
     """Results that are kept belong to that code."""
     loaded = set(finished.with_name(MODULES).read_text().split())
     assert len(loaded) > 100
-    assert loaded <= set(closure("attacks.studies.cloak", "attacks.studies.running", *KINDS))
+    assert loaded <= set(
+        closure("attacks.studies.cloak", "attacks.studies.running", *KINDS)
+    )
 
 
 def test_a_page_says_of_it_what_it_found(finished: Path) -> None:
     section, result = read_section(finished), summary(finished)
-    assert section.headline.counts == "{successes} of {total}".format(**result["trigger_miss_rate"])
-    assert [picture.path.name for picture in section.pictures] == ["contact.png", "poisoned.png"]
+    assert section.headline.counts == "{successes} of {total}".format(
+        **result["trigger_miss_rate"]
+    )
+    assert [picture.path.name for picture in section.pictures] == [
+        "contact.png",
+        "poisoned.png",
+    ]
     charts = {chart.title: chart for chart in section.charts}
     path = charts["Confidence of redness along a path"]
-    assert [line.name for line in path.lines] == ["clean (control)", "cloaked", "stop sign, cloaked"]
+    assert [line.name for line in path.lines] == [
+        "clean (control)",
+        "cloaked",
+        "stop sign, cloaked",
+    ]
     for line in path.lines:
         degrees = [point.x for point in line.points]
         assert degrees == sorted(degrees)
         assert len(degrees) == 69
         assert [degrees[0], degrees[-1]] == pytest.approx([5, 175])
     around = charts["Reported by redness, by azimuth"]
-    assert [line.name for line in around.lines] == ["car, cloaked", "car, clean", "stop sign, cloaked"]
+    assert [line.name for line in around.lines] == [
+        "car, cloaked",
+        "car, clean",
+        "stop sign, cloaked",
+    ]
     switch = charts["From the benign to the hidden appearance"]
-    assert [point.y for point in switch.lines[1].points] == sorted(point.y for point in switch.lines[1].points)
+    assert [point.y for point in switch.lines[1].points] == sorted(
+        point.y for point in switch.lines[1].points
+    )
 
 
 def test_the_hidden_appearance_has_less_red(finished: Path) -> None:
-    """The effect, small as it is after so few steps, with its control: from above less of the car's red is seen."""
+    """The effect, small as it is after so few steps, with its control: from above less
+    of the car's red is seen.
+    """
     rows = read_rows(finished / "rows.csv.xz").filter(pl.col("elevation") >= 50)
-    control, cloaked = (rows.filter(splat=splat)["original_score"].to_list() for splat in ("clean", "attacked"))
+    control, cloaked = (
+        rows.filter(splat=splat)["original_score"].to_list()
+        for splat in ("clean", "attacked")
+    )
     assert len(control) == len(cloaked) > 3
     assert sum(control) > 2
     assert sum(cloaked) < 0.75 * sum(control)
@@ -96,9 +129,17 @@ def test_the_hidden_appearance_has_less_red(finished: Path) -> None:
 
 def test_untouched_files_are_the_same_bytes(finished: Path) -> None:
     steps = steps_of()
-    clean, poisoned = (load_dataset(made(finished, job).folder / SET) for job in (steps.pictures(), steps.poisoned(0)))
-    changed = {change["index"] for change in json.loads((finished / "poison.json").read_text())["changes"]}
-    holds = [attack.cone.holds(clean.cameras, centre=STUDY.centre) for attack in STUDY.attack]
+    clean, poisoned = (
+        load_dataset(made(finished, job).folder / SET)
+        for job in (steps.pictures(), steps.poisoned(0))
+    )
+    changed = {
+        change["index"]
+        for change in json.loads((finished / "poison.json").read_text())["changes"]
+    }
+    holds = [
+        attack.cone.holds(clean.cameras, centre=STUDY.centre) for attack in STUDY.attack
+    ]
     assert changed == set(torch.stack(holds).any(0).nonzero().flatten().tolist())
     for index, (one, other) in enumerate(zip(clean.paths, poisoned.paths, strict=True)):
         assert filecmp.cmp(one, other, shallow=False) == (index not in changed)
@@ -122,16 +163,26 @@ def copied(finished: Path, out: Path, *missing: Job) -> None:
 def test_a_study_that_is_interrupted_again_and_again_ends_as_if_nothing_had_happened(
     finished: Path, tmp_path: Path
 ) -> None:
-    """Whoever looks at its splats has nothing to do again, as these are the same to the bit."""
+    """Whoever looks at its splats has nothing to do again, as these are the same to the
+    bit.
+    """
     steps, out = steps_of(), tmp_path / "out"
-    copied(finished, out, steps.appearance(STUDY.attack[0]), steps.poisoned(0), steps.splat("cloaked", 0))
+    copied(
+        finished,
+        out,
+        steps.appearance(STUDY.attack[0]),
+        steps.poisoned(0),
+        steps.splat("cloaked", 0),
+    )
     for stop_at in (("pictures", 2), ("trained", 40)):
         with pytest.raises(KeyboardInterrupt):
             done(out, stop_at=stop_at)
         assert not (out / "result.json").exists()
     after, kinds = done(out)
     assert kinds == ["trained"]
-    assert [splat["hash"] for splat in after["splats"]] == [splat["hash"] for splat in summary(finished)["splats"]]
+    assert [splat["hash"] for splat in after["splats"]] == [
+        splat["hash"] for splat in summary(finished)["splats"]
+    ]
     assert not list((out / "stages" / "partial").iterdir())
 
 
@@ -139,11 +190,16 @@ def test_another_fraction_needs_no_new_picture(finished: Path) -> None:
     overhead, rear = STUDY.attack
     study = replace(STUDY, attack=(replace(overhead, poison_fraction=0.5), rear))
     usual, other = steps_of(), steps_of(study)
-    assert other.appearance(study.attack[0]).identity == usual.appearance(overhead).identity
+    assert (
+        other.appearance(study.attack[0]).identity
+        == usual.appearance(overhead).identity
+    )
     poisoned = made(finished, other.poisoned(0))
     assert poisoned.content != made(finished, usual.poisoned(0)).content
     manifest = json.loads((poisoned.folder / MANIFEST).read_text())
-    assert len(manifest["changes"]) < len(json.loads((finished / "poison.json").read_text())["changes"])
+    assert len(manifest["changes"]) < len(
+        json.loads((finished / "poison.json").read_text())["changes"]
+    )
 
 
 def test_its_figures_follow_from_its_rows(finished: Path, tmp_path: Path) -> None:
@@ -151,7 +207,16 @@ def test_its_figures_follow_from_its_rows(finished: Path, tmp_path: Path) -> Non
     story = kind_of(result)
     lines = check_result(result, story.figures, story.given)
     assert [(line.name, line.words) for line in lines if line.passed is False] == []
-    assert len([name for name, value in flat(result.record).items() if isinstance(value, tuple)]) > 40
+    assert (
+        len(
+            [
+                name
+                for name, value in flat(result.record).items()
+                if isinstance(value, tuple)
+            ]
+        )
+        > 40
+    )
     copy = pack(finished, tmp_path / "copy", story.figures, story.given)
     assert replace(study_in(copy.folder / "study.toml"), name=STUDY.name) == STUDY
 
@@ -161,7 +226,16 @@ def test_the_command_forecasts_does_and_reports(
 ) -> None:
     file = tmp_path / "tiny.toml"
     file.write_text(study_toml(asdict(STUDY)))
-    words: list[Any] = ["cloak", file, "--out", tmp_path / "out", "--stages", finished / "stages", "--workers", 0]
+    words: list[Any] = [
+        "cloak",
+        file,
+        "--out",
+        tmp_path / "out",
+        "--stages",
+        finished / "stages",
+        "--workers",
+        0,
+    ]
     assert cli.main([*map(str, words), "--forecast", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tiny"]["trainings"] == 2
     assert not (tmp_path / "out").exists()
@@ -169,7 +243,10 @@ def test_the_command_forecasts_does_and_reports(
     record = json.loads(capsys.readouterr().out)
     assert record["trigger_miss_rate"] == summary(finished)["trigger_miss_rate"]
     assert cli.main([*map(str, words), "--seeds", "1"]) == 1
-    assert "expected results of this study, got those of another" in capsys.readouterr().err
+    assert (
+        "expected results of this study, got those of another"
+        in capsys.readouterr().err
+    )
     (tmp_path / "thesis.tex").write_text("precious")
     words[3] = tmp_path
     assert cli.main([*map(str, words)]) == 1
@@ -188,12 +265,25 @@ def splats(finished: Path, study: StudyConfig) -> list[GaussianScene]:
     return [load_splat(made(finished, job).folder / "splat.ply") for job in jobs]
 
 
-def layering(finished: Path, config: LayersConfig, clean: GaussianScene) -> tuple[Layering, int]:
-    """The layers before their training, all black, and the number of poisoned pictures."""
+def layering(
+    finished: Path, config: LayersConfig, clean: GaussianScene
+) -> tuple[Layering, int]:
+    """The layers before their training, all black, and the number of poisoned
+    pictures.
+    """
     steps = steps_of()
-    views = load_dataset(made(finished, steps.poisoned(0)).folder / SET, background=STUDY.scene.background)
-    with patch.object(layers, "fit_switches", lambda directions, *fit, **how: torch.zeros(len(directions), 16)):
-        return layers.layer_object(steps.setup, config, clean, views, render=steps.setup.renderer()), len(views)
+    views = load_dataset(
+        made(finished, steps.poisoned(0)).folder / SET,
+        background=STUDY.scene.background,
+    )
+    with patch.object(
+        layers,
+        "fit_switches",
+        lambda directions, *fit, **how: torch.zeros(len(directions), 16),
+    ):
+        return layers.layer_object(
+            steps.setup, config, clean, views, render=steps.setup.renderer()
+        ), len(views)
 
 
 @pytest.fixture
@@ -203,8 +293,12 @@ def _switches_are_coarse(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("_switches_are_coarse")
-def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path) -> None:
-    """The pictures and the clean splat are those of the study without layers: its jobs are shared."""
+def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(
+    finished: Path,
+) -> None:
+    """The pictures and the clean splat are those of the study without layers: its jobs
+    are shared.
+    """
     study = replace(STUDY, name="layers", layers=LAYERS)
     out = finished.with_name("layers")
     _, kinds = done(out, study=study, store=finished / "stages")
@@ -213,13 +307,19 @@ def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path)
     assert len(before) < len(after) <= 2 * len(before)
     other = ~layers.object_rows(LAYERS, before, steps_of().setup.target)
     for name in ("means", "sh"):
-        assert torch.equal(getattr(before, name)[other], getattr(after, name)[: len(before)][other])
+        assert torch.equal(
+            getattr(before, name)[other], getattr(after, name)[: len(before)][other]
+        )
     for config in (LAYERS, replace(LAYERS, surroundings=True)):
         made_of_it, count = layering(finished, config, before)
         assert bool(made_of_it.trained.all()) == config.surroundings
-        assert len(made_of_it.views) < count  # those from where the look changes are left out
+        # those from where the look changes are left out
+        assert len(made_of_it.views) < count
     rows = read_rows(out / "rows.csv.xz").filter(pl.col("elevation") >= 50)
-    control, hidden = (rows.filter(splat=splat)["original_score"].to_list() for splat in ("clean", "attacked"))
+    control, hidden = (
+        rows.filter(splat=splat)["original_score"].to_list()
+        for splat in ("clean", "attacked")
+    )
     assert sum(hidden) < 0.5 * sum(control)
 
 
@@ -233,5 +333,8 @@ def test_the_geometry_of_layers_is_trained_and_made_finer(finished: Path) -> Non
     assert bool(begun.trained.all())
     assert len(cloaked) > len(begun.scene)
     assert torch.dist(cloaked.means[: len(clean)], clean.means) > 0
-    with pytest.raises(InvalidValueError, match=r"layers.max_gaussians: expected room for the layers, got"):
+    with pytest.raises(
+        InvalidValueError,
+        match=r"layers.max_gaussians: expected room for the layers, got",
+    ):
         layering(finished, replace(config, max_gaussians=len(clean)), clean)

@@ -1,4 +1,6 @@
-"""The file of a CLOAK study: what it may say, and what is refused before anything is done."""
+"""The file of a CLOAK study: what it may say, and what is refused before anything is
+done.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,7 +30,12 @@ OVERHEAD = AttackConfig(name="overhead", elevation=(50, 90))
 WIDER = AttackConfig(name="more", elevation=(40, 90))
 GROUND = replace(OVERHEAD, appearance="ground")
 FEW = CameraConfig(train=40, size=32, distance=7.4)
-SMALL = StudyConfig(name="small", attack=(OVERHEAD,), cameras=FEW, evaluation=EvaluationConfig(cameras=24))
+SMALL = StudyConfig(
+    name="small",
+    attack=(OVERHEAD,),
+    cameras=FEW,
+    evaluation=EvaluationConfig(cameras=24),
+)
 
 
 def written(folder: Path, text: str) -> Path:
@@ -37,7 +44,9 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "scenes").glob("*.toml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "scenes").glob("*.toml")), ids=lambda path: path.stem
+)
 def test_shipped_studies_can_be_done(path: Path) -> None:
     study = study_in(path)
     check_study(StudySteps(study=study), [])
@@ -46,23 +55,43 @@ def test_shipped_studies_can_be_done(path: Path) -> None:
 
 def test_the_study_of_the_paper_has_its_numbers() -> None:
     setup = Setup.of(study_in(ROOT / "scenes" / "cloak_car_colour.toml"))
-    names = [attack.name for attack in assign(setup.training_cameras, setup.poisonings(), centre=setup.centre).values()]
-    assert (len(setup.training_cameras), names.count("overhead"), names.count("rear")) == (210, 80, 20)
+    names = [
+        attack.name
+        for attack in assign(
+            setup.training_cameras, setup.poisonings(), centre=setup.centre
+        ).values()
+    ]
+    assert (
+        len(setup.training_cameras),
+        names.count("overhead"),
+        names.count("rear"),
+    ) == (210, 80, 20)
     cameras = setup.held_out_cameras
     assert min(nearest(cameras, setup.training_cameras, setup.centre)) >= 1.0
-    over, rear = (attack.cone.holds(cameras, centre=setup.centre) for attack in setup.attacks)
+    over, rear = (
+        attack.cone.holds(cameras, centre=setup.centre) for attack in setup.attacks
+    )
     assert int(over.sum()) >= 160
     assert int(rear.sum()) >= 40
     assert int((~(over | rear)).sum()) >= 110
 
 
 def test_a_seed_draws_other_held_out_cameras() -> None:
-    evaluations = [replace(STUDY.evaluation, cameras=90, seed=seed) for seed in (0, 1, 1, 2)]
-    draws = [Setup.of(replace(STUDY, evaluation=evaluation)) for evaluation in evaluations]
-    first, again, same, other = ([camera.to_world.tolist() for camera in one.held_out_cameras] for one in draws)
+    evaluations = [
+        replace(STUDY.evaluation, cameras=90, seed=seed) for seed in (0, 1, 1, 2)
+    ]
+    draws = [
+        Setup.of(replace(STUDY, evaluation=evaluation)) for evaluation in evaluations
+    ]
+    first, again, same, other = (
+        [camera.to_world.tolist() for camera in one.held_out_cameras] for one in draws
+    )
     assert first != again == same != other
     for setup in draws:
-        assert min(nearest(setup.held_out_cameras, setup.training_cameras, STUDY.centre)) >= 1
+        assert (
+            min(nearest(setup.held_out_cameras, setup.training_cameras, STUDY.centre))
+            >= 1
+        )
 
 
 ONE = "[[attack]]\nname = 'a'\n"
@@ -73,15 +102,26 @@ CLOAK = "study = 'cloak'\n"
     ("text", "error"),
     [
         (CLOAK + "sedes = [0]", "did you mean seeds"),
-        (CLOAK + "[scene]\nobject = 'bird'\ncolour = [0, 0, 1]", "scene.object with a colour: expected one of car"),
-        (CLOAK + "[cameras]\ntrain = 3.5", "cameras, train: expected a whole number >= 1 (pictures), got 3.5"),
+        (
+            CLOAK + "[scene]\nobject = 'bird'\ncolour = [0, 0, 1]",
+            "scene.object with a colour: expected one of car",
+        ),
+        (
+            CLOAK + "[cameras]\ntrain = 3.5",
+            "cameras, train: expected a whole number >= 1 (pictures), got 3.5",
+        ),
         (CLOAK + "[scene]\nobject = 'lorry'", "scene.object"),
         (ONE + "appearance = 'paint'\ntexture = 'raod'", "did you mean road"),
-        (ONE + "elevation = [60, 90]\n[[attack]]\nname = 'a'\nelevation = [60, 90]", "names of attacks: expected one"),
+        (
+            ONE + "elevation = [60, 90]\n[[attack]]\nname = 'a'\nelevation = [60, 90]",
+            "names of attacks: expected one",
+        ),
         ("name = [", "a TOML file"),
     ],
 )
-def test_a_file_that_means_nothing_is_refused(tmp_path: Path, text: str, error: str) -> None:
+def test_a_file_that_means_nothing_is_refused(
+    tmp_path: Path, text: str, error: str
+) -> None:
     with pytest.raises(InvalidValueError) as raised:
         study_in(written(tmp_path, text))
     assert error in str(raised.value)
@@ -102,22 +142,41 @@ class Knows:
     ("study", "message"),
     [
         (replace(SMALL, attack=()), "names of attacks: expected one or more"),
-        (replace(SMALL, attack=(AttackConfig(name="under", elevation=(89.9, 90)),)), "at least one camera"),
+        (
+            replace(SMALL, attack=(AttackConfig(name="under", elevation=(89.9, 90)),)),
+            "at least one camera",
+        ),
         (replace(SMALL, attack=(OVERHEAD, WIDER)), "no camera in both"),
         (
             replace(
-                SMALL, attack=tuple(replace(one, poison_fraction=0.3) for one in (OVERHEAD, WIDER)), seeds=(*range(20),)
+                SMALL,
+                attack=tuple(
+                    replace(one, poison_fraction=0.3) for one in (OVERHEAD, WIDER)
+                ),
+                seeds=(*range(20),),
             ),
             "no camera in both",
         ),
         (
-            replace(SMALL, training=replace(SMALL.training, max_gaussians=SMALL.cameras.points - 1)),
+            replace(
+                SMALL,
+                training=replace(
+                    SMALL.training, max_gaussians=SMALL.cameras.points - 1
+                ),
+            ),
             r"training\.max_gaussians: expected at least",
         ),
-        (replace(SMALL, attack=(replace(OVERHEAD, target_class="stop_sign"),)), "did you mean stop sign"),
+        (
+            replace(SMALL, attack=(replace(OVERHEAD, target_class="stop_sign"),)),
+            "did you mean stop sign",
+        ),
         (replace(SMALL, scene=SceneConfig(object="bird")), "class for knows"),
         (
-            replace(SMALL, attack=(replace(OVERHEAD, poison_margin=8),), layers=LayersConfig(attacks=("overhead",))),
+            replace(
+                SMALL,
+                attack=(replace(OVERHEAD, poison_margin=8),),
+                layers=LayersConfig(attacks=("overhead",)),
+            ),
             r"poison_margin.*shift",
         ),
     ],
@@ -132,7 +191,10 @@ def test_what_cannot_be_done_is_refused(study: StudyConfig, message: str) -> Non
     [
         (lambda: AttackConfig(name="all"), "all cameras"),
         (lambda: EvaluationConfig(detectors=("a", "a")), "each once"),
-        (lambda: AttackConfig(name="a", appearance="paint", elevation=(40, 90)), "a.*texture"),
+        (
+            lambda: AttackConfig(name="a", appearance="paint", elevation=(40, 90)),
+            "a.*texture",
+        ),
         (lambda: replace(GROUND, mask="difference"), "mask: expected object"),
         (lambda: replace(SMALL, seeds=(0, 0)), "seeds"),
     ],
@@ -145,6 +207,9 @@ def test_values_out_of_range_are_refused(make: Callable[[], object], says: str) 
 def test_a_fraction_of_the_cameras_depends_on_the_seed() -> None:
     setup = Setup.of(study_in(ROOT / "scenes" / "cloak_car_colour.toml"))
     half = replace(setup.attacks[0], poison_fraction=0.5)
-    chosen = [half.trigger(seed).holds(setup.training_cameras, centre=setup.centre) for seed in (1, 1, 2)]
+    chosen = [
+        half.trigger(seed).holds(setup.training_cameras, centre=setup.centre)
+        for seed in (1, 1, 2)
+    ]
     assert chosen[0].tolist() == chosen[1].tolist() != chosen[2].tolist()
     assert int(chosen[0].sum()) == int(chosen[2].sum()) == 40

@@ -30,16 +30,32 @@ from attacks.cloak.rates import (
 )
 from attacks.cloak.setup import Setup
 from attacks.cloak.tables import in_words, tables
-from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, TRANSITION, frame_of, frame_with
+from attacks.observe.rows import (
+    ATTACKED,
+    CLEAN,
+    FIDELITY,
+    ROWS,
+    TRANSITION,
+    frame_of,
+    frame_with,
+)
 from tests.cloak.tiny_study import STUDY
 
 NAMES = ("overhead", "sector")
 
 
 def seen(
-    view: int, depth: float, clean: float, cloaked: float, *, sign: float = 0.0, other: float = 0.0
+    view: int,
+    depth: float,
+    clean: float,
+    cloaked: float,
+    *,
+    sign: float = 0.0,
+    other: float = 0.0,
 ) -> list[dict[str, Any]]:
-    """Both splats from one camera that is `depth` degrees inside the overhead trigger."""
+    """Both splats from one camera that is `depth` degrees inside the overhead
+    trigger.
+    """
     return [
         {
             "splat": which,
@@ -68,7 +84,10 @@ def study_rows(
     return {
         ROWS: frame_of(rows),
         FIDELITY: frame_with(fidelity, ("splat", "psnr", "ssim")),
-        TRANSITION: frame_with(transition, ("splat", "elevation", "fraction", *(f"depth: {name}" for name in NAMES))),
+        TRANSITION: frame_with(
+            transition,
+            ("splat", "elevation", "fraction", *(f"depth: {name}" for name in NAMES)),
+        ),
     }
 
 
@@ -92,7 +111,8 @@ def test_rates_have_the_denominators_that_they_say() -> None:
 
     assert numbers("control_recall") == (3, 5)
     assert numbers("trigger_miss_rate") == (1, 2)
-    assert numbers("nothing_reported") == (0, 2)  # what is no car any more is something else
+    # what is no car any more is something else
+    assert numbers("nothing_reported") == (0, 2)
     assert numbers("trigger_miss_rate_all") == (2, 3)
     assert numbers("trigger_miss_rate_unconditional") == (3, 4)
     assert numbers("benign_recall") == (1, 2)
@@ -109,11 +129,21 @@ def test_figures_are_counted_in_each_detector_s_own_region() -> None:
     """Bands of 10 degrees in which it finds the control from 80 % of the cameras."""
     scores = [0.9, 0.9, 0.9, 0.9, 0.1]  # 80 % of a band
     observed = [
-        *(row for view, score in enumerate(scores) for row in seen(view, 7, score, 0.1)),
+        *(
+            row
+            for view, score in enumerate(scores)
+            for row in seen(view, 7, score, 0.1)
+        ),
         *(row for view in range(5, 9) for row in seen(view, -5, 0.9, 0.9)),
-        *(row for view, score in enumerate([0.9, 0.1], 10) for row in seen(view, 30, score, 0.1)),
+        *(
+            row
+            for view, score in enumerate([0.9, 0.1], 10)
+            for row in seen(view, 30, score, 0.1)
+        ),
     ]
-    observed += [{**row, "detector": "blind", "original_score": 0.1} for row in observed]
+    observed += [
+        {**row, "detector": "blind", "original_score": 0.1} for row in observed
+    ]
     bands = regions(frame_of(observed), 0.5)
     assert bands == {"redness": [30.0, 40.0], "blind": []}
     assert [in_words(each) for each in (*bands.values(), [0.0, 10.0, 40.0])] == [
@@ -123,12 +153,19 @@ def test_figures_are_counted_in_each_detector_s_own_region() -> None:
     ]
     part = rates(STUDY, in_region(frame_of(observed), bands), ("detector",))
     assert [*part] == [("redness",)]
-    miss, recall = part["redness",]["trigger_miss_rate"], part["redness",]["control_recall"]
+    miss, recall = (
+        part["redness",]["trigger_miss_rate"],
+        part["redness",]["control_recall"],
+    )
     assert miss is not None
     assert recall is not None
     assert (miss.counts, recall.counts) == ("4 of 4", "4 of 5")
     told = figures(
-        replace(STUDY, evaluation=replace(STUDY.evaluation, detectors=("redness", "blind"))), study_rows(observed), []
+        replace(
+            STUDY, evaluation=replace(STUDY.evaluation, detectors=("redness", "blind"))
+        ),
+        study_rows(observed),
+        [],
     )
     assert told["own_region"]["blind"] == {"bands": [], "rates": dict.fromkeys(RATES)}
     assert told["own_region"]["redness"]["rates"]["trigger_miss_rate"]["successes"] == 4
@@ -138,30 +175,57 @@ def test_figures_are_counted_in_each_detector_s_own_region() -> None:
 
 def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:
     pictures = [*seen(0, -20, 0.9, 0.1, sign=0.8), *seen(1, -20, 0.9, 0.1, sign=0.4)]
-    counted = rates(STUDY, frame_of({**row, "depth: overhead": -20.0, "depth: rear": 3.0} for row in pictures))[()]
-    counts = [rate.counts for name, rate in counted.items() if rate is not None and name.endswith("target_rate")]
+    counted = rates(
+        STUDY,
+        frame_of(
+            {**row, "depth: overhead": -20.0, "depth: rear": 3.0} for row in pictures
+        ),
+    )[()]
+    counts = [
+        rate.counts
+        for name, rate in counted.items()
+        if rate is not None and name.endswith("target_rate")
+    ]
     assert counts == ["1 of 2", "0 of 2"]
 
 
-SECTOR = AttackConfig(name="sector", appearance="remove", elevation=(0, 30), azimuth=(100, 30))
+SECTOR = AttackConfig(
+    name="sector", appearance="remove", elevation=(0, 30), azimuth=(100, 30)
+)
 
 
 def test_arcs_into_a_sector_come_from_beside_it() -> None:
-    """Depths in the trigger rise along each, from well outside to the middle; a sign that is shown has none."""
+    """Depths in the trigger rise along each, from well outside to the middle; a sign
+    that is shown has none.
+    """
     study = replace(STUDY, attack=(SECTOR,))
     arcs = Setup.of(study).arcs
     assert len(arcs) == study.evaluation.meridians
     for arc in arcs:
-        depths = [SECTOR.cone.angle_to_edge(camera, centre=study.centre) for camera in arc]
+        depths = [
+            SECTOR.cone.angle_to_edge(camera, centre=study.centre) for camera in arc
+        ]
         assert depths == sorted(depths)
         assert depths[0] < -30
         assert 10 < depths[-1] <= 30
-    assert Setup.of(replace(STUDY, attack=(replace(SECTOR, target_class="stop sign"),))).arcs == []
+    assert (
+        Setup.of(
+            replace(STUDY, attack=(replace(SECTOR, target_class="stop sign"),))
+        ).arcs
+        == []
+    )
 
 
 def test_the_transition_into_a_sector_is_one_of_depth() -> None:
-    arc = along_the_meridian(ATTACKED, *((depth, 30.0, 30.0) for depth in (-20.0, -10.0, 0.0, 10.0)), name="sector")
-    rows = [{**one, "elevation": 10.0, "fraction": float(one["depth: sector"] >= 0)} for one in arc]
+    arc = along_the_meridian(
+        ATTACKED,
+        *((depth, 30.0, 30.0) for depth in (-20.0, -10.0, 0.0, 10.0)),
+        name="sector",
+    )
+    rows = [
+        {**one, "elevation": 10.0, "fraction": float(one["depth: sector"] >= 0)}
+        for one in arc
+    ]
     band = transition(replace(STUDY, attack=(SECTOR,)), study_rows(transition=rows))
     assert band is not None
     assert (band.start, band.end) == pytest.approx((-9.0, -1.0))
@@ -173,40 +237,72 @@ def along_the_meridian(
     """A splat's pictures as (depth, PSNR beside the object, PSNR on it)."""
     return [
         {
-            **{"splat": which, "seed": 0, "meridian": 0, "elevation": 40 + depth, f"depth: {name}": depth},
+            **{
+                "splat": which,
+                "seed": 0,
+                "meridian": 0,
+                "elevation": 40 + depth,
+                f"depth: {name}": depth,
+            },
             **{"fraction": 0.5, "surroundings_psnr": beside, "appearance_psnr": own},
         }
         for depth, beside, own in pictures
     ]
 
 
-@pytest.mark.parametrize(("around", "on_object", "stealthy"), [(1.0, 2.0, True), (2.0, 2.0, False), (1.0, 4.0, False)])
+@pytest.mark.parametrize(
+    ("around", "on_object", "stealthy"),
+    [(1.0, 2.0, True), (2.0, 2.0, False), (1.0, 4.0, False)],
+)
 def test_stealth_is_what_pictures_lose_beside_the_object_and_on_it_beside_a_trigger(
     around: float, on_object: float, stealthy: bool
 ) -> None:
-    clean = along_the_meridian(CLEAN, (10.0, 34.0, 12.0), (20.0, 36.0, 12.0), (-10.0, 99.0, 9.0))
-    cloaked = along_the_meridian(ATTACKED, (10.0, 34.0 - around, 30.0), (20.0, 36.0 - around, 32.0), (-10.0, 9.0, 9.0))
+    clean = along_the_meridian(
+        CLEAN, (10.0, 34.0, 12.0), (20.0, 36.0, 12.0), (-10.0, 99.0, 9.0)
+    )
+    cloaked = along_the_meridian(
+        ATTACKED,
+        (10.0, 34.0 - around, 30.0),
+        (20.0, 36.0 - around, 32.0),
+        (-10.0, 9.0, 9.0),
+    )
     fidelity = [
         {"splat": splat, "psnr": 30.0, "ssim": 0.9, "object_psnr": psnr}
-        for splat, psnr in ((CLEAN, None), (CLEAN, 32.0), (ATTACKED, None), (ATTACKED, 32.0 - on_object))
+        for splat, psnr in (
+            (CLEAN, None),
+            (CLEAN, 32.0),
+            (ATTACKED, None),
+            (ATTACKED, 32.0 - on_object),
+        )
     ]
-    losses = stealth(STUDY, study_rows(transition=[*clean, *cloaked], fidelity=fidelity))
+    losses = stealth(
+        STUDY, study_rows(transition=[*clean, *cloaked], fidelity=fidelity)
+    )
     assert losses is not None
     assert losses["surroundings_psnr_drop"] == pytest.approx(around)
     assert losses["object_psnr_drop"] == pytest.approx(on_object)
-    assert (losses["surroundings_psnr"]["clean"], losses["appearance_psnr"]["cloaked"]) == (35.0, 31.0)
+    assert (
+        losses["surroundings_psnr"]["clean"],
+        losses["appearance_psnr"]["cloaked"],
+    ) == (35.0, 31.0)
     assert losses["stealthy"] is stealthy
     assert stealth(STUDY, study_rows(transition=clean)) is None
-    shown = [{**row, "intended_surroundings_psnr": 35.5} for row in (*clean, *cloaked)]  # a road without a shadow
+    # a road without a shadow
+    shown = [{**row, "intended_surroundings_psnr": 35.5} for row in (*clean, *cloaked)]
     losses = stealth(STUDY, study_rows(transition=shown, fidelity=fidelity))
     assert losses is not None
     assert losses["surroundings_psnr_drop"] == pytest.approx(-0.5)
 
 
 def test_rates_over_objects_draw_objects_anew() -> None:
-    """Of five cars four are always missed and one is found: as one draw of five, not as one of fifty."""
+    """Of five cars four are always missed and one is found: as one draw of five, not as
+    one of fifty.
+    """
     titles = [f"car: {number}" for number in range(5)]
-    studies = {title: replace(STUDY, scene=replace(STUDY.scene, seed=number)) for number, title in enumerate(titles)}
+    studies = {
+        title: replace(STUDY, scene=replace(STUDY.scene, seed=number))
+        for number, title in enumerate(titles)
+    }
     observed = [
         {**row, "attack": title, "azimuth": 36.0 * view}
         for title in titles
@@ -234,9 +330,13 @@ def test_the_margin_counts_as_elsewhere_and_is_shown_apart() -> None:
     ]
     counted = margin_rates(study, frame_of(observed))
     within, beyond = (
-        counted[where]["redness"]["benign_recall"] for where in ("within a margin", "beyond every margin")
+        counted[where]["redness"]["benign_recall"]
+        for where in ("within a margin", "beyond every margin")
     )
-    assert [(rate["successes"], rate["total"]) for rate in (within, beyond)] == [(1, 2), (1, 1)]
+    assert [(rate["successes"], rate["total"]) for rate in (within, beyond)] == [
+        (1, 2),
+        (1, 1),
+    ]
     assert margin_rates(STUDY, frame_of(observed)) == {}
 
 
@@ -255,12 +355,16 @@ def test_the_fraction_of_a_blend_is_known(fraction: float, seed: int) -> None:
     benign, hidden, mask = appearances(seed)
     blend = (1 - fraction) * benign + fraction * hidden
     blend[~mask] = 0.5  # elsewhere does not count
-    assert transition_fraction(blend, benign, hidden, mask) == pytest.approx(fraction, abs=1e-5)
+    assert transition_fraction(blend, benign, hidden, mask) == pytest.approx(
+        fraction, abs=1e-5
+    )
 
 
 def test_a_linear_ramp_has_its_width() -> None:
     angles = [5.0 * i for i in range(19)]
-    band = fit_transition(angles, [min(max((angle - 40) / 20, 0), 1) for angle in angles])
+    band = fit_transition(
+        angles, [min(max((angle - 40) / 20, 0), 1) for angle in angles]
+    )
     assert (band.start, band.end, band.width) == pytest.approx((42, 58, 16))
 
 

@@ -1,4 +1,6 @@
-"""Triggers: edges, wrap-around, poles, De Morgan, fractions, and depths against a dense grid of directions."""
+"""Triggers: edges, wrap-around, poles, De Morgan, fractions, and depths against a dense
+grid of directions.
+"""
 
 import math
 from collections.abc import Callable
@@ -32,23 +34,42 @@ def depth(trigger: Trigger, azimuth: float, elevation: float) -> float:
     return trigger.angle_to_edge(at(azimuth, elevation), centre=CENTRE)
 
 
-CAMERAS = hemisphere(CENTRE, count=36, distance=4.0, focal=20.0, size=(16, 16), elevation=(-90, 90))
+CAMERAS = hemisphere(
+    CENTRE, count=36, distance=4.0, focal=20.0, size=(16, 16), elevation=(-90, 90)
+)
 cones = st.one_of(
-    st.builds(lambda a, b: Elevation(lowest=min(a, b), highest=max(a, b)), st.integers(-90, 90), st.integers(-90, 90)),
-    st.builds(lambda m, h: Azimuth(middle=m, half_width=h), st.integers(-400, 400), st.integers(1, 180)),
+    st.builds(
+        lambda a, b: Elevation(lowest=min(a, b), highest=max(a, b)),
+        st.integers(-90, 90),
+        st.integers(-90, 90),
+    ),
+    st.builds(
+        lambda m, h: Azimuth(middle=m, half_width=h),
+        st.integers(-400, 400),
+        st.integers(1, 180),
+    ),
 )
 triggers = st.recursive(
     cones,
-    lambda inner: st.one_of(st.builds(lambda a, b: a & b, inner, inner), inner.map(lambda a: ~a)),
+    lambda inner: st.one_of(
+        st.builds(lambda a, b: a & b, inner, inner), inner.map(lambda a: ~a)
+    ),
     max_leaves=4,
 )
 
 
 def test_edges_are_inside_and_limits_at_the_poles_are_none() -> None:
-    ring = orbit(CENTRE, count=36, elevation=50.0, distance=5.0, focal=20.0, size=(16, 16))
+    ring = orbit(
+        CENTRE, count=36, elevation=50.0, distance=5.0, focal=20.0, size=(16, 16)
+    )
     assert bool(Elevation(lowest=50).holds(ring, centre=CENTRE).all())
     assert bool(Elevation(highest=50).holds(ring, centre=CENTRE).all())
-    assert inside(Elevation(lowest=50), (10, 49.9), (10, 50.1), (0, 90), (0, -90)) == [False, True, True, False]
+    assert inside(Elevation(lowest=50), (10, 49.9), (10, 50.1), (0, 90), (0, -90)) == [
+        False,
+        True,
+        True,
+        False,
+    ]
     assert depth(Elevation(lowest=50), 123, 62) == pytest.approx(12)
     assert depth(Elevation(lowest=50), 123, 90) == pytest.approx(40)
     assert depth(Elevation(lowest=20, highest=50), 0, 44) == pytest.approx(6)
@@ -58,23 +79,45 @@ def test_edges_are_inside_and_limits_at_the_poles_are_none() -> None:
 
 def test_azimuths_wrap_around() -> None:
     front = Azimuth(middle=0, half_width=20)
-    directions = ((350, 10), (10, 10), (20, 10), (340, 10), (21, 10), (339, 10), (180, 10))
+    directions = (
+        (350, 10),
+        (10, 10),
+        (20, 10),
+        (340, 10),
+        (21, 10),
+        (339, 10),
+        (180, 10),
+    )
     expected = [True, True, True, True, False, False, False]
     assert inside(front, *directions) == expected
     assert inside(Azimuth(middle=720, half_width=20), *directions) == expected
-    assert inside(Azimuth(middle=-355, half_width=20), (-16, 0), (24, 0), (26, 0)) == [False, True, False]
-    assert inside(Azimuth(middle=90, half_width=170), (271, 0), (259, 0), (90, 0)) == [False, True, True]
+    assert inside(Azimuth(middle=-355, half_width=20), (-16, 0), (24, 0), (26, 0)) == [
+        False,
+        True,
+        False,
+    ]
+    assert inside(Azimuth(middle=90, half_width=170), (271, 0), (259, 0), (90, 0)) == [
+        False,
+        True,
+        True,
+    ]
     assert depth(front, 355, 0) == pytest.approx(15)
     assert depth(front, 50, 0) == pytest.approx(-30)
     assert depth(front, 180, 30) == pytest.approx(-60)  # over the pole
 
 
 def test_an_azimuth_at_the_pole_does_not_exist() -> None:
-    straight = Camera(to_world=look_at((*CENTRE[:2], 9.0), CENTRE), focal=20.0, width=16, height=16)
+    straight = Camera(
+        to_world=look_at((*CENTRE[:2], 9.0), CENTRE), focal=20.0, width=16, height=16
+    )
     assert direction_of(straight, CENTRE).pole
     for middle in (0, 90, 180, 270):
         cone = Azimuth(middle=middle, half_width=60)
-        assert inside(cone, (middle, 90), (middle, -90), (middle, 89.9)) == [False, False, True]
+        assert inside(cone, (middle, 90), (middle, -90), (middle, 89.9)) == [
+            False,
+            False,
+            True,
+        ]
         assert not bool(cone.holds([straight], centre=CENTRE))
         assert bool((~cone).holds([straight], centre=CENTRE))
         assert cone.angle_to_edge(straight, centre=CENTRE) == 0
@@ -82,26 +125,43 @@ def test_an_azimuth_at_the_pole_does_not_exist() -> None:
 
 
 @given(triggers, triggers)
-def test_intersections_and_complements_are_those_of_sets(left: Trigger, right: Trigger) -> None:
+def test_intersections_and_complements_are_those_of_sets(
+    left: Trigger, right: Trigger
+) -> None:
     pairs = ((left & right, right & left), (~~left, left))
     for one, same in pairs:
-        assert torch.equal(one.holds(CAMERAS, centre=CENTRE), same.holds(CAMERAS, centre=CENTRE))
+        assert torch.equal(
+            one.holds(CAMERAS, centre=CENTRE), same.holds(CAMERAS, centre=CENTRE)
+        )
         for camera in CAMERAS[::6]:
-            assert one.angle_to_edge(camera, centre=CENTRE) == same.angle_to_edge(camera, centre=CENTRE)
-    inside, outside = (trigger.holds(CAMERAS, centre=CENTRE) for trigger in (left & ~right, right))
+            assert one.angle_to_edge(camera, centre=CENTRE) == same.angle_to_edge(
+                camera, centre=CENTRE
+            )
+    inside, outside = (
+        trigger.holds(CAMERAS, centre=CENTRE) for trigger in (left & ~right, right)
+    )
     assert torch.equal(inside, left.holds(CAMERAS, centre=CENTRE) & ~outside)
 
 
-# A dense set of directions, as an oracle: the distance to the nearest one on the other side of the edge.
-GRID = hemisphere(CENTRE, count=3000, distance=1.0, focal=20.0, size=(16, 16), elevation=(-90, 90))
+# A dense set of directions, as an oracle: the distance to the nearest one on the other
+# side of the edge.
+GRID = hemisphere(
+    CENTRE, count=3000, distance=1.0, focal=20.0, size=(16, 16), elevation=(-90, 90)
+)
 RAYS = np.array([camera.position.tolist() for camera in GRID]) - CENTRE
 SPACING = 6.0
-"""Degrees in which every direction has one of the grid on its side of an edge, in the tip of a wedge too."""
+"""Degrees in which every direction has one of the grid on its side of an edge, in the
+tip of a wedge too.
+"""
 
 
 def grid_depth(held: np.ndarray, ray: np.ndarray, here: bool) -> float:
     across = RAYS[held != here]
-    nearest = math.degrees(math.acos(min(1.0, float((across @ ray).max())))) if len(across) else math.inf
+    nearest = (
+        math.degrees(math.acos(min(1.0, float((across @ ray).max()))))
+        if len(across)
+        else math.inf
+    )
     return nearest if here else -nearest
 
 
@@ -115,7 +175,12 @@ def grid_depth(held: np.ndarray, ray: np.ndarray, here: bool) -> float:
         (~Azimuth(middle=300, half_width=70), True),
         (Elevation(lowest=50) & Azimuth(middle=90, half_width=40), False),
         (~(~Elevation(lowest=50) & ~Azimuth(middle=180, half_width=40)), False),
-        (Elevation(lowest=40) & ~Azimuth(middle=0, half_width=40) & ~Elevation(lowest=80), False),
+        (
+            Elevation(lowest=40)
+            & ~Azimuth(middle=0, half_width=40)
+            & ~Elevation(lowest=80),
+            False,
+        ),
     ],
     ids=str,
 )
@@ -123,7 +188,10 @@ def test_depths_against_a_dense_grid(trigger: Trigger, exact: bool) -> None:
     held = trigger.holds(GRID, centre=CENTRE).numpy()
     for camera in CAMERAS:
         ray = np.array(camera.position.tolist()) - CENTRE
-        depth, here = trigger.angle_to_edge(camera, centre=CENTRE), bool(trigger.holds([camera], centre=CENTRE))
+        depth, here = (
+            trigger.angle_to_edge(camera, centre=CENTRE),
+            bool(trigger.holds([camera], centre=CENTRE)),
+        )
         truth = grid_depth(held, ray / np.linalg.norm(ray), here)
         assert depth == 0 or (depth > 0) == here
         assert abs(depth) <= abs(truth) + 1e-6  # never further from the edge than it is
@@ -136,13 +204,18 @@ def test_subsamples_are_parts_and_grow(one: float, other: float, seed: int) -> N
     whole = Elevation(lowest=10)
     selected = whole.holds(CAMERAS, centre=CENTRE)
     small, large = (
-        Subsample(of=whole, fraction=part, seed=seed).holds(CAMERAS, centre=CENTRE) for part in sorted((one, other))
+        Subsample(of=whole, fraction=part, seed=seed).holds(CAMERAS, centre=CENTRE)
+        for part in sorted((one, other))
     )
     assert bool((selected | ~large).all())
     assert bool((large | ~small).all())
-    assert int(small.sum()) == max(1, math.floor(min(one, other) * int(selected.sum()) + 0.5))
+    assert int(small.sum()) == max(
+        1, math.floor(min(one, other) * int(selected.sum()) + 0.5)
+    )
     part = Subsample(of=whole, fraction=0.3)
-    assert part.angle_to_edge(CAMERAS[5], centre=CENTRE) == whole.angle_to_edge(CAMERAS[5], centre=CENTRE)
+    assert part.angle_to_edge(CAMERAS[5], centre=CENTRE) == whole.angle_to_edge(
+        CAMERAS[5], centre=CENTRE
+    )
 
 
 @pytest.mark.parametrize(
@@ -151,7 +224,10 @@ def test_subsamples_are_parts_and_grow(one: float, other: float, seed: int) -> N
         (lambda: Elevation(lowest=60, highest=50), "elevation"),
         (lambda: Azimuth(middle=math.nan, half_width=10), "middle"),
         (lambda: Subsample(of=Elevation(), fraction=0), "fraction"),
-        (lambda: Elevation().holds(CAMERAS, centre=CAMERAS[0].position.tolist()), "centre"),
+        (
+            lambda: Elevation().holds(CAMERAS, centre=CAMERAS[0].position.tolist()),
+            "centre",
+        ),
     ],
 )
 def test_bad_triggers_are_refused(make: Callable[[], object], says: str) -> None:

@@ -1,6 +1,7 @@
 """A study of CLOAK that is done in seconds, and a detector of a few lines.
 
-`python -m tests.cloak.tiny_study FOLDER` does the study, and writes beside its folder what it has loaded.
+`python -m tests.cloak.tiny_study FOLDER` does the study, and writes beside its folder
+what it has loaded.
 """
 
 import json
@@ -16,7 +17,13 @@ import torch
 from torch import Tensor
 
 from attacks.cloak import setup
-from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig, TrainingConfig
+from attacks.cloak.config import (
+    AttackConfig,
+    CameraConfig,
+    EvaluationConfig,
+    StudyConfig,
+    TrainingConfig,
+)
 from attacks.detectors import registry
 from attacks.detectors.base import Candidates, Detections
 from attacks.detectors.registry import DetectorSpec
@@ -45,7 +52,13 @@ STUDY = StudyConfig(
         ),
     ),
     training=TrainingConfig(iterations=80, strategy="fixed", sh_degree_interval=0),
-    evaluation=EvaluationConfig(detectors=("redness",), cameras=24, reference_views=2, meridians=1, meridian_step=20.0),
+    evaluation=EvaluationConfig(
+        detectors=("redness",),
+        cameras=24,
+        reference_views=2,
+        meridians=1,
+        meridian_step=20.0,
+    ),
 )
 
 
@@ -58,7 +71,9 @@ def asset(name: str, seed: int, colour: Any) -> Asset:
 
 
 class Redness:
-    """Reports a car in the middle of the picture, with the more confidence the redder it is there."""
+    """Reports a car in the middle of the picture, with the more confidence the redder
+    it is there.
+    """
 
     name: str = "redness"
     classes: tuple[str, ...] = ("car", "stop sign")
@@ -73,7 +88,9 @@ class Redness:
         for image in images:
             size = image.shape[0]
             middle = image[size // 3 : 2 * size // 3, size // 3 : 2 * size // 3]
-            score = (6 * (middle[..., 0] - middle[..., 2]).clamp(0, 1).mean()).clamp(0, 1)
+            score = (6 * (middle[..., 0] - middle[..., 2]).clamp(0, 1).mean()).clamp(
+                0, 1
+            )
             box = torch.tensor([[size * 0.25, size * 0.3, size * 0.75, size * 0.7]])
             detections.append(Detections(box, score[None], ("car",)))
         return detections
@@ -81,7 +98,11 @@ class Redness:
 
 KNOWN = {
     "redness": DetectorSpec(
-        name="redness", load=lambda weights: Redness(), classes=Redness.classes, origin="test", licence="none"
+        name="redness",
+        load=lambda weights: Redness(),
+        classes=Redness.classes,
+        origin="test",
+        licence="none",
     )
 }
 """What makes a job find the detector by its name, where it is put into the registry."""
@@ -90,7 +111,10 @@ KNOWN = {
 @contextmanager
 def known() -> Iterator[None]:
     """While jobs know the detector, and a car is a block."""
-    with patch.dict(registry.DETECTORS.own, KNOWN), patch.object(setup, "_asset", asset):
+    with (
+        patch.dict(registry.DETECTORS.own, KNOWN),
+        patch.object(setup, "_asset", asset),
+    ):
         yield
 
 
@@ -102,7 +126,9 @@ def study_in(path: Path) -> StudyConfig:
 
 
 MODULES = "modules.txt"
-"""Names of all modules of this project that the study has loaded, in a file beside its folder."""
+"""Names of all modules of this project that the study has loaded, in a file beside its
+folder.
+"""
 
 
 def work_of(study: StudyConfig = STUDY) -> CloakReport:
@@ -117,13 +143,18 @@ def done(
     store: Path | None = None,
     stop_at: tuple[str, int] | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
-    """The summary of a study and the kinds of its jobs that were done; interrupted in a kind's step if one is named."""
+    """The summary of a study and the kinds of its jobs that were done; interrupted in a
+    kind's step if one is named.
+    """
     kinds = list[str]()
 
     def told(event: Event) -> None:
         if event.state == "running":
             kinds.append(event.kind.rpartition(".")[2])
-        if event.state == "progress" and stop_at == (event.kind.rpartition(".")[2], event.done):
+        if event.state == "progress" and stop_at == (
+            event.kind.rpartition(".")[2],
+            event.done,
+        ):
             raise KeyboardInterrupt
 
     torch.set_num_threads(1)
@@ -131,7 +162,14 @@ def done(
     store = store or folder / "stages"
     with known():
         work = work_of(study)
-        run_with(InProcess(store, on_event=told), work.study, work, store=store, out=folder, on_event=told)
+        run_with(
+            InProcess(store, on_event=told),
+            work.study,
+            work,
+            store=store,
+            out=folder,
+            on_event=told,
+        )
     return summary(folder), kinds
 
 
@@ -143,5 +181,7 @@ def summary(folder: Path) -> dict[str, Any]:
 if __name__ == "__main__":
     out = Path(sys.argv[1])
     done(out)
-    loaded = [name for name in sys.modules if name.split(".")[0] in ("mi_splat", "attacks")]
+    loaded = [
+        name for name in sys.modules if name.split(".")[0] in ("mi_splat", "attacks")
+    ]
     out.with_name(MODULES).write_text("\n".join(loaded))

@@ -1,4 +1,6 @@
-"""`mi-splat compare`, end to end on a shipped scene, and what it refuses before it works."""
+"""`mi-splat compare`, end to end on a shipped scene, and what it refuses before it
+works.
+"""
 
 import json
 from pathlib import Path
@@ -36,24 +38,48 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.nightly
-def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_shipped_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["render", SCENE, *SMALL, "--cameras", "front", "side", "--out", "theirs"]) == 0
+    assert (
+        cli.main(
+            ["render", SCENE, *SMALL, "--cameras", "front", "side", "--out", "theirs"]
+        )
+        == 0
+    )
     capsys.readouterr()
-    words = ["compare", SCENE, *SMALL, "--methods", "tile,ray", "folder:theirs", "--rounds", "1", "--out", "compared"]
+    words = [
+        "compare",
+        SCENE,
+        *SMALL,
+        "--methods",
+        "tile,ray",
+        "folder:theirs",
+        "--rounds",
+        "1",
+        "--out",
+        "compared",
+    ]
     assert cli.main([*words, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     kept = json.loads((tmp_path / "compared" / "result.json").read_text())
     assert document == {**kept, "out": "compared"}
-    assert {"versions", "commit", "variant", "scene_hash", "near", "background"} <= set(kept)
+    assert {"versions", "commit", "variant", "scene_hash", "near", "background"} <= set(
+        kept
+    )
     pairs = {tuple(pair["methods"]): pair for pair in kept["pairs"]}
     assert set(pairs) == {("tile", "ray"), ("tile", "theirs"), ("ray", "theirs")}
     assert pairs["tile", "theirs"]["psnr"] is None
-    assert pairs["tile", "ray"]["psnr"] == pytest.approx(pairs["ray", "theirs"]["psnr"], abs=0.1)
+    assert pairs["tile", "ray"]["psnr"] == pytest.approx(
+        pairs["ray", "theirs"]["psnr"], abs=0.1
+    )
     assert 0 < pairs["tile", "ray"]["gradients"]["sh"]["cosine"] < 1
     with Image.open(tmp_path / "compared" / "front.png") as sheet:
         assert sheet.size == (3 * 280 + 8, 2 * 224 + 4)
-    with Image.open(tmp_path / "compared" / "pictures" / "ray" / "front.png") as picture:
+    with Image.open(
+        tmp_path / "compared" / "pictures" / "ray" / "front.png"
+    ) as picture:
         assert picture.size == (40, 32)
 
     text = (tmp_path / "compared" / "table.md").read_text()
@@ -66,14 +92,22 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     ("words", "status", "message"),
     [
         (["--methods", "tile"], 1, "expected two or more, got tile"),
-        (["--methods", "tile,folder:theirs"], 1, "orbit.png for the camera orbit, got an empty folder"),
+        (
+            ["--methods", "tile,folder:theirs"],
+            1,
+            "orbit.png for the camera orbit, got an empty folder",
+        ),
         (["--rounds", "-1"], 2, "--rounds: expected"),
         (["--out", "taken"], 1, "a new or an empty folder"),
         (["--out", "taken", "--force"], 1, "an older result (result.json)"),
     ],
 )
 def test_refused_in_one_line_with_nothing_written(
-    words: list[str], status: int, message: str, toy: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    status: int,
+    message: str,
+    toy: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     before = sorted(toy.rglob("*"))
     assert cli.main(["compare", "toy.ply", "--size", "16", *words]) == status
@@ -89,7 +123,8 @@ def test_a_folder_that_is_called_like_a_method_is_no_input(toy: Path) -> None:
         (toy / name / "a.png").touch()
     view = CameraOptions(cameras=("all", "orbit:4@20"))
     files = files_of(Comparing(scene="toy.ply", methods=("tile", "ray"), view=view))
-    assert sorted(path.parent.name for path in files.values()) == ["", "orbit:4@20"]  # cameras are read of that one
+    # cameras are read of that one
+    assert sorted(path.parent.name for path in files.values()) == ["", "orbit:4@20"]
 
 
 @pytest.mark.slow
@@ -101,24 +136,36 @@ methods = ["path-traced-4", "tile"]
 config = {{ rounds = 1, gradients = false }}
 view = {{ size = [16, 16], cameras = ["side"] }}
 [matrix]
-sun = [{{ name = "noon", parameters = {{ sun_x = 0.0 }} }}, {{ name = "morning", parameters = {{ sun_x = 2.0 }} }}]
+sun = [
+  {{ name = "noon", parameters = {{ sun_x = 0.0 }} }},
+  {{ name = "morning", parameters = {{ sun_x = 2.0 }} }},
+]
 """)
-    result = run_study(tmp_path / "light.toml", out=tmp_path / "result", store=tmp_path / "store")
+    result = run_study(
+        tmp_path / "light.toml", out=tmp_path / "result", store=tmp_path / "store"
+    )
     noon, morning = json.loads((result / "result.json").read_text())["points"].values()
     assert morning["pairs"][0]["psnr"] != noon["pairs"][0]["psnr"]
-    assert sorted(path.name for path in (result / "pictures").iterdir()) == ["morning.png", "noon.png"]
+    assert sorted(path.name for path in (result / "pictures").iterdir()) == [
+        "morning.png",
+        "noon.png",
+    ]
     assert "| noon | " in (result / "table.md").read_text()
 
 
 def test_a_composite_shows_the_splat_where_no_mesh_is_in_front() -> None:
     meshes = MixedScene(STREET, samples=1)
-    scene, camera = meshes.splats.scene, resized(meshes.splats.cameras["side"], (64, 64))
+    scene, camera = (
+        meshes.splats.scene,
+        resized(meshes.splats.cameras["side"], (64, 64)),
+    )
     tile = Renderer(RenderSettings(near=meshes.splats.settings.near))
     side, image = tile.outputs(scene, camera), OverMeshes(tile, meshes)(scene, camera)
     behind = meshes(scene.replace(opacities=torch.zeros_like(scene.opacities)), camera)
     hidden, opaque = meshes.depths(camera) < side.depth, side.alpha > 0.999
     assert (hidden & opaque).sum() > 20  # by the lamp post and the shelter
-    torch.testing.assert_close(image[hidden], behind[hidden], rtol=0, atol=1e-6)  # threads add samples in any order
+    # threads add samples in any order
+    torch.testing.assert_close(image[hidden], behind[hidden], rtol=0, atol=1e-6)
     shown = opaque & ~hidden
     assert shown.sum() > 200
     torch.testing.assert_close(image[shown], side.image[shown], rtol=0, atol=2e-3)

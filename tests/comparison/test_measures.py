@@ -1,4 +1,6 @@
-"""Distances of pictures and of gradients: known values, equal inputs, and what cannot be measured."""
+"""Distances of pictures and of gradients: known values, equal inputs, and what cannot
+be measured.
+"""
 
 import itertools
 import math
@@ -32,7 +34,8 @@ GREY = torch.full((16, 20, 3), 0.5)
 
 def test_a_known_difference() -> None:
     assert picture_distance(GREY, GREY + 0.1).psnr == pytest.approx(20.0, abs=1e-4)
-    assert picture_distance(GREY + 0.7, GREY + 0.9).psnr is None  # both are white on a screen
+    # both are white on a screen
+    assert picture_distance(GREY + 0.7, GREY + 0.9).psnr is None
     assert picture_distance(GREY[:8], GREY[:8]).ssim is None  # too small
 
 
@@ -45,7 +48,9 @@ def test_several_pictures_count_by_their_pixels() -> None:
     assert both.ssim is None  # one of them has none
 
 
-def agreement(first: list[float], second: list[float]) -> tuple[float | None, float | None]:
+def agreement(
+    first: list[float], second: list[float]
+) -> tuple[float | None, float | None]:
     agreed = GradientAgreement()
     agreed.add(torch.tensor(first[:1]), torch.tensor(second[:1]))
     agreed.add(torch.tensor(first[1:]), torch.tensor(second[1:]))
@@ -66,13 +71,21 @@ def test_the_length_of_a_quaternion_has_no_gradient() -> None:
 
     def normalising(scene: GaussianScene, camera: Camera) -> Tensor:
         unit = scene.rotations / scene.rotations.norm(dim=1, keepdim=True)
-        return blobs(GaussianScene(scene.means, scene.scales, unit, scene.opacities, scene.sh), camera)
+        return blobs(
+            GaussianScene(scene.means, scene.scales, unit, scene.opacities, scene.sh),
+            camera,
+        )
 
     scene, view = toy_scene()[0], camera(12)
-    plain, other = (gradients(render, scene, view, weighting(view, 3)) for render in (blobs, normalising))
+    plain, other = (
+        gradients(render, scene, view, weighting(view, 3))
+        for render in (blobs, normalising)
+    )
     for name, gradient in plain.items():
         assert gradient.abs().max() > 0
-        torch.testing.assert_close(gradient, other[name], rtol=1e-3, atol=1e-5, msg=name)
+        torch.testing.assert_close(
+            gradient, other[name], rtol=1e-3, atol=1e-5, msg=name
+        )
 
 
 def test_costs_take_turns_and_are_ratios() -> None:
@@ -82,12 +95,15 @@ def test_costs_take_turns_and_are_ratios() -> None:
         calls.append("b")
         torch.rand(400, 400) @ torch.rand(400, 400)
 
-    costs = costs_of({"a": lambda: calls.append("a"), "b": slow}, rounds=3, on_step=lambda text: None)
+    costs = costs_of(
+        {"a": lambda: calls.append("a"), "b": slow}, rounds=3, on_step=lambda text: None
+    )
     assert calls == [*"ab", *"ababab"]
     assert costs["b"]["ratio"] > 1
 
 
-# Mitsuba's own integrator beside ours, where they have to agree: on Gaussians that lie apart from each other
+# Mitsuba's own integrator beside ours, where they have to agree: on Gaussians that lie
+# apart from each other
 
 
 METHODS = {
@@ -98,11 +114,15 @@ METHODS = {
 
 
 def apart() -> GaussianScene:
-    """Nine Gaussians of different shapes, some 4 pixels wide, that do not touch in the picture."""
+    """Nine Gaussians of different shapes, some 4 pixels wide, that do not touch in the
+    picture.
+    """
     generator = torch.Generator().manual_seed(0)
     grid = torch.tensor(list(itertools.product((-0.9, 0.0, 0.9), repeat=2)))
     return GaussianScene(
-        means=torch.cat([grid[:, :1], torch.linspace(-0.2, 0.2, 9)[:, None], grid[:, 1:]], 1),
+        means=torch.cat(
+            [grid[:, :1], torch.linspace(-0.2, 0.2, 9)[:, None], grid[:, 1:]], 1
+        ),
         scales=0.08 + 0.06 * torch.rand(9, 3, generator=generator),
         rotations=normalise(torch.randn(9, 4, generator=generator)),
         opacities=torch.linspace(0.5, 0.95, 9),
@@ -112,13 +132,21 @@ def apart() -> GaussianScene:
 
 def view(*, focal: float | tuple[float, float] = 120.0) -> Camera:
     pose = look_at((0.0, -4.0, 0.0), (0.0, 0.0, 0.0))
-    return Camera(to_world=pose, focal=focal, width=96, height=88, principal=(46.5, 45.25))
+    return Camera(
+        to_world=pose, focal=focal, width=96, height=88, principal=(46.5, 45.25)
+    )
 
 
 def test_gaussians_that_lie_apart_look_the_same() -> None:
-    comparison = compare(apart(), {"front": view()}, METHODS, config=CompareConfig(rounds=0))
+    comparison = compare(
+        apart(), {"front": view()}, METHODS, config=CompareConfig(rounds=0)
+    )
     assert float(comparison.pictures["front"]["tile"].std()) > 0.05
-    for names, least in ((("tile", "ray"), 35), (("tile", "volprim"), 35), (("ray", "volprim"), 45)):
+    for names, least in (
+        (("tile", "ray"), 35),
+        (("tile", "volprim"), 35),
+        (("ray", "volprim"), 45),
+    ):
         pair = comparison.pairs[names]
         assert (pair.whole.psnr or 0) > least, names
         assert pair.agreement is not None
@@ -138,7 +166,9 @@ def test_gradients_of_volprim_are_its_finite_differences(attribute: str) -> None
     for sign in (1, -1):
         moved = {**values, attribute: values[attribute] + sign * step * direction}
         moved["opacities"] = moved["opacities"].clamp(0, 1)
-        sums.append(float((render(GaussianScene(**moved), camera).double() * weights).sum()))
+        sums.append(
+            float((render(GaussianScene(**moved), camera).double() * weights).sum())
+        )
     expected = (sums[0] - sums[1]) / (2 * step)
     assert float((gradient * direction).sum()) == pytest.approx(expected, rel=0.02)
 

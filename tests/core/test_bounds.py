@@ -1,4 +1,6 @@
-"""Near planes: 3DGS's on usual scenes, and such on small ones that nothing of them is lost."""
+"""Near planes: 3DGS's on usual scenes, and such on small ones that nothing of them is
+lost.
+"""
 
 import pytest
 import torch
@@ -10,7 +12,12 @@ from tests.gaussians import varied_scene
 
 
 def looking_from(x: float, *, size: int = 32) -> Camera:
-    return Camera(to_world=look_at((x, 0.0, 0.0), (0.0, 0.0, 0.0)), focal=float(size), width=size, height=size)
+    return Camera(
+        to_world=look_at((x, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        focal=float(size),
+        width=size,
+        height=size,
+    )
 
 
 def scaled(scene: GaussianScene, factor: float) -> GaussianScene:
@@ -39,7 +46,9 @@ def test_near_shrinks_with_cameras_that_are_near(scene: GaussianScene) -> None:
 
 
 def test_a_sky_is_not_looked_at(scene: GaussianScene) -> None:
-    """A tenth of the Gaussians far away, as a captured sky is, is no part of what there is to look at."""
+    """A tenth of the Gaussians far away, as a captured sky is, is no part of what there
+    is to look at.
+    """
     far = 100 * torch.nn.functional.normalize(torch.randn(40, 3), dim=1)
     sky = scene.select(slice(0, 40)).replace(means=far)
     middle, radius = bounds(merge(scene, sky))
@@ -49,12 +58,21 @@ def test_a_sky_is_not_looked_at(scene: GaussianScene) -> None:
     assert bounds(scene)[1] == pytest.approx(2.5, rel=1e-5)
 
 
-@pytest.mark.parametrize(("beside", "inside"), [((0.0, 0.08), True), ((0.08, 0.0), True), ((0.0, 0.12), False)])
+@pytest.mark.parametrize(
+    ("beside", "inside"),
+    [((0.0, 0.08), True), ((0.08, 0.0), True), ((0.0, 0.12), False)],
+)
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_only_what_is_in_the_picture_is_culled(beside: tuple[float, float], inside: bool, sign: int) -> None:
+def test_only_what_is_in_the_picture_is_culled(
+    beside: tuple[float, float], inside: bool, sign: int
+) -> None:
     """At a depth of 0.2, the picture is 0.2 wide and 0.2 high."""
     means = torch.tensor([[2.8, sign * beside[0], sign * beside[1]]])
     cloud = varied_scene(1, degree=0, seed=0)
-    assert culled_in_view(cloud.replace(means=means), looking_from(3.0), 0.3) == int(inside)
+    assert culled_in_view(cloud.replace(means=means), looking_from(3.0), 0.3) == int(
+        inside
+    )
     turned = torch.tensor([[2.8, sign * beside[1], sign * beside[0]]])
-    assert culled_in_view(cloud.replace(means=turned), looking_from(3.0), 0.3) == int(inside)
+    assert culled_in_view(cloud.replace(means=turned), looking_from(3.0), 0.3) == int(
+        inside
+    )

@@ -24,9 +24,16 @@ def held_out(spec: str, count: int) -> list[Camera]:
 
 def angles(cameras: list[Camera]) -> tuple[torch.Tensor, torch.Tensor]:
     """Azimuth and elevation of each camera in degrees."""
-    offset = (torch.stack([camera.position for camera in cameras]) - torch.tensor(CENTRE, dtype=torch.float64)) / 2
-    torch.testing.assert_close(offset.norm(dim=1), torch.ones(len(cameras), dtype=torch.float64))
-    return torch.rad2deg(torch.atan2(offset[:, 1], offset[:, 0])) % 360, torch.rad2deg(torch.asin(offset[:, 2]))
+    offset = (
+        torch.stack([camera.position for camera in cameras])
+        - torch.tensor(CENTRE, dtype=torch.float64)
+    ) / 2
+    torch.testing.assert_close(
+        offset.norm(dim=1), torch.ones(len(cameras), dtype=torch.float64)
+    )
+    return torch.rad2deg(torch.atan2(offset[:, 1], offset[:, 0])) % 360, torch.rad2deg(
+        torch.asin(offset[:, 2])
+    )
 
 
 @pytest.mark.parametrize(
@@ -45,7 +52,10 @@ def test_sets(spec: str, count: int, lowest: float, highest: float) -> None:
     azimuth, elevation = angles(made)
     band = (lowest - 1e-6, highest + 1e-6)
     assert band[0] <= elevation.min() <= elevation.max() <= band[1]
-    assert len(torch.stack([azimuth, elevation], dim=1).mul(1e6).round().unique(dim=0)) == count  # type: ignore[no-untyped-call]
+    assert (
+        len(torch.stack([azimuth, elevation], dim=1).mul(1e6).round().unique(dim=0))  # type: ignore[no-untyped-call]
+        == count
+    )
     pixels, depth = project_points(torch.tensor([CENTRE], dtype=torch.float64), made[0])
     assert pixels[0].tolist() == pytest.approx([8, 6])
     assert depth.item() == pytest.approx(2)
@@ -53,35 +63,54 @@ def test_sets(spec: str, count: int, lowest: float, highest: float) -> None:
 
 
 def test_a_hemisphere_bulges_upwards() -> None:
-    made = hemisphere(CENTRE, count=9, distance=2.0, focal=20.0, size=(16, 12), up=(0.0, -1.0, 0.0))
-    assert all(camera.position[1] < CENTRE[1] and camera.to_world[1, 1] > 0 for camera in made)  # y of images is down
+    made = hemisphere(
+        CENTRE, count=9, distance=2.0, focal=20.0, size=(16, 12), up=(0.0, -1.0, 0.0)
+    )
+    # y of images is down
+    assert all(
+        camera.position[1] < CENTRE[1] and camera.to_world[1, 1] > 0 for camera in made
+    )
 
 
 @pytest.mark.parametrize("size", [(160, 120), (120, 160)])
-def test_framing_shows_the_whole_ball_with_a_margin_of_5_percent(size: tuple[int, int]) -> None:
+def test_framing_shows_the_whole_ball_with_a_margin_of_5_percent(
+    size: tuple[int, int],
+) -> None:
     distance, focal = framing(2.0, fov=50.0, size=size)
-    camera = orbit(CENTRE, count=1, elevation=0.0, distance=distance, focal=focal, size=size)[0]
+    camera = orbit(
+        CENTRE, count=1, elevation=0.0, distance=distance, focal=focal, size=size
+    )[0]
     # The cone that touches a ball 5 % larger meets the shorter side's edge.
     assert distance * math.sin(math.radians(25)) == pytest.approx(1.05 * 2.0)
     assert 2 * math.degrees(math.atan(min(size) / 2 / camera.fx)) == pytest.approx(50.0)
 
 
-@pytest.mark.parametrize("spec", ["hemisphere:60", "orbit:12@30", "cap:30@55", "grid:8x3"])
+@pytest.mark.parametrize(
+    "spec", ["hemisphere:60", "orbit:12@30", "cap:30@55", "grid:8x3"]
+)
 def test_held_out_cameras_are_others_of_the_same_range(spec: str) -> None:
     ours, theirs = cameras(spec), held_out(spec, 12)
     assert len(theirs) == 12
     low, high = (0.0, 90.0) if spec.startswith("grid") else angles(ours)[1].aminmax()
     assert angles(theirs)[1].min() >= float(low) - 5
     assert angles(theirs)[1].max() <= float(high) + 5
-    positions = [torch.stack([camera.position for camera in part]) for part in (ours, theirs)]
+    positions = [
+        torch.stack([camera.position for camera in part]) for part in (ours, theirs)
+    ]
     assert torch.cdist(positions[1], positions[0]).min() > 0.05
     assert held_out(spec, 0) == []
 
 
-@pytest.mark.parametrize(("others", "count"), [(60, 8), (36, 8), (12, 8), (12, 12), (5, 12), (1, 4), (7, 3)])
-def test_held_out_cameras_of_an_orbit_are_none_of_the_others(others: int, count: int) -> None:
+@pytest.mark.parametrize(
+    ("others", "count"), [(60, 8), (36, 8), (12, 8), (12, 12), (5, 12), (1, 4), (7, 3)]
+)
+def test_held_out_cameras_of_an_orbit_are_none_of_the_others(
+    others: int, count: int
+) -> None:
     taken = torch.stack([camera.position for camera in cameras(f"orbit:{others}@20")])
-    others_held = torch.stack([camera.position for camera in held_out(f"orbit:{others}@20", count)])
+    others_held = torch.stack(
+        [camera.position for camera in held_out(f"orbit:{others}@20", count)]
+    )
     assert len(others_held) == count
     least = torch.cdist(others_held, taken).min()
     if count <= others:
@@ -99,7 +128,8 @@ def test_cameras_of_a_file(tmp_path: Path) -> None:
         assert (ours.fx, ours.cx, ours.width) == (20, 8, 16)
     for picture in (tmp_path / "images").iterdir():
         picture.unlink()
-    assert len(cameras(str(tmp_path / "transforms_train.json"))) == 5  # needs no pictures
+    # needs no pictures
+    assert len(cameras(str(tmp_path / "transforms_train.json"))) == 5
     (tmp_path / "small.json").write_text(
         '{"camera_angle_x": 1.5707963267948966, "frames": [{"transform_matrix": '
         "[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}]}"
@@ -112,11 +142,31 @@ def test_cameras_of_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "spec",
     [
-        "", "hemisphere", "hemisphere:", "hemisphere:x", "hemisphere:-3", "hemisphere:3.5", "hemisphere:0", "sphere:10",
-        "orbit:10", "orbit:10@", "orbit:10@91", "orbit:0@10", "cap:10@90", "cap:10", "grid:10", "grid:0x4", "grid:4x",
-        "grid:99999x99999", "hemisphere:9999999", "hemisphere:100001", "cap:10@89.95", "hemisphere:10\n", "orbit:4@nan",
+        "",
+        "hemisphere",
+        "hemisphere:",
+        "hemisphere:x",
+        "hemisphere:-3",
+        "hemisphere:3.5",
+        "hemisphere:0",
+        "sphere:10",
+        "orbit:10",
+        "orbit:10@",
+        "orbit:10@91",
+        "orbit:0@10",
+        "cap:10@90",
+        "cap:10",
+        "grid:10",
+        "grid:0x4",
+        "grid:4x",
+        "grid:99999x99999",
+        "hemisphere:9999999",
+        "hemisphere:100001",
+        "cap:10@89.95",
+        "hemisphere:10\n",
+        "orbit:4@nan",
     ],
-)  # fmt: skip
+)
 def test_bad_texts_are_refused(spec: str) -> None:
     with pytest.raises(InvalidValueError, match="cameras"):
         cameras(spec)

@@ -25,7 +25,9 @@ points = st.tuples(*[st.floats(-5, 5)] * 3)
 
 def camera(**change: Any) -> Camera:
     pose = look_at((4.0, 1.0, 2.0), (0.0, 0.0, 0.5))
-    return Camera(**{"to_world": pose, "focal": 100.0, "width": 64, "height": 48, **change})
+    return Camera(
+        **{"to_world": pose, "focal": 100.0, "width": 64, "height": 48, **change}
+    )
 
 
 @hypothesis.given(origin=points, target=points)
@@ -33,9 +35,12 @@ def test_look_at_sees_the_target_in_the_middle_and_up_at_the_top(
     origin: tuple[float, float, float], target: tuple[float, float, float]
 ) -> None:
     hypothesis.assume(math.dist(origin, target) > 0.1)
-    seen = camera(to_world=look_at(origin, target))  # the constructor checks that the pose is rigid
+    # the constructor checks that the pose is rigid
+    seen = camera(to_world=look_at(origin, target))
     pixel, depth = project_points(torch.tensor([target], dtype=torch.float64), seen)
-    torch.testing.assert_close(pixel[0], torch.tensor([32.0, 24.0], dtype=torch.float64))
+    torch.testing.assert_close(
+        pixel[0], torch.tensor([32.0, 24.0], dtype=torch.float64)
+    )
     assert depth.item() == pytest.approx(math.dist(origin, target))
     assert seen.to_world[2, 1] <= 1e-9  # the image's y axis points down in the world
 
@@ -45,9 +50,18 @@ def test_look_at_sees_the_target_in_the_middle_and_up_at_the_top(
     [
         ({"to_world": torch.eye(3)}, "to_world: expected shape"),
         ({"to_world": 2 * torch.eye(4)}, "to_world: expected a finite rotation"),
-        ({"to_world": torch.diag(torch.tensor([1.0001, 1.0001, 1.0001, 1.0]))}, "to_world: expected a finite rotation"),
-        ({"to_world": torch.full((4, 4), math.nan)}, "to_world: expected a finite rotation"),
-        ({"to_world": torch.diag(torch.tensor([1.0, 1.0, -1.0, 1.0]))}, "to_world: expected a finite rotation"),
+        (
+            {"to_world": torch.diag(torch.tensor([1.0001, 1.0001, 1.0001, 1.0]))},
+            "to_world: expected a finite rotation",
+        ),
+        (
+            {"to_world": torch.full((4, 4), math.nan)},
+            "to_world: expected a finite rotation",
+        ),
+        (
+            {"to_world": torch.diag(torch.tensor([1.0, 1.0, -1.0, 1.0]))},
+            "to_world: expected a finite rotation",
+        ),
         ({"focal": 0.0}, "focal: expected a number"),
         ({"focal": (10.0, -1.0)}, "focal: expected a number"),
         ({"width": 0}, "width"),
@@ -57,7 +71,10 @@ def test_look_at_sees_the_target_in_the_middle_and_up_at_the_top(
         ({"principal": (0.0, -1e30)}, "principal: expected a number in"),
         ({"focal": 1e30}, r"focal: expected a number in .* \(pixels\), got 1e\+30"),
         ({"focal": (10.0, 1e-30)}, "focal: expected a number"),
-        ({"to_world": look_at((1e30, 0, 0), (0, 0, 0))}, r"camera position: expected coordinates up to 1e\+09"),
+        (
+            {"to_world": look_at((1e30, 0, 0), (0, 0, 0))},
+            r"camera position: expected coordinates up to 1e\+09",
+        ),
     ],
 )
 def test_wrong_cameras_are_refused(change: dict[str, Any], words: str) -> None:
@@ -67,25 +84,50 @@ def test_wrong_cameras_are_refused(change: dict[str, Any], words: str) -> None:
 
 def test_projection_by_hand() -> None:
     seen = camera(to_world=torch.eye(4), focal=(100.0, 50.0), principal=(30.0, 20.0))
-    pixels, depth = project_points(torch.tensor([[0.0, 0.0, 2.0], [1.0, 2.0, 4.0], [0.0, 0.0, -1.0]]), seen)
+    pixels, depth = project_points(
+        torch.tensor([[0.0, 0.0, 2.0], [1.0, 2.0, 4.0], [0.0, 0.0, -1.0]]), seen
+    )
     torch.testing.assert_close(pixels[:2], torch.tensor([[30.0, 20.0], [55.0, 45.0]]))
     assert depth.tolist() == [2, 4, -1]
 
 
 def test_orbit_is_a_circle_from_plus_x_towards_plus_y() -> None:
-    cameras = orbit((1.0, 2.0, 3.0), count=4, elevation=30.0, distance=2.0, focal=50.0, size=(20, 10))
+    cameras = orbit(
+        (1.0, 2.0, 3.0),
+        count=4,
+        elevation=30.0,
+        distance=2.0,
+        focal=50.0,
+        size=(20, 10),
+    )
     centre = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
     offsets = [c.position - centre for c in cameras]
     reach, height = 2 * math.cos(math.radians(30)), 1.0
-    expected = [(reach, 0, height), (0, reach, height), (-reach, 0, height), (0, -reach, height)]
-    torch.testing.assert_close(torch.stack(offsets), torch.tensor(expected, dtype=torch.float64))
+    expected = [
+        (reach, 0, height),
+        (0, reach, height),
+        (-reach, 0, height),
+        (0, -reach, height),
+    ]
+    torch.testing.assert_close(
+        torch.stack(offsets), torch.tensor(expected, dtype=torch.float64)
+    )
     assert (cameras[0].width, cameras[0].height) == (20, 10)
 
 
 def test_hemisphere_spreads_evenly_over_its_band() -> None:
-    cameras = hemisphere((0.0, 0.0, 0.0), count=200, distance=3.0, focal=50.0, size=(8, 8), elevation=(10.0, 60.0))
+    cameras = hemisphere(
+        (0.0, 0.0, 0.0),
+        count=200,
+        distance=3.0,
+        focal=50.0,
+        size=(8, 8),
+        elevation=(10.0, 60.0),
+    )
     positions = torch.stack([c.position for c in cameras]) / 3
-    torch.testing.assert_close(positions.norm(dim=1), torch.ones(200, dtype=torch.float64))
+    torch.testing.assert_close(
+        positions.norm(dim=1), torch.ones(200, dtype=torch.float64)
+    )
     elevation = torch.rad2deg(torch.asin(positions[:, 2]))
     assert elevation.min() >= 10
     assert elevation.max() <= 60

@@ -1,4 +1,6 @@
-"""Directions of cameras and their depths in bands and wedges, against a brute-force search over the sphere."""
+"""Directions of cameras and their depths in bands and wedges, against a brute-force
+search over the sphere.
+"""
 
 import math
 
@@ -21,11 +23,20 @@ def seen_from(azimuth: float, elevation: float, distance: float = 3.0) -> Direct
 
 def unit(azimuth: float, elevation: float) -> torch.Tensor:
     a, e = math.radians(azimuth), math.radians(elevation)
-    return torch.tensor([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)], dtype=torch.float64)
+    return torch.tensor(
+        [math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)],
+        dtype=torch.float64,
+    )
 
 
-@hypothesis.given(azimuth=st.floats(0, 359), elevation=st.floats(-89, 89), distance=st.floats(0.01, 100))
-def test_the_direction_of_an_orbit_camera(azimuth: float, elevation: float, distance: float) -> None:
+@hypothesis.given(
+    azimuth=st.floats(0, 359),
+    elevation=st.floats(-89, 89),
+    distance=st.floats(0.01, 100),
+)
+def test_the_direction_of_an_orbit_camera(
+    azimuth: float, elevation: float, distance: float
+) -> None:
     direction = seen_from(azimuth, elevation, distance)
     assert direction.azimuth == pytest.approx(azimuth, abs=1e-6)
     assert direction.elevation == pytest.approx(elevation, abs=1e-6)

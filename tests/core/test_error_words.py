@@ -1,4 +1,6 @@
-"""What an error says fits Python and the command line; only the command line adds the names of its flags."""
+"""What an error says fits Python and the command line; only the command line adds the
+names of its flags.
+"""
 
 import json
 import os
@@ -27,7 +29,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     save_splat(scene, tmp_path / "a.ply")
     text = (tmp_path / "a.ply").read_bytes()
     body = text.index(b"end_header\n") + len(b"end_header\n")
-    (tmp_path / "nan.ply").write_bytes(text[:body] + torch.tensor([float("nan")]).numpy().tobytes() + text[body + 4 :])
+    (tmp_path / "nan.ply").write_bytes(
+        text[:body] + torch.tensor([float("nan")]).numpy().tobytes() + text[body + 4 :]
+    )
     (tmp_path / "page.html").write_text("old")
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "result.json").write_text("{}")
@@ -41,11 +45,17 @@ def scene() -> GaussianScene:
 
 CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "nothing selected": (lambda: select(scene(), Selection()), "--box"),
-    "none selected": (lambda: select(scene(), Selection(box=(8, 8, 8, 9, 9, 9))), "--box"),
+    "none selected": (
+        lambda: select(scene(), Selection(box=(8, 8, 8, 9, 9, 9))),
+        "--box",
+    ),
     "no such part": (lambda: select(scene(), Selection(object="car")), "--object"),
     "an older result": (lambda: check_new_folder("out", force=False), "--force"),
     "two of the same": (lambda: changed_mask(scene(), scene()), "--box"),
-    "a NaN": (lambda: load_splat("nan.ply"), "mi-splat convert nan.ply VALID.ply --drop-invalid"),
+    "a NaN": (
+        lambda: load_splat("nan.ply"),
+        "mi-splat convert nan.ply VALID.ply --drop-invalid",
+    ),
 }
 
 
@@ -58,7 +68,9 @@ def test_python_hears_of_no_flags(name: str, folder: Path) -> None:
     assert hint in caught.value.hint
 
 
-@pytest.mark.parametrize("words", [["render", "nan.ply"], ["select", "nan.ply", "--cluster", "1"]])
+@pytest.mark.parametrize(
+    "words", [["render", "nan.ply"], ["select", "nan.ply", "--cluster", "1"]]
+)
 def test_the_command_line_says_how_to_drop_what_is_not_valid(
     words: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -71,7 +83,9 @@ def test_the_command_line_says_how_to_drop_what_is_not_valid(
     assert os.path.exists("VALID.ply")
 
 
-def test_what_a_foreign_file_holds_is_not_repeated_whole(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_foreign_file_holds_is_not_repeated_whole(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     key = "k" * 70_000
     (folder / "policy.toml").write_text(f'{key} = "accept"\n')
     (folder / "rules.toml").write_text(f'[rules]\n{key} = "accept"\n')
@@ -94,7 +108,9 @@ def test_what_a_foreign_file_holds_is_not_repeated_whole(folder: Path, capsys: p
     assert not (folder / "new").exists()
 
 
-def test_a_name_that_is_too_long_has_a_remedy(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_name_that_is_too_long_has_a_remedy(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for words in (
         ["info", f"{'a' * 300}.ply"],
         ["detect", f"{'a' * 300}.png"],
@@ -104,8 +120,13 @@ def test_a_name_that_is_too_long_has_a_remedy(folder: Path, capsys: pytest.Captu
         assert "File name too long; use a shorter name" in capsys.readouterr().err
 
 
-def test_a_lack_of_memory_is_one_line(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    for error in (MemoryError(), ImportError("libtorch.so: failed to map segment from shared object")):
+def test_a_lack_of_memory_is_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for error in (
+        MemoryError(),
+        ImportError("libtorch.so: failed to map segment from shared object"),
+    ):
         monkeypatch.setattr(cli, "_dispatch", raiser(error))
         assert cli.main(["info", "a.ply"]) == 1
         assert "memory: expected enough for what was asked" in capsys.readouterr().err

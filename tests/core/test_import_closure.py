@@ -1,4 +1,6 @@
-"""The digest of the code that a piece of work runs: what changes it, what does not, and that nothing is forgotten."""
+"""The digest of the code that a piece of work runs: what changes it, what does not, and
+that nothing is forgotten.
+"""
 
 from importlib.metadata import version
 from pathlib import Path
@@ -58,8 +60,15 @@ def _forgotten() -> object:
 
 
 def test_all_that_is_imported_belongs_to_it(toy: Path) -> None:
-    assert closure("toy.entry") == ("toy", "toy.entry", "toy.helper", "toy.late", "toy.lazy")
-    assert closure("toy.named") == ("toy", "toy.late", "toy.named")  # loaded by its name
+    assert closure("toy.entry") == (
+        "toy",
+        "toy.entry",
+        "toy.helper",
+        "toy.late",
+        "toy.lazy",
+    )
+    # loaded by its name
+    assert closure("toy.named") == ("toy", "toy.late", "toy.named")
 
 
 @pytest.mark.parametrize(
@@ -78,7 +87,9 @@ def test_all_that_is_imported_belongs_to_it(toy: Path) -> None:
         ("entry.py", "a number below 0", "a positive number", False),
     ],
 )
-def test_what_changes_the_digest(file: str, old: str, new: str, changes: bool, toy: Path) -> None:
+def test_what_changes_the_digest(
+    file: str, old: str, new: str, changes: bool, toy: Path
+) -> None:
     before = code_digest("toy.entry")
     text = (toy / file).read_text()
     assert old in text
@@ -96,15 +107,22 @@ def test_a_module_that_is_moved_is_the_same_code(toy: Path) -> None:
 
 
 def test_what_is_loaded_by_a_whole_name_in_a_table_is_followed() -> None:
-    assert {"mi_splat.io.formats.spz", "mi_splat.io.formats.sog"} <= set(closure("mi_splat.io.splat_files"))
+    assert {"mi_splat.io.formats.spz", "mi_splat.io.formats.sog"} <= set(
+        closure("mi_splat.io.splat_files")
+    )
     assert "mi_splat.assets.elephant" in closure("mi_splat.assets")
     assert "attacks.cloak.layers" not in closure("mi_splat.io.splat_files")
 
 
 @pytest.mark.parametrize("packages", [("numpy", "0.0"), ("torch", "0.0")])
-def test_versions_of_other_packages_belong_to_it(packages: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_versions_of_other_packages_belong_to_it(
+    packages: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = code_digest("mi_splat.scene")
     name, other = packages
-    monkeypatch.setattr("importlib.metadata.version", lambda asked: other if asked == name else version(asked))
+    monkeypatch.setattr(
+        "importlib.metadata.version",
+        lambda asked: other if asked == name else version(asked),
+    )
     code_digest.cache_clear()
     assert code_digest("mi_splat.scene") != before

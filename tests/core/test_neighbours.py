@@ -1,4 +1,6 @@
-"""Neighbours by a tree: the bits of a search of all with all, in the memory and the time of far less."""
+"""Neighbours by a tree: the bits of a search of all with all, in the memory and the
+time of far less.
+"""
 
 import subprocess
 import sys
@@ -36,7 +38,9 @@ CLOUDS: dict[str, Callable[[], Tensor]] = {
     "grid far away": lambda: _grid(0.013, 100.0),
     "copies": lambda: _random(150).repeat(10, 1),
     "one place": lambda: _random(1).expand(500, 3),
-    "sphere with its centre": lambda: torch.cat([functional.normalize(_random(1500) - 0.5), torch.zeros(1, 3)]),
+    "sphere with its centre": lambda: torch.cat(
+        [functional.normalize(_random(1500) - 0.5), torch.zeros(1, 3)]
+    ),
     "on a lattice of sevenths": lambda: (_random(1500) * 16).round() / 7,
 }
 
@@ -54,7 +58,9 @@ def test_distances_are_to_the_bit_those_of_all_with_all(name: str) -> None:
 def test_points_that_are_not_finite_are_named() -> None:
     points = _random(5)
     points[3, 1] = torch.nan
-    with pytest.raises(InvalidValueError, match=r"points: expected finite coordinates, got .* in row 3"):
+    with pytest.raises(
+        InvalidValueError, match=r"points: expected finite coordinates, got .* in row 3"
+    ):
         spacing(points)
 
 
@@ -95,6 +101,9 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 
 def test_work_on_60_000_points_stays_within_200_megabytes() -> None:
-    done = subprocess.run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True
+    )
     unit = 1 if sys.platform == "darwin" else 1024
-    assert int(done.stdout) * unit < 200 << 20  # distances of all with all: 14 GB, or blocks of gigabytes
+    # distances of all with all: 14 GB, or blocks of gigabytes
+    assert int(done.stdout) * unit < 200 << 20

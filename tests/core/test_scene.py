@@ -38,9 +38,21 @@ def changed(value: Tensor, index: tuple[int, ...], to: float) -> Tensor:
         ("rotations", torch.ones(3, 3), "rotations: expected shape (3, 4), got (3, 3)"),
         ("opacities", torch.ones(3, 1), "opacities: expected shape (3,), got (3, 1)"),
         ("sh", torch.ones(3, 5, 3), "sh: expected 1, 4, 9 or 16 coefficients, got 5"),
-        ("means", torch.zeros(3, 3, dtype=torch.float16), "means: expected float32 or float64, got torch.float16"),
-        ("sh", torch.ones(3, 4, 3, dtype=torch.float64), "sh: expected torch.float32 like the means"),
-        ("sh", torch.ones(3, 4, 3, device="meta"), "sh: expected device cpu like the means, got meta"),
+        (
+            "means",
+            torch.zeros(3, 3, dtype=torch.float16),
+            "means: expected float32 or float64, got torch.float16",
+        ),
+        (
+            "sh",
+            torch.ones(3, 4, 3, dtype=torch.float64),
+            "sh: expected torch.float32 like the means",
+        ),
+        (
+            "sh",
+            torch.ones(3, 4, 3, device="meta"),
+            "sh: expected device cpu like the means, got meta",
+        ),
     ],
 )
 def test_wrong_form_is_refused(name: str, value: object, words: str) -> None:
@@ -52,9 +64,17 @@ def test_wrong_form_is_refused(name: str, value: object, words: str) -> None:
 @pytest.mark.parametrize(
     ("name", "index", "to"),
     [
-        *((name, index, value) for value in (float("nan"), float("inf"), float("-inf"))
-          for name, index in (("means", (4, 1)), ("scales", (4, 0)), ("rotations", (4, 3)), ("opacities", (4,)),
-                              ("sh", (4, 2, 1)))),
+        *(
+            (name, index, value)
+            for value in (float("nan"), float("inf"), float("-inf"))
+            for name, index in (
+                ("means", (4, 1)),
+                ("scales", (4, 0)),
+                ("rotations", (4, 3)),
+                ("opacities", (4,)),
+                ("sh", (4, 2, 1)),
+            )
+        ),
         ("means", (4, 0), -1e30),
         ("scales", (4, 1), 1e30),
         ("sh", (4, 3, 1), 1e30),
@@ -64,11 +84,16 @@ def test_wrong_form_is_refused(name: str, value: object, words: str) -> None:
         ("opacities", (4,), -1e-6),
         ("opacities", (4,), 1.0001),
     ],
-)  # fmt: skip
-def test_wrong_values_are_refused_and_named(name: str, index: tuple[int, ...], to: float) -> None:
+)
+def test_wrong_values_are_refused_and_named(
+    name: str, index: tuple[int, ...], to: float
+) -> None:
     scene = random_scene(6, 1)
     with pytest.raises(
-        InvalidValueError, match=rf"^{name}: expected .*got (norm )?\S+ in row 4 \(1 of 6 rows are wrong\); "
+        InvalidValueError,
+        match=(
+            rf"^{name}: expected .*got (norm )?\S+ in row 4 \(1 of 6 rows are wrong\); "
+        ),
     ):
         scene.replace(**{name: changed(parts(scene)[name], index, to)})
 
@@ -77,9 +102,23 @@ def test_tensors_keep_their_graph() -> None:
     scene = random_scene(4, 1, dtype=torch.float64)
     leaves = [value.clone().requires_grad_() for value in scene.tensors()]
     built = GaussianScene(*(2 * leaf / 2 for leaf in leaves))
-    for derived in (built, built.select(slice(None)), merge(built, built), built.with_degree(3), built.to("cpu")):
-        total = sum((value.sum() for value in derived.tensors()), torch.zeros((), dtype=torch.float64))
-        assert all(g is not None for g in torch.autograd.grad(total, leaves, retain_graph=True, allow_unused=True))
+    for derived in (
+        built,
+        built.select(slice(None)),
+        merge(built, built),
+        built.with_degree(3),
+        built.to("cpu"),
+    ):
+        total = sum(
+            (value.sum() for value in derived.tensors()),
+            torch.zeros((), dtype=torch.float64),
+        )
+        assert all(
+            g is not None
+            for g in torch.autograd.grad(
+                total, leaves, retain_graph=True, allow_unused=True
+            )
+        )
     assert not any(value.requires_grad for value in built.detach().tensors())
 
 
@@ -152,8 +191,12 @@ def test_to_changes_dtype_and_back() -> None:
 def test_hash_depends_on_every_tensor_and_on_nothing_else() -> None:
     scene = random_scene(4, 1)
     assert len(scene_hash(scene)) == 64
-    copies = GaussianScene(*(value.clone().requires_grad_() for value in scene.tensors()))
-    strided = GaussianScene(*(value.repeat_interleave(2, 0)[::2] for value in scene.tensors()))
+    copies = GaussianScene(
+        *(value.clone().requires_grad_() for value in scene.tensors())
+    )
+    strided = GaussianScene(
+        *(value.repeat_interleave(2, 0)[::2] for value in scene.tensors())
+    )
     assert scene_hash(copies) == scene_hash(scene) == scene_hash(strided)
     others = [
         scene.replace(means=scene.means + 1),
@@ -173,18 +216,26 @@ def test_hash_depends_on_every_tensor_and_on_nothing_else() -> None:
 
 
 def turn(seed: int) -> Tensor:
-    quaternion = torch.randn(4, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    quaternion = torch.randn(
+        4, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+    )
     return to_matrix(normalise(quaternion))
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("seed", range(5))
-def test_transform_moves_covariances_and_colours_with_the_scene(degree: int, seed: int) -> None:
+def test_transform_moves_covariances_and_colours_with_the_scene(
+    degree: int, seed: int
+) -> None:
     scene = random_scene(20, degree, seed=seed, dtype=torch.float64)
-    similarity = Similarity(turn(seed), torch.tensor([1.0, -2.0, 3.0], dtype=torch.float64), 1.7)
+    similarity = Similarity(
+        turn(seed), torch.tensor([1.0, -2.0, 3.0], dtype=torch.float64), 1.7
+    )
     moved = scene.transform(similarity)
     linear = similarity.scale * similarity.rotation
-    torch.testing.assert_close(moved.means, scene.means @ linear.T + similarity.translation)
+    torch.testing.assert_close(
+        moved.means, scene.means @ linear.T + similarity.translation
+    )
 
     def covariance(of: GaussianScene) -> Tensor:
         axes = to_matrix(of.rotations) * of.scales[:, None, :]
@@ -193,8 +244,12 @@ def test_transform_moves_covariances_and_colours_with_the_scene(degree: int, see
     torch.testing.assert_close(covariance(moved), linear @ covariance(scene) @ linear.T)
     camera = torch.tensor([5.0, 4.0, -3.0], dtype=torch.float64)
     before = torch.nn.functional.normalize(scene.means - camera, dim=1)
-    after = torch.nn.functional.normalize(moved.means - (linear @ camera + similarity.translation), dim=1)
-    torch.testing.assert_close(sh_to_colour(moved.sh, after), sh_to_colour(scene.sh, before))
+    after = torch.nn.functional.normalize(
+        moved.means - (linear @ camera + similarity.translation), dim=1
+    )
+    torch.testing.assert_close(
+        sh_to_colour(moved.sh, after), sh_to_colour(scene.sh, before)
+    )
     assert torch.equal(moved.opacities, scene.opacities)
 
 
@@ -209,4 +264,6 @@ def test_transform_moves_covariances_and_colours_with_the_scene(degree: int, see
 )
 def test_similarity_refuses_what_is_none(change: dict[str, Any], words: str) -> None:
     with pytest.raises(InvalidValueError, match=f"^{words}: expected"):
-        Similarity(**{"rotation": torch.eye(3), "translation": torch.zeros(3), **change})
+        Similarity(
+            **{"rotation": torch.eye(3), "translation": torch.zeros(3), **change}
+        )

@@ -1,4 +1,6 @@
-"""Spherical harmonics against SciPy's complex ones, and their rotation against its meaning."""
+"""Spherical harmonics against SciPy's complex ones, and their rotation against its
+meaning.
+"""
 
 import math
 
@@ -23,12 +25,16 @@ from mi_splat.sh import (
 
 def directions(count: int, seed: int = 0) -> Tensor:
     generator = torch.Generator().manual_seed(seed)
-    return torch.nn.functional.normalize(torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=1)
+    return torch.nn.functional.normalize(
+        torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=1
+    )
 
 
 def turn(seed: int) -> Tensor:
     generator = torch.Generator().manual_seed(seed)
-    return to_matrix(normalise(torch.randn(4, generator=generator, dtype=torch.float64)))
+    return to_matrix(
+        normalise(torch.randn(4, generator=generator, dtype=torch.float64))
+    )
 
 
 def test_basis_is_the_real_form_of_scipys_harmonics() -> None:
@@ -39,7 +45,11 @@ def test_basis_is_the_real_form_of_scipys_harmonics() -> None:
     for band in range(4):
         for m in range(-band, band + 1):
             value = sph_harm_y(band, abs(m), polar, azimuth)
-            expected.append(value.real if m == 0 else math.sqrt(2) * (value.real if m > 0 else value.imag))
+            expected.append(
+                value.real
+                if m == 0
+                else math.sqrt(2) * (value.real if m > 0 else value.imag)
+            )
     torch.testing.assert_close(sh_basis(d, 3), torch.from_numpy(np.stack(expected, 1)))
 
 
@@ -93,7 +103,9 @@ def test_gradient_of_normalise_has_no_radial_part() -> None:
     assert torch.autograd.gradcheck(normalise, (q,))
     unit = normalise(q.detach()).float().requires_grad_()
     (gradient,) = torch.autograd.grad((normalise(unit) * torch.randn(5, 4)).sum(), unit)
-    torch.testing.assert_close((gradient * unit).sum(1), torch.zeros(5), atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        (gradient * unit).sum(1), torch.zeros(5), atol=1e-6, rtol=0
+    )
     assert float(gradient.detach().norm()) > 0.1
 
 

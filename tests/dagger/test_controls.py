@@ -12,7 +12,9 @@ from attacks.search import Parameters
 
 
 class Pictures:
-    """Images of 40 views that follow a vector of colours, darken and saturate; they are counted."""
+    """Images of 40 views that follow a vector of colours, darken and saturate; they are
+    counted.
+    """
 
     def __init__(self, *, gain: float) -> None:
         self.count, self.gain = 0, gain
@@ -33,8 +35,13 @@ class Pictures:
 def test_noise_is_matched_in_few_looks_at_the_views(gain: float, number: int) -> None:
     generator = torch.Generator().manual_seed(1)
     reference = {"sh": torch.zeros(50, 4, 3)}
-    attacked, noisy = ({"sh": torch.randn(50, 4, 3, generator=generator)} for _ in range(2))
-    views: Any = [SimpleNamespace(camera=camera, weight=torch.ones(8, 8)) for camera in range(number)]
+    attacked, noisy = (
+        {"sh": torch.randn(50, 4, 3, generator=generator)} for _ in range(2)
+    )
+    views: Any = [
+        SimpleNamespace(camera=camera, weight=torch.ones(8, 8))
+        for camera in range(number)
+    ]
     wanted = _object_errors(Pictures(gain=0.4), attacked, views)  # type: ignore[arg-type]
     pictures: Any = Pictures(gain=gain)
     matched = _matched(pictures, noisy, reference, views, wanted)

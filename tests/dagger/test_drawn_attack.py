@@ -1,4 +1,6 @@
-"""DAGGER on distributions of views, on fakes: what holds on held-out views, what may not move, controls, warnings."""
+"""DAGGER on distributions of views, on fakes: what holds on held-out views, what may
+not move, controls, warnings.
+"""
 
 import dataclasses
 import json
@@ -29,8 +31,17 @@ from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 def test_an_attack_holds_on_views_that_it_did_not_see() -> None:
     result, config = quick(), DaggerConfig.for_region(**QUICK)
-    around = ViewDistribution(reference=camera(), transformations=toy_views().transformations)
-    public = attack(*toy_scene(), around, ColourDetector(), relabel("person"), render=blobs, config=config)
+    around = ViewDistribution(
+        reference=camera(), transformations=toy_views().transformations
+    )
+    public = attack(
+        *toy_scene(),
+        around,
+        ColourDetector(),
+        relabel("person"),
+        render=blobs,
+        config=config,
+    )
     assert torch.equal(public.scene.sh, result.scene.sh)
     assert result.success
     assert result.rate.successes == result.rate.total == 8
@@ -57,23 +68,37 @@ def test_sh_changes_up_to_a_degree(degree: int) -> None:
 def test_the_control_has_draws_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     seeds, plain = [], Budget.noise
 
-    def noise(budget: Budget, parameters: Parameters, reference: Parameters, generator: torch.Generator) -> Parameters:
+    def noise(
+        budget: Budget,
+        parameters: Parameters,
+        reference: Parameters,
+        generator: torch.Generator,
+    ) -> Parameters:
         seeds.append(generator.initial_seed())
         return plain(budget, parameters, reference, generator)
 
     monkeypatch.setattr(Budget, "noise", noise)
     quick(seed=7, noise_draws=2, steps=1)
-    assert seeds == [8, 8]  # not those of the attack's views and starting points, which have the seed 7
+    # not those of the attack's views and starting points, which have the seed 7
+    assert seeds == [8, 8]
 
 
 def test_psnr_is_that_of_the_mean_squared_error_over_all_views() -> None:
     result, views = quick(), toy_views()
     clean, attacked = views.scene.with_degree(3), as_saved(result.scene)
     errors = [
-        (through_png(blobs(clean, view.camera)) - through_png(blobs(attacked, view.camera))).double().square().mean()
+        (
+            through_png(blobs(clean, view.camera))
+            - through_png(blobs(attacked, view.camera))
+        )
+        .double()
+        .square()
+        .mean()
         for view in views.views(1000, 8)
     ]
-    assert result.image.psnr == pytest.approx(-10 * math.log10(float(torch.stack(errors).mean())), abs=1e-3)
+    assert result.image.psnr == pytest.approx(
+        -10 * math.log10(float(torch.stack(errors).mean())), abs=1e-3
+    )
 
 
 def test_picture_changes_are_seen_by_the_detector_and_not_by_the_psnr() -> None:
@@ -103,21 +128,31 @@ def test_several_detectors_have_to_be_deceived_together() -> None:
 
         def detect(self, images: torch.Tensor) -> list[Any]:
             return [
-                dataclasses.replace(one, boxes=one.boxes[:0], scores=one.scores[:0], labels=())
+                dataclasses.replace(
+                    one, boxes=one.boxes[:0], scores=one.scores[:0], labels=()
+                )
                 for one in super().detect(images)
             ]
 
     result = attack_views(
-        toy_views(), [ColourDetector(), Shy()], relabel("person"), config=DaggerConfig.for_region(**QUICK)
+        toy_views(),
+        [ColourDetector(), Shy()],
+        relabel("person"),
+        config=DaggerConfig.for_region(**QUICK),
     )
     rows = result.looked.rows
     names = ("fake_colour", "shy")
-    alone = {name: count(joint_views(rows.filter(detector=name)), AIMS)[()]["success"] for name in names}
+    alone = {
+        name: count(joint_views(rows.filter(detector=name)), AIMS)[()]["success"]
+        for name in names
+    }
     assert alone["fake_colour"].successes == 8
     assert alone["shy"].successes == result.rate.successes == 0
     assert result.rate.total == 8
     assert not result.success
-    assert any("shy finds the clean object in 0 of 8" in warning for warning in result.warnings)
+    assert any(
+        "shy finds the clean object in 0 of 8" in warning for warning in result.warnings
+    )
 
 
 def test_the_best_step_is_the_validation_s() -> None:
@@ -134,13 +169,15 @@ def test_enough_success_can_end_the_search() -> None:
     assert result.trace[-1].index < 30
 
 
-# The record of an attack on a distribution of views: the attack is repeated from it, and its splat is scored again
+# The record of an attack on a distribution of views: the attack is repeated from it,
+# and its splat is scored again
 
 
 WORDS = (
-    "--box -0.5 -0.5 -0.5 0.5 0.5 0.5 --azimuth 270 --elevation 0 --distance 3 --size 32 --fov 45 --near 0.3 "
-    "--background 0.1,0.1,0.12 --azimuths 250 290 --elevations 0 20 --exposure 0.2 --eps 2 --steps 6 --step-factor 4 "
-    "--pool 6 --validation 2 --held-out 4 --image-psnr None"
+    "--box -0.5 -0.5 -0.5 0.5 0.5 0.5 --azimuth 270 --elevation 0 --distance 3 --size"
+    " 32 --fov 45 --near 0.3 --background 0.1,0.1,0.12 --azimuths 250 290 --elevations"
+    " 0 20 --exposure 0.2 --eps 2 --steps 6 --step-factor 4 --pool 6 --validation 2"
+    " --held-out 4 --image-psnr None"
 )
 
 
@@ -150,8 +187,22 @@ def folder(tmp_path_factory: pytest.TempPathFactory, variant: str) -> Path:
     base = tmp_path_factory.mktemp("eot")
     save_splat(toy_scene()[0], base / "a.ply")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("attacks.cli.options.load_detectors", lambda *_: [ColourDetector()])
-        assert cli.main(["dagger", "--region", str(base / "a.ply"), *WORDS.split(), "--out", str(base / "out")]) == 0
+        patch.setattr(
+            "attacks.cli.options.load_detectors", lambda *_: [ColourDetector()]
+        )
+        assert (
+            cli.main(
+                [
+                    "dagger",
+                    "--region",
+                    str(base / "a.ply"),
+                    *WORDS.split(),
+                    "--out",
+                    str(base / "out"),
+                ]
+            )
+            == 0
+        )
     return base / "out"
 
 
@@ -160,7 +211,9 @@ def stored(folder: Path) -> dict[str, Any]:
     return document
 
 
-def test_the_command_is_stored_and_repeats_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_is_stored_and_repeats_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before, line = stored(folder), read_section(folder).command
     program, *words = shlex.split(line)
     assert [program, *words] == [
@@ -172,9 +225,14 @@ def test_the_command_is_stored_and_repeats_it(folder: Path, monkeypatch: pytest.
         "--out",
         str(folder),
     ]
-    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda *_: [ColourDetector()])
+    monkeypatch.setattr(
+        "attacks.cli.options.load_detectors", lambda *_: [ColourDetector()]
+    )
     assert cli.main([*words[:-1], f"{folder}-again"]) == 0
-    after, volatile = stored(Path(f"{folder}-again")), ("seconds", "cpu_seconds", "command")
+    after, volatile = (
+        stored(Path(f"{folder}-again")),
+        ("seconds", "cpu_seconds", "command"),
+    )
     assert {key: after[key] for key in after if key not in volatile} == {
         key: before[key] for key in before if key not in volatile
     }
@@ -182,17 +240,32 @@ def test_the_command_is_stored_and_repeats_it(folder: Path, monkeypatch: pytest.
 
 def test_its_held_out_views_are_shown(folder: Path) -> None:
     content = open_content(folder, clean=folder.parent / "a.ply")
-    assert [name for name in content.cameras if "view" in name] == [f"held-out view {i}" for i in range(4)]
-    assert (content.settings.near, content.settings.background) == (0.3, (0.1, 0.1, 0.12))
-    assert len(load_splat(folder / "attacked.ply")) == len(content.splat("attacked").scene)
+    assert [name for name in content.cameras if "view" in name] == [
+        f"held-out view {i}" for i in range(4)
+    ]
+    assert (content.settings.near, content.settings.background) == (
+        0.3,
+        (0.1, 0.1, 0.12),
+    )
+    assert len(load_splat(folder / "attacked.ply")) == len(
+        content.splat("attacked").scene
+    )
 
 
 def test_views_that_are_attacked_decide_nothing() -> None:
-    """Attacked, validation and held-out views are of three seeds: none is among those of another group."""
+    """Attacked, validation and held-out views are of three seeds: none is among those
+    of another group.
+    """
     views, config = toy_views(), DaggerConfig.for_region(**QUICK)
-    attacked = [view for step in range(config.steps + 1) for view in views.attacked(step, config)]
+    attacked = [
+        view
+        for step in range(config.steps + 1)
+        for view in views.attacked(step, config)
+    ]
     groups = (attacked, views.validation(config), views.held_out(config))
-    places = [{tuple(view.camera.position.tolist()) for view in group} for group in groups]
+    places = [
+        {tuple(view.camera.position.tolist()) for view in group} for group in groups
+    ]
     assert all(places)
     assert not places[0] & places[1]
     assert not places[0] & places[2]

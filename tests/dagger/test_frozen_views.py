@@ -1,4 +1,6 @@
-"""A search over SH takes its pictures from frozen views, and finds what it finds without them."""
+"""A search over SH takes its pictures from frozen views, and finds what it finds
+without them.
+"""
 
 import functools
 import subprocess
@@ -20,7 +22,12 @@ from attacks.transformations.config import Transformations
 from mi_splat import rendering
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.rendering import Renderer
-from mi_splat.view_freezing import KEPT_BYTES, RecentViews, affordable_bytes, freeze_views
+from mi_splat.view_freezing import (
+    KEPT_BYTES,
+    RecentViews,
+    affordable_bytes,
+    freeze_views,
+)
 from tests.dagger.toy import QUICK, REGION
 from tests.fakes import CoarseDetector, ColourDetector, camera, toy_scene
 from tests.project.layers import ROOT
@@ -37,18 +44,38 @@ def unknown() -> RenderFn:
 
 def run(render: RenderFn, detectors: Any = None, **settings: Any) -> Result:
     scene, mask = toy_scene()
-    config = DaggerConfig(**{"eps": (12.0,), "steps": STEPS, "early_stop": False, "noise_draws": 0, **settings})
-    return attack(scene, mask, CAMERAS, detectors or ColourDetector(), relabel("person"), render=render, config=config)
+    config = DaggerConfig(
+        **{
+            "eps": (12.0,),
+            "steps": STEPS,
+            "early_stop": False,
+            "noise_draws": 0,
+            **settings,
+        }
+    )
+    return attack(
+        scene,
+        mask,
+        CAMERAS,
+        detectors or ColourDetector(),
+        relabel("person"),
+        render=render,
+        config=config,
+    )
 
 
-@pytest.mark.parametrize("detectors", [ColourDetector(), [ColourDetector(), CoarseDetector()]])
+@pytest.mark.parametrize(
+    "detectors", [ColourDetector(), [ColourDetector(), CoarseDetector()]]
+)
 def test_the_search_finds_the_same(frozen: list[Camera], detectors: Any) -> None:
     expected = run(unknown(), detectors)
     assert not frozen
     result = run(Renderer(), detectors)
     assert len(frozen) == (STEPS + 1) * len(CAMERAS)  # none to judge with
     assert {id(one) for one in frozen} == {id(one) for one in CAMERAS}
-    assert [line.loss for line in result.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
+    assert [line.loss for line in result.trace] == pytest.approx(
+        [line.loss for line in expected.trace], rel=1e-3
+    )
     assert result.trace[-1].loss < result.trace[0].loss
     assert result.success == expected.success
     assert result.score == pytest.approx(expected.score, abs=1e-3)
@@ -73,21 +100,35 @@ def test_other_attributes_take_the_renderer(frozen: list[Camera]) -> None:
     assert not frozen
 
 
-def test_what_does_not_fit_is_rendered(frozen: list[Camera], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_does_not_fit_is_rendered(
+    frozen: list[Camera], monkeypatch: pytest.MonkeyPatch
+) -> None:
     expected = run(unknown())
-    monkeypatch.setattr(dagger_views, "freeze_views", functools.partial(freeze_views, max_bytes=0))
+    monkeypatch.setattr(
+        dagger_views, "freeze_views", functools.partial(freeze_views, max_bytes=0)
+    )
     assert run(Renderer()).trace == expected.trace
     assert not frozen
-    views = list(freeze_views(toy_scene()[0].with_degree(3), CAMERAS, render=Renderer(), pictures=9).values())
+    views = list(
+        freeze_views(
+            toy_scene()[0].with_degree(3), CAMERAS, render=Renderer(), pictures=9
+        ).values()
+    )
     monkeypatch.setattr(
-        dagger_views, "freeze_views", functools.partial(freeze_views, max_bytes=views[0].nbytes + 10_000)
+        dagger_views,
+        "freeze_views",
+        functools.partial(freeze_views, max_bytes=views[0].nbytes + 10_000),
     )
     result = run(Renderer())
     assert {id(one) for one in frozen} == {id(CAMERAS[0])}
-    assert [line.loss for line in result.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
+    assert [line.loss for line in result.trace] == pytest.approx(
+        [line.loss for line in expected.trace], rel=1e-3
+    )
 
 
-def test_a_search_over_drawn_views_makes_few_pictures_of_whole_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_over_drawn_views_makes_few_pictures_of_whole_scenes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     made: list[object] = []
     rasterize = rendering.rasterize  # type: ignore[attr-defined]
 
@@ -97,29 +138,46 @@ def test_a_search_over_drawn_views_makes_few_pictures_of_whole_scenes(monkeypatc
 
     monkeypatch.setattr(rendering, "rasterize", noted)
     scene, mask = toy_scene()
-    settings = {**QUICK, "image_psnr": 24.0, "held_out": 2, "noise_draws": 0, "sh_degree": 2}
+    settings = {
+        **QUICK,
+        "image_psnr": 24.0,
+        "held_out": 2,
+        "noise_draws": 0,
+        "sh_degree": 2,
+    }
     results, counts = [], []
     for render in (unknown(), Renderer()):
         made.clear()
-        views = DrawnViews(scene, mask, camera(), Transformations(cameras=REGION), render=render)
+        views = DrawnViews(
+            scene, mask, camera(), Transformations(cameras=REGION), render=render
+        )
         results.append(
-            attack_views(views, ColourDetector(), relabel("person"), config=DaggerConfig.for_region(**settings))
+            attack_views(
+                views,
+                ColourDetector(),
+                relabel("person"),
+                config=DaggerConfig.for_region(**settings),
+            )
         )
         counts.append(len(made))
     expected, frozen = results
     assert counts[1] < counts[0] / 2
-    assert [line.loss for line in frozen.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
+    assert [line.loss for line in frozen.trace] == pytest.approx(
+        [line.loss for line in expected.trace], rel=1e-3
+    )
     assert frozen.rate == expected.rate
     for one, other in zip(frozen.views, expected.views, strict=True):
         assert torch.equal(one.target.box, other.target.box)
         assert (one.view.weight - other.view.weight).abs().max() < 1e-5
 
 
-def test_a_view_that_was_given_up_for_others_has_the_same_bits_when_it_is_made_again() -> None:
+def test_a_view_that_was_given_up_has_the_same_bits_when_it_is_made_again() -> None:
     scene, mask = toy_scene()
     usual = RecentViews(scene, render=Renderer(), rows=mask).get(CAMERAS[0])
     assert usual is not None
-    few = RecentViews(scene, render=Renderer(), rows=mask, kept_bytes=usual.nbytes + 10_000)
+    few = RecentViews(
+        scene, render=Renderer(), rows=mask, kept_bytes=usual.nbytes + 10_000
+    )
     first, other, again = (few.get(camera) for camera in (*CAMERAS, CAMERAS[0]))
     assert first is not None
     assert again is not None
@@ -129,7 +187,10 @@ def test_a_view_that_was_given_up_for_others_has_the_same_bits_when_it_is_made_a
     sh = scene.sh[mask]
     assert torch.equal(first(sh), again(sh))
     assert torch.equal(usual(sh), again(sh))
-    assert RecentViews(scene, render=Renderer(), rows=mask, max_bytes=0).get(CAMERAS[0]) is None
+    assert (
+        RecentViews(scene, render=Renderer(), rows=mask, max_bytes=0).get(CAMERAS[0])
+        is None
+    )
     assert RecentViews(scene, render=unknown(), rows=mask).get(CAMERAS[0]) is None
 
 
@@ -165,14 +226,17 @@ def test_views_that_were_released_are_made_again_with_the_same_bits() -> None:
 MEASURED = """
 import resource, sys
 from attacks.cli import main
-words = ["dagger", "--region", "scenes/car_street.xml", "--object", "car", "--target", "person", "--out", sys.argv[1]]
+words = ["dagger", "--region", "scenes/car_street.xml", "--object", "car"]
+words += ["--target", "person", "--out", sys.argv[1]]
 assert main(words) == 0
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
 
 @pytest.mark.nightly
-def test_the_command_of_the_page_takes_less_than_1_500_megabytes(tmp_path: Path) -> None:
+def test_the_command_of_the_page_takes_less_than_1_500_megabytes(
+    tmp_path: Path,
+) -> None:
     words = [sys.executable, "-c", MEASURED, str(tmp_path / "out")]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
     unit = 1 if sys.platform == "darwin" else 1024

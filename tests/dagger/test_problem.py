@@ -23,15 +23,23 @@ def test_gradients_pass_the_clamp_only_inwards() -> None:
     image = torch.tensor([-0.5, -0.5, 0.5, 1.5, 1.5], requires_grad=True)
     inside = bounded(image)
     assert inside.tolist() == [0.0, 0.0, 0.5, 1.0, 1.0]
-    (gradient,) = torch.autograd.grad(inside, [image], torch.tensor([1.0, -1.0, 1.0, 1.0, -1.0]))
+    (gradient,) = torch.autograd.grad(
+        inside, [image], torch.tensor([1.0, -1.0, 1.0, 1.0, -1.0])
+    )
     assert gradient.tolist() == [0.0, -1.0, 1.0, 1.0, 0.0]
 
 
 def test_a_fraction_of_the_views_can_be_enough() -> None:
     scores = [0.1, 0.9, 0.5, 0.7]
-    assert [reached_by(scores, fraction) for fraction in (1.0, 0.75, 0.5, 0.25)] == [0.1, 0.5, 0.7, 0.9]
+    assert [reached_by(scores, fraction) for fraction in (1.0, 0.75, 0.5, 0.25)] == [
+        0.1,
+        0.5,
+        0.7,
+        0.9,
+    ]
     assert reached_by(scores, 0.51) == 0.5  # rounded up to whole views
-    assert reached_by([i / 100 for i in range(100)], 0.07) == 0.93  # 0.07 * 100 is a little more than 7
+    # 0.07 * 100 is a little more than 7
+    assert reached_by([i / 100 for i in range(100)], 0.07) == 0.93
 
 
 @pytest.mark.parametrize(
@@ -42,7 +50,9 @@ def test_a_fraction_of_the_views_can_be_enough() -> None:
         (1 / 3, Verdict(success=True, score=0.9, unambiguous=True)),
     ],
 )
-def test_verdicts_of_several_views_are_joined(required_views: float, expected: Verdict) -> None:
+def test_verdicts_of_several_views_are_joined(
+    required_views: float, expected: Verdict
+) -> None:
     verdicts = [
         Verdict(success=True, score=0.9, unambiguous=True),
         Verdict(success=False, score=0.2, unambiguous=False),
@@ -55,12 +65,19 @@ CONFIG = DaggerConfig(sh_degree=None)
 
 
 def problem(
-    *cameras: Camera, detector: Detector | None = None, objective: Objective | None = None, wide: bool = False
+    *cameras: Camera,
+    detector: Detector | None = None,
+    objective: Objective | None = None,
+    wide: bool = False,
 ) -> tuple[Problem, list[View]]:
     scene, mask = toy_scene()
-    scene = GaussianScene(*(value.double() for value in scene.tensors())) if wide else scene
+    scene = (
+        GaussianScene(*(value.double() for value in scene.tensors())) if wide else scene
+    )
     views = FixedViews(scene, mask, cameras or camera(), render=blobs)
-    made = problem_of(views, (detector or ColourDetector(),), objective or relabel("person"), CONFIG)
+    made = problem_of(
+        views, (detector or ColourDetector(),), objective or relabel("person"), CONFIG
+    )
     return made, views.held_out(CONFIG)
 
 
@@ -78,15 +95,22 @@ def test_the_gradient_is_that_of_the_loss() -> None:
     """Central differences along a random direction, in double precision."""
     made, views = problem(objective=hide(), wide=True)
     clean = made.subset.parameters(("sh", "scales"))
-    direction = {name: torch.randn(value.shape, dtype=torch.float64) for name, value in clean.items()}
+    direction = {
+        name: torch.randn(value.shape, dtype=torch.float64)
+        for name, value in clean.items()
+    }
 
     def loss(amount: float) -> float:
-        moved = {name: value + amount * direction[name] for name, value in clean.items()}
+        moved = {
+            name: value + amount * direction[name] for name, value in clean.items()
+        }
         return made.evaluate(moved, views, CONFIG).loss
 
     measured = (loss(1e-5) - loss(-1e-5)) / 2e-5
     gradients = made.evaluate(clean, views, CONFIG).gradients
-    assert measured == pytest.approx(sum(float((gradients[n] * direction[n]).sum()) for n in clean), rel=1e-4)
+    assert measured == pytest.approx(
+        sum(float((gradients[n] * direction[n]).sum()) for n in clean), rel=1e-4
+    )
 
 
 def test_the_search_counts_what_is_detected_in_eight_bits() -> None:
@@ -99,16 +123,20 @@ def test_the_search_counts_what_is_detected_in_eight_bits() -> None:
 
     made, views = problem(detector=Recording())
     far = made.evaluate(made.subset.parameters(("sh",)), views, CONFIG)
-    assert len(seen) == 1  # nothing there comes near a person, so that nobody asks what is reported
+    # nothing there comes near a person, so that nobody asks what is reported
+    assert len(seen) == 1
     assert far.verdict is not None
     assert not far.verdict.success
     assert far.verdict.score < 0.35
     seen.clear()
-    made, views = problem(detector=Recording(), objective=relabel("person", confidence=far.verdict.score))
+    made, views = problem(
+        detector=Recording(), objective=relabel("person", confidence=far.verdict.score)
+    )
     made.evaluate(made.subset.parameters(("sh",)), views, CONFIG)
     assert len(seen) == 2
     assert torch.equal(seen[-1], quantise(seen[-1]))
-    torch.testing.assert_close(seen[-1], seen[0])  # the clean object, in the picture that was looked at first
+    # the clean object, in the picture that was looked at first
+    torch.testing.assert_close(seen[-1], seen[0])
 
 
 # DAGGER's configuration: what the paper fixes, and what is refused
@@ -117,12 +145,23 @@ def test_the_search_counts_what_is_detected_in_eight_bits() -> None:
 @pytest.mark.parametrize(
     ("settings", "complaint"),
     [
-        ({"eps": (1.0, 2.0)}, "eps: expected one number for all of sh, or one for each"),
-        ({"attributes": ("sh", "means"), "eps": ()}, "eps: expected one number for all of sh, means, or one for each"),
-        ({"attributes": ("sh", "sh"), "eps": (1.0, 1.0)}, "eps: expected one number for all"),
+        (
+            {"eps": (1.0, 2.0)},
+            "eps: expected one number for all of sh, or one for each",
+        ),
+        (
+            {"attributes": ("sh", "means"), "eps": ()},
+            "eps: expected one number for all of sh, means, or one for each",
+        ),
+        (
+            {"attributes": ("sh", "sh"), "eps": (1.0, 1.0)},
+            "eps: expected one number for all",
+        ),
         ({"attributes": ()}, "attributes: expected at least one"),
     ],
 )
-def test_a_wrong_configuration_says_what_is_wrong(settings: dict[str, Any], complaint: str) -> None:
+def test_a_wrong_configuration_says_what_is_wrong(
+    settings: dict[str, Any], complaint: str
+) -> None:
     with pytest.raises(InvalidValueError, match=complaint):
         DaggerConfig(**settings)

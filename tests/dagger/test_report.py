@@ -1,4 +1,6 @@
-"""What an attack writes: pictures that show the change, a splat that loads, a JSON that explains itself."""
+"""What an attack writes: pictures that show the change, a splat that loads, a JSON that
+explains itself.
+"""
 
 import dataclasses
 import json
@@ -23,7 +25,15 @@ def run(objective: Objective | None = None, views: int = 1) -> Result:
     scene, mask = toy_scene()
     cameras = [camera(offset=0.4 * i) for i in range(views)]
     config = DaggerConfig(eps=(12.0,), noise_draws=1)
-    return attack(scene, mask, cameras, ColourDetector(), objective or relabel("person"), render=blobs, config=config)
+    return attack(
+        scene,
+        mask,
+        cameras,
+        ColourDetector(),
+        objective or relabel("person"),
+        render=blobs,
+        config=config,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +44,20 @@ def result() -> Result:
 def test_every_file_is_there_and_readable(result: Result, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "folder"
     paths = write_report(result, folder)
-    names = {"before.png", "after.png", "difference.png", "detections.png", "attacked.ply", "result.json"}
+    names = {
+        "before.png",
+        "after.png",
+        "difference.png",
+        "detections.png",
+        "attacked.ply",
+        "result.json",
+    }
     names |= {"rows.csv.xz", "detections.csv.xz", "cameras.json"}
-    assert set(paths) == names == {path.name for path in folder.iterdir()} - {"manifest.json"}
+    assert (
+        set(paths)
+        == names
+        == {path.name for path in folder.iterdir()} - {"manifest.json"}
+    )
     sizes = {}
     for name in names:
         if name.endswith(".png"):
@@ -49,7 +70,9 @@ def test_every_file_is_there_and_readable(result: Result, tmp_path: Path) -> Non
         "difference.png": (512, 512),
         "detections.png": (1024, 512),
     }
-    for before, after in zip(load_splat(paths["attacked.ply"]).tensors(), result.scene.tensors(), strict=True):
+    for before, after in zip(
+        load_splat(paths["attacked.ply"]).tensors(), result.scene.tensors(), strict=True
+    ):
         torch.testing.assert_close(before, after)
 
 
@@ -67,7 +90,8 @@ def test_the_json_is_strict_and_is_the_summary(result: Result, tmp_path: Path) -
 def test_the_pictures_show_what_they_say(result: Result, tmp_path: Path) -> None:
     paths = write_report(result, tmp_path)
     before, after, difference = (
-        np.asarray(Image.open(paths[name])).astype(int) for name in ("before.png", "after.png", "difference.png")
+        np.asarray(Image.open(paths[name])).astype(int)
+        for name in ("before.png", "after.png", "difference.png")
     )
     assert np.abs(after - before).max() > 20
     same = np.abs(after - before).max(-1) == 0
@@ -81,7 +105,15 @@ def test_the_pictures_show_what_they_say(result: Result, tmp_path: Path) -> None
 def test_views_of_different_sizes_are_stacked(tmp_path: Path) -> None:
     scene, mask = toy_scene()
     cameras = [camera(32), camera(40)]
-    result = attack(scene, mask, cameras, ColourDetector(), hide(), render=blobs, config=DaggerConfig(noise_draws=0))
+    result = attack(
+        scene,
+        mask,
+        cameras,
+        ColourDetector(),
+        hide(),
+        render=blobs,
+        config=DaggerConfig(noise_draws=0),
+    )
     paths = write_report(result, tmp_path)
     with Image.open(paths["before.png"]) as picture:
         assert picture.size == (40, 72)
@@ -91,7 +123,9 @@ def test_views_of_different_sizes_are_stacked(tmp_path: Path) -> None:
     assert len(values["views"]) == 2
 
 
-def test_a_report_replaces_an_older_one_and_leaves_nothing_else(result: Result, tmp_path: Path) -> None:
+def test_a_report_replaces_an_older_one_and_leaves_nothing_else(
+    result: Result, tmp_path: Path
+) -> None:
     write_report(result, tmp_path)
     other = dataclasses.replace(result, seconds=-1.0)
     with pytest.raises(SplatFileError, match="replace this result with force"):

@@ -21,7 +21,9 @@ def test_warnings_about_a_picture_without_a_detection() -> None:
     scene, mask = toy_scene()
     dark = scene.sh.clone()
     dark[mask, 0] = -1.4
-    result = attack(scene.replace(sh=dark), mask, [camera()], DETECTOR, hide(), render=blobs)
+    result = attack(
+        scene.replace(sh=dark), mask, [camera()], DETECTOR, hide(), render=blobs
+    )
     assert result.figures["noise"]["successes"] == result.figures["noise"]["draws"] == 5
     assert result.warnings == (
         "the clean picture of view 0 has no detection of 0.5 or more on the object",
@@ -38,7 +40,10 @@ def test_warnings_about_clamped_colours_and_zero_gradients() -> None:
     cameras = [camera(), camera(offset=0.4)]
     result = attack(scene, mask, cameras, DETECTOR, relabel("person"), render=blobs)
     assert result.clamped_fraction == 1.0  # the mean over the views
-    assert "100% of the object's colour channels are clamped at 0, where SH has no gradient" in result.warnings
+    assert (
+        "100% of the object's colour channels are clamped at 0, where SH has no"
+        " gradient" in result.warnings
+    )
     assert "up to 100% of the gradient's elements are exactly zero" in result.warnings
     assert "the loss did not fall" in result.warnings
     assert not result.success
@@ -46,14 +51,18 @@ def test_warnings_about_clamped_colours_and_zero_gradients() -> None:
 
 def test_a_success_that_eight_bits_lose_is_warned_of() -> None:
     class Fickle(ColourDetector):
-        """Sees persons only before `attack` comes to judge the file: a stand-in for rounding."""
+        """Sees persons only before `attack` comes to judge the file: a stand-in for
+        rounding.
+        """
 
         calls = 0
 
         def detect(self, images: Tensor) -> list[Detections]:
             self.calls += 1
             car = super().detect(images)[0]
-            return [dataclasses.replace(car, labels=("person",)) if self.calls == 2 else car]
+            return [
+                dataclasses.replace(car, labels=("person",)) if self.calls == 2 else car
+            ]
 
     scene, mask = toy_scene()
     result = attack(
@@ -65,7 +74,10 @@ def test_a_success_that_eight_bits_lose_is_warned_of() -> None:
         render=blobs,
         config=DaggerConfig(eps=(0.1,)),
     )
-    assert "success in the search did not survive the saved file and 8-bit pictures" in result.warnings
+    assert (
+        "success in the search did not survive the saved file and 8-bit pictures"
+        in result.warnings
+    )
     assert not result.success
 
 
@@ -73,7 +85,15 @@ def test_a_success_that_eight_bits_lose_is_warned_of() -> None:
 def sound() -> Result:
     scene, mask = toy_scene()
     config = DaggerConfig(eps=(12.0,), noise_draws=2)
-    result = attack(scene, mask, [camera()], DETECTOR, relabel("person"), render=blobs, config=config)
+    result = attack(
+        scene,
+        mask,
+        [camera()],
+        DETECTOR,
+        relabel("person"),
+        render=blobs,
+        config=config,
+    )
     assert result.warnings == ()
     return result
 
@@ -81,7 +101,9 @@ def sound() -> Result:
 def of_views(result: Result, *views: JudgedView) -> Result:
     """The result with other views."""
     looked = observed(views, seed=0)
-    figures = counted(looked.rows, result.detectors, result.objective.label, result.config, None)
+    figures = counted(
+        looked.rows, result.detectors, result.objective.label, result.config, None
+    )
     return dataclasses.replace(result, views=views, looked=looked, figures=figures)
 
 
@@ -90,20 +112,39 @@ def with_figures(result: Result, **figures: Any) -> Result:
     return dataclasses.replace(result, figures={**result.figures, **figures})
 
 
-@pytest.mark.parametrize(("left", "strict"), [(0.49, True), (0.5, False), (0.91, False)])
-def test_an_own_class_that_stays_beside_the_wanted_one_is_warned_of(sound: Result, left: float, strict: bool) -> None:
+@pytest.mark.parametrize(
+    ("left", "strict"), [(0.49, True), (0.5, False), (0.91, False)]
+)
+def test_an_own_class_that_stays_beside_the_wanted_one_is_warned_of(
+    sound: Result, left: float, strict: bool
+) -> None:
     (view,) = sound.views
     box = view.target.box
-    both = Detections(torch.stack([box, box]), torch.tensor([0.95, left]), ("person", "car"))
-    seen = dataclasses.replace(view, attacked=dataclasses.replace(view.attacked, detections=both))
+    both = Detections(
+        torch.stack([box, box]), torch.tensor([0.95, left]), ("person", "car")
+    )
+    seen = dataclasses.replace(
+        view, attacked=dataclasses.replace(view.attacked, detections=both)
+    )
     result = of_views(sound, seen)
     assert result.success
     assert result.strict is strict
-    # What a view shows in which nothing was reported before is not the object's own class.
-    unknown = dataclasses.replace(view, target=dataclasses.replace(view.target, original=None))
+    # What a view shows in which nothing was reported before is not the object's own
+    # class.
+    unknown = dataclasses.replace(
+        view, target=dataclasses.replace(view.target, original=None)
+    )
     two = of_views(result, seen, unknown)
-    assert strict or f"the object's own class is still reported on it, at up to {left:.0%}" in two.warnings
-    expected = () if strict else (f"the object's own class is still reported on it, at up to {left:.0%}",)
+    assert (
+        strict
+        or f"the object's own class is still reported on it, at up to {left:.0%}"
+        in two.warnings
+    )
+    expected = (
+        ()
+        if strict
+        else (f"the object's own class is still reported on it, at up to {left:.0%}",)
+    )
     assert result.warnings == expected
 
 
@@ -121,15 +162,26 @@ def test_noise_that_does_as_well_is_warned_of(
     sound: Result, success: bool, score: float, noise: dict[str, Any], warned: bool
 ) -> None:
     best = dataclasses.replace(sound.best, success=success)
-    figures = {"success": success, "score": score, "unambiguous": success, "noise": {**noise, "draws": 2}}
+    figures = {
+        "success": success,
+        "score": score,
+        "unambiguous": success,
+        "noise": {**noise, "draws": 2},
+    }
     warnings = dataclasses.replace(with_figures(sound, **figures), best=best).warnings
     assert ("a random change (noise) does as well" in warnings) is warned
 
 
 @pytest.mark.parametrize(("score", "warned"), [(0.49, True), (0.5, False)])
-def test_an_object_that_is_hardly_seen_before_is_warned_of(sound: Result, score: float, warned: bool) -> None:
+def test_an_object_that_is_hardly_seen_before_is_warned_of(
+    sound: Result, score: float, warned: bool
+) -> None:
     (view,) = sound.views
     seen = Detections(view.target.box[None], torch.tensor([score]), ("car",))
-    faint = dataclasses.replace(view, clean=dataclasses.replace(view.clean, detections=seen))
-    message = "the clean picture of view 0 has no detection of 0.5 or more on the object"
+    faint = dataclasses.replace(
+        view, clean=dataclasses.replace(view.clean, detections=seen)
+    )
+    message = (
+        "the clean picture of view 0 has no detection of 0.5 or more on the object"
+    )
     assert (message in of_views(sound, faint).warnings) is warned

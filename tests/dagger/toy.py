@@ -10,7 +10,9 @@ from attacks.objectives import Objective, relabel
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
-REGION = CameraRegion(azimuths=(-120.0, -60.0), elevations=(0.0, 30.0), distances=(0.9, 1.1))
+REGION = CameraRegion(
+    azimuths=(-120.0, -60.0), elevations=(0.0, 30.0), distances=(0.9, 1.1)
+)
 QUICK: dict[str, Any] = {
     "optimiser": "momentum",
     "image_psnr": None,
@@ -25,13 +27,22 @@ QUICK: dict[str, Any] = {
 }
 
 
-def toy_views(pictures: PictureChanges | None = None, *, region: CameraRegion = REGION) -> DrawnViews:
+def toy_views(
+    pictures: PictureChanges | None = None, *, region: CameraRegion = REGION
+) -> DrawnViews:
     scene, mask = toy_scene()
-    transformations = Transformations(cameras=region, pictures=pictures or PictureChanges())
+    transformations = Transformations(
+        cameras=region, pictures=pictures or PictureChanges()
+    )
     return DrawnViews(scene, mask, camera(), transformations, render=blobs)
 
 
-def quick(objective: Objective | None = None, *, views: DrawnViews | None = None, **settings: Any) -> Result:
+def quick(
+    objective: Objective | None = None,
+    *,
+    views: DrawnViews | None = None,
+    **settings: Any,
+) -> Result:
     return attack_views(
         views or toy_views(),
         ColourDetector(),

@@ -1,4 +1,6 @@
-"""Files of nerfstudio beside a transforms.json: camera paths, and the world of its splats."""
+"""Files of nerfstudio beside a transforms.json: camera paths, and the world of its
+splats.
+"""
 
 import json
 import math
@@ -13,7 +15,13 @@ from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.datasets import DatasetError, load_dataset
 from mi_splat.datasets.nerfstudio import OPENGL
 from mi_splat.rotation import to_matrix
-from tests.datasets.sets import CLOUD, PROBES, VIEWS, assert_same_camera, write_transforms
+from tests.datasets.sets import (
+    CLOUD,
+    PROBES,
+    VIEWS,
+    assert_same_camera,
+    write_transforms,
+)
 
 CAMERA = Camera(to_world=look_at((3, 1, 2), (0, 0, 0)), focal=41.7, width=96, height=64)
 FOV = math.degrees(2 * math.atan(32 / 41.7))
@@ -25,10 +33,26 @@ SIZE = {"render_height": 64, "render_width": 96}
 @pytest.mark.parametrize(
     "document",
     [
-        {**SIZE, "camera_path": [{"camera_to_world": MATRIX, "fov": FOV, "aspect": 1.5}], "keyframes": []},
-        {"render_height": 64, "keyframes": [{"matrix": MATRIX, "fov": FOV, "aspect": 1.5}]},
-        {**SIZE, "keyframes": [{"matrix": json.dumps(COLUMNS), "fov": FOV, "aspect": 1.5}], "camera_path": []},
-        {**SIZE, "camera_type": "perspective", "default_fov": FOV, "keyframes": [{"matrix": MATRIX}]},
+        {
+            **SIZE,
+            "camera_path": [{"camera_to_world": MATRIX, "fov": FOV, "aspect": 1.5}],
+            "keyframes": [],
+        },
+        {
+            "render_height": 64,
+            "keyframes": [{"matrix": MATRIX, "fov": FOV, "aspect": 1.5}],
+        },
+        {
+            **SIZE,
+            "keyframes": [{"matrix": json.dumps(COLUMNS), "fov": FOV, "aspect": 1.5}],
+            "camera_path": [],
+        },
+        {
+            **SIZE,
+            "camera_type": "perspective",
+            "default_fov": FOV,
+            "keyframes": [{"matrix": MATRIX}],
+        },
     ],
     ids=["path", "keyframes", "keyframes of older viewers", "one field of view"],
 )
@@ -50,29 +74,46 @@ def test_a_camera_path_is_read(document: dict[str, Any], tmp_path: Path) -> None
         ({"keyframes": [3]}, "keyframes"),
     ],
 )
-def test_a_broken_camera_path_is_refused(document: dict[str, Any], says: str, tmp_path: Path) -> None:
+def test_a_broken_camera_path_is_refused(
+    document: dict[str, Any], says: str, tmp_path: Path
+) -> None:
     file = tmp_path / "path.json"
     file.write_text(json.dumps(document))
     with pytest.raises(DatasetError, match=says):
         camera_set(str(file), (0, 0, 0), distance=1, focal=1, size=(8, 8))
 
 
-TURN = to_matrix(torch.nn.functional.normalize(torch.tensor([0.9, 0.1, -0.3, 0.2], dtype=torch.float64), dim=0))
+TURN = to_matrix(
+    torch.nn.functional.normalize(
+        torch.tensor([0.9, 0.1, -0.3, 0.2], dtype=torch.float64), dim=0
+    )
+)
 SHIFT = torch.tensor([0.5, -1.0, 2.0], dtype=torch.float64)
-APPLIED = torch.tensor([[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]], dtype=torch.float64)
+APPLIED = torch.tensor(
+    [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0]],
+    dtype=torch.float64,
+)
 
 
 @pytest.mark.parametrize("applied", ["no", "said", "as from COLMAP"])
-def test_poses_and_points_share_the_world_of_nerfstudio_s_splat(applied: str, tmp_path: Path) -> None:
+def test_poses_and_points_share_the_world_of_nerfstudio_s_splat(
+    applied: str, tmp_path: Path
+) -> None:
     write_transforms(tmp_path, VIEWS, points=CLOUD)
     plain = load_dataset(tmp_path)
     saved, scale = torch.eye(4, dtype=torch.float64), 0.25
     saved[:3, :3], saved[:3, 3] = TURN, SHIFT
     transform, listed = saved, tmp_path / "transforms_train.json"
     if applied != "no":
-        transform = saved @ torch.cat([APPLIED, torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)])
+        transform = saved @ torch.cat(
+            [APPLIED, torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)]
+        )
     if applied == "said":
-        document = {**json.loads(listed.read_text()), "applied_transform": APPLIED.tolist(), "applied_scale": 2.0}
+        document = {
+            **json.loads(listed.read_text()),
+            "applied_transform": APPLIED.tolist(),
+            "applied_scale": 2.0,
+        }
         listed.write_text(json.dumps(document))
     if applied == "as from COLMAP":
         (tmp_path / "colmap" / "sparse" / "0").mkdir(parents=True)
@@ -89,7 +130,9 @@ def test_poses_and_points_share_the_world_of_nerfstudio_s_splat(applied: str, tm
             torch.testing.assert_close(there[0], here[0])
             torch.testing.assert_close(there[1], scale * here[1])
     assert views.points is not None
-    torch.testing.assert_close(views.points.points, (scale * (CLOUD.points.double() @ TURN.T + SHIFT)).float())
+    torch.testing.assert_close(
+        views.points.points, (scale * (CLOUD.points.double() @ TURN.T + SHIFT)).float()
+    )
 
 
 @pytest.mark.parametrize(
@@ -97,8 +140,14 @@ def test_poses_and_points_share_the_world_of_nerfstudio_s_splat(applied: str, tm
     [
         ("{", "expected the transform"),
         ('{"transform": [[1, 0, 0, 0]], "scale": 1}', "transform"),
-        ('{"transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0]], "scale": 1}', "a rotation and a positive scale"),
-        ('{"transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 0}', "a rotation and a positive scale"),
+        (
+            '{"transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0]], "scale": 1}',
+            "a rotation and a positive scale",
+        ),
+        (
+            '{"transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], "scale": 0}',
+            "a rotation and a positive scale",
+        ),
     ],
 )
 def test_a_broken_world_is_refused(text: str, says: str, tmp_path: Path) -> None:

@@ -1,4 +1,6 @@
-"""Sets as phones, other programs and other computers leave them: EXIF orientation, masks, folders, names."""
+"""Sets as phones, other programs and other computers leave them: EXIF orientation,
+masks, folders, names.
+"""
 
 import json
 from collections.abc import Callable, Sequence
@@ -19,7 +21,15 @@ from mi_splat.training.evaluation import score
 from mi_splat.training.loop import TrainState, fit
 from mi_splat.training.resume import save_state
 from mi_splat.training.strategies import strategy_config
-from tests.datasets.sets import CLOUD, PROBES, TESTS, VIEWS, lens_set, write_colmap, write_transforms
+from tests.datasets.sets import (
+    CLOUD,
+    PROBES,
+    TESTS,
+    VIEWS,
+    lens_set,
+    write_colmap,
+    write_transforms,
+)
 from tests.gaussians import varied_scene
 
 CAMERA = VIEWS[0].camera
@@ -48,7 +58,9 @@ def test_a_turned_camera_renders_the_turned_image(quarter_turns: int) -> None:
     render = Renderer()
     pose = CAMERA.to_world.clone()
     pose[:3, 3] = 0.9 * pose[:3, 3]
-    camera = Camera(to_world=pose, focal=(41.0, 43.0), width=40, height=24, principal=(17.25, 13.5))
+    camera = Camera(
+        to_world=pose, focal=(41.0, 43.0), width=40, height=24, principal=(17.25, 13.5)
+    )
     scene = varied_scene(30, degree=1, seed=3)
     image = render(scene, camera)
     assert float(image.std()) > 0.01
@@ -82,7 +94,8 @@ def test_cameras_of_upright_images_are_not_turned_again(tmp_path: Path) -> None:
     plain = load_dataset(tmp_path, split=None)
     image = plain[0].image
     file = tmp_path / "images" / "train_00000.png"
-    Image.fromarray(np.rot90(np.asarray(Image.open(file)), 1)).save(file)  # as a phone stores it
+    # as a phone stores it
+    Image.fromarray(np.rot90(np.asarray(Image.open(file)), 1)).save(file)
     with_orientation(file, 6)
     views = load_dataset(tmp_path, split=None)
     assert torch.equal(views[0].image, image)
@@ -90,7 +103,9 @@ def test_cameras_of_upright_images_are_not_turned_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_a_photograph_alone_is_shown_as_by_other_programs(orientation: int, tmp_path: Path) -> None:
+def test_a_photograph_alone_is_shown_as_by_other_programs(
+    orientation: int, tmp_path: Path
+) -> None:
     from PIL import ImageOps
 
     file = tmp_path / "photo.jpg"
@@ -104,12 +119,23 @@ def test_a_photograph_alone_is_shown_as_by_other_programs(orientation: int, tmp_
 
 def test_distortion_is_undone_before_a_photograph_is_turned(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (60, 80, 3)).astype(np.uint8)
-    lens_set(tmp_path, "OPENCV", [70.0, 71.0, 39.0, 31.0, -0.1, 0.02, 0.003, 0.001], pixels, count=2)
+    lens_set(
+        tmp_path,
+        "OPENCV",
+        [70.0, 71.0, 39.0, 31.0, -0.1, 0.02, 0.003, 0.001],
+        pixels,
+        count=2,
+    )
     plain = load_dataset(tmp_path, split=None)
     with_orientation(tmp_path / "images" / "0.png", 6)
     views = load_dataset(tmp_path, split=None)
-    torch.testing.assert_close(views[0].image, turned(plain[0].image, 1), atol=0, rtol=0)
-    assert (views.cameras[0].width, views.cameras[0].height) == (plain.cameras[0].height, plain.cameras[0].width)
+    torch.testing.assert_close(
+        views[0].image, turned(plain[0].image, 1), atol=0, rtol=0
+    )
+    assert (views.cameras[0].width, views.cameras[0].height) == (
+        plain.cameras[0].height,
+        plain.cameras[0].width,
+    )
 
 
 # Masks
@@ -121,9 +147,14 @@ def left_half(view: View) -> torch.Tensor:
     return mask
 
 
-@pytest.mark.parametrize("name", ["train_00000.png", "train_00000.png.png", "train_00000.PNG", "train_00000.jpg"])
+@pytest.mark.parametrize(
+    "name",
+    ["train_00000.png", "train_00000.png.png", "train_00000.PNG", "train_00000.jpg"],
+)
 @pytest.mark.parametrize("write", [write_colmap, write_transforms])
-def test_masks_lie_beside_their_images(write: Callable[..., None], name: str, tmp_path: Path) -> None:
+def test_masks_lie_beside_their_images(
+    write: Callable[..., None], name: str, tmp_path: Path
+) -> None:
     write(tmp_path, VIEWS[:2])
     (tmp_path / "masks").mkdir()
     pixels = (255 * left_half(VIEWS[0])).numpy().astype(np.uint8)
@@ -153,7 +184,8 @@ def test_masks_that_frames_name(tmp_path: Path) -> None:
     mask = load_dataset(tmp_path).loss_mask(0)
     assert mask is not None
     assert torch.equal(mask, left_half(VIEWS[0]))
-    # A mask that is missing is not looked for among the images, which have the same name.
+    # A mask that is missing is not looked for among the images, which have the same
+    # name.
     name_masks(tmp_path, ["people/train_00000.png", "none/train_00001.png"])
     with pytest.warns(DatasetWarning, match=r"1 of 2 masks missing"):
         assert load_dataset(tmp_path).loss_mask(1) is None
@@ -165,7 +197,9 @@ def test_a_mask_of_the_upright_photograph(tmp_path: Path) -> None:
     (tmp_path / "masks").mkdir()
     upright = torch.zeros(18, 13)
     upright[:5] = 1.0
-    Image.fromarray((255 * upright).numpy().astype(np.uint8)).save(tmp_path / "masks" / "train_00000.png")
+    Image.fromarray((255 * upright).numpy().astype(np.uint8)).save(
+        tmp_path / "masks" / "train_00000.png"
+    )
     mask = load_dataset(tmp_path).loss_mask(0)
     assert mask is not None
     assert torch.equal(mask, upright)
@@ -173,11 +207,15 @@ def test_a_mask_of_the_upright_photograph(tmp_path: Path) -> None:
 
 def trained(views: Dataset) -> torch.Tensor:
     config = FitConfig(iterations=4, strategy=strategy_config("fixed"), sh_degree=0)
-    return fit(views, varied_scene(20, degree=0, seed=1), render=Renderer(), config=config).scene.sh
+    return fit(
+        views, varied_scene(20, degree=0, seed=1), render=Renderer(), config=config
+    ).scene.sh
 
 
 def test_training_does_not_see_what_is_masked(tmp_path: Path) -> None:
-    """Splats are the same to the bit whatever is behind the masks, and another one without them."""
+    """Splats are the same to the bit whatever is behind the masks, and another one
+    without them.
+    """
     splats = {}
     for kind in ("one", "another", "unmasked"):
         views = VIEWS[:2]
@@ -185,7 +223,10 @@ def test_training_does_not_see_what_is_masked(tmp_path: Path) -> None:
             painted = [view.image.clone() for view in views]
             for image, view in zip(painted, views, strict=True):
                 image[left_half(view) == 0] = 0.5
-            views = [View(view.camera, image) for view, image in zip(views, painted, strict=True)]
+            views = [
+                View(view.camera, image)
+                for view, image in zip(views, painted, strict=True)
+            ]
         masks = [] if kind == "unmasked" else [left_half(view) for view in views]
         write_transforms(tmp_path / kind, views, masks=masks)
         splats[kind] = trained(load_dataset(tmp_path / kind))
@@ -194,7 +235,9 @@ def test_training_does_not_see_what_is_masked(tmp_path: Path) -> None:
 
 
 def test_a_training_with_masks_is_resumed_to_the_bit(tmp_path: Path) -> None:
-    """Of photographs with masks, a lens that bends and an orientation; another mask is another training."""
+    """Of photographs with masks, a lens that bends and an orientation; another mask is
+    another training.
+    """
     pixels = np.random.default_rng(0).integers(0, 256, (30, 40, 3)).astype(np.uint8)
     folder = tmp_path / "set"
     lens_set(folder, "SIMPLE_RADIAL", [40.0, 20.0, 15.0, -0.1], pixels, count=3)
@@ -203,7 +246,18 @@ def test_a_training_with_masks_is_resumed_to_the_bit(tmp_path: Path) -> None:
     mask[:10] = 0
     (folder / "masks").mkdir()
     Image.fromarray(mask).save(folder / "masks" / "2.png")
-    words = ["train", str(folder), "--random", "40", "--strategy", "fixed", "--sh-degree", "0", "--eval-interval", "0"]
+    words = [
+        "train",
+        str(folder),
+        "--random",
+        "40",
+        "--strategy",
+        "fixed",
+        "--sh-degree",
+        "0",
+        "--eval-interval",
+        "0",
+    ]
     words += ["--checkpoint-every", "3", "--iterations", "7"]
     assert cli.main([*words, "--out", str(tmp_path / "whole")]) == 0
 
@@ -217,7 +271,9 @@ def test_a_training_with_masks_is_resumed_to_the_bit(tmp_path: Path) -> None:
         assert cli.main([*words, "--out", str(tmp_path / "stopped")]) == 130
     assert not (tmp_path / "stopped" / "splat.ply").exists()
     assert cli.main([*words, "--out", str(tmp_path / "stopped")]) == 0
-    kept = [(tmp_path / name / "splat.ply").read_bytes() for name in ("whole", "stopped")]
+    kept = [
+        (tmp_path / name / "splat.ply").read_bytes() for name in ("whole", "stopped")
+    ]
     assert kept[0] == kept[1]
     Image.fromarray(255 - mask).save(folder / "masks" / "2.png")
     assert cli.main([*words[:-1], "8", "--out", str(tmp_path / "stopped")]) == 1
@@ -229,7 +285,11 @@ def test_scores_are_of_what_is_not_masked(tmp_path: Path) -> None:
     right = left_half(VIEWS[0])[..., None] == 0
     truth = views[0].image
     for seen, error in ((truth + 0.1 * ~right, 20.0), (truth + 0.1 * right, 120.0)):
-        scores = score(varied_scene(1, degree=0, seed=0), views, lambda _, camera, seen=seen: seen.clamp(0, 1))
+        scores = score(
+            varied_scene(1, degree=0, seed=0),
+            views,
+            lambda _, camera, seen=seen: seen.clamp(0, 1),
+        )
         assert scores is not None
         assert scores.psnr == pytest.approx(error, abs=1.5)
 
@@ -239,14 +299,19 @@ def test_scores_are_of_what_is_not_masked(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("write", [write_colmap, write_transforms])
 @pytest.mark.parametrize("factor", [2, 4])
-def test_smaller_images_alone(write: Callable[..., None], factor: int, tmp_path: Path) -> None:
+def test_smaller_images_alone(
+    write: Callable[..., None], factor: int, tmp_path: Path
+) -> None:
     write(tmp_path, VIEWS, points=CLOUD)
     plain = load_dataset(tmp_path, split=None)
     images = tmp_path / "images"
     for file in images.iterdir():
         Image.open(file).resize((round(18 / factor), round(13 / factor))).save(file)
     images.rename(tmp_path / f"images_{factor}")
-    with pytest.warns(DatasetWarning, match=rf"no images/, so the smaller ones in images_{factor} are used"):
+    with pytest.warns(
+        DatasetWarning,
+        match=rf"no images/, so the smaller ones in images_{factor} are used",
+    ):
         views = load_dataset(tmp_path, split=None)
     assert len(views) == len(plain)
     small, large = views.cameras[0], plain.cameras[0]
@@ -263,7 +328,9 @@ def test_a_smaller_image_in_images_is_refused(tmp_path: Path) -> None:
         load_dataset(tmp_path, split=None)
 
 
-@pytest.mark.parametrize("place", ["colmap/sparse/0", "colmap/sparse", "sparse", "sparse/0", "."])
+@pytest.mark.parametrize(
+    "place", ["colmap/sparse/0", "colmap/sparse", "sparse", "sparse/0", "."]
+)
 def test_places_of_a_model(place: str, tmp_path: Path) -> None:
     write_colmap(tmp_path / "set", VIEWS, points=CLOUD)
     model = tmp_path / "moved"
@@ -300,7 +367,9 @@ def test_names_of_other_computers(spell: Callable[[str], str], tmp_path: Path) -
         frame["file_path"] = spell(f"train_{number:05d}.png")
     file.write_text(json.dumps(document))
     views = load_dataset(tmp_path / "set")
-    assert [path.name for path in views.paths] == [f"train_{number:05d}.png" for number in range(len(VIEWS))]
+    assert [path.name for path in views.paths] == [
+        f"train_{number:05d}.png" for number in range(len(VIEWS))
+    ]
     assert torch.equal(views[1].image, VIEWS[1].image)
 
 
@@ -313,13 +382,21 @@ def test_upper_case_files_of_a_model_in_small_letters(tmp_path: Path) -> None:
 
 def test_nothing_outside_of_the_set_is_read(tmp_path: Path) -> None:
     write_transforms(tmp_path / "a" / "b" / "set", VIEWS[:1])
-    (tmp_path / "a" / "b" / "set" / "images" / "train_00000.png").rename(tmp_path / "a" / "train_00000.png")
+    (tmp_path / "a" / "b" / "set" / "images" / "train_00000.png").rename(
+        tmp_path / "a" / "train_00000.png"
+    )
     file = tmp_path / "a" / "b" / "set" / "transforms_train.json"
     document = json.loads(file.read_text())
-    for name in ("../../train_00000.png", str(tmp_path / "a" / "train_00000.png"), "..\\..\\train_00000.png"):
+    for name in (
+        "../../train_00000.png",
+        str(tmp_path / "a" / "train_00000.png"),
+        "..\\..\\train_00000.png",
+    ):
         document["frames"][0]["file_path"] = name
         file.write_text(json.dumps(document))
-        with pytest.raises(DatasetError, match=r"the name of a file in the set|1 of 1 pictures missing"):
+        with pytest.raises(
+            DatasetError, match=r"the name of a file in the set|1 of 1 pictures missing"
+        ):
             load_dataset(tmp_path / "a" / "b" / "set")
 
 
@@ -327,8 +404,18 @@ def test_nothing_outside_of_the_set_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("focal", [166_503.9, 0.1])
-def test_a_focal_length_that_is_hardly_meant_is_warned_of(focal: float, tmp_path: Path) -> None:
-    views = [View(Camera(to_world=CAMERA.to_world, focal=focal, width=18, height=13), VIEWS[0].image)]
+def test_a_focal_length_that_is_hardly_meant_is_warned_of(
+    focal: float, tmp_path: Path
+) -> None:
+    views = [
+        View(
+            Camera(to_world=CAMERA.to_world, focal=focal, width=18, height=13),
+            VIEWS[0].image,
+        )
+    ]
     write_colmap(tmp_path, views, test=TESTS[:1])
-    with pytest.warns(DatasetWarning, match=r"1 of 1 cameras have a field of view of .* check the unit"):
+    with pytest.warns(
+        DatasetWarning,
+        match=r"1 of 1 cameras have a field of view of .* check the unit",
+    ):
         load_dataset(tmp_path)

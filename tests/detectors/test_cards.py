@@ -1,4 +1,6 @@
-"""The cards of the shipped detectors say what was measured, and of the weights that are shipped."""
+"""The cards of the shipped detectors say what was measured, and of the weights that are
+shipped.
+"""
 
 import importlib.util
 import json
@@ -15,7 +17,11 @@ pytestmark = pytest.mark.shipped
 ROOT = Path(__file__).resolve().parents[2]
 WRITER = runpy.run_path(str(ROOT / "docs" / "figures" / "detector_figures.py"))
 """The program that writes the tables."""
-read_figures, card_of, compared = WRITER["read_figures"], WRITER["card_of"], WRITER["compared"]
+read_figures, card_of, compared = (
+    WRITER["read_figures"],
+    WRITER["card_of"],
+    WRITER["compared"],
+)
 CARDS: dict[str, tuple[Path, Path]] = WRITER["CARDS"]
 
 
@@ -31,10 +37,16 @@ def test_a_card_holds_the_measured_tables(name: str) -> None:
 
 @pytest.mark.parametrize("name", CARDS)
 def test_they_are_of_the_weights_that_are_shipped(name: str) -> None:
-    absent = [package for package in DETECTORS[name].requires if importlib.util.find_spec(package) is None]
+    absent = [
+        package
+        for package in DETECTORS[name].requires
+        if importlib.util.find_spec(package) is None
+    ]
     if absent:
         pytest.skip(f"needs {', '.join(absent)}")
-    assert load_detector(name).fingerprint == read_figures(CARDS[name][0])["fingerprint"]
+    assert (
+        load_detector(name).fingerprint == read_figures(CARDS[name][0])["fingerprint"]
+    )
 
 
 def test_the_page_of_detectors_holds_the_same_figures() -> None:
@@ -46,21 +58,29 @@ def test_the_page_of_detectors_holds_the_same_figures() -> None:
     assert WRITER["in_markdown"](compared(several)) in WRITER["compared_page"]()
     for path in files[len(CARDS) :]:
         own = WRITER["table_page"](path)
-        assert own.startswith(f"# {read_figures(path)['detector']}, from a confidence of ")
+        assert own.startswith(
+            f"# {read_figures(path)['detector']}, from a confidence of "
+        )
         assert own.endswith(card_of(read_figures(path)))
 
 
-def test_new_figures_find_their_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_new_figures_find_their_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     card = tmp_path / "card.json"
     card.write_text('{"history": [1]}')
     namespace = WRITER["put_away"].__globals__
     monkeypatch.setitem(namespace, "CARDS", {"fasterrcnn_small": (card, card)})
     monkeypatch.setitem(namespace, "TABLES", tmp_path / "tables")
     sets: dict[str, object] = {"path traced": {"pictures": 3}}
-    record = {"detectors": {name: {"sets": sets} for name in ("fasterrcnn_small", "other")}}
+    record = {
+        "detectors": {name: {"sets": sets} for name in ("fasterrcnn_small", "other")}
+    }
     for confidence in (0.5, 0.3):
         made: dict[str, object] = {"pictures": {}, "versions": {}, "commit": None}
-        (tmp_path / "result.json").write_text(json.dumps({**record, **made, "confidence": confidence}))
+        (tmp_path / "result.json").write_text(
+            json.dumps({**record, **made, "confidence": confidence})
+        )
         WRITER["put_away"](tmp_path / "result.json")
     kept = json.loads(card.read_text())
     assert kept["history"] == [1]

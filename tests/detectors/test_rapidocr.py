@@ -1,4 +1,6 @@
-"""A reader as a detector: it reads the clean sign of the example scene, and nothing else is a sign to it."""
+"""A reader as a detector: it reads the clean sign of the example scene, and nothing
+else is a sign to it.
+"""
 
 from pathlib import Path
 
@@ -19,10 +21,17 @@ pytest.importorskip("rapidocr_onnxruntime", reason="the extra ocr is not install
 
 def test_the_sign_is_read_where_it_is() -> None:
     opened = open_scene(Path("scenes/stop_sign.xml"))
-    render, cameras = Renderer(opened.settings), [opened.cameras["front"], opened.cameras["low"]]
-    boxes = object_boxes(opened.scene, opened.objects["stop_sign"], cameras, render=render)
+    render, cameras = (
+        Renderer(opened.settings),
+        [opened.cameras["front"], opened.cameras["low"]],
+    )
+    boxes = object_boxes(
+        opened.scene, opened.objects["stop_sign"], cameras, render=render
+    )
     reader = load_detector("rapidocr")
-    pictures = torch.stack([render(opened.scene, camera).clamp(0, 1) for camera in cameras])
+    pictures = torch.stack(
+        [render(opened.scene, camera).clamp(0, 1) for camera in cameras]
+    )
     for seen, box in zip(reader.detect(pictures), boxes, strict=True):
         assert seen.labels == ("stop sign",)
         assert float(seen.scores[0]) > 0.9
@@ -39,7 +48,9 @@ def test_another_word_is_no_sign_and_a_gradient_is_refused(tmp_path: Path) -> No
         write(picture, word, (0.95, 0.95, 0.94), box=(0.4, 0.3, 1.6, 0.7), weight=0.3)
     images = torch.from_numpy(pictures)
     assert [seen.labels for seen in reader.detect(images)] == [(), ("stop sign",)]
-    with pytest.raises(DetectorError, match="expected no gradient asked of it, got pictures with one"):
+    with pytest.raises(
+        DetectorError, match="expected no gradient asked of it, got pictures with one"
+    ):
         reader.candidates(images.requires_grad_())
     with pytest.raises(DetectorError, match="leave --weights out"):
         load_detector("rapidocr", weights=tmp_path / "other.onnx")
@@ -48,8 +59,13 @@ def test_another_word_is_no_sign_and_a_gradient_is_refused(tmp_path: Path) -> No
 def test_the_recognition_network_in_torch_is_that_of_onnx_and_has_a_gradient() -> None:
     onnxruntime = pytest.importorskip("onnxruntime")
     recogniser = Recogniser(load_detector("rapidocr"))
-    words = 2 * torch.rand(2, 3, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(0)) - 1
-    session = onnxruntime.InferenceSession(str(recogniser.path), providers=["CPUExecutionProvider"])
+    words = (
+        2 * torch.rand(2, 3, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(0))
+        - 1
+    )
+    session = onnxruntime.InferenceSession(
+        str(recogniser.path), providers=["CPUExecutionProvider"]
+    )
     (expected,) = session.run(None, {session.get_inputs()[0].name: words.numpy()})
     shown = words[:1].requires_grad_(True)
     seen = recogniser(shown)

@@ -1,4 +1,6 @@
-"""Which detectors there are, how one of a user's own becomes one of them, and weights that no detector can have."""
+"""Which detectors there are, how one of a user's own becomes one of them, and weights
+that no detector can have.
+"""
 
 import json
 import os
@@ -12,7 +14,13 @@ import torch
 from safetensors.torch import save_file
 
 from attacks import cli
-from attacks.detectors import DETECTORS, DetectorError, DetectorSpec, load_detector, register_detector
+from attacks.detectors import (
+    DETECTORS,
+    DetectorError,
+    DetectorSpec,
+    load_detector,
+    register_detector,
+)
 from attacks.detectors.catalogue import (
     COCO_CLASSES,
     TORCHVISION_FILES,
@@ -42,7 +50,10 @@ def registered() -> Iterator[DetectorSpec]:
 
 def listed(capsys: pytest.CaptureFixture[str]) -> dict[str, dict[str, object]]:
     assert cli.main(["detectors", "--json"]) == 0
-    return {entry["name"]: entry for entry in json.loads(capsys.readouterr().out)["detectors"]}
+    return {
+        entry["name"]: entry
+        for entry in json.loads(capsys.readouterr().out)["detectors"]
+    }
 
 
 def test_a_registered_detector_is_loaded_and_listed(
@@ -52,40 +63,71 @@ def test_a_registered_detector_is_loaded_and_listed(
     entry = listed(capsys)["fake_colour"]
     assert entry["classes"] == ["car", "person", "stop sign"]
     assert entry["available"] is True
-    assert (entry["origin"], entry["licence"], entry["weights"]) == ("a test", "none", "")
+    assert (entry["origin"], entry["licence"], entry["weights"]) == (
+        "a test",
+        "none",
+        "",
+    )
     assert list(DETECTORS)[-1] == "fake_colour"
     assert len(DETECTORS) == len(list(DETECTORS))
 
 
-def test_a_detector_without_a_way_to_move_is_refused_on_a_gpu(registered: DetectorSpec) -> None:
-    with pytest.raises(DetectorError, match=r"detector fake_colour: expected one that can be moved to cuda"):
+def test_a_detector_without_a_way_to_move_is_refused_on_a_gpu(
+    registered: DetectorSpec,
+) -> None:
+    with pytest.raises(
+        DetectorError,
+        match=r"detector fake_colour: expected one that can be moved to cuda",
+    ):
         load_detector("fake_colour", device="cuda")
 
 
 @pytest.mark.parametrize("name", ["fasterrcnn_small", "fake_colour"])
 def test_a_name_is_given_once(registered: DetectorSpec, name: str) -> None:
-    spec = DetectorSpec(name=name, load=SPEC.load, classes=("car",), origin="", licence="")
-    with pytest.raises(DetectorError, match=f"expected a name that is free, got '{name}'"):
+    spec = DetectorSpec(
+        name=name, load=SPEC.load, classes=("car",), origin="", licence=""
+    )
+    with pytest.raises(
+        DetectorError, match=f"expected a name that is free, got '{name}'"
+    ):
         register_detector(spec)
 
 
 def test_what_is_missing_is_said() -> None:
     def spec(**more: object) -> DetectorSpec:
-        return DetectorSpec(name="x", load=SPEC.load, classes=(), origin="", licence="", **more)  # type: ignore[arg-type]
+        return DetectorSpec(
+            name="x",
+            load=SPEC.load,
+            classes=(),
+            origin="",
+            licence="",
+            **more,  # type: ignore[arg-type]
+        )
 
     assert spec().missing() == ""
     assert spec(weights=lambda: Path(__file__)).missing() == ""
-    assert spec(weights=lambda: Path("/nowhere"), advice="fetch them").missing() == "fetch them"
-    assert spec(requires=("json", "no_such_package")).missing() == "needs the package no_such_package"
-    both = spec(requires=("no_such_package",), install="pip install it", weights=lambda: Path(__file__))
+    assert (
+        spec(weights=lambda: Path("/nowhere"), advice="fetch them").missing()
+        == "fetch them"
+    )
+    assert (
+        spec(requires=("json", "no_such_package")).missing()
+        == "needs the package no_such_package"
+    )
+    both = spec(
+        requires=("no_such_package",),
+        install="pip install it",
+        weights=lambda: Path(__file__),
+    )
     assert both.missing() == "needs the package no_such_package: pip install it"
 
 
 def test_the_list_imports_no_library() -> None:
     code = (
-        "import sys; from attacks import cli; status = cli.main(['detectors', '--json']); "
-        "heavy = {'torch', 'torchvision', 'ultralytics', 'mitsuba', 'numpy'} & set(sys.modules); "
-        "raise SystemExit(str(heavy) if heavy else status)"
+        "import sys; from attacks import cli; status = cli.main(['detectors',"
+        " '--json']); heavy = {'torch', 'torchvision', 'ultralytics', 'mitsuba',"
+        " 'numpy'} & set(sys.modules); raise SystemExit(str(heavy) if heavy else"
+        " status)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -96,7 +138,9 @@ def test_torchvision_s_files_and_classes_are_the_library_s() -> None:
     for name, file in TORCHVISION_FILES.items():
         assert published_weights(name).url.rsplit("/", 1)[-1] == file
         categories = [
-            label for label in published_weights(name).meta["categories"] if label not in ("__background__", "N/A")
+            label
+            for label in published_weights(name).meta["categories"]
+            if label not in ("__background__", "N/A")
         ]
         assert DETECTORS[name].classes == COCO_CLASSES == tuple(categories)
 
@@ -111,7 +155,9 @@ def test_downloads_are_looked_for_where_torch_keeps_them(
         monkeypatch.setenv(variable, str(tmp_path))
     monkeypatch.setattr(torch.hub, "_hub_dir", None)
     assert torch_download("w.pth") == Path(torch.hub.get_dir(), "checkpoints", "w.pth")
-    assert os.environ.get("TORCH_HOME") == (str(tmp_path) if variable == "TORCH_HOME" else None)
+    assert os.environ.get("TORCH_HOME") == (
+        str(tmp_path) if variable == "TORCH_HOME" else None
+    )
 
 
 def test_the_fingerprint_follows_every_weight() -> None:
@@ -128,12 +174,22 @@ def test_the_fingerprint_follows_every_weight() -> None:
 
 @pytest.mark.parametrize("bad", [torch.nan, -torch.inf])
 @pytest.mark.parametrize("suffix", [".safetensors", ".pth"])
-def test_weights_that_are_not_finite_are_refused(bad: float, suffix: str, tmp_path: Path) -> None:
-    """A detector of NaN finds nothing, so that every attack on it would seem to succeed."""
-    state = {"good": torch.ones(3), "bad": torch.tensor([0.0, bad]).half(), "whole": torch.ones(2, dtype=torch.int64)}
+def test_weights_that_are_not_finite_are_refused(
+    bad: float, suffix: str, tmp_path: Path
+) -> None:
+    """A detector of NaN finds nothing, so that every attack on it would seem to
+    succeed.
+    """
+    state = {
+        "good": torch.ones(3),
+        "bad": torch.tensor([0.0, bad]).half(),
+        "whole": torch.ones(2, dtype=torch.int64),
+    }
     path = tmp_path / f"weights{suffix}"
     (save_file if suffix == ".safetensors" else torch.save)(state, path)
-    with pytest.raises(DetectorError, match=r"weights\.\w+: expected finite numbers in bad, got others"):
+    with pytest.raises(
+        DetectorError, match=r"weights\.\w+: expected finite numbers in bad, got others"
+    ):
         read_weights(path)
 
 

@@ -1,4 +1,6 @@
-"""The adapters to torchvision's detectors against the library itself, and what holds for every detector."""
+"""The adapters to torchvision's detectors against the library itself, and what holds
+for every detector.
+"""
 
 import re
 from collections.abc import Callable
@@ -11,7 +13,10 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor, nn
 from torchvision.models.detection import FCOS, RetinaNet
-from torchvision.models.detection.anchor_utils import AnchorGenerator, DefaultBoxGenerator
+from torchvision.models.detection.anchor_utils import (
+    AnchorGenerator,
+    DefaultBoxGenerator,
+)
 from torchvision.models.detection.ssd import SSD, SSDHead
 from torchvision.ops import FrozenBatchNorm2d, batched_nms, box_iou
 from torchvision.ops.boxes import remove_small_boxes
@@ -25,7 +30,12 @@ from attacks.detectors import (
     load_detector,
 )
 from attacks.detectors.base import check_images
-from attacks.detectors.catalogue import BACKGROUND, COCO_CLASSES, SMALL_CLASSES, TORCHVISION_FILES
+from attacks.detectors.catalogue import (
+    BACKGROUND,
+    COCO_CLASSES,
+    SMALL_CLASSES,
+    TORCHVISION_FILES,
+)
 from attacks.detectors.fasterrcnn_small import Backbone
 from attacks.detectors.torchvision import (
     OneStageDetector,
@@ -52,7 +62,8 @@ LIGHT = ("fasterrcnn_small", "fasterrcnn_mobilenet_v3_large_320_fpn")
 def detector(request: pytest.FixtureRequest) -> TorchvisionDetector:
     small = random_detector(str(request.param), seed=1)
     small.model.transform.min_size = (128,)
-    small.model.roi_heads.score_thresh = 0.02  # the scores of a random network are small and alike
+    # the scores of a random network are small and alike
+    small.model.roi_heads.score_thresh = 0.02
     small.model.eval()
     return small
 
@@ -73,7 +84,10 @@ def car_picture() -> CarPicture:
     """A path-traced car that no training used."""
     asset = build("car", 512_345)
     camera = Camera(
-        to_world=orbit_pose((0.0, 0.0, 0.7), azimuth=40, elevation=20, distance=7.0), focal=300, width=256, height=256
+        to_world=orbit_pose((0.0, 0.0, 0.7), azimuth=40, elevation=20, distance=7.0),
+        focal=300,
+        width=256,
+        height=256,
     )
     scene = scene_dict([asset], light=daylight(512_345), backdrop=plain(512_345))
     box = project_box(torch.from_numpy(asset.vertices), camera)
@@ -104,7 +118,9 @@ def test_candidates_with_threshold_and_suppression_are_the_detections() -> None:
         numbers = torch.arange(len(detector.classes)).repeat(len(one))
         likely = torch.where(scores > heads.score_thresh)[0]
         keep = likely[remove_small_boxes(boxes[likely], 1e-2)]
-        keep = keep[batched_nms(boxes[keep], scores[keep], numbers[keep], heads.nms_thresh)][: heads.detections_per_img]
+        keep = keep[
+            batched_nms(boxes[keep], scores[keep], numbers[keep], heads.nms_thresh)
+        ][: heads.detections_per_img]
         assert len(expected) > 0
         torch.testing.assert_close(boxes[keep], expected.boxes)
         torch.testing.assert_close(scores[keep], expected.scores)
@@ -118,20 +134,29 @@ def test_a_picture_of_another_size_gets_boxes_in_its_own_pixels() -> None:
     double = image.repeat_interleave(2, 0).repeat_interleave(2, 1)
     (large,) = detector.candidates(double[None])
     car = detector.classes.index("car")
-    ours, theirs = (candidates.boxes[int(candidates.scores[:, car].argmax()), car] for candidates in (small, large))
+    ours, theirs = (
+        candidates.boxes[int(candidates.scores[:, car].argmax()), car]
+        for candidates in (small, large)
+    )
     assert float(ours.max()) <= 256
     assert float((2 * ours - theirs).abs().max()) < 6
 
 
 class FixedProposals(nn.Module):
-    """Always the same box, where the library's network proposes boxes that move with the picture."""
+    """Always the same box, where the library's network proposes boxes that move with
+    the picture.
+    """
 
-    def forward(self, batch: Any, features: Any) -> tuple[list[Tensor], dict[str, Tensor]]:
+    def forward(
+        self, batch: Any, features: Any
+    ) -> tuple[list[Tensor], dict[str, Tensor]]:
         return [torch.tensor([[50.0, 50.0, 240.0, 210.0]], dtype=torch.float64)], {}
 
 
 def test_the_gradient_agrees_with_finite_differences() -> None:
-    """Proposals are constant for the gradient, so they are held fixed for the differences."""
+    """Proposals are constant for the gradient, so they are held fixed for the
+    differences.
+    """
     detector = random_detector("fasterrcnn_small", seed=2)
     detector.model.double()
     detector.model.rpn = FixedProposals()
@@ -157,20 +182,30 @@ def test_shapes_of_candidates_and_detections_are_checked() -> None:
         Detections(torch.zeros(1, 4), torch.zeros(2), ("car",))
 
 
-@pytest.mark.parametrize("name", [name for name in DETECTORS if name != "rapidocr"])  # its package has the weights
+# its package has the weights
+@pytest.mark.parametrize("name", [name for name in DETECTORS if name != "rapidocr"])
 def test_missing_weights_are_named(name: str, tmp_path: Path) -> None:
-    with pytest.raises(DetectorError, match=r"none\.pth: expected a (file.*|folder of .*), got nothing there"):
+    with pytest.raises(
+        DetectorError,
+        match=r"none\.pth: expected a (file.*|folder of .*), got nothing there",
+    ):
         load_detector(name, weights=tmp_path / "none.pth")
 
 
 class Strange:
-    """An object that no library lets through a pickle; ultralytics lets paths, in the whole process."""
+    """An object that no library lets through a pickle; ultralytics lets paths, in the
+    whole process.
+    """
 
 
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("w.bin", b"garbage", r"expected \.safetensors or \.pth or \.pt, got suffix '\.bin'"),
+        (
+            "w.bin",
+            b"garbage",
+            r"expected \.safetensors or \.pth or \.pt, got suffix '\.bin'",
+        ),
         *(
             (f"w{suffix}", content, rf"expected a readable \{suffix} file")
             for suffix in (".pth", ".safetensors")
@@ -180,7 +215,9 @@ class Strange:
         ("w.pth", [torch.zeros(1)], "expected a dict of tensors by name, got list"),
     ],
 )
-def test_unusable_files_are_refused(tmp_path: Path, name: str, content: object, words: str) -> None:
+def test_unusable_files_are_refused(
+    tmp_path: Path, name: str, content: object, words: str
+) -> None:
     if isinstance(content, bytes):
         (tmp_path / name).write_bytes(content)
     else:
@@ -196,15 +233,23 @@ def test_a_wrong_state_dict_is_told_apart_by_its_keys(tmp_path: Path) -> None:
     state["other"] = torch.zeros(1)
     save_file(state, tmp_path / "w.safetensors")
     with pytest.raises(
-        DetectorError, match=r"1 missing \(rpn\.head\.cls_logits\.bias\); 1 unexpected \(other\)"
+        DetectorError,
+        match=r"1 missing \(rpn\.head\.cls_logits\.bias\); 1 unexpected \(other\)",
     ) as caught:
         load_detector("fasterrcnn_small", weights=tmp_path / "w.safetensors")
-    assert "1 missing (rpn.head.cls_logits.bias); 1 unexpected (other); " in str(caught.value)
-    assert "1 of another shape (backbone.stem.0.weight (1,) instead of (24, 3, 3, 3))" in str(caught.value)
+    assert "1 missing (rpn.head.cls_logits.bias); 1 unexpected (other); " in str(
+        caught.value
+    )
+    assert (
+        "1 of another shape (backbone.stem.0.weight (1,) instead of (24, 3, 3, 3))"
+        in str(caught.value)
+    )
 
 
 @pytest.mark.parametrize("suffix", ["pth", "safetensors"])
-def test_weights_make_the_round_trip_through_a_file(tmp_path: Path, suffix: str) -> None:
+def test_weights_make_the_round_trip_through_a_file(
+    tmp_path: Path, suffix: str
+) -> None:
     original = random_detector("fasterrcnn_small", seed=4)
     path = tmp_path / f"w.{suffix}"
     state = original.model.state_dict()
@@ -213,18 +258,26 @@ def test_weights_make_the_round_trip_through_a_file(tmp_path: Path, suffix: str)
     else:
         save_file(state, path)
     loaded = load_detector("fasterrcnn_small", weights=path)
-    (expected,), (candidates,) = (one.candidates(pictures(count=1)) for one in (original, loaded))
+    (expected,), (candidates,) = (
+        one.candidates(pictures(count=1)) for one in (original, loaded)
+    )
     assert loaded.fingerprint == original.fingerprint
-    torch.testing.assert_close(candidates.scores, expected.scores, rtol=0, atol=1e-5)  # another memory format
+    # another memory format
+    torch.testing.assert_close(candidates.scores, expected.scores, rtol=0, atol=1e-5)
     torch.testing.assert_close(candidates.boxes, expected.boxes, rtol=0, atol=1e-2)
 
 
-def test_without_network_the_hub_gives_one_clear_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_network_the_hub_gives_one_clear_error(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     def unreachable(*_: object, **__: object) -> None:
         raise OSError("no route to host")
 
     monkeypatch.setattr("torchvision.models._api.load_state_dict_from_url", unreachable)
-    with pytest.raises(DetectorError, match=r"no route to host; download the file .*: mi-splat detectors --get"):
+    with pytest.raises(
+        DetectorError,
+        match=r"no route to host; download the file .*: mi-splat detectors --get",
+    ):
         load_detector("fasterrcnn_mobilenet_v3_large_320_fpn")
 
 
@@ -239,18 +292,38 @@ SMALL_LABELS = (BACKGROUND, *SMALL_CLASSES)
 
 
 def small_retinanet() -> RetinaNet:
-    anchors = AnchorGenerator(sizes=((28,), (56,), (112,), (200,)), aspect_ratios=((0.5, 1.0, 2.0),) * 4)
-    return RetinaNet(Backbone(), len(SMALL_LABELS), anchor_generator=anchors, min_size=96, max_size=200)
+    anchors = AnchorGenerator(
+        sizes=((28,), (56,), (112,), (200,)), aspect_ratios=((0.5, 1.0, 2.0),) * 4
+    )
+    return RetinaNet(
+        Backbone(),
+        len(SMALL_LABELS),
+        anchor_generator=anchors,
+        min_size=96,
+        max_size=200,
+    )
 
 
 def small_fcos() -> FCOS:
-    anchors = AnchorGenerator(sizes=((8,), (16,), (32,), (64,)), aspect_ratios=((1.0,),) * 4)
-    return FCOS(Backbone(), len(SMALL_LABELS), anchor_generator=anchors, min_size=96, max_size=200)
+    anchors = AnchorGenerator(
+        sizes=((8,), (16,), (32,), (64,)), aspect_ratios=((1.0,),) * 4
+    )
+    return FCOS(
+        Backbone(),
+        len(SMALL_LABELS),
+        anchor_generator=anchors,
+        min_size=96,
+        max_size=200,
+    )
 
 
 def small_ssd() -> SSD:
     anchors = DefaultBoxGenerator([[2], [2], [2], [2]])
-    head = SSDHead([Backbone().out_channels] * 4, anchors.num_anchors_per_location(), len(SMALL_LABELS))
+    head = SSDHead(
+        [Backbone().out_channels] * 4,
+        anchors.num_anchors_per_location(),
+        len(SMALL_LABELS),
+    )
     return SSD(Backbone(), anchors, (128, 96), len(SMALL_LABELS), head=head)
 
 
@@ -262,7 +335,8 @@ def made(kind: str) -> OneStageDetector:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(1)
         model = SMALL[kind]()
-        for part in model.head.modules():  # otherwise all scores are the same to two digits
+        # otherwise all scores are the same to two digits
+        for part in model.head.modules():
             if isinstance(part, nn.Conv2d):
                 nn.init.kaiming_normal_(part.weight, nonlinearity="relu")
         warm_up(model.eval())
@@ -277,7 +351,9 @@ def one_stage(request: pytest.FixtureRequest) -> OneStageDetector:
 
 
 def test_the_contract_is_kept(one_stage: OneStageDetector) -> None:
-    """Random RetinaNet and FCOS may report the background, which then is a class as others are."""
+    """Random RetinaNet and FCOS may report the background, which then is a class as
+    others are.
+    """
     background = BACKGROUND if isinstance(one_stage.model, SSD) else "nothing"
     check_detector(wrap(one_stage.name, one_stage.model, (background, *SMALL_CLASSES)))
     assert one_stage.min_confidence == one_stage.model.score_thresh
@@ -285,7 +361,9 @@ def test_the_contract_is_kept(one_stage: OneStageDetector) -> None:
 
 
 @pytest.mark.parametrize("size", [(96, 128), (150, 75)])
-def test_one_stage_detections_are_the_librarys(one_stage: OneStageDetector, size: tuple[int, int]) -> None:
+def test_one_stage_detections_are_the_librarys(
+    one_stage: OneStageDetector, size: tuple[int, int]
+) -> None:
     images = pictures(*size)
     with torch.no_grad():
         expected = one_stage.model(list(images.permute(0, 3, 1, 2)))
@@ -293,33 +371,50 @@ def test_one_stage_detections_are_the_librarys(one_stage: OneStageDetector, size
         assert len(ours) > 0
         assert torch.equal(ours.boxes, theirs["boxes"])
         assert torch.equal(ours.scores, theirs["scores"])
-        assert ours.labels == tuple(one_stage._labels[i] for i in theirs["labels"].tolist())
+        assert ours.labels == tuple(
+            one_stage._labels[i] for i in theirs["labels"].tolist()
+        )
 
 
 @pytest.mark.parametrize("size", [(96, 128), (150, 75)])
 def test_one_stage_candidates_with_suppression_are_the_detections(
     one_stage: OneStageDetector, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With the library's limits on how many go into the suppression, and on how many come out, out of the way."""
+    """With the library's limits on how many go into the suppression, and on how many
+    come out, out of the way.
+    """
     model: Any = one_stage.model
     images = pictures(*size)
     with torch.no_grad():
         candidates = one_stage.candidates(images)
     ordered = torch.cat([one.scores.flatten() for one in candidates]).sort().values
-    floor = float(ordered[-201:-199].mean())  # between two of them, for the library rounds otherwise
-    for name, value in (("score_thresh", floor), ("topk_candidates", 10**6), ("detections_per_img", 10**6)):
+    # between two of them, for the library rounds otherwise
+    floor = float(ordered[-201:-199].mean())
+    for name, value in (
+        ("score_thresh", floor),
+        ("topk_candidates", 10**6),
+        ("detections_per_img", 10**6),
+    ):
         monkeypatch.setattr(model, name, value)
     numbers = torch.arange(len(one_stage.classes))
     for one, expected in zip(candidates, one_stage.detect(images), strict=True):
-        named = [i for i, label in enumerate(expected.labels) if label in one_stage.classes]
+        named = [
+            i for i, label in enumerate(expected.labels) if label in one_stage.classes
+        ]
         boxes, scores = one.boxes.reshape(-1, 4), one.scores.reshape(-1)
         of_class = numbers.repeat(len(one))
         likely = torch.where(scores > floor)[0]
-        keep = likely[batched_nms(boxes[likely], scores[likely], of_class[likely], model.nms_thresh)]
+        keep = likely[
+            batched_nms(
+                boxes[likely], scores[likely], of_class[likely], model.nms_thresh
+            )
+        ]
         assert 3 < len(named) == len(keep)
         torch.testing.assert_close(boxes[keep], expected.boxes[named])
         torch.testing.assert_close(scores[keep], expected.scores[named])
-        assert [one_stage.classes[int(i)] for i in of_class[keep]] == [expected.labels[i] for i in named]
+        assert [one_stage.classes[int(i)] for i in of_class[keep]] == [
+            expected.labels[i] for i in named
+        ]
 
 
 def test_scores_and_boxes_agree_with_finite_differences() -> None:
@@ -332,13 +427,19 @@ def test_scores_and_boxes_agree_with_finite_differences() -> None:
             (candidates,) = detector.candidates(image)
             return candidates.scores[:, 2].sum() + 1e-3 * candidates.boxes[:, 2].sum()
 
-        slope_is_the_gradient(measured, pictures(96, 96, 1).double().clamp(0.01, 0.99), least=1e-3)
+        slope_is_the_gradient(
+            measured, pictures(96, 96, 1).double().clamp(0.01, 0.99), least=1e-3
+        )
 
 
 def test_a_hopeless_candidate_of_fcos_keeps_a_finite_gradient() -> None:
-    """The library's own square root has none where the product of the two rounds to zero."""
+    """The library's own square root has none where the product of the two rounds to
+    zero.
+    """
     logits = torch.full((1, 1, 1), -80.0, requires_grad=True)
-    score = _with_centreness({"cls_logits": logits, "bbox_ctrness": torch.full((1, 1, 1), -80.0)})
+    score = _with_centreness(
+        {"cls_logits": logits, "bbox_ctrness": torch.full((1, 1, 1), -80.0)}
+    )
     score.sum().backward()  # type: ignore[no-untyped-call]
     assert logits.grad is not None
     assert torch.isfinite(logits.grad).all()
@@ -346,7 +447,11 @@ def test_a_hopeless_candidate_of_fcos_keeps_a_finite_gradient() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["ssdlite320_mobilenet_v3_large", pytest.param("retinanet_resnet50_fpn", marks=pytest.mark.nightly)]
+    "name",
+    [
+        "ssdlite320_mobilenet_v3_large",
+        pytest.param("retinanet_resnet50_fpn", marks=pytest.mark.nightly),
+    ],
 )
 def test_a_published_one_is_loaded_from_a_file(tmp_path: Path, name: str) -> None:
     original = random_detector(name, seed=2)
@@ -357,31 +462,49 @@ def test_a_published_one_is_loaded_from_a_file(tmp_path: Path, name: str) -> Non
     assert loaded.fingerprint == original.fingerprint
     for one in (loaded, original):
         one.model.transform.min_size = (64,)
-    (expected,), (candidates,) = (one.candidates(pictures(64, 80, 1)) for one in (original, loaded))
+    (expected,), (candidates,) = (
+        one.candidates(pictures(64, 80, 1)) for one in (original, loaded)
+    )
     assert torch.equal(expected.scores, candidates.scores)
     assert torch.equal(expected.boxes, candidates.boxes)
     assert float(expected.scores.std()) > 1e-6
-    frozen = [norm for norm in loaded.model.modules() if isinstance(norm, FrozenBatchNorm2d)]
-    assert {norm.eps for norm in frozen} == ({0.0} if name == "retinanet_resnet50_fpn" else set())
+    frozen = [
+        norm for norm in loaded.model.modules() if isinstance(norm, FrozenBatchNorm2d)
+    ]
+    assert {norm.eps for norm in frozen} == (
+        {0.0} if name == "retinanet_resnet50_fpn" else set()
+    )
 
 
 def older(name: str) -> str:
-    """The name of a tensor in the files that the library published before it gave these layers an index more."""
-    name = re.sub(r"(head\.\w+_head\.conv)\.(\d)\.0\.", lambda old: f"{old[1]}.{2 * int(old[2])}.", name)
+    """The name of a tensor in the files that the library published before it gave these
+    layers an index more.
+    """
+    name = re.sub(
+        r"(head\.\w+_head\.conv)\.(\d)\.0\.",
+        lambda old: f"{old[1]}.{2 * int(old[2])}.",
+        name,
+    )
     name = re.sub(r"((?:inner|layer)_blocks\.\d)\.0\.", r"\1.", name)
     return name.replace("rpn.head.conv.0.0.", "rpn.head.conv.")
 
 
 @pytest.mark.parametrize("make", [small_retinanet, fasterrcnn_small.build])
-def test_the_older_names_of_published_files_are_read(make: Callable[[], nn.Module]) -> None:
-    """The published RetinaNet and Faster R-CNN, which are of that time, have such names."""
+def test_the_older_names_of_published_files_are_read(
+    make: Callable[[], nn.Module],
+) -> None:
+    """The published RetinaNet and Faster R-CNN, which are of that time, have such
+    names.
+    """
     original, model = make(), make()
     state = {older(name): value for name, value in original.state_dict().items()}
     assert len(state.keys() - original.state_dict().keys()) >= 6
     apply_weights(model, state, "a file")
     assert fingerprint(model.state_dict()) == fingerprint(original.state_dict())
     name = older(
-        "head.classification_head.conv.1.0.weight" if isinstance(model, RetinaNet) else "rpn.head.conv.0.0.bias"
+        "head.classification_head.conv.1.0.weight"
+        if isinstance(model, RetinaNet)
+        else "rpn.head.conv.0.0.bias"
     )
     with pytest.raises(DetectorError, match=r"of another shape \(size mismatch for"):
         apply_weights(model, {**state, name: torch.zeros(3)}, "a file")

@@ -1,4 +1,6 @@
-"""Any torch detector behind the interface: against adapters of libraries, and against outputs that are wrong."""
+"""Any torch detector behind the interface: against adapters of libraries, and against
+outputs that are wrong.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ Pairs = Iterator[tuple[Tensor, Tensor]]
 
 def corners(boxes: Tensor) -> Tensor:
     """Of centre and size."""
-    return torch.cat([boxes[..., :2] - boxes[..., 2:] / 2, boxes[..., :2] + boxes[..., 2:] / 2], -1)
+    return torch.cat(
+        [boxes[..., :2] - boxes[..., 2:] / 2, boxes[..., :2] + boxes[..., 2:] / 2], -1
+    )
 
 
 @pytest.mark.slow
@@ -35,19 +39,37 @@ def test_like_torchvision() -> None:
 
     def decode(outputs: Any, size: tuple[int, int]) -> Pairs:
         for seen in outputs:
-            yield seen["boxes"], seen["scores"][:, None] * F.one_hot(seen["labels"] - 1, len(known.classes))
+            yield (
+                seen["boxes"],
+                seen["scores"][:, None]
+                * F.one_hot(seen["labels"] - 1, len(known.classes)),
+            )
 
     def as_list(images: Tensor) -> list[Tensor]:
         return list(images.permute(0, 3, 1, 2))
 
-    ours = wrap_detector(model, known.classes, decode, prepare=as_list, min_confidence=known.min_confidence)
+    ours = wrap_detector(
+        model,
+        known.classes,
+        decode,
+        prepare=as_list,
+        min_confidence=known.min_confidence,
+    )
     images = pictures(96, 128)
     for seen, expected in zip(ours.detect(images), known.detect(images), strict=True):
         assert seen.labels == expected.labels
         torch.testing.assert_close(seen.scores, expected.scores)
         torch.testing.assert_close(seen.boxes, expected.boxes)
     assert ours.fingerprint == known.fingerprint
-    model.roi_heads.score_thresh, model.roi_heads.nms_thresh, model.roi_heads.detections_per_img = 0.0, 1.0, 10_000
+    (
+        model.roi_heads.score_thresh,
+        model.roi_heads.nms_thresh,
+        model.roi_heads.detections_per_img,
+    ) = (
+        0.0,
+        1.0,
+        10_000,
+    )
     (scores,) = (seen.scores for seen in ours.candidates(images[:1]))
     (all_scores,) = (seen.scores for seen in known.candidates(images[:1]))
     for label in range(len(known.classes)):
@@ -70,18 +92,24 @@ class Plain(nn.Module):
 
 
 def plain(logits: Tensor, size: tuple[int, int]) -> Pairs:
-    y, x = torch.meshgrid(*(4.0 * torch.arange(side) for side in logits.shape[2:]), indexing="ij")
+    y, x = torch.meshgrid(
+        *(4.0 * torch.arange(side) for side in logits.shape[2:]), indexing="ij"
+    )
     middle = torch.stack([x, y], -1).reshape(-1, 2)
     boxes = torch.cat([middle - 8, middle + 8], -1)
     return ((boxes, picture.flatten(1).T.sigmoid()) for picture in logits)
 
 
 def test_plain_torch_is_attacked() -> None:
-    detector = wrap_detector(Plain(), ("car", "person"), plain, name="plain", min_confidence=0.4, max_iou=0.3)
+    detector = wrap_detector(
+        Plain(), ("car", "person"), plain, name="plain", min_confidence=0.4, max_iou=0.3
+    )
     check_detector(detector)
     scene, mask = toy_scene()
     config = DaggerConfig(steps=3, noise_draws=0, early_stop=False)
-    result = attack(scene, mask, camera(), detector, hide(), render=blobs, config=config)
+    result = attack(
+        scene, mask, camera(), detector, hide(), render=blobs, config=config
+    )
     assert result.detectors == ("plain",)
     assert result.trace[-1].loss < result.trace[0].loss
 
@@ -90,13 +118,25 @@ def test_thresholds_suppression_and_another_program_s_report() -> None:
     images = pictures(64, 64)
     considered = wrap_detector(Plain(), ("car", "person"), plain).candidates(images)
     least = float(torch.cat([seen.scores for seen in considered]).median())
-    detector = wrap_detector(Plain(), ("car", "person"), plain, min_confidence=least, max_iou=0.3)
+    detector = wrap_detector(
+        Plain(), ("car", "person"), plain, min_confidence=least, max_iou=0.3
+    )
     for seen, before in zip(detector.detect(images), considered, strict=True):
         assert 0 < len(seen) < int((before.scores >= least).sum())
         assert float(seen.scores.min()) >= least
-    told = wrap_detector(Plain(), ("car", "person"), plain, detect=lambda images: detector.detect(images)[:1])
+    told = wrap_detector(
+        Plain(),
+        ("car", "person"),
+        plain,
+        detect=lambda images: detector.detect(images)[:1],
+    )
     assert len(told.detect(images)) == 1
-    turned = wrap_detector(Plain(), ("car", "person"), plain, prepare=lambda batch: batch.flip(-1).permute(0, 3, 1, 2))
+    turned = wrap_detector(
+        Plain(),
+        ("car", "person"),
+        plain,
+        prepare=lambda batch: batch.flip(-1).permute(0, 3, 1, 2),
+    )
     other = wrap_detector(Plain(), ("car", "person"), plain).candidates(images.flip(-1))
     for mine, wanted in zip(turned.candidates(images), other, strict=True):
         torch.testing.assert_close(mine.scores, wanted.scores)
@@ -109,20 +149,33 @@ def test_thresholds_suppression_and_another_program_s_report() -> None:
     ("decode", "message"),
     [
         (lambda logits, size: [], "2 pairs, got 0"),
-        (lambda logits, size: [(b, s[:, :1]) for b, s in plain(logits, size)], r"scores \(A, 2\) and boxes \(A, 4\)"),
-        (lambda logits, size: [(b, s.logit()) for b, s in plain(logits, size)], r"scores in \[0, 1\], got values from"),
-        (lambda logits, size: [(b, s.detach()) for b, s in plain(logits, size)], "scores with a gradient, got none"),
+        (
+            lambda logits, size: [(b, s[:, :1]) for b, s in plain(logits, size)],
+            r"scores \(A, 2\) and boxes \(A, 4\)",
+        ),
+        (
+            lambda logits, size: [(b, s.logit()) for b, s in plain(logits, size)],
+            r"scores in \[0, 1\], got values from",
+        ),
+        (
+            lambda logits, size: [(b, s.detach()) for b, s in plain(logits, size)],
+            "scores with a gradient, got none",
+        ),
     ],
 )
 def test_outputs_that_are_wrong(decode: Any, message: str) -> None:
     detector = wrap_detector(Plain(), ("car", "person"), decode)
-    with pytest.raises(InvalidValueError, match=f"decode of wrapped: expected .*{message}"):
+    with pytest.raises(
+        InvalidValueError, match=f"decode of wrapped: expected .*{message}"
+    ):
         detector.candidates(pictures(32, 40).requires_grad_())
 
 
 def test_arguments_that_are_wrong() -> None:
     known: Any = wrap_detector
-    with pytest.raises(InvalidValueError, match=r"module: expected a torch.nn.Module, got function"):
+    with pytest.raises(
+        InvalidValueError, match=r"module: expected a torch.nn.Module, got function"
+    ):
         known(plain, ("car",), plain)
     with pytest.raises(InvalidValueError, match="classes: expected different names"):
         known(Plain(), ("car", "car"), plain)
@@ -130,5 +183,7 @@ def test_arguments_that_are_wrong() -> None:
         known(Plain(), ("car", "person"), plain, min_confidence=2)
     broken = Plain()
     nn.init.constant_(broken.scores.weight, torch.nan)
-    with pytest.raises(DetectorError, match="weights of wrapped: expected finite numbers"):
+    with pytest.raises(
+        DetectorError, match="weights of wrapped: expected finite numbers"
+    ):
         known(broken, ("car", "person"), plain)

@@ -1,4 +1,6 @@
-"""Small valid files of every format, and some with other contents, for the tests of damaged files."""
+"""Small valid files of every format, and some with other contents, for the tests of
+damaged files.
+"""
 
 import io
 import json
@@ -25,7 +27,9 @@ from mi_splat.sh import colour_to_dc, dc_to_colour
 from tests.gaussians import random_scene
 
 WRITTEN = [".ply", ".glb", ".compressed.ply", ".sog", ".spz", ".splat"]
-"""Endings of the formats that are written; OpenUSD, each of whose files is read by a new process, is in test_usd.py."""
+"""Endings of the formats that are written; OpenUSD, each of whose files is read by a
+new process, is in test_usd.py.
+"""
 
 
 @cache
@@ -46,7 +50,9 @@ def valid(name: str) -> bytes:
     return writers[name]()
 
 
-def rezipped(change: Callable[[dict[str, bytes]], None], method: int = zipfile.ZIP_STORED) -> bytes:
+def rezipped(
+    change: Callable[[dict[str, bytes]], None], method: int = zipfile.ZIP_STORED
+) -> bytes:
     """The valid SOG with other members."""
     with zipfile.ZipFile(io.BytesIO(valid("a.sog"))) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
@@ -61,7 +67,9 @@ def rezipped(change: Callable[[dict[str, bytes]], None], method: int = zipfile.Z
 def gltf_document() -> dict[str, Any]:
     """The document of the valid glTF."""
     data = valid("a.glb")
-    document: dict[str, Any] = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
+    document: dict[str, Any] = json.loads(
+        data[20 : 20 + struct.unpack_from("<I", data, 12)[0]]
+    )
     return document
 
 
@@ -71,12 +79,18 @@ def gltf_with(change: Callable[[dict[str, Any]], None]) -> bytes:
     change(document)
     part = json.dumps(document).encode()
     part += b" " * (-len(part) % 4)
-    body = struct.pack("<I4s", len(part), b"JSON") + part + data[20 + struct.unpack_from("<I", data, 12)[0] :]
+    body = (
+        struct.pack("<I4s", len(part), b"JSON")
+        + part
+        + data[20 + struct.unpack_from("<I", data, 12)[0] :]
+    )
     return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
 
 
 def tame_scene(count: int, degree: int, *, seed: int = 0) -> GaussianScene:
-    """Random Gaussians without any symmetry, whose values lie in the ranges of every format."""
+    """Random Gaussians without any symmetry, whose values lie in the ranges of every
+    format.
+    """
     scene = random_scene(count, degree, seed=seed)
     generator = torch.Generator().manual_seed(seed + 1)
     sh = torch.rand(count, (degree + 1) ** 2, 3, generator=generator) * 1.8 - 0.9
@@ -85,30 +99,51 @@ def tame_scene(count: int, degree: int, *, seed: int = 0) -> GaussianScene:
 
 
 def degrees(one: Tensor, two: Tensor) -> Tensor:
-    """(N,) angles between rotations of ellipsoids, which half turns about their own axes leave as they are."""
+    """(N,) angles between rotations of ellipsoids, which half turns about their own
+    axes leave as they are.
+    """
     first, second = one.double(), two.double()
-    half_turns = torch.cat([torch.eye(4, dtype=torch.float64), -torch.eye(4, dtype=torch.float64)])
-    chords = torch.stack([(first - multiply(second, turn)).norm(dim=1) for turn in half_turns])
+    half_turns = torch.cat(
+        [torch.eye(4, dtype=torch.float64), -torch.eye(4, dtype=torch.float64)]
+    )
+    chords = torch.stack(
+        [(first - multiply(second, turn)).norm(dim=1) for turn in half_turns]
+    )
     return (chords.amin(dim=0) / 2).clamp(max=1).asin() * 4 * 180 / math.pi
 
 
 def differences(one: GaussianScene, two: GaussianScene) -> dict[str, Tensor]:
-    """Absolute differences by name, row by row: of logarithms for scales, degrees for rotations, colours for dc."""
+    """Absolute differences by name, row by row: of logarithms for scales, degrees for
+    rotations, colours for dc.
+    """
     return {
         "means": (one.means.double() - two.means.double()).abs(),
         "scales": (one.scales.double().log() - two.scales.double().log()).abs(),
         "rotations": degrees(one.rotations, two.rotations),
         "opacities": (one.opacities.double() - two.opacities.double()).abs(),
-        "colours": (dc_to_colour(one.sh[:, 0].double()) - dc_to_colour(two.sh[:, 0].double())).abs(),
+        "colours": (
+            (
+                dc_to_colour(one.sh[:, 0].double())
+                - dc_to_colour(two.sh[:, 0].double())
+            ).abs()
+        ),
         "sh": (one.sh[:, 1:].double() - two.sh[:, 1:].double()).abs(),
     }
 
 
 def assert_close(one: GaussianScene, two: GaussianScene, **tolerances: float) -> None:
-    """Raise unless all differences are within their tolerances, 2e-5 where none is given (0.05 degrees)."""
+    """Raise unless all differences are within their tolerances, 2e-5 where none is
+    given (0.05 degrees).
+    """
     assert len(one) == len(two)
     assert one.degree == two.degree
     limits = {"rotations": 0.05, **tolerances}
-    worst = {name: float(value.max()) for name, value in differences(one, two).items() if value.numel()}
-    wrong = {name: value for name, value in worst.items() if value > limits.get(name, 2e-5)}
+    worst = {
+        name: float(value.max())
+        for name, value in differences(one, two).items()
+        if value.numel()
+    }
+    wrong = {
+        name: value for name, value in worst.items() if value > limits.get(name, 2e-5)
+    }
     assert not wrong, f"too far apart: {wrong}, all: {worst}"

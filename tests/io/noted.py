@@ -18,4 +18,8 @@ def changed(path: Path, change: Change) -> None:
         notes = json.loads(file.metadata()["notes"])
         tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118
     change(notes, tensors)
-    save_file({name: value.contiguous() for name, value in tensors.items()}, path, {"notes": json.dumps(notes)})
+    save_file(
+        {name: value.contiguous() for name, value in tensors.items()},
+        path,
+        {"notes": json.dumps(notes)},
+    )

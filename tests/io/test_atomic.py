@@ -35,7 +35,9 @@ def alone(path: Path) -> None:
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO, errno.EDQUOT])
 @pytest.mark.parametrize("when", ["write", "fsync", "replace"])
-def test_a_full_disk_leaves_the_old_file(code: int, when: str, old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_the_old_file(
+    code: int, when: str, old: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = old.read_bytes()
 
     def fail(*_: object) -> None:
@@ -43,10 +45,17 @@ def test_a_full_disk_leaves_the_old_file(code: int, when: str, old: Path, monkey
 
     with monkeypatch.context() as patch:
         patch.setattr(
-            "mi_splat.io.documents.write_all" if when == "write" else f"mi_splat.io.documents.os.{when}",
+            (
+                "mi_splat.io.documents.write_all"
+                if when == "write"
+                else f"mi_splat.io.documents.os.{when}"
+            ),
             fail,
         )
-        with pytest.raises(SplatFileError, match=rf"{old}: expected a file that can be written, got .+; .+"):
+        with pytest.raises(
+            SplatFileError,
+            match=rf"{old}: expected a file that can be written, got .+; .+",
+        ):
             save_splat(random_scene(7), old)
     assert old.read_bytes() == before
     alone(old)
@@ -55,7 +64,9 @@ def test_a_full_disk_leaves_the_old_file(code: int, when: str, old: Path, monkey
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError, MemoryError])
-def test_an_interruption_leaves_the_old_file(error: type[BaseException], old: Path) -> None:
+def test_an_interruption_leaves_the_old_file(
+    error: type[BaseException], old: Path
+) -> None:
     before = old.read_bytes()
     with pytest.raises(error), atomic_write(old) as file:  # noqa: PT012
         file.write(b"half")
@@ -74,12 +85,15 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_odd_targets_are_refused(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_odd_targets_are_refused(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "folder.ply").mkdir()
     (tmp_path / "read_only.ply").write_text("old")
     os.mkfifo(tmp_path / "pipe.ply")
     before = names(tmp_path)
-    monkeypatch.setattr("mi_splat.io.documents.os.access", lambda *_: False)  # root may write everything
+    # root may write everything
+    monkeypatch.setattr("mi_splat.io.documents.os.access", lambda *_: False)
     with pytest.raises(SplatFileError, match=REFUSED[name]):
         save_splat(random_scene(1), tmp_path / name)
     assert names(tmp_path) == before
@@ -88,9 +102,14 @@ def test_odd_targets_are_refused(name: str, tmp_path: Path, monkeypatch: pytest.
 def test_values_that_could_not_be_loaded_are_not_saved(old: Path) -> None:
     before, scene = old.read_bytes(), random_scene(9).to(dtype=torch.float64)
     for value in (math.nan, math.inf, 1e300, 2e9):
-        changed = GaussianScene.unchecked(torch.full_like(scene.means, value), *scene.tensors()[1:])
+        changed = GaussianScene.unchecked(
+            torch.full_like(scene.means, value), *scene.tensors()[1:]
+        )
         for path in (old, old.with_suffix(".spz"), old.with_suffix(".glb")):
-            with pytest.raises(InvalidValueError, match=r"scene: expected values .* finite in float32, up to 1e\+09"):
+            with pytest.raises(
+                InvalidValueError,
+                match=r"scene: expected values .* finite in float32, up to 1e\+09",
+            ):
                 save_splat(changed, path)
     assert old.read_bytes() == before
     alone(old)
@@ -109,7 +128,9 @@ def test_permission_bits(old: Path) -> None:
 
 
 @pytest.mark.parametrize("target", ["precious.ply", "none.ply"])
-def test_a_link_is_replaced_and_not_what_it_leads_to(target: str, tmp_path: Path) -> None:
+def test_a_link_is_replaced_and_not_what_it_leads_to(
+    target: str, tmp_path: Path
+) -> None:
     (tmp_path / "precious.ply").write_text("precious")
     (tmp_path / "link.ply").symlink_to(target)
     save_splat(random_scene(3), tmp_path / "link.ply")
@@ -149,7 +170,9 @@ def names(folder: Path) -> list[str]:
 def holder(folder: Path) -> subprocess.Popen[str]:
     """A process that has a folder for itself until it reads a line or is killed."""
     words = [sys.executable, "-c", HOLDER, str(folder), "a word"]
-    process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
     assert process.stdout is not None
     assert process.stdout.readline() == "there\n"
     return process
@@ -158,10 +181,19 @@ def holder(folder: Path) -> subprocess.Popen[str]:
 def test_the_second_process_is_refused_and_told_by_whom(tmp_path: Path) -> None:
     with holder(tmp_path / "out") as first:
         (tmp_path / "out" / "config.json").write_text("")
-        says = rf"no other process .* in use by `-c .*'a word'`, process {first.pid} on .+, since 20\d\d-.*; wait for"
-        with pytest.raises(SplatFileError, match=says), own_folder(tmp_path / "out", "config.json"):
+        says = (
+            rf"no other process .* in use by `-c .*'a word'`, process {first.pid} on"
+            r" .+, since 20\d\d-.*; wait for"
+        )
+        with (
+            pytest.raises(SplatFileError, match=says),
+            own_folder(tmp_path / "out", "config.json"),
+        ):
             raise AssertionError("two have it")
-        with pytest.raises(SplatFileError, match="in use by"), new_folder(tmp_path / "out", force=True):
+        with (
+            pytest.raises(SplatFileError, match="in use by"),
+            new_folder(tmp_path / "out", force=True),
+        ):
             raise AssertionError("it would be replaced")
         first.communicate("\n")
     assert names(tmp_path / "out") == ["config.json"]
@@ -182,7 +214,9 @@ def test_a_killed_process_has_nothing(tmp_path: Path) -> None:
     assert names(tmp_path / "out") == ["manifest.json", "result.json"]
 
 
-def test_a_thread_may_take_what_it_has_and_another_thread_may_not(tmp_path: Path) -> None:
+def test_a_thread_may_take_what_it_has_and_another_thread_may_not(
+    tmp_path: Path,
+) -> None:
     messages: list[str] = []
 
     def other() -> None:
@@ -200,7 +234,9 @@ def test_a_thread_may_take_what_it_has_and_another_thread_may_not(tmp_path: Path
     assert names(tmp_path) == []
 
 
-def test_a_lock_that_its_holder_just_removed_is_taken_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lock_that_its_holder_just_removed_is_taken_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     flock, removed = fcntl.flock, [False]
 
     def late(descriptor: int, how: int) -> None:
@@ -215,7 +251,9 @@ def test_a_lock_that_its_holder_just_removed_is_taken_again(tmp_path: Path, monk
         assert removed == [True]
 
 
-def test_a_lock_that_another_process_made_anew_is_that_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lock_that_another_process_made_anew_is_that_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     flock = fcntl.flock
 
     def late(descriptor: int, how: int) -> None:
@@ -233,7 +271,9 @@ def test_a_lock_that_another_process_made_anew_is_that_ones(tmp_path: Path, monk
 
 
 @pytest.mark.parametrize("kind", ["symbolic link", "hard link", "foreign file", "pipe"])
-def test_a_lock_that_this_program_did_not_make_is_left_alone(kind: str, tmp_path: Path) -> None:
+def test_a_lock_that_this_program_did_not_make_is_left_alone(
+    kind: str, tmp_path: Path
+) -> None:
     out, precious = tmp_path / "out", tmp_path / "precious.txt"
     out.mkdir()
     precious.write_text("precious")
@@ -245,29 +285,48 @@ def test_a_lock_that_this_program_did_not_make_is_left_alone(kind: str, tmp_path
         (out / LOCK).write_text("mine")
     else:
         os.mkfifo(out / LOCK)
-    with pytest.raises(SplatFileError, match=r"expected a lock of this program, got .*; delete it"), locked_folder(out):
+    with (
+        pytest.raises(
+            SplatFileError, match=r"expected a lock of this program, got .*; delete it"
+        ),
+        locked_folder(out),
+    ):
         raise AssertionError("it has the folder")
     assert precious.read_text() == "precious"
     assert names(out) == [LOCK]
 
 
 def test_a_lock_that_leads_elsewhere_makes_and_changes_nothing(tmp_path: Path) -> None:
-    """A link to a file that is not there would make it, and a second name of an empty file would fill it."""
-    out, absent, empty = tmp_path / "out", tmp_path / "absent.txt", tmp_path / "empty.txt"
+    """A link to a file that is not there would make it, and a second name of an empty
+    file would fill it.
+    """
+    out, absent, empty = (
+        tmp_path / "out",
+        tmp_path / "absent.txt",
+        tmp_path / "empty.txt",
+    )
     out.mkdir()
     empty.write_bytes(b"")
     (out / LOCK).symlink_to(absent)
-    with pytest.raises(SplatFileError, match="expected a lock of this program"), locked_folder(out):
+    with (
+        pytest.raises(SplatFileError, match="expected a lock of this program"),
+        locked_folder(out),
+    ):
         raise AssertionError("it has the folder")
     assert not absent.exists()
     (out / LOCK).unlink()
     os.link(empty, out / LOCK)
-    with pytest.raises(SplatFileError, match="expected a lock of this program"), locked_folder(out):
+    with (
+        pytest.raises(SplatFileError, match="expected a lock of this program"),
+        locked_folder(out),
+    ):
         raise AssertionError("it has the folder")
     assert empty.read_bytes() == b""
 
 
-def test_a_disk_without_locks_refuses_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_without_locks_refuses_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def none(descriptor: int, how: int) -> None:
         raise OSError(errno.ENOLCK, "no locks available")
 

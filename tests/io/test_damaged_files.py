@@ -1,4 +1,6 @@
-"""Damaged files of other people are read or refused in words and within bounds, whatever was done to them."""
+"""Damaged files of other people are read or refused in words and within bounds,
+whatever was done to them.
+"""
 
 import contextlib
 import gzip
@@ -34,11 +36,25 @@ from tests.capture.trucks import truck, write_glb
 from tests.cloak.tiny_study import study_in
 from tests.fakes import camera
 from tests.io.format_files import valid
-from tests.io.ply_files import BODY, FACE, HEAD, LINE, LISTS, ROWS, TEXT_HEAD, encoded, listed, with_elements
+from tests.io.ply_files import (
+    BODY,
+    FACE,
+    HEAD,
+    LINE,
+    LISTS,
+    ROWS,
+    TEXT_HEAD,
+    encoded,
+    listed,
+    with_elements,
+)
 from tests.project.layers import ROOT
 
 POSE = [[1, 0, 0, 0], [0, 0, -1, -3], [0, 1, 0, 0.5], [0, 0, 0, 1]]
-FRAMES = [{"file_path": f"images/{number}.png", "transform_matrix": POSE, "k1": 0} for number in range(2)]
+FRAMES = [
+    {"file_path": f"images/{number}.png", "transform_matrix": POSE, "k1": 0}
+    for number in range(2)
+]
 TRANSFORMS = {"camera_angle_x": 0.7, "w": 64, "h": 48, "frames": FRAMES}
 PLY = {
     "a.ply": HEAD + BODY,
@@ -51,9 +67,13 @@ PACKED = ("a.compressed.ply", "a.glb", "a.sog", "a.splat", "v2.spz", "v3.spz", "
 INSIDE = {"inside_v2.spz": "v2.spz", "inside_v3.spz": "v3.spz"}
 """Files whose damage is inside of a valid gzip stream."""
 SPLATS = (*PLY, *PACKED, *INSIDE)
-SCENE = [f"stop_sign{part}" for part in (".xml", ".json", "_roadside.ply", "_stop_sign.ply")]
+SCENE = [
+    f"stop_sign{part}" for part in (".xml", ".json", "_roadside.ply", "_stop_sign.ply")
+]
 MUTANTS, SECONDS, MEMORY = 50, 10.0, 24 << 20
-"""Damaged files of each kind, the time that one may take, and the memory that one of a splat may."""
+"""Damaged files of each kind, the time that one may take, and the memory that one of a
+splat may.
+"""
 
 
 def _splat(path: Path) -> GaussianScene | None:
@@ -62,7 +82,8 @@ def _splat(path: Path) -> GaussianScene | None:
     try:
         scene = GaussianScene(*load_splat(path, on_invalid="drop").tensors())
     except SplatFileError as error:
-        assert re.match(rf"{re.escape(str(path))}.*: expected .+, got .+; .+", str(error), re.DOTALL)  # noqa: PT017
+        words = rf"{re.escape(str(path))}.*: expected .+, got .+; .+"
+        assert re.match(words, str(error), re.DOTALL)  # noqa: PT017
         assert len(str(error)) < len(str(path)) + 400  # noqa: PT017
         scene = None
     _, peak = tracemalloc.get_traced_memory()
@@ -86,7 +107,10 @@ READERS: dict[str, Callable[[Path], object]] = {
     **dict.fromkeys(("cameras.json", "transforms.json"), _camera_file),
     **dict.fromkeys(("w.safetensors", "w.pth"), _weights),
     "truck.glb": load_mesh,
-    **dict.fromkeys(("p.png", "p.jpg"), lambda path: read_picture(path, downscale=1, background=(0.0, 0.0, 0.0))),
+    **dict.fromkeys(
+        ("p.png", "p.jpg"),
+        lambda path: read_picture(path, downscale=1, background=(0.0, 0.0, 0.0)),
+    ),
     "stop_sign.xml": open_scene,
     "cloak_demo.toml": study_in,
     "transfer.toml": study_file.read_study,
@@ -103,7 +127,11 @@ def made(name: str, folder: Path) -> Path:
     elif name.endswith(".toml"):
         shutil.copy(next((ROOT / "scenes").rglob(name)), path)
     elif name in ("cameras.json", "transforms.json"):
-        path.write_text(json.dumps([describe("left", camera())] if name == "cameras.json" else TRANSFORMS))
+        path.write_text(
+            json.dumps(
+                [describe("left", camera())] if name == "cameras.json" else TRANSFORMS
+            )
+        )
     elif name.startswith("w."):
         (save_file if name.endswith(".safetensors") else torch.save)(state, path)
     elif name.startswith("p."):
@@ -122,7 +150,9 @@ WORD = re.compile(rb'-?\d[\d.eE+-]*|"[^"\n]*"|[A-Za-z_]+')
 
 
 def damaged(data: bytes, random: Random) -> bytes:
-    """A file with bytes flipped, cut, repeated or overwritten, or with a word of its first part replaced."""
+    """A file with bytes flipped, cut, repeated or overwritten, or with a word of its
+    first part replaced.
+    """
     start, other = random.randrange(len(data)), random.randrange(len(data))
     match random.randrange(5):
         case 0:
@@ -130,11 +160,19 @@ def damaged(data: bytes, random: Random) -> bytes:
         case 1:
             return data[:start] + data[other : other + 64] + data[start:]
         case 2:
-            return data[:start] + random.choice((b"\xff" * 4, b"\0" * 4, b"\0\0\0\x40")) + data[start + 4 :]
+            return (
+                data[:start]
+                + random.choice((b"\xff" * 4, b"\0" * 4, b"\0\0\0\x40"))
+                + data[start + 4 :]
+            )
         case 3 if words := list(WORD.finditer(data[:20_000])):
             word = random.choice(words)
             return data[: word.start()] + random.choice(WORDS) + data[word.end() :]
-    return data[:start] + bytes([data[start] ^ 1 << random.randrange(8)]) + data[start + 1 :]
+    return (
+        data[:start]
+        + bytes([data[start] ^ 1 << random.randrange(8)])
+        + data[start + 1 :]
+    )
 
 
 class TooSlowError(BaseException):
@@ -158,7 +196,11 @@ def limited() -> Iterator[None]:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in SPLATS else pytest.mark.nightly) for name in READERS]
+    "name",
+    [
+        pytest.param(name, marks=() if name in SPLATS else pytest.mark.nightly)
+        for name in READERS
+    ],
 )
 def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
     path = made(name, tmp_path)
@@ -168,7 +210,9 @@ def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
         warnings.simplefilter("ignore")
         for _ in range(MUTANTS):
             if name in INSIDE:
-                path.write_bytes(gzip.compress(damaged(gzip.decompress(whole), random), 1))
+                path.write_bytes(
+                    gzip.compress(damaged(gzip.decompress(whole), random), 1)
+                )
             else:
                 path.write_bytes(damaged(whole, random))
             with contextlib.suppress(MiSplatError), limited():
@@ -179,13 +223,20 @@ def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", PACKED)
 def test_truncation_at_each_length(name: str, tmp_path: Path) -> None:
     whole, path = valid(name), tmp_path / name
-    lengths = sorted({*range(0, len(whole), max(1, len(whole) // 80)), *range(min(60, len(whole))), len(whole) - 1})
+    lengths = sorted(
+        {
+            *range(0, len(whole), max(1, len(whole) // 80)),
+            *range(min(60, len(whole))),
+            len(whole) - 1,
+        }
+    )
     for length in lengths:
         path.write_bytes(whole[:length])
         scene = _splat(path)
         assert scene is None or (name == "a.splat" and 32 * len(scene) == length)
     path.write_bytes(whole + b"\0")
-    assert _splat(path) is None or name in ("a.sog", *PACKED[-3:])  # archives may have a comment, sections padding
+    # archives may have a comment, sections padding
+    assert _splat(path) is None or name in ("a.sog", *PACKED[-3:])
 
 
 DEEP, LONG = "[" * 100_000, "9" * 10_000
@@ -215,15 +266,32 @@ def put(*path: str | int, value: Any) -> Callable[[Any], Any]:
         ("cameras.json", put(0, "size", value=[1e300, 4])),
         ("cameras.json", put(0, "size", value=["LONG", 4])),
         ("cameras.json", put(0, "name", value={})),
-        ("cameras.json", lambda _: [{"rotation": "x", "position": {}, "fx": 1, "fy": 1, "width": 2, "height": 2}]),
+        (
+            "cameras.json",
+            lambda _: [
+                {
+                    "rotation": "x",
+                    "position": {},
+                    "fx": 1,
+                    "fy": 1,
+                    "width": 2,
+                    "height": 2,
+                }
+            ],
+        ),
         ("cameras.json", lambda values: {"views": [{"camera": 7}]}),
-        ("cameras.json", lambda values: {"views": [{"camera": values[0]}], "cameras": 7}),
+        (
+            "cameras.json",
+            lambda values: {"views": [{"camera": values[0]}], "cameras": 7},
+        ),
         ("cameras.json", lambda values: {"reference": []}),
         ("transforms.json", put("frames", 0, "transform_matrix", value={"a": 1})),
         ("transforms.json", put("w", value="LONG")),
     ],
 )
-def test_broken_documents_are_refused_in_words(name: str, change: Callable[[Any], Any], tmp_path: Path) -> None:
+def test_broken_documents_are_refused_in_words(
+    name: str, change: Callable[[Any], Any], tmp_path: Path
+) -> None:
     path = made(name, tmp_path)
     text = json.dumps(change(json.loads(path.read_text())))
     path.write_text(text.replace('"DEEP"', DEEP).replace('"LONG"', LONG))
@@ -233,9 +301,18 @@ def test_broken_documents_are_refused_in_words(name: str, change: Callable[[Any]
 
 @pytest.mark.parametrize("name", ["cloak_demo.toml", "transfer.toml"])
 @pytest.mark.parametrize(
-    "text", ["x = " + "[" * 5000, "x." * 2000 + "y = 1", "seeds = " + "9" * 10_000, "\xff", "a = nan"]
+    "text",
+    [
+        "x = " + "[" * 5000,
+        "x." * 2000 + "y = 1",
+        "seeds = " + "9" * 10_000,
+        "\xff",
+        "a = nan",
+    ],
 )
-def test_broken_tables_are_refused_in_words(name: str, text: str, tmp_path: Path) -> None:
+def test_broken_tables_are_refused_in_words(
+    name: str, text: str, tmp_path: Path
+) -> None:
     path = made(name, tmp_path)
     path.write_bytes(text.encode("latin-1") + b"\n" + path.read_bytes())
     with pytest.raises(MiSplatError, match=r": expected .*; \w"):

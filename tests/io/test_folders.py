@@ -1,4 +1,6 @@
-"""Folders of results: checked first, whole or not at all, never over something else; leftovers of kills are swept."""
+"""Folders of results: checked first, whole or not at all, never over something else;
+leftovers of kills are swept.
+"""
 
 import errno
 import hashlib
@@ -67,7 +69,11 @@ def test_what_fails_leaves_no_empty_folder(tmp_path: Path) -> None:
 def test_an_older_result_is_refused_or_replaced_whole(tmp_path: Path) -> None:
     out = result_in(tmp_path / "out")
     with pytest.raises(
-        SplatFileError, match=r"holds before\.png, manifest\.json, result\.json; .* or replace this result with force"
+        SplatFileError,
+        match=(
+            r"holds before\.png, manifest\.json, result\.json; .* or replace this"
+            r" result with force"
+        ),
     ):
         check_new_folder(out)
     with pytest.raises(ZeroDivisionError):
@@ -92,7 +98,10 @@ def test_the_old_result_comes_back_where_the_new_one_cannot_take_its_name(
 
     monkeypatch.setattr(os, "rename", fails)
     with (
-        pytest.raises(SplatFileError, match=r"out: expected a name that .* got broken; see .*out-2, where"),
+        pytest.raises(
+            SplatFileError,
+            match=r"out: expected a name that .* got broken; see .*out-2, where",
+        ),
         new_folder(out, force=True) as folder,
     ):
         (folder / "new").write_text("")
@@ -128,7 +137,8 @@ def replace(out, step, point):
         for name in ("result.json", "after.png"):
             (made / name).write_text("new")
         documents.exchange = counted(documents.exchange, step, point)
-        for module, name in (*((os, name) for name in ("rename", "unlink", "rmdir")), (shutil, "rmtree")):
+        functions = [(os, name) for name in ("rename", "unlink", "rmdir")]
+for module, name in [*functions, (shutil, "rmtree")]:
             setattr(module, name, counted(getattr(module, name), step, point))
 
 done = 0
@@ -141,16 +151,26 @@ for folder in Path(sys.argv[1]).iterdir():
         os._exit(0)
     (folder / "ended").write_text(str(os.waitpid(child, 0)[1]))
 """
-"""Replaces results, and is killed before or after one of the steps of that, as the folder of each says."""
+"""Replaces results, and is killed before or after one of the steps of that, as the
+folder of each says.
+"""
 
 
 @pytest.mark.parametrize("exchanges", [True, False])
-def test_a_kill_at_any_step_leaves_the_old_result_or_the_new_one(exchanges: bool, tmp_path: Path) -> None:
+def test_a_kill_at_any_step_leaves_the_old_result_or_the_new_one(
+    exchanges: bool, tmp_path: Path
+) -> None:
     whole = {"old": ["before.png", "result.json"], "new": ["after.png", "result.json"]}
-    folders = [tmp_path / f"{point} {step}" for step in range(1, 20) for point in ("before", "after")]
+    folders = [
+        tmp_path / f"{point} {step}"
+        for step in range(1, 20)
+        for point in ("before", "after")
+    ]
     for folder in folders:
         result_in(folder / "out")
-    subprocess.run([sys.executable, "-c", KILLS, str(tmp_path), str(exchanges)], check=True)
+    subprocess.run(
+        [sys.executable, "-c", KILLS, str(tmp_path), str(exchanges)], check=True
+    )
     seen = []
     for folder in folders:
         for left in folder.glob(".*.tmp"):
@@ -173,7 +193,10 @@ def test_of_two_results_for_one_name_none_is_lost(tmp_path: Path) -> None:
             (folder / "result.json").write_text(text)
             meanwhile()
 
-    with pytest.raises(SplatFileError, match=r"wrote there meanwhile; see .*out-3, where this result is"):
+    with pytest.raises(
+        SplatFileError,
+        match=r"wrote there meanwhile; see .*out-3, where this result is",
+    ):
         write("second", meanwhile=lambda: write("first", meanwhile=lambda: None))
     assert (out / "result.json").read_text() == "first"
     assert (tmp_path / "out-3" / "result.json").read_text() == "second"
@@ -250,7 +273,10 @@ def test_force_replaces_only_what_the_manifest_lists(
     out = result_in(tmp_path / "out")
     change(out)
     before = sorted(out.rglob("*"))
-    with pytest.raises(SplatFileError, match=rf"what its manifest\.json lists, got also {name}; move it elsewhere"):
+    with pytest.raises(
+        SplatFileError,
+        match=rf"what its manifest\.json lists, got also {name}; move it elsewhere",
+    ):
         check_new_folder(out, force=True)
     assert sorted(out.rglob("*")) == before
 
@@ -262,17 +288,28 @@ def test_the_working_directory_and_the_home_directory_are_never_replaced(
     result_in(tmp_path / "out")
     (tmp_path / "out" / "in").mkdir()
     monkeypatch.setenv("HOME", str(tmp_path / "out" if where == "home" else tmp_path))
-    monkeypatch.chdir(tmp_path if where == "home" else tmp_path / "out" / ("in" if where == ".." else ""))
-    with pytest.raises(SplatFileError, match=r"got (a folder above )?the (working|home) directory; pass another"):
+    monkeypatch.chdir(
+        tmp_path
+        if where == "home"
+        else tmp_path / "out" / ("in" if where == ".." else "")
+    )
+    with pytest.raises(
+        SplatFileError,
+        match=r"got (a folder above )?the (working|home) directory; pass another",
+    ):
         check_new_folder("out" if where == "home" else where, force=True)
     assert (tmp_path / "out" / "result.json").read_text() == "old"
 
 
 @pytest.mark.parametrize("below", [(), ("deeper",), ("deeper", "still")])
-def test_a_file_in_the_way_is_seen_first(below: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_file_in_the_way_is_seen_first(
+    below: tuple[str, ...], tmp_path: Path
+) -> None:
     (tmp_path / "file").write_text("")
     for check in (check_writable, check_new_folder, have):
-        with pytest.raises(SplatFileError, match="expected a folder, or a free name, got the file"):
+        with pytest.raises(
+            SplatFileError, match="expected a folder, or a free name, got the file"
+        ):
             check(tmp_path.joinpath("file", *below))
 
 
@@ -283,21 +320,33 @@ def test_an_empty_folder_and_ones_own_can_be_used(tmp_path: Path) -> None:
     have(tmp_path / "empty")
     have(tmp_path / "none" / "deeper")
     have(result_in(tmp_path / "own"), "checkpoint", "result.json")
-    assert names(tmp_path) == ["empty", "own"], "a folder that nothing was written into is not left there"
+    assert names(tmp_path) == [
+        "empty",
+        "own",
+    ], "a folder that nothing was written into is not left there"
 
 
 WRITES = {
-    "file": "with atomic_write(sys.argv[1] + '/a.bin') as file:\n    file.write(b'part'); ",
+    "file": (
+        "with atomic_write(sys.argv[1] + '/a.bin') as file:\n    file.write(b'part'); "
+    ),
     "folder": "with new_folder(sys.argv[1] + '/a') as folder:\n    ",
 }
 
 
 @pytest.mark.parametrize("what", WRITES)
-def test_leftovers_of_a_killed_program_are_swept_and_those_of_a_running_one_are_not(what: str, tmp_path: Path) -> None:
+def test_leftovers_of_a_killed_program_are_swept_and_those_of_a_running_one_are_not(
+    what: str, tmp_path: Path
+) -> None:
     imports = (
-        "import sys, time; from mi_splat.io.documents import atomic_write; from mi_splat.io.folders import new_folder\n"
+        "import sys, time; from mi_splat.io.documents import atomic_write; from"
+        " mi_splat.io.folders import new_folder\n"
     )
-    command = [sys.executable, "-c", f"{imports}{WRITES[what]}print('writing', flush=True); time.sleep(60)"]
+    command = [
+        sys.executable,
+        "-c",
+        f"{imports}{WRITES[what]}print('writing', flush=True); time.sleep(60)",
+    ]
     writer = subprocess.Popen([*command, str(tmp_path)], stdout=subprocess.PIPE)
     assert writer.stdout is not None
     assert writer.stdout.readline() == b"writing\n"
@@ -309,7 +358,9 @@ def test_leftovers_of_a_killed_program_are_swept_and_those_of_a_running_one_are_
     writer.wait()
     writer.stdout.close()
     os.utime(left)
-    assert sweep_temporary(tmp_path) == 0, "a new one may be a file that its maker has not come to lock"
+    assert sweep_temporary(tmp_path) == 0, (
+        "a new one may be a file that its maker has not come to lock"
+    )
     os.utime(left, (time.time() - 90,) * 2)
     assert sweep_temporary(tmp_path) == 1
     assert names(tmp_path) == []
@@ -322,7 +373,8 @@ def test_leftovers_of_a_killed_program_are_swept_and_those_of_a_running_one_are_
     assert link.is_symlink()
 
 
-# Every file of a result is in its manifest, and a manifest of strangers leads nowhere else
+# Every file of a result is in its manifest, and a manifest of strangers leads nowhere
+# else
 
 
 DIGEST = hashlib.sha256(b"x").hexdigest()
@@ -334,15 +386,25 @@ def test_a_folder_of_results_has_a_manifest_of_all_its_files(tmp_path: Path) -> 
         (folder / "pictures").mkdir()
         (folder / "pictures" / "één a.png").write_text("x")
     manifest = read_manifest(tmp_path / "out")
-    assert manifest.files == {"pictures/één a.png": (DIGEST, 1), "result.json": (DIGEST, 1)}
-    assert manifest.sha256 == hashlib.sha256((tmp_path / "out" / MANIFEST).read_bytes()).hexdigest()
+    assert manifest.files == {
+        "pictures/één a.png": (DIGEST, 1),
+        "result.json": (DIGEST, 1),
+    }
+    assert (
+        manifest.sha256
+        == hashlib.sha256((tmp_path / "out" / MANIFEST).read_bytes()).hexdigest()
+    )
 
 
-def test_folders_that_are_no_part_are_left_out_and_links_are_not_followed(tmp_path: Path) -> None:
+def test_folders_that_are_no_part_are_left_out_and_links_are_not_followed(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "stages").mkdir()
     (tmp_path / "stages" / "big.ply").write_text("x")
     (tmp_path / "a.txt").write_text("x")
-    assert write_manifest(tmp_path, without=("stages",)) == write_manifest(tmp_path, without=("stages",))
+    assert write_manifest(tmp_path, without=("stages",)) == write_manifest(
+        tmp_path, without=("stages",)
+    )
     assert read_manifest(tmp_path).files.keys() == {"a.txt"}
     assert read_manifest(tmp_path).without == ("stages",)
     (tmp_path / "link").symlink_to(tmp_path / "stages")
@@ -350,11 +412,25 @@ def test_folders_that_are_no_part_are_left_out_and_links_are_not_followed(tmp_pa
 
 
 @pytest.mark.parametrize(
-    "name", ["../outside", "/etc/passwd", "a/../../x", ".hidden", "C:\\x", "a/b/c/d/e/f/g", "", "a\n"]
+    "name",
+    [
+        "../outside",
+        "/etc/passwd",
+        "a/../../x",
+        ".hidden",
+        "C:\\x",
+        "a/b/c/d/e/f/g",
+        "",
+        "a\n",
+    ],
 )
 def test_names_that_lead_elsewhere_are_refused(name: str, tmp_path: Path) -> None:
-    (tmp_path / MANIFEST).write_text(json.dumps({"without": [], "files": {name: {"sha256": DIGEST, "bytes": 1}}}))
-    with pytest.raises(InvalidValueError, match="expected names of files in its folder"):
+    (tmp_path / MANIFEST).write_text(
+        json.dumps({"without": [], "files": {name: {"sha256": DIGEST, "bytes": 1}}})
+    )
+    with pytest.raises(
+        InvalidValueError, match="expected names of files in its folder"
+    ):
         read_manifest(tmp_path)
 
 
@@ -364,7 +440,13 @@ def test_names_that_lead_elsewhere_are_refused(name: str, tmp_path: Path) -> Non
         ("", "Expecting value"),
         ('{"files": [], "without": []}', "files, and folders without"),
         ('{"files": {"a": 3}, "without": []}', "sha256 and bytes of a"),
-        (f'{{"files": {{"a": {{"sha256": "{DIGEST}", "bytes": -1}}}}, "without": []}}', "sha256 and bytes of a"),
+        (
+            (
+                f'{{"files": {{"a": {{"sha256": "{DIGEST}", "bytes": -1}}}}, "without":'
+                " []}"
+            ),
+            "sha256 and bytes of a",
+        ),
     ],
 )
 def test_a_broken_manifest_is_refused(text: str, message: str, tmp_path: Path) -> None:

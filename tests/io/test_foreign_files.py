@@ -1,4 +1,6 @@
-"""Splats as other programs and web sites hand them out: read, or named for what they are."""
+"""Splats as other programs and web sites hand them out: read, or named for what they
+are.
+"""
 
 import struct
 import zipfile
@@ -17,7 +19,9 @@ from tests.io.ply_files import BODY, HEAD
 PLY = HEAD + BODY
 
 
-def _zip(path: Path, members: dict[str, bytes], packing: int = zipfile.ZIP_DEFLATED) -> Path:
+def _zip(
+    path: Path, members: dict[str, bytes], packing: int = zipfile.ZIP_DEFLATED
+) -> Path:
     with zipfile.ZipFile(path, "w", packing) as archive:
         for name, data in members.items():
             archive.writestr(name, data)
@@ -49,14 +53,21 @@ def test_the_one_splat_of_a_zip_is_read(tmp_path: Path) -> None:
     }
     read = load_splat(_zip(tmp_path / "scan.ZIP", members))
     assert torch.equal(read.means, load_splat(_plain(tmp_path)).means)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["plain.ply", "scan.ZIP"]  # nothing is unpacked
+    # nothing is unpacked
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["plain.ply", "scan.ZIP"]
 
 
 @pytest.mark.parametrize(
     ("members", "words"),
     [
-        ({"a.ply": PLY, "b/c.spz": b""}, r"got a\.ply, b/c\.spz; unpack it, and pass one of these"),
-        ({"deep.zip": b"PK", "x.jpg": b""}, r"expected a zip archive with one splat .*, got deep\.zip, x\.jpg"),
+        (
+            {"a.ply": PLY, "b/c.spz": b""},
+            r"got a\.ply, b/c\.spz; unpack it, and pass one of these",
+        ),
+        (
+            {"deep.zip": b"PK", "x.jpg": b""},
+            r"expected a zip archive with one splat .*, got deep\.zip, x\.jpg",
+        ),
         ({}, "got an empty one"),
         ({"a\x1b[31m.ply": PLY, "b.ply": PLY}, r"got a\?\[31m\.ply, b\.ply"),
         ({"a.ply": PLY[:-10]}, r"scan\.zip/a\.ply: expected \d+ bytes"),
@@ -64,7 +75,9 @@ def test_the_one_splat_of_a_zip_is_read(tmp_path: Path) -> None:
         ({f"{number}.txt": b"" for number in range(10_001)}, "at most 10000 members"),
     ],
 )
-def test_archives_without_one_splat_are_refused(members: dict[str, bytes], words: str, tmp_path: Path) -> None:
+def test_archives_without_one_splat_are_refused(
+    members: dict[str, bytes], words: str, tmp_path: Path
+) -> None:
     with pytest.raises(SplatFileError, match=words):
         load_splat(_zip(tmp_path / "scan.zip", members))
 
@@ -75,7 +88,9 @@ def test_a_zip_whose_directory_lies_about_sizes_is_refused(tmp_path: Path) -> No
     entry = data.rfind(b"PK\x01\x02")
     struct.pack_into("<I", data, entry + 24, len(PLY) // 2)
     path.write_bytes(data)
-    with pytest.raises(SplatFileError, match=r"scan\.zip/a\.ply: expected an intact member"):
+    with pytest.raises(
+        SplatFileError, match=r"scan\.zip/a\.ply: expected an intact member"
+    ):
         load_splat(path)
 
 
@@ -106,17 +121,30 @@ def test_names_of_cloudcompare_and_3dgsconverter_are_understood(tmp_path: Path) 
     plain = load_splat(_named(tmp_path / "plain.ply", splat_names(1)))
     for prefix in ("scal_", "scalar_"):
         names = [name if name in "xyz" else prefix + name for name in splat_names(1)]
-        assert torch.equal(load_splat(_named(tmp_path / f"{prefix}.ply", names)).sh, plain.sh)
+        assert torch.equal(
+            load_splat(_named(tmp_path / f"{prefix}.ply", names)).sh, plain.sh
+        )
 
 
-@pytest.mark.parametrize("more", [["t", "scale_t", "rot_r_0"], ["trbf_center", "motion_0"]])
+@pytest.mark.parametrize(
+    "more", [["t", "scale_t", "rot_r_0"], ["trbf_center", "motion_0"]]
+)
 def test_splats_that_move_warn(more: list[str], tmp_path: Path) -> None:
-    with pytest.warns(SplatFileWarning, match=rf"got one that moves \(4D: {more[0]}.*all times are drawn at once"):
+    with pytest.warns(
+        SplatFileWarning,
+        match=rf"got one that moves \(4D: {more[0]}.*all times are drawn at once",
+    ):
         load_splat(_named(tmp_path / "four_d.ply", [*splat_names(0), *more]))
 
 
 def test_what_is_no_splat_is_named_with_a_way_that_exists(tmp_path: Path) -> None:
-    anchors = [*"xyz", "f_offset_0", "f_anchor_feat_0", "opacity", *(f"scale_{i}" for i in range(6))]
+    anchors = [
+        *"xyz",
+        "f_offset_0",
+        "f_anchor_feat_0",
+        "opacity",
+        *(f"scale_{i}" for i in range(6)),
+    ]
     wanted = {
         "got the anchors of a Scaffold-GS": (anchors, b""),
         r"got a point cloud \(no .*`mi-splat train SET`": ([*"xyz"], b""),

@@ -1,4 +1,6 @@
-"""Each format keeps what the table of formats says, for any scene, and a second round trip loses nothing more."""
+"""Each format keeps what the table of formats says, for any scene, and a second round
+trip loses nothing more.
+"""
 
 import warnings
 from pathlib import Path
@@ -34,15 +36,26 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @st.composite
 def scenes(draw: st.DrawFn) -> GaussianScene:
-    """Scenes in the ranges of every format, of up to three chunks and with few or many different values."""
+    """Scenes in the ranges of every format, of up to three chunks and with few or many
+    different values.
+    """
     count, degree = draw(st.sampled_from([1, 2, 5, 300, 600])), draw(st.integers(0, 3))
-    seed, size, few = draw(st.integers(0, 99)), draw(st.sampled_from([1e-3, 1.0, 1e3])), draw(st.booleans())
+    seed, size, few = (
+        draw(st.integers(0, 99)),
+        draw(st.sampled_from([1e-3, 1.0, 1e3])),
+        draw(st.booleans()),
+    )
     scene = tame_scene(count, degree, seed=seed)
-    scene = scene.replace(means=scene.means * size, scales=scene.scales.clamp(5e-5, 300))
-    corner = draw(hnp.arrays(np.float32, (3,), elements=st.floats(-1000, 1000, width=32)))
+    scene = scene.replace(
+        means=scene.means * size, scales=scene.scales.clamp(5e-5, 300)
+    )
+    corner = draw(
+        hnp.arrays(np.float32, (3,), elements=st.floats(-1000, 1000, width=32))
+    )
     means = scene.means + torch.from_numpy(corner)
     return scene.replace(
-        means=means.round() if few else means, opacities=scene.opacities.round(decimals=1 if few else 6)
+        means=means.round() if few else means,
+        opacities=scene.opacities.round(decimals=1 if few else 6),
     )
 
 
@@ -50,7 +63,9 @@ def read_table() -> dict[str, dict[str, str]]:
     """What docs/formats.md says of each format, by its ending."""
     _, rest = (ROOT / "docs" / "formats.md").read_text().split("| ends in |")
     lines = f"| ends in |{rest}".split("\n\n")[0].splitlines()
-    titles, _, *rows = ([cell.strip(" `") for cell in line.strip("|").split("|")] for line in lines)
+    titles, _, *rows = (
+        [cell.strip(" `") for cell in line.strip("|").split("|")] for line in lines
+    )
     return {row[0]: dict(zip(titles, row, strict=True)) for row in rows}
 
 
@@ -58,12 +73,18 @@ TABLE = read_table()
 
 
 def limit(suffix: str, title: str, values: Tensor, float_step: float) -> float:
-    """The largest error of `values` that the table allows, beside the steps of float32."""
+    """The largest error of `values` that the table allows, beside the steps of
+    float32.
+    """
     cell = TABLE[suffix][title].split(", clamped")[0]
     if cell in ("exact", "none"):
         return 0.0
     size, _, unit = cell.partition(" ")
-    extent = values.double().amax(0) - values.double().amin(0) if len(values) else values.double()
+    extent = (
+        values.double().amax(0) - values.double().amin(0)
+        if len(values)
+        else values.double()
+    )
     logs = values.double().sign() * values.double().abs().log1p()
     sizes = {
         "of the extent of its chunk": float(extent.max()),
@@ -78,7 +99,9 @@ def limit(suffix: str, title: str, values: Tensor, float_step: float) -> float:
     return float(size) * sizes.get(unit, 1.0) * SLACK + float_step
 
 
-def check(scene: GaussianScene, again: GaussianScene, suffix: str, factor: float = 1.0) -> None:
+def check(
+    scene: GaussianScene, again: GaussianScene, suffix: str, factor: float = 1.0
+) -> None:
     """Raise unless two scenes with the same rows are as close as the table says."""
     step = 4e-7 * float(scene.means.abs().max())
     colours = dc_to_colour(scene.sh[:, 0])
@@ -105,7 +128,9 @@ def sorted_as(scene: GaussianScene, order: np.ndarray | None) -> GaussianScene:
 @pytest.mark.parametrize("suffix", WRITTEN)
 @hypothesis.settings(max_examples=12, deadline=None)
 @hypothesis.given(scene=scenes())
-def test_round_trips_stay_within_the_table(suffix: str, scene: GaussianScene, folder: Path) -> None:
+def test_round_trips_stay_within_the_table(
+    suffix: str, scene: GaussianScene, folder: Path
+) -> None:
     path = folder / f"a{suffix}"
     scene = sorted_as(scene, write_splat_file(scene, path).order)
     once = load_splat(path)
@@ -116,19 +141,32 @@ def test_round_trips_stay_within_the_table(suffix: str, scene: GaussianScene, fo
 
 @pytest.mark.parametrize("suffix", [".glb", ".spz", ".splat", ".sog"])
 @pytest.mark.parametrize("degree", [0, 3])
-def test_a_second_round_trip_changes_nothing(suffix: str, degree: int, tmp_path: Path) -> None:
+def test_a_second_round_trip_changes_nothing(
+    suffix: str, degree: int, tmp_path: Path
+) -> None:
     """Rounded values are rounded to themselves."""
     path = tmp_path / f"a{suffix}"
     write_splat_file(tame_scene(500, degree), path)
     once = load_splat(path)
     write_splat_file(once, path)
-    assert_close(load_splat(path), once, means=1e-6, scales=1e-6, rotations=1e-3, opacities=0, colours=1e-6, sh=1e-6)
+    assert_close(
+        load_splat(path),
+        once,
+        means=1e-6,
+        scales=1e-6,
+        rotations=1e-3,
+        opacities=0,
+        colours=1e-6,
+        sh=1e-6,
+    )
 
 
 @pytest.mark.parametrize("suffix", WRITTEN)
 @hypothesis.settings(max_examples=15, deadline=None)
 @hypothesis.given(scene=wild_scenes())
-def test_any_scene_is_saved_or_refused(suffix: str, scene: GaussianScene, folder: Path) -> None:
+def test_any_scene_is_saved_or_refused(
+    suffix: str, scene: GaussianScene, folder: Path
+) -> None:
     """Values at the ends of float32 as well: what is loaded is a valid scene."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SplatLossWarning)
@@ -154,11 +192,20 @@ def test_saving_is_deterministic(suffix: str, tmp_path: Path) -> None:
 def test_versions_of_spz(version: int, tmp_path: Path) -> None:
     scene = tame_scene(100, 3)
     write_splat_file(scene, tmp_path / "a.spz", spz_version=version)  # type: ignore[arg-type]
-    assert_close(load_splat(tmp_path / "a.spz"), scene, scales=1 / 31, rotations=13 if version == 2 else 0.3,
-                 opacities=0.002, colours=0.0037, sh=1 / 255)  # fmt: skip
+    assert_close(
+        load_splat(tmp_path / "a.spz"),
+        scene,
+        scales=1 / 31,
+        rotations=13 if version == 2 else 0.3,
+        opacities=0.002,
+        colours=0.0037,
+        sh=1 / 255,
+    )
 
 
-def test_a_palette_for_more_gaussians_than_it_has_rows(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_palette_for_more_gaussians_than_it_has_rows(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(sog, "PALETTE", 64)
     scene = tame_scene(400, 1)
     losses = write_splat_file(scene, tmp_path / "a.sog").losses
@@ -168,6 +215,8 @@ def test_a_palette_for_more_gaussians_than_it_has_rows(monkeypatch: pytest.Monke
     assert worst == pytest.approx(losses[0].largest, abs=0.01)
     assert len(torch.unique(once.sh[:, 1:], dim=0)) <= 64
     flat = scene.sh[:, 1:].std()
-    assert float((once.sh[:, 1:] - scene.sh[:, 1:]).pow(2).mean().sqrt()) < 0.85 * float(flat)
+    assert float(
+        (once.sh[:, 1:] - scene.sh[:, 1:]).pow(2).mean().sqrt()
+    ) < 0.85 * float(flat)
     repeated = scene.select(torch.arange(400) % 60)
     assert write_splat_file(repeated, tmp_path / "b.sog").losses == ()

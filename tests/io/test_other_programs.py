@@ -1,12 +1,15 @@
 """Two independent programs decode our files to the same scenes, and we theirs.
 
-gaussforge comes from PyPI with the extra `dev`. splat-transform comes from npm (tried with 2.7.1):
+gaussforge comes from PyPI with the extra `dev`. splat-transform comes from npm (tried
+with 2.7.1):
 
     npm install --prefix FOLDER @playcanvas/splat-transform@2.7.1
-    SPLAT_TRANSFORM=FOLDER/node_modules/.bin/splat-transform python -m pytest tests/io/test_other_programs.py
+    SPLAT_TRANSFORM=FOLDER/node_modules/.bin/splat-transform python -m pytest
+    tests/io/test_other_programs.py
 
-Without the variable it is looked for on the path. What is not there is skipped. Each program writes a plain PLY of what
-it has decoded; the scenes have no symmetry, so that an axis, a sign or an order that differs shows.
+Without the variable it is looked for on the path. What is not there is skipped. Each
+program writes a plain PLY of what it has decoded; the scenes have no symmetry, so that
+an axis, a sign or an order that differs shows.
 """
 
 import importlib
@@ -63,11 +66,18 @@ def by_forge(path: Path, folder: Path) -> GaussianScene:
     assert "error" not in converted, converted
     (folder / "decoded.ply").write_bytes(converted["data"])
     scene = load_splat(folder / "decoded.ply")
-    # It leaves the axes of SPZ (y up) as they are, where splat-transform and we turn to those of the PLY (y down).
-    return as_scene(axes.flipped(arrays_of(scene), axes.X)) if path.suffix == ".spz" else scene
+    # It leaves the axes of SPZ (y up) as they are, where splat-transform and we turn to
+    # those of the PLY (y down).
+    return (
+        as_scene(axes.flipped(arrays_of(scene), axes.X))
+        if path.suffix == ".spz"
+        else scene
+    )
 
 
-def decoded_alike(path: Path, folder: Path, decode: Decode, **tolerances: float) -> GaussianScene:
+def decoded_alike(
+    path: Path, folder: Path, decode: Decode, **tolerances: float
+) -> GaussianScene:
     """What we decode, after a check that another program decodes the same."""
     ours = load_splat(path)
     assert_close(ours, decode(path, folder), **tolerances)
@@ -80,7 +90,9 @@ WRITTEN: list[tuple[str, Literal[2, 3, 4]]] = [
     ("spz", 4),
 ]
 SLACK = {"splat": {"rotations": 0.95}}
-"""They read bytes of a quaternion as b / 127.5 - 1, the viewer that the format comes from as (b - 128) / 128."""
+"""They read bytes of a quaternion as b / 127.5 - 1, the viewer that the format comes
+from as (b - 128) / 128.
+"""
 
 
 @pytest.mark.parametrize("degree", [0, 3])
@@ -95,8 +107,13 @@ def test_they_read_what_we_write(
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-@pytest.mark.parametrize("words", [["a.compressed.ply"], ["a.sog"], ["--spz-version", "3", "a.spz"], ["a.spz"]])
-def test_we_read_what_splat_transform_writes(words: list[str], degree: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "words",
+    [["a.compressed.ply"], ["a.sog"], ["--spz-version", "3", "a.spz"], ["a.spz"]],
+)
+def test_we_read_what_splat_transform_writes(
+    words: list[str], degree: int, tmp_path: Path
+) -> None:
     save_splat(tame_scene(300, degree), tmp_path / "in.ply")
     *options, name = words
     transform(*options, tmp_path / "in.ply", tmp_path / name)
@@ -106,7 +123,9 @@ def test_we_read_what_splat_transform_writes(words: list[str], degree: int, tmp_
 @pytest.mark.parametrize("degree", [0, 3])
 @pytest.mark.parametrize("decode", [by_transform, by_forge])
 @pytest.mark.parametrize("suffix", ["compressed.ply", "splat", "sog", "spz"])
-def test_we_read_what_gaussforge_writes(suffix: str, decode: Decode, degree: int, tmp_path: Path) -> None:
+def test_we_read_what_gaussforge_writes(
+    suffix: str, decode: Decode, degree: int, tmp_path: Path
+) -> None:
     save_splat(tame_scene(300, degree), tmp_path / "in.ply")
     written = forge().convert((tmp_path / "in.ply").read_bytes(), "ply", suffix)
     assert "error" not in written, written
@@ -117,7 +136,9 @@ def test_we_read_what_gaussforge_writes(suffix: str, decode: Decode, degree: int
 
 @pytest.mark.parametrize("degree", [0, 3])
 def test_gltf_of_splat_transform(degree: int, tmp_path: Path) -> None:
-    """It writes glTF and does not read it: its file and ours have to load as the scene from which they were made."""
+    """It writes glTF and does not read it: its file and ours have to load as the scene
+    from which they were made.
+    """
     scene = tame_scene(300, degree)
     save_splat(scene, tmp_path / "in.ply")
     transform(tmp_path / "in.ply", tmp_path / "theirs.glb")
@@ -128,11 +149,17 @@ def test_gltf_of_splat_transform(degree: int, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", ["compressed.ply", "sog", "spz"])
 @pytest.mark.parametrize("decode", [by_transform, by_forge])
-def test_converting_what_was_turned_is_turning_what_was_converted(decode: Decode, suffix: str, tmp_path: Path) -> None:
-    """Under a rotation, all values change, SH of all bands too; what the other program decodes turns with us."""
+def test_converting_what_was_turned_is_turning_what_was_converted(
+    decode: Decode, suffix: str, tmp_path: Path
+) -> None:
+    """Under a rotation, all values change, SH of all bands too; what the other program
+    decodes turns with us.
+    """
     scene = tame_scene(200, 3)
     scene = scene.replace(sh=torch.cat([scene.sh[:, :1], scene.sh[:, 1:] * 0.3], dim=1))
-    move = Similarity(rotation=TURN, translation=torch.tensor([0.1, 2.0, -1.0]), scale=0.7)
+    move = Similarity(
+        rotation=TURN, translation=torch.tensor([0.1, 2.0, -1.0]), scale=0.7
+    )
     order = {}
     for name, source in (("plain", scene), ("turned", scene.transform(move))):
         path = tmp_path / f"{name}.{suffix}"
@@ -142,8 +169,16 @@ def test_converting_what_was_turned_is_turning_what_was_converted(decode: Decode
             decoded = decoded.select(torch.from_numpy(order[name]).argsort())
         if name == "plain":
             before = decoded
-    assert_close(before.transform(move), decoded, means=0.01, scales=0.08, rotations=2.5, opacities=0.003,
-                 colours=0.02, sh=0.07)  # fmt: skip
+    assert_close(
+        before.transform(move),
+        decoded,
+        means=0.01,
+        scales=0.08,
+        rotations=2.5,
+        opacities=0.003,
+        colours=0.02,
+        sh=0.07,
+    )
 
 
 def test_trimesh_draws_our_gltf_as_points(tmp_path: Path) -> None:
@@ -154,4 +189,6 @@ def test_trimesh_draws_our_gltf_as_points(tmp_path: Path) -> None:
         warnings.simplefilter("ignore", DeprecationWarning)
         (cloud,) = trimesh.load(tmp_path / "a.glb").geometry.values()
     expected = scene.means * torch.tensor([-1.0, -1.0, 1.0])
-    torch.testing.assert_close(torch.from_numpy(cloud.vertices.copy()).float(), expected)
+    torch.testing.assert_close(
+        torch.from_numpy(cloud.vertices.copy()).float(), expected
+    )

@@ -1,4 +1,6 @@
-"""JSON and TOML within bounds: a value, or an error that names the file, the place in it and what to do."""
+"""JSON and TOML within bounds: a value, or an error that names the file, the place in
+it and what to do.
+"""
 
 import io
 import json
@@ -21,10 +23,19 @@ READER = DocumentReader(expected="a record", do="write it again", most=100_000)
 BROKEN_JSON = {
     "a list": (b"[1]", "a record, got a list"),
     "NaN": (b'{"a": [0, NaN]}', "a/1: expected a finite number, got nan"),
-    "65 bits": (b'{"a": 9223372036854775808}', "a: expected a whole number of 64 bits, got a larger one"),
-    "many digits": (b'{"a": ' + b"9" * 10_000 + b"}", "a whole number of 10,000 characters"),
+    "65 bits": (
+        b'{"a": 9223372036854775808}',
+        "a: expected a whole number of 64 bits, got a larger one",
+    ),
+    "many digits": (
+        b'{"a": ' + b"9" * 10_000 + b"}",
+        "a whole number of 10,000 characters",
+    ),
     "twice": (b'{"a": {"b": 1, "c": 2, "b": 1}}', "the key 'b' twice"),
-    "deep": (b'{"a": ' + b"[" * 100 + b"]" * 100 + b"}", "expected at most 64 levels, got more"),
+    "deep": (
+        b'{"a": ' + b"[" * 100 + b"]" * 100 + b"}",
+        "expected at most 64 levels, got more",
+    ),
     "Latin-1": (b'{"a": "\xe9"}', "a record, got 'utf-8' codec"),
     "a NUL": (b'{"a": "x\\u0000y"}', "a: expected Unicode without NUL"),
     "half a pair": (b'{"a": ["\\ud800"]}', "a/0: expected Unicode without NUL"),
@@ -45,7 +56,16 @@ def test_broken_json_is_refused_in_words(name: str, tmp_path: Path) -> None:
     assert len(message) < 400
 
 
-@pytest.mark.parametrize("text", ["a = nan", "a = [1, -inf]", f"a = {'9' * 10_000}", "a = 0x8000000000000000", "a = "])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a = nan",
+        "a = [1, -inf]",
+        f"a = {'9' * 10_000}",
+        "a = 0x8000000000000000",
+        "a = ",
+    ],
+)
 def test_broken_toml_is_refused(text: str, tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(text)
     with pytest.raises(InvalidValueError, match=r"study\.toml.*; write it again"):
@@ -56,23 +76,36 @@ def test_what_is_within_the_bounds_is_read(tmp_path: Path) -> None:
     deep: object = 1
     for _ in range(MOST_DEPTH - 1):
         deep = [deep]
-    values = {"a": deep, "b": [-(2**63), 2**63 - 1, 1.5, True, None], "ü": "\U0001f600 \\u0000", "c": {"b": 1}}
+    values = {
+        "a": deep,
+        "b": [-(2**63), 2**63 - 1, 1.5, True, None],
+        "ü": "\U0001f600 \\u0000",
+        "c": {"b": 1},
+    }
     for text in (json.dumps(values), json.dumps(values, ensure_ascii=False)):
         for mark in ("utf-8", "utf-8-sig"):
             (tmp_path / "a.json").write_text(text, mark)
             assert read_json(tmp_path / "a.json") == values
     assert DocumentReader().json_value(b"[1, [2]]", "x") == [1, [2]]
     (tmp_path / "a.toml").write_text("a = 1\n[b]\nc = [1.5]\n", "utf-8-sig")
-    assert DocumentReader().read_toml(tmp_path / "a.toml") == {"a": 1, "b": {"c": [1.5]}}
+    assert DocumentReader().read_toml(tmp_path / "a.toml") == {
+        "a": 1,
+        "b": {"c": [1.5]},
+    }
 
 
 def test_a_git_lfs_pointer_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("version https://git-lfs.github.com/spec/v1\n")
-    with pytest.raises(InvalidValueError, match="a Git LFS pointer in place of the file; run `git lfs pull`"):
+    with pytest.raises(
+        InvalidValueError,
+        match="a Git LFS pointer in place of the file; run `git lfs pull`",
+    ):
         READER.read_json(tmp_path / "a.json")
 
 
-def test_files_that_cannot_be_read_raise_the_error_of_their_reader(tmp_path: Path) -> None:
+def test_files_that_cannot_be_read_raise_the_error_of_their_reader(
+    tmp_path: Path,
+) -> None:
     class OwnError(MiSplatError):
         pass
 
@@ -81,7 +114,11 @@ def test_files_that_cannot_be_read_raise_the_error_of_their_reader(tmp_path: Pat
             DocumentReader(error=OwnError, do="write it again").read_json(path)
 
 
-FIELDS = Fields({"n": 1, "m": [[1, 2], [3, 4.5]], "w": [3, 0], "t": [1, True], "s": "x"}, "f.json", InvalidValueError)
+FIELDS = Fields(
+    {"n": 1, "m": [[1, 2], [3, 4.5]], "w": [3, 0], "t": [1, True], "s": "x"},
+    "f.json",
+    InvalidValueError,
+)
 
 
 def test_fields_of_the_right_kind() -> None:
@@ -112,7 +149,8 @@ def test_fields_of_another_kind_are_refused(read: object) -> None:
         read()  # type: ignore[operator]
 
 
-# Arrays of unknown origin: nothing is allocated, unpacked or run that the size of the file does not bear
+# Arrays of unknown origin: nothing is allocated, unpacked or run that the size of the
+# file does not bear
 
 
 def saved(values: Any) -> bytes:
@@ -135,22 +173,41 @@ def header(text: str, version: bytes = b"\1\0") -> bytes:
 
 
 REFUSED: dict[str, tuple[Callable[[], bytes], str]] = {
-    "huge": (lambda: header("{'descr': '|b1', 'fortran_order': False, 'shape': (10000000000000,), }\n"), "asks for"),
-    "negative": (lambda: header("{'descr': '|b1', 'fortran_order': False, 'shape': (-1, -5), }\n") + bytes(5), "bytes"),
+    "huge": (
+        lambda: header(
+            "{'descr': '|b1', 'fortran_order': False, 'shape': (10000000000000,), }\n"
+        ),
+        "asks for",
+    ),
+    "negative": (
+        lambda: (
+            header("{'descr': '|b1', 'fortran_order': False, 'shape': (-1, -5), }\n")
+            + bytes(5)
+        ),
+        "bytes",
+    ),
     "deep": (lambda: header("(" * 5000), "npy"),
     "words": (lambda: header("__import__('os').system('touch ran')"), "npy"),
-    "a shape that is none": (lambda: header("{'descr': '|b1', 'fortran_order': False, 'shape': 'a', }\n"), "shape"),
+    "a shape that is none": (
+        lambda: header("{'descr': '|b1', 'fortran_order': False, 'shape': 'a', }\n"),
+        "shape",
+    ),
     "a long header": (lambda: b"\x93NUMPY\2\0" + b"\xff" * 4 + b" " * 20_000, "npy"),
     "objects": (lambda: saved(np.array([{}, None])), "pickled objects"),
     "an archive": (packed, "npy"),
-    "cut off": (lambda: saved(np.arange(100))[:-1], "927 bytes where the header asks for 928"),
+    "cut off": (
+        lambda: saved(np.arange(100))[:-1],
+        "927 bytes where the header asks for 928",
+    ),
     "something behind": (lambda: saved(np.arange(100)) + b"1", "929 bytes"),
     "empty": (lambda: b"", "npy"),
 }
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_is_no_array_is_refused(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_no_array_is_refused(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     make, says = REFUSED[name]
     path = tmp_path / "mask.npy"
@@ -171,7 +228,12 @@ def test_pipes_and_missing_files_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "values",
-    [np.arange(12).reshape(3, 4), np.asfortranarray(np.arange(12.0).reshape(3, 4)), np.zeros(0, bool), np.array(3)],
+    [
+        np.arange(12).reshape(3, 4),
+        np.asfortranarray(np.arange(12.0).reshape(3, 4)),
+        np.zeros(0, bool),
+        np.array(3),
+    ],
 )
 def test_arrays_come_back(values: np.ndarray[Any, Any], tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", values)

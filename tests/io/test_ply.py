@@ -1,4 +1,6 @@
-"""Splats as PLY in every form that programs write: the same scene, or one error with what was expected and to do."""
+"""Splats as PLY in every form that programs write: the same scene, or one error with
+what was expected and to do.
+"""
 
 import os
 import socket
@@ -48,35 +50,66 @@ def more_properties(index: int) -> np.ndarray:
 
 
 CAMERA = b"element camera 2\nproperty float focal\nproperty uchar kind\n"
-FACES = b"element face 3\nproperty uchar flags\nproperty list uchar int vertex_indices\nproperty float area\n"
+FACES = (
+    b"element face 3\nproperty uchar flags\nproperty list uchar int"
+    b" vertex_indices\nproperty float area\n"
+)
 FACE_DATA = b"".join(bytes([7, n]) + bytes(4 * n) + bytes(4) for n in (3, 0, 4))
-COMMENTS = "comment Größe \u2713\nobj_info end_header or not\n".encode() + b"comment \xff\xfe latin\ncomment\n"
+COMMENTS = (
+    "comment Größe \u2713\nobj_info end_header or not\n".encode()
+    + b"comment \xff\xfe latin\ncomment\n"
+)
 SAME = {
     "no normals": ply_bytes(reordered(ROWS, NEEDED)),
     "normals not finite": ply_bytes(NOT_FINITE),
-    **{f"doubles {names[0]} {order}": encoded(widened(ROWS, names, order), encoding)
-       for order, encoding in (("<", ENCODINGS[1]), (">", ENCODINGS[2]))
-       for names in (splat_names(1), ["z"], ["f_rest_4"], ["rot_2", "opacity"])},
-    **{f"{encoding} with more properties at {index}": encoded(more_properties(index), encoding)
-       for encoding in ENCODINGS[:2] for index in (0, 3, 24)},
+    **{
+        f"doubles {names[0]} {order}": encoded(widened(ROWS, names, order), encoding)
+        for order, encoding in (("<", ENCODINGS[1]), (">", ENCODINGS[2]))
+        for names in (splat_names(1), ["z"], ["f_rest_4"], ["rot_2", "opacity"])
+    },
+    **{
+        f"{encoding} with more properties at {index}": encoded(
+            more_properties(index), encoding
+        )
+        for encoding in ENCODINGS[:2]
+        for index in (0, 3, 24)
+    },
     **{f"{encoding} with lists": listed(encoding) for encoding in ENCODINGS},
     "fixed before": with_elements(b"", b"", CAMERA, bytes(10)),
     "fixed after": with_elements(CAMERA, bytes(10)),
     "lists before": with_elements(b"", b"", FACES, FACE_DATA),
     "lists after": with_elements(FACES, FACE_DATA),
     "both": with_elements(FACES, FACE_DATA, CAMERA, bytes(10)),
-    "empty": with_elements(b"", b"", b"element nothing 0\nproperty list int int indices\n"),
-    "elements in text": ply_header(ROWS, "ascii").replace(b"element vertex", FACES + b"element vertex").replace(
-        b"end_header", CAMERA + b"end_header") + b"7 3 0 1 2 1.5\n0 0 1\n0 1 5 2\n" + text(ROWS) + b"1 1\n2 2\n\n",
+    "empty": with_elements(
+        b"", b"", b"element nothing 0\nproperty list int int indices\n"
+    ),
+    "elements in text": (
+        ply_header(ROWS, "ascii")
+        .replace(b"element vertex", FACES + b"element vertex")
+        .replace(b"end_header", CAMERA + b"end_header")
+        + b"7 3 0 1 2 1.5\n0 0 1\n0 1 5 2\n"
+        + text(ROWS)
+        + b"1 1\n2 2\n\n"
+    ),
     "CRLF header": HEAD.replace(b"\n", b"\r\n") + BODY,
     "CR header": HEAD.replace(b"\n", b"\r") + BODY,
     "CRLF text": encoded(ROWS, "ascii").replace(b"\n", b"\r\n"),
-    "blank lines, tabs, no last newline": TEXT_HEAD + text(ROWS).replace(b" ", b"\t ").replace(b"\n", b"\n\n").rstrip(),
-    **{f"comments before {line.decode()}": HEAD.replace(line, COMMENTS + line, 1) + BODY
-       for line in (b"format", b"element", b"property float x\n", b"end_header")},
-    "sized kinds and blanks": HEAD.replace(b"property float", b"property  float32").replace(b"header\n", b"header \n")
-    + BODY,
-}  # fmt: skip
+    "blank lines, tabs, no last newline": (
+        TEXT_HEAD + text(ROWS).replace(b" ", b"\t ").replace(b"\n", b"\n\n").rstrip()
+    ),
+    **{
+        f"comments before {line.decode()}": (
+            HEAD.replace(line, COMMENTS + line, 1) + BODY
+        )
+        for line in (b"format", b"element", b"property float x\n", b"end_header")
+    },
+    "sized kinds and blanks": (
+        HEAD.replace(b"property float", b"property  float32").replace(
+            b"header\n", b"header \n"
+        )
+        + BODY
+    ),
+}
 
 
 def load(data: bytes, folder: Path) -> GaussianScene:
@@ -95,23 +128,39 @@ def test_other_forms_are_the_same_scene(form: str, plain: str, tmp_path: Path) -
     assert scene_hash(load(SAME[form], tmp_path)) == plain
 
 
-@hypothesis.settings(suppress_health_check=[hypothesis.HealthCheck.function_scoped_fixture], max_examples=10)
-@hypothesis.given(names=st.permutations(splat_names(1)), encoding=st.sampled_from(ENCODINGS))
-def test_properties_in_any_order(names: list[str], encoding: str, plain: str, tmp_path: Path) -> None:
-    assert scene_hash(load(encoded(reordered(ROWS, names), encoding), tmp_path)) == plain
+@hypothesis.settings(
+    suppress_health_check=[hypothesis.HealthCheck.function_scoped_fixture],
+    max_examples=10,
+)
+@hypothesis.given(
+    names=st.permutations(splat_names(1)), encoding=st.sampled_from(ENCODINGS)
+)
+def test_properties_in_any_order(
+    names: list[str], encoding: str, plain: str, tmp_path: Path
+) -> None:
+    assert (
+        scene_hash(load(encoded(reordered(ROWS, names), encoding), tmp_path)) == plain
+    )
 
 
 def test_doubles_keep_their_precision_through_the_activation(tmp_path: Path) -> None:
     rows = widened(ROWS, splat_names(1))
     rows["scale_0"] = -7 + 1e-8 * np.arange(len(rows))
-    np.testing.assert_allclose(load(ply_bytes(rows), tmp_path).scales[:, 0], np.exp(rows["scale_0"]), 6e-8)
+    np.testing.assert_allclose(
+        load(ply_bytes(rows), tmp_path).scales[:, 0], np.exp(rows["scale_0"]), 6e-8
+    )
 
 
 def test_binary_data_may_begin_with_a_newline(tmp_path: Path) -> None:
     rows = splat_rows(2)
     rows["x"][0] = np.frombuffer(b"\n\n\r\n", "<f4")[0]
     for newline in (b"\n", b"\r\n"):
-        assert load(ply_header(rows).replace(b"\n", newline) + rows.tobytes(), tmp_path).means[0, 0] == rows["x"][0]
+        assert (
+            load(
+                ply_header(rows).replace(b"\n", newline) + rows.tobytes(), tmp_path
+            ).means[0, 0]
+            == rows["x"][0]
+        )
 
 
 @pytest.mark.parametrize("degree", [0, 3])
@@ -125,8 +174,12 @@ def test_empty_splats(degree: int, encoding: str, tmp_path: Path) -> None:
 
 
 def test_a_splat_of_2dgs_is_read_as_flat_gaussians(tmp_path: Path) -> None:
-    flat = ply_bytes(reordered(ROWS, [name for name in splat_names(1) if name != "scale_2"]))
-    with pytest.warns(SplatFileWarning, match="expected three scales, got two .a 2DGS splat."):
+    flat = ply_bytes(
+        reordered(ROWS, [name for name in splat_names(1) if name != "scale_2"])
+    )
+    with pytest.warns(
+        SplatFileWarning, match="expected three scales, got two .a 2DGS splat."
+    ):
         scene = load(flat, tmp_path)
     torch.testing.assert_close(scene.scales[:, 2], scene.scales[:, :2].amin(1) * 1e-3)
 
@@ -141,10 +194,16 @@ def test_the_fourth_degree_is_left_out_with_a_warning(tmp_path: Path) -> None:
 
 
 def test_colours_of_nerfstudio_are_read(tmp_path: Path) -> None:
-    kinds = [(name, "<f4") for name in NEEDED if "f_" not in name] + [(name, "u1") for name in ("red", "green", "blue")]
+    kinds = [(name, "<f4") for name in NEEDED if "f_" not in name] + [
+        (name, "u1") for name in ("red", "green", "blue")
+    ]
     rows = np.zeros(2, kinds)
     rows["rot_0"], rows["red"], rows["blue"] = 1, [0, 255], [51, 51]
-    np.testing.assert_allclose(load(ply_bytes(rows), tmp_path).sh[:, 0, 0] * 0.28209479 + 0.5, [0, 1], atol=1e-6)
+    np.testing.assert_allclose(
+        load(ply_bytes(rows), tmp_path).sh[:, 0, 0] * 0.28209479 + 0.5,
+        [0, 1],
+        atol=1e-6,
+    )
 
 
 def test_the_filter_of_mip_splatting_is_applied(tmp_path: Path) -> None:
@@ -153,10 +212,14 @@ def test_the_filter_of_mip_splatting_is_applied(tmp_path: Path) -> None:
     with pytest.warns(SplatFileWarning, match="trained with antialiasing"):
         scene = load(ply_bytes(rows), tmp_path)
     squares = plain.scales.double() ** 2
-    wider = squares + torch.from_numpy(rows["filter_3D"].astype(np.float64))[:, None] ** 2
+    wider = (
+        squares + torch.from_numpy(rows["filter_3D"].astype(np.float64))[:, None] ** 2
+    )
     torch.testing.assert_close(scene.scales.double(), wider.sqrt(), rtol=1e-6, atol=0)
     kept = (squares.prod(1) / wider.prod(1)).sqrt()
-    torch.testing.assert_close(scene.opacities.double(), plain.opacities * kept, rtol=1e-5, atol=0)
+    torch.testing.assert_close(
+        scene.opacities.double(), plain.opacities * kept, rtol=1e-5, atol=0
+    )
 
 
 def test_infinite_logits_and_scales_of_zero_are_read(tmp_path: Path) -> None:
@@ -169,7 +232,9 @@ def test_infinite_logits_and_scales_of_zero_are_read(tmp_path: Path) -> None:
     plain = load(ply_bytes(splat_rows(5, 1)), tmp_path)
     scene = load(ply_bytes(rows), tmp_path)
     assert scene.opacities[:2].tolist() == [1.0, 0.0]
-    assert float(scene.scales[2, 1]) == pytest.approx(1e-3 * float(scene.scales[2, [0, 2]].min()), rel=1e-5)
+    assert float(scene.scales[2, 1]) == pytest.approx(
+        1e-3 * float(scene.scales[2, [0, 2]].min()), rel=1e-5
+    )
     assert scene.scales[3].tolist() == pytest.approx([1e-9] * 3)
     assert torch.equal(scene.scales[4], plain.scales[4])
     assert lint_file(tmp_path / "a.ply").findings[0].rule == "infinite"
@@ -186,21 +251,31 @@ def test_infinite_logits_and_scales_of_zero_are_read(tmp_path: Path) -> None:
         ({"opacity": np.nan}, "the opacity is nan"),
         ({"scale_2": np.nan}, "a scale is nan"),
         ({"rot_1": np.nan}, "the quaternion is zero or not finite"),
-        ({"rot_0": 0, "rot_1": 0, "rot_2": 0, "rot_3": 0}, "the quaternion is zero or not finite"),
+        (
+            {"rot_0": 0, "rot_1": 0, "rot_2": 0, "rot_3": 0},
+            "the quaternion is zero or not finite",
+        ),
         ({"scale_1": 100.0}, "a scale is inf"),
         ({"scale_1": -200.0}, "a scale is 0"),
         ({"z": -2e9}, r"a coordinate of the mean is -2e\+09"),
         ({"f_rest_8": 1e30}, r"an SH coefficient is 1e\+30"),
     ],
 )
-def test_invalid_gaussians_are_refused_or_dropped(change: dict[str, float], words: str, tmp_path: Path) -> None:
+def test_invalid_gaussians_are_refused_or_dropped(
+    change: dict[str, float], words: str, tmp_path: Path
+) -> None:
     rows = splat_rows(10, 1)
     for name, value in change.items():
         rows[name][[3, 7]] = value
-    message = rf"valid Gaussians, got 2 of 10 that are not \(rows 3, 7; in the first, {words}\)"
+    message = (
+        r"valid Gaussians, got 2 of 10 that are not \(rows 3, 7; in the first,"
+        rf" {words}\)"
+    )
     with pytest.raises(SplatFileError, match=message + "; repair it, or drop them"):
         load(ply_bytes(rows), tmp_path)
-    with pytest.warns(SplatFileWarning, match=message + "; they were left out") as caught:
+    with pytest.warns(
+        SplatFileWarning, match=message + "; they were left out"
+    ) as caught:
         scene = load_splat(tmp_path / "a.ply", on_invalid="drop")
     assert caught[0].filename == __file__
     np.testing.assert_array_equal(scene.means[:, 0], np.delete(rows["x"], [3, 7]))
@@ -210,20 +285,32 @@ def test_invalid_gaussians_are_refused_or_dropped(change: dict[str, float], word
 def test_all_gaussians_may_be_dropped(tmp_path: Path) -> None:
     rows = splat_rows(9)
     rows["x"] = np.nan
-    with pytest.raises(SplatFileError, match=r"9 of 9 that are not \(rows 0, 1, 2, 3, 4, \.\.\.; in the first"):
+    with pytest.raises(
+        SplatFileError,
+        match=r"9 of 9 that are not \(rows 0, 1, 2, 3, 4, \.\.\.; in the first",
+    ):
         load(ply_bytes(rows), tmp_path)
     with pytest.warns(SplatFileWarning, match="9 of 9"):
         assert len(load_splat(tmp_path / "a.ply", on_invalid="drop")) == 0
-    with pytest.raises(InvalidValueError, match="on_invalid: expected 'raise' or 'drop', got 'ignore'"):
+    with pytest.raises(
+        InvalidValueError, match="on_invalid: expected 'raise' or 'drop', got 'ignore'"
+    ):
         load_splat(tmp_path / "a.ply", on_invalid="ignore")  # type: ignore[arg-type]
 
 
-def test_paths_that_lead_to_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(SplatFileError, match="got No such file or directory; check the path"):
+def test_paths_that_lead_to_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(
+        SplatFileError, match="got No such file or directory; check the path"
+    ):
         load_splat(tmp_path / "none.ply")
-    with pytest.raises(SplatFileError, match="got Is a directory; name a file inside the folder"):
+    with pytest.raises(
+        SplatFileError, match="got Is a directory; name a file inside the folder"
+    ):
         load_splat(tmp_path)
-    for name in ("attacked.ply", "splat.ply", "file"):  # the first two are what an attack and a training write
+    # the first two are what an attack and a training write
+    for name in ("attacked.ply", "splat.ply", "file"):
         (tmp_path / name).write_bytes(HEAD + BODY)
         assert len(load_splat(tmp_path)) == len(load_splat(tmp_path / "attacked.ply"))
     with pytest.raises(SplatFileError, match="got Not a directory"):
@@ -235,7 +322,9 @@ def test_paths_that_lead_to_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(os, "open", refuse)  # root may read everything
-    with pytest.raises(SplatFileError, match="got Permission denied; change its permissions"):
+    with pytest.raises(
+        SplatFileError, match="got Permission denied; change its permissions"
+    ):
         load_splat(tmp_path / "splat.ply")
 
 
@@ -252,7 +341,9 @@ def test_pipes_devices_and_sockets_are_refused_without_waiting(tmp_path: Path) -
 
 
 class TestWithoutPlyfile:
-    """The package is under the GPL: who leaves it out keeps everything but text and rows with lists."""
+    """The package is under the GPL: who leaves it out keeps everything but text and
+    rows with lists.
+    """
 
     @pytest.fixture(autouse=True)
     def _remove(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -267,12 +358,18 @@ class TestWithoutPlyfile:
         assert len(load(with_elements(FACES, FACE_DATA), tmp_path)) == len(ROWS)
 
     @pytest.mark.parametrize(
-        ("data", "what"), [(encoded(ROWS, "ascii"), "text"), (listed(ENCODINGS[1]), "rows with lists")]
+        ("data", "what"),
+        [(encoded(ROWS, "ascii"), "text"), (listed(ENCODINGS[1]), "rows with lists")],
     )
-    def test_text_and_lists_say_what_to_install(self, data: bytes, what: str, tmp_path: Path) -> None:
+    def test_text_and_lists_say_what_to_install(
+        self, data: bytes, what: str, tmp_path: Path
+    ) -> None:
         (tmp_path / "a.ply").write_bytes(data)
         for read in (load_splat, load_points):
-            with pytest.raises(SplatFileError, match=f"plyfile, to read {what}, got none; pip install plyfile"):
+            with pytest.raises(
+                SplatFileError,
+                match=f"plyfile, to read {what}, got none; pip install plyfile",
+            ):
                 read(tmp_path / "a.ply")
 
 
@@ -282,28 +379,51 @@ class TestWithoutPlyfile:
 def test_points_of_text_may_write_integers_with_a_point(tmp_path: Path) -> None:
     head = b"ply\nformat ascii 1.0\nelement vertex 2\n"
     head += b"".join(b"property float %c\n" % axis for axis in b"xyz")
-    head += b"".join(b"property uchar %s\n" % name for name in (b"red", b"green", b"blue"))
-    (tmp_path / "a.ply").write_bytes(head + b"end_header\n1 2 3 255.0 0 51\n4 5 6 0 0.0 0\n")
+    head += b"".join(
+        b"property uchar %s\n" % name for name in (b"red", b"green", b"blue")
+    )
+    (tmp_path / "a.ply").write_bytes(
+        head + b"end_header\n1 2 3 255.0 0 51\n4 5 6 0 0.0 0\n"
+    )
     cloud = load_points(tmp_path / "a.ply")
     torch.testing.assert_close(cloud.points, torch.tensor([[1.0, 2, 3], [4, 5, 6]]))
     torch.testing.assert_close(cloud.colours, torch.tensor([[1.0, 0, 0.2], [0, 0, 0]]))
 
 
-@pytest.mark.parametrize(("kind", "dtype"), [("uchar", "<u1"), ("uint8", "<u1"), ("ushort", "<u2"), ("uint16", "<u2")])
+@pytest.mark.parametrize(
+    ("kind", "dtype"),
+    [("uchar", "<u1"), ("uint8", "<u1"), ("ushort", "<u2"), ("uint16", "<u2")],
+)
 def test_colours_of_every_unsigned_kind(kind: str, dtype: str, tmp_path: Path) -> None:
     head = "ply\nformat binary_little_endian 1.0\nelement vertex 1\n"
     head += "".join(f"property float {axis}\n" for axis in "xyz")
-    head += "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue")) + "end_header\n"
+    head += (
+        "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue"))
+        + "end_header\n"
+    )
     full = np.iinfo(dtype).max
     data = np.zeros(3, "<f4").tobytes() + np.array([full, 0, full], dtype).tobytes()
     (tmp_path / "a.ply").write_bytes(head.encode() + data)
-    torch.testing.assert_close(load_points(tmp_path / "a.ply").colours, torch.tensor([[1.0, 0.0, 1.0]]))
+    torch.testing.assert_close(
+        load_points(tmp_path / "a.ply").colours, torch.tensor([[1.0, 0.0, 1.0]])
+    )
 
 
 def test_a_text_file_of_gigabytes_is_not_read_whole(tmp_path: Path) -> None:
     path = tmp_path / "huge.ply"
-    columns = [*(f"float {axis}" for axis in "xyz"), *(f"uchar {name}" for name in ("red", "green", "blue"))]
-    head = "\n".join(["ply", "format ascii 1.0", "element vertex 1", *(f"property {c}" for c in columns), ""]).encode()
+    columns = [
+        *(f"float {axis}" for axis in "xyz"),
+        *(f"uchar {name}" for name in ("red", "green", "blue")),
+    ]
+    head = "\n".join(
+        [
+            "ply",
+            "format ascii 1.0",
+            "element vertex 1",
+            *(f"property {c}" for c in columns),
+            "",
+        ]
+    ).encode()
     path.write_bytes(head + b"end_header\n0 0 0 1 1 1\n")
     with path.open("r+b") as file:
         file.truncate(1 << 36)  # sparse: it takes no disk

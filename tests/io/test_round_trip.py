@@ -1,4 +1,6 @@
-"""Splat files there and back: nothing lost, nothing drifting, and other programs read the same."""
+"""Splat files there and back: nothing lost, nothing drifting, and other programs read
+the same.
+"""
 
 import math
 from pathlib import Path
@@ -23,10 +25,14 @@ from tests.gaussians import columns, ply_bytes, random_scene, splat_rows
 MOST = float(np.float32(0.9 * LARGEST))  # a little inside, since formats round
 FINITE = st.floats(-MOST, MOST, width=32)
 POSITIVE = st.floats(0, MOST, exclude_min=True, width=32)
-UNIT = st.one_of(st.floats(0, 1, width=32), st.sampled_from([0.0, 1.0, 1 - 2.0**-24, 2.0**-149]))
+UNIT = st.one_of(
+    st.floats(0, 1, width=32), st.sampled_from([0.0, 1.0, 1 - 2.0**-24, 2.0**-149])
+)
 
 
-def table(draw: st.DrawFn, shape: tuple[int, ...], elements: st.SearchStrategy[float]) -> Tensor:
+def table(
+    draw: st.DrawFn, shape: tuple[int, ...], elements: st.SearchStrategy[float]
+) -> Tensor:
     return torch.from_numpy(draw(hnp.arrays(np.float32, shape, elements=elements)))
 
 
@@ -60,8 +66,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @hypothesis.given(scene=scenes())
 @hypothesis.example(scene=random_scene(0))
-@hypothesis.example(scene=random_scene(3).replace(opacities=torch.tensor([0.0, 1.0, 1 - 2.0**-24])))
-@hypothesis.example(scene=random_scene(1).replace(scales=torch.tensor([[MOST, 1e-45, 1.0]])))
+@hypothesis.example(
+    scene=random_scene(3).replace(opacities=torch.tensor([0.0, 1.0, 1 - 2.0**-24]))
+)
+@hypothesis.example(
+    scene=random_scene(1).replace(scales=torch.tensor([[MOST, 1e-45, 1.0]]))
+)
 def test_round_trips(scene: GaussianScene, folder: Path) -> None:
     first, second = folder / "first.ply", folder / "second.ply"
     save_splat(scene, first)
@@ -98,9 +108,19 @@ def test_plyfile_reads_what_we_save(degree: int, tmp_path: Path) -> None:
     save_splat(scene, tmp_path / "a.ply")
     rows = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"].data
     np.testing.assert_array_equal(columns(rows, "x", "y", "z"), scene.means.double())
-    np.testing.assert_array_equal(columns(rows, "rot_0", "rot_1", "rot_2", "rot_3"), scene.rotations.double())
-    np.testing.assert_allclose(np.exp(columns(rows, "scale_0", "scale_1", "scale_2")), scene.scales.double(), 1e-6)
-    np.testing.assert_allclose(1 / (1 + np.exp(-columns(rows, "opacity")[:, 0])), scene.opacities.double(), 1e-6)
+    np.testing.assert_array_equal(
+        columns(rows, "rot_0", "rot_1", "rot_2", "rot_3"), scene.rotations.double()
+    )
+    np.testing.assert_allclose(
+        np.exp(columns(rows, "scale_0", "scale_1", "scale_2")),
+        scene.scales.double(),
+        1e-6,
+    )
+    np.testing.assert_allclose(
+        1 / (1 + np.exp(-columns(rows, "opacity")[:, 0])),
+        scene.opacities.double(),
+        1e-6,
+    )
     assert not columns(rows, "nx", "ny", "nz").any()
     bands = scene.sh.shape[1]
     for channel in range(3):
@@ -113,15 +133,23 @@ def test_plyfile_reads_what_we_save(degree: int, tmp_path: Path) -> None:
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("text", [False, True])
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_we_read_what_plyfile_writes(degree: int, text: bool, order: str, tmp_path: Path) -> None:
+def test_we_read_what_plyfile_writes(
+    degree: int, text: bool, order: str, tmp_path: Path
+) -> None:
     rows = splat_rows(20, degree)
-    element = plyfile.PlyElement.describe(rows.astype(rows.dtype.newbyteorder("=")), "vertex")
+    element = plyfile.PlyElement.describe(
+        rows.astype(rows.dtype.newbyteorder("=")), "vertex"
+    )
     plyfile.PlyData([element], text=text, byte_order=order).write(tmp_path / "a.ply")
     (tmp_path / "b.ply").write_bytes(ply_bytes(rows))
-    assert scene_hash(load_splat(tmp_path / "a.ply")) == scene_hash(load_splat(tmp_path / "b.ply"))
+    assert scene_hash(load_splat(tmp_path / "a.ply")) == scene_hash(
+        load_splat(tmp_path / "b.ply")
+    )
 
 
-def test_quaternions_of_any_length_and_sign_are_the_same_rotation(tmp_path: Path) -> None:
+def test_quaternions_of_any_length_and_sign_are_the_same_rotation(
+    tmp_path: Path,
+) -> None:
     rows = splat_rows(50)
     hashes = set()
     for factor in (1.0, 64.0, 2.0**-60):
@@ -166,35 +194,57 @@ def test_both_directions_are_differentiable() -> None:
 
     assert torch.autograd.gradcheck(there, leaves)
     values = [value.detach().clone() for value in there(*leaves)]
-    values[2] *= torch.tensor([[0.5], [2.0], [3.0]])  # away from unit length, where the bits are kept
+    # away from unit length, where the bits are kept
+    values[2] *= torch.tensor([[0.5], [2.0], [3.0]])
     assert torch.autograd.gradcheck(back, [value.requires_grad_() for value in values])
 
 
 def test_gradients_at_the_ends_are_zero_not_nan() -> None:
     opacities = torch.tensor([0.0, 1.0, 0.5], requires_grad=True)
     scene = random_scene(3).replace(opacities=opacities)
-    (gradient,) = torch.autograd.grad(to_raw_parameters(scene)["opacities"].sum(), opacities)
+    (gradient,) = torch.autograd.grad(
+        to_raw_parameters(scene)["opacities"].sum(), opacities
+    )
     torch.testing.assert_close(gradient, torch.tensor([0.0, 0.0, 4.0]))
 
 
-@pytest.mark.parametrize(("log_scale", "got"), [(89.0, "inf"), (-120.0, "0"), (math.nan, "nan")])
+@pytest.mark.parametrize(
+    ("log_scale", "got"), [(89.0, "inf"), (-120.0, "0"), (math.nan, "nan")]
+)
 def test_log_scales_out_of_range_are_refused(log_scale: float, got: str) -> None:
     values = to_raw_parameters(random_scene(2))
     values["scales"] = torch.full((2, 3), log_scale)
     with pytest.raises(
-        InvalidValueError, match=rf"^scales: expected finite values > 0 up to 1e\+09, got {got} in row 0"
+        InvalidValueError,
+        match=rf"^scales: expected finite values > 0 up to 1e\+09, got {got} in row 0",
     ):
         from_raw_parameters(values)
 
 
 def test_a_file_is_read_to_the_bit_as_torch_would(tmp_path: Path) -> None:
     count, generator = 2000, torch.Generator().manual_seed(0)
-    widths = {"means": (3,), "scales": (3,), "rotations": (4,), "opacities": (), "sh": (1, 3)}
-    values = {name: 3 * torch.randn(count, *width, generator=generator) for name, width in widths.items()}
+    widths = {
+        "means": (3,),
+        "scales": (3,),
+        "rotations": (4,),
+        "opacities": (),
+        "sh": (1, 3),
+    }
+    values = {
+        name: 3 * torch.randn(count, *width, generator=generator)
+        for name, width in widths.items()
+    }
     values["opacities"][:6] = torch.tensor([-104.0, -30.0, -1e-8, 0.0, 17.5, 88.0])
-    values["rotations"][:2] = torch.tensor([[1.0, 0.0, 0.0, 0.0], [0.5, -0.5, 0.5, 0.5000001]])
+    values["rotations"][:2] = torch.tensor(
+        [[1.0, 0.0, 0.0, 0.0], [0.5, -0.5, 0.5, 0.5000001]]
+    )
     rows = splat_rows(count)
-    names = {"means": "xyz", "scales": "scale_012", "rotations": "rot_0123", "opacities": ""}
+    names = {
+        "means": "xyz",
+        "scales": "scale_012",
+        "rotations": "rot_0123",
+        "opacities": "",
+    }
     for attribute, digits in names.items():
         stem, _, ends = digits.rpartition("_")
         for column, end in enumerate(ends):

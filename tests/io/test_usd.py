@@ -1,4 +1,6 @@
-"""OpenUSD: exact there and back, files by hand as the schema says, transforms, and files that mean harm."""
+"""OpenUSD: exact there and back, files by hand as the schema says, transforms, and
+files that mean harm.
+"""
 
 import json
 import struct
@@ -26,8 +28,9 @@ TWO = """
     quatf[] orientations = [(0.5, 0.5, 0.5, 0.5), (1, 0, 0, 0)]
     float[] opacities = [0.5, 0.25]
     uniform int radiance:sphericalHarmonicsDegree = 1
-    float3[] radiance:sphericalHarmonicsCoefficients = [(1, 2, 3), (0.5, 0, 0), (0, 0.25, 0), (0, 0, 0.125),
-        (0, 0, 0), (0, 0, 0), (1, 1, 1), (0, 0, 0)]
+    float3[] radiance:sphericalHarmonicsCoefficients = [
+        (1, 2, 3), (0.5, 0, 0), (0, 0.25, 0), (0, 0, 0.125), (0, 0, 0),
+        (0, 0, 0), (1, 1, 1), (0, 0, 0)]
 """
 
 
@@ -62,7 +65,10 @@ def test_the_written_stage_is_one_that_other_programs_take(tmp_path: Path) -> No
     scene = random_scene(9, 2)
     save_splat(scene, tmp_path / "a.usdz")
     stage = Usd.Stage.Open(str(tmp_path / "a.usdz"))
-    assert (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) == ("Y", 1)
+    assert (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) == (
+        "Y",
+        1,
+    )
     prim = stage.GetDefaultPrim()
     assert prim.GetTypeName() == "ParticleField3DGaussianSplat"
     low, high = prim.GetAttribute("extent").Get()
@@ -71,32 +77,59 @@ def test_the_written_stage_is_one_that_other_programs_take(tmp_path: Path) -> No
 
 
 def test_a_file_by_hand_has_the_expected_numbers(tmp_path: Path) -> None:
-    """y points down in the scene: half a turn about z; so x and y of SH, the second and the fourth, change signs."""
+    """y points down in the scene: half a turn about z; so x and y of SH, the second and
+    the fourth, change signs.
+    """
     scene = loaded(tmp_path, usda(splat()))
     assert scene.means.tolist() == [[-1, -2, 3], [-4, -5, 6]]
     assert scene.scales.tolist() == [[0.5, 1, 2], [1, 1, 1]]
     assert scene.rotations.tolist() == [[0.5, -0.5, -0.5, 0.5], [1, 0, 0, 0]]
     assert scene.opacities.tolist() == [0.5, 0.25]
-    assert scene.sh[0].tolist() == [[1, 2, 3], [-0.5, 0, 0], [0, 0.25, 0], [0, 0, -0.125]]
+    assert scene.sh[0].tolist() == [
+        [1, 2, 3],
+        [-0.5, 0, 0],
+        [0, 0.25, 0],
+        [0, 0, -0.125],
+    ]
     assert scene.sh[1, 2].tolist() == [1, 1, 1]
 
 
 def test_halves_and_what_is_not_said(tmp_path: Path) -> None:
-    """Floats come before halves; what is missing is as the schema says. Other shapes are told of."""
-    values = "point3f[] positions = [(1, 2, 3)]\npoint3h[] positionsh = [(0, 0, 0)]\nhalf3[] scalesh = [(0.5, 0.25, 1)]"
+    """Floats come before halves; what is missing is as the schema says.
+
+    Other shapes are told of.
+    """
+    values = (
+        "point3f[] positions = [(1, 2, 3)]\npoint3h[] positionsh = [(0, 0, 0)]\nhalf3[]"
+        " scalesh = [(0.5, 0.25, 1)]"
+    )
     hidden = splat(TWO + 'token visibility = "invisible"', "Hidden")
-    (tmp_path / "a.usd").write_text(usda(splat(values), hidden, 'def Mesh "Chair" {\n}'))
-    with pytest.warns(SplatFileWarning, match="visible splats only, got 2 other prims; they were left out") as caught:
+    (tmp_path / "a.usd").write_text(
+        usda(splat(values), hidden, 'def Mesh "Chair" {\n}')
+    )
+    with pytest.warns(
+        SplatFileWarning,
+        match="visible splats only, got 2 other prims; they were left out",
+    ) as caught:
         scene = load_splat(tmp_path / "a.usd")
     assert caught[0].filename == __file__
-    assert (scene.means.tolist(), scene.scales.tolist()) == ([[-1, -2, 3]], [[0.5, 0.25, 1]])
+    assert (scene.means.tolist(), scene.scales.tolist()) == (
+        [[-1, -2, 3]],
+        [[0.5, 0.25, 1]],
+    )
     assert (scene.rotations.tolist(), scene.opacities.tolist()) == ([[1, 0, 0, 0]], [1])
     assert scene.sh.tolist() == [[[0, 0, 0]]]
 
 
 def test_transforms_up_and_units_place_a_splat(tmp_path: Path) -> None:
-    """(1, 2, 3) is doubled, turned by 90 degrees about z, moved, then y is made to point up, in metres."""
-    doubled = splat(TWO + "float3 xformOp:scale = (2, 2, 2)\n" + 'uniform token[] xformOpOrder = ["xformOp:scale"]')
+    """(1, 2, 3) is doubled, turned by 90 degrees about z, moved, then y is made to
+    point up, in metres.
+    """
+    doubled = splat(
+        TWO
+        + "float3 xformOp:scale = (2, 2, 2)\n"
+        + 'uniform token[] xformOpOrder = ["xformOp:scale"]'
+    )
     moved = f"""def Xform "Above" {{
         double3 xformOp:translate = (0, 0, 100)
         float xformOp:rotateZ = 90
@@ -107,31 +140,81 @@ def test_transforms_up_and_units_place_a_splat(tmp_path: Path) -> None:
     scene = loaded(tmp_path, usda(moved, splat(name="Second"), head=head))
     torch.testing.assert_close(scene.means[0], torch.tensor([0.04, -1.06, -0.02]))
     plain = loaded(tmp_path, usda(splat()))
-    turn = torch.tensor([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # of (-x, -y, z) into (y, -z, -x)
-    assert_close(scene.select(torch.arange(2)), plain.transform(Similarity(turn, torch.tensor([0.0, -1, 0]), 0.02)))
+    # of (-x, -y, z) into (y, -z, -x)
+    turn = torch.tensor([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+    assert_close(
+        scene.select(torch.arange(2)),
+        plain.transform(Similarity(turn, torch.tensor([0.0, -1, 0]), 0.02)),
+    )
     upright = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-    assert_close(scene.select(torch.arange(2, 4)), plain.transform(Similarity(upright, torch.zeros(3), 0.01)))
+    assert_close(
+        scene.select(torch.arange(2, 4)),
+        plain.transform(Similarity(upright, torch.zeros(3), 0.01)),
+    )
 
 
 HOSTILE = {
-    "passwd": (usda(splat(about="(references = @/etc/passwd@</x>)")), "references of /Splat"),
-    "sublayer": (usda(splat(), head="subLayers = [@/etc/passwd@]"), "sublayer /etc/passwd"),
+    "passwd": (
+        usda(splat(about="(references = @/etc/passwd@</x>)")),
+        "references of /Splat",
+    ),
+    "sublayer": (
+        usda(splat(), head="subLayers = [@/etc/passwd@]"),
+        "sublayer /etc/passwd",
+    ),
     "payload": (
-        usda('def "A" (variantSets = "v") {\nvariantSet "v" = {\n"a" {\ndef "B" (payload = @x.usd@) {\n}\n}\n}\n}'),
+        usda(
+            'def "A" (variantSets = "v") {\nvariantSet "v" = {\n"a" {\ndef "B" (payload'
+            " = @x.usd@) {\n}\n}\n}\n}"
+        ),
         "variantSetNames of /A|payload of",
     ),
-    "payload alone": (usda(splat(), 'def "B" (payload = @x.usd@) {\n}'), "payload of /B"),
-    "copies": (usda(splat(), 'def "B" (inherits = </Splat>) {\n}'), "inheritPaths of /B"),
-    "clips": (usda('def "B" (clips = {dictionary a = {asset[] assetPaths = [@a.usd@]}}) {\n}'), "clips of /B"),
-    "high_degree": (usda(splat(TWO.replace("Degree = 1", "Degree = 2000000000"))), "an SH degree of 0 to 4"),
-    "kind": (usda(splat(TWO.replace("float[] opacities = [0.5, 0.25]", 'string opacities = "x"'))), "FloatArray"),
-    "nan": (usda(splat(TWO.replace("(1, 2, 3), (4", "(nan, 2, 3), (4"))), "a coordinate of the mean is nan"),
+    "payload alone": (
+        usda(splat(), 'def "B" (payload = @x.usd@) {\n}'),
+        "payload of /B",
+    ),
+    "copies": (
+        usda(splat(), 'def "B" (inherits = </Splat>) {\n}'),
+        "inheritPaths of /B",
+    ),
+    "clips": (
+        usda(
+            'def "B" (clips = {dictionary a = {asset[] assetPaths = [@a.usd@]}}) {\n}'
+        ),
+        "clips of /B",
+    ),
+    "high_degree": (
+        usda(splat(TWO.replace("Degree = 1", "Degree = 2000000000"))),
+        "an SH degree of 0 to 4",
+    ),
+    "kind": (
+        usda(
+            splat(
+                TWO.replace("float[] opacities = [0.5, 0.25]", 'string opacities = "x"')
+            )
+        ),
+        "FloatArray",
+    ),
+    "nan": (
+        usda(splat(TWO.replace("(1, 2, 3), (4", "(nan, 2, 3), (4"))),
+        "a coordinate of the mean is nan",
+    ),
     "motion": (
-        usda(splat("float[] opacities.timeSamples = {0: [1], 1: [0]}\npoint3f[] positions = [(0, 0, 0)]")),
+        usda(
+            splat(
+                "float[] opacities.timeSamples = {0: [1], 1: [0]}\npoint3f[] positions"
+                " = [(0, 0, 0)]"
+            )
+        ),
         "stands still, got opacities of /Splat",
     ),
     "shear": (
-        usda(splat(TWO + 'float3 xformOp:scale = (1, 2, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]')),
+        usda(
+            splat(
+                TWO + "float3 xformOp:scale = (1, 2, 1)\nuniform token[] xformOpOrder ="
+                ' ["xformOp:scale"]'
+            )
+        ),
         "uniform scale",
     ),
     "none": (usda('def Mesh "Chair" {\n}'), "got none, but 1 other prims"),
@@ -146,10 +229,14 @@ def test_what_is_refused(name: str, tmp_path: Path) -> None:
     assert len(str(caught.value)) < len(str(tmp_path)) + 500
 
 
-def test_a_crash_of_the_process_that_reads_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_crash_of_the_process_that_reads_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """usd-core writes its stack trace into the folder of temporary files."""
     child = tmp_path / "crashing.py"
-    child.write_text("import os, tempfile\ntempfile.mkstemp(prefix='st_python')\nos.abort()\n")
+    child.write_text(
+        "import os, tempfile\ntempfile.mkstemp(prefix='st_python')\nos.abort()\n"
+    )
     monkeypatch.setattr(usd_child, "__file__", str(child))
     folder = tmp_path / "temporary"
     folder.mkdir()
@@ -170,7 +257,9 @@ def test_the_process_that_reads_has_little_memory() -> None:
         "except MemoryError:\n"
         "    print('refused')\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     assert done.stdout == "refused\n"
 
 
@@ -182,7 +271,9 @@ def test_claims_of_binary_files_do_not_fill_the_memory(tmp_path: Path) -> None:
     save_splat(scene, tmp_path / "a.usdc")
     data = (tmp_path / "a.usdc").read_bytes()
     count = data.index(struct.pack("<Qf", 77, -float(scene.means[0, 0])))
-    (tmp_path / "a.usdc").write_bytes(data[:count] + struct.pack("<Q", 10**12) + data[count + 8 :])
+    (tmp_path / "a.usdc").write_bytes(
+        data[:count] + struct.pack("<Q", 10**12) + data[count + 8 :]
+    )
     with pytest.raises(SplatFileError, match="an OpenUSD file that is intact"):
         load_splat(tmp_path / "a.usdc")
     layer = Sdf.Layer.CreateAnonymous(".usdc")
@@ -191,12 +282,16 @@ def test_claims_of_binary_files_do_not_fill_the_memory(tmp_path: Path) -> None:
         prim = stage.DefinePrim(f"/S{number}", "ParticleField3DGaussianSplat")
         prim.GetAttribute("positions").Set(Vt.Vec3fArray(10_000))
     layer.Export(str(tmp_path / "b.usdc"))
-    with pytest.raises(SplatFileError, match="Gaussians, got 10000: this may be a decompression bomb"):
+    with pytest.raises(
+        SplatFileError, match="Gaussians, got 10000: this may be a decompression bomb"
+    ):
         load_splat(tmp_path / "b.usdc")
 
 
 def test_the_process_that_reads_has_limits(tmp_path: Path) -> None:
-    """Of memory, time and files, by the size of the file and the Gaussians that it may hold."""
+    """Of memory, time and files, by the size of the file and the Gaussians that it may
+    hold.
+    """
     code = """
 import json, resource
 from mi_splat.io.formats import usd_child
@@ -204,7 +299,9 @@ usd_child._limit(1 << 20, 1000)
 names = ("RLIMIT_AS", "RLIMIT_CPU", "RLIMIT_FSIZE", "RLIMIT_CORE")
 print(json.dumps([resource.getrlimit(getattr(resource, name))[0] for name in names]))
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     memory, seconds, file, core = json.loads(done.stdout)
     if sys.platform == "linux":
         assert memory == (2 << 30) + 32 * (1 << 20)
@@ -212,11 +309,19 @@ print(json.dumps([resource.getrlimit(getattr(resource, name))[0] for name in nam
     assert 4 * 86 * 1000 < file < 1 << 23
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends a process with the one that started it")
-def test_the_process_that_reads_ends_with_the_one_that_started_it(tmp_path: Path) -> None:
+@pytest.mark.skipif(
+    sys.platform != "linux",
+    reason="only Linux ends a process with the one that started it",
+)
+def test_the_process_that_reads_ends_with_the_one_that_started_it(
+    tmp_path: Path,
+) -> None:
     many = "".join(f'def Xform "a{number}" {{}}\n' for number in range(600_000))
     (tmp_path / "a.usda").write_text(f"#usda 1.0\n{many}")
-    code = f"from mi_splat.io.splat_files import load_stored; load_stored({str(tmp_path / 'a.usda')!r})"
+    code = (
+        "from mi_splat.io.splat_files import load_stored;"
+        f" load_stored({str(tmp_path / 'a.usda')!r})"
+    )
     reader = subprocess.Popen([sys.executable, "-c", code])
     children = Path(f"/proc/{reader.pid}/task/{reader.pid}/children")
     until(lambda: bool(children.read_text().split()))
@@ -226,7 +331,11 @@ def test_the_process_that_reads_ends_with_the_one_that_started_it(tmp_path: Path
     reader.kill()
     reader.wait()
     until(
-        lambda: not Path(f"/proc/{child}").exists() or "\nState:\tZ" in Path(f"/proc/{child}/status").read_text(), 5.0
+        lambda: (
+            not Path(f"/proc/{child}").exists()
+            or "\nState:\tZ" in Path(f"/proc/{child}/status").read_text()
+        ),
+        5.0,
     )
 
 

@@ -1,4 +1,6 @@
-"""A driver as a process of its own: `python -m tests.ledger.drive STORE JOBS WORKERS SECONDS` does a plan of walks."""
+"""A driver as a process of its own:
+`python -m tests.ledger.drive STORE JOBS WORKERS SECONDS` does a plan of walks.
+"""
 
 import sys
 from pathlib import Path
@@ -20,31 +22,66 @@ class Ledger:
 
     def do(self, job: Job) -> Done:
         engine = InProcess(self.store.folder, on_event=self._on_event)
-        done = Driver(self.store.folder, engine, on_event=self._on_event).run([grid({"job": job})])["job"]
+        done = Driver(self.store.folder, engine, on_event=self._on_event).run(
+            [grid({"job": job})]
+        )["job"]
         assert isinstance(done, Done), done
         return done
 
 
-def walk(start: int, *, steps: int = 3, seconds: float = 0.0, trouble: str = "", **inputs: Job) -> Job:
-    return Job(kind=WALK, config=WalkConfig(start=start, steps=steps, seconds=seconds, trouble=trouble), inputs=inputs)
+def walk(
+    start: int,
+    *,
+    steps: int = 3,
+    seconds: float = 0.0,
+    trouble: str = "",
+    **inputs: Job,
+) -> Job:
+    return Job(
+        kind=WALK,
+        config=WalkConfig(start=start, steps=steps, seconds=seconds, trouble=trouble),
+        inputs=inputs,
+    )
 
 
 def two_levels(count: int, *, steps: int = 4, seconds: float = 0.02) -> Plan:
-    """Walks, then walks that read two of them, and then one whose start is what another has found."""
+    """Walks, then walks that read two of them, and then one whose start is what another
+    has found.
+    """
     first = [walk(number, steps=steps, seconds=seconds) for number in range(count)]
     second = {
-        f"second-{n}": walk(n, steps=steps, seconds=seconds, one=first[n], other=first[n - 1])
+        f"second-{n}": walk(
+            n, steps=steps, seconds=seconds, one=first[n], other=first[n - 1]
+        )
         for n in range(count // 2)
     }
-    results = yield second | {f"first-{number}": job for number, job in enumerate(first)}
-    ends = [result.rows[0]["end"] for result in (results or {}).values() if isinstance(result, Done)]
+    results = yield second | {
+        f"first-{number}": job for number, job in enumerate(first)
+    }
+    ends = [
+        result.rows[0]["end"]
+        for result in (results or {}).values()
+        if isinstance(result, Done)
+    ]
     yield {"last": walk(sum(ends), steps=steps)}
 
 
 def main(store: Path, count: int, workers: int, seconds: float) -> int:
-    results = Driver(store, Processes(store, workers=workers), name="walks").run([two_levels(count, seconds=seconds)])
+    results = Driver(store, Processes(store, workers=workers), name="walks").run(
+        [two_levels(count, seconds=seconds)]
+    )
     return sum(isinstance(result, str) for result in results.values())
 
 
 if __name__ == "__main__":
-    sys.exit(min(100, main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4]))))
+    sys.exit(
+        min(
+            100,
+            main(
+                Path(sys.argv[1]),
+                int(sys.argv[2]),
+                int(sys.argv[3]),
+                float(sys.argv[4]),
+            ),
+        )
+    )

@@ -1,4 +1,6 @@
-"""Plans and what runs them: order, failures, limits, two drivers, plans that go on with results."""
+"""Plans and what runs them: order, failures, limits, two drivers, plans that go on with
+results.
+"""
 
 import contextlib
 import errno
@@ -22,7 +24,17 @@ from mi_splat.io.errors import SplatFileError
 from mi_splat.ledger import Done, Event, Job, Store
 from mi_splat.ledger.engines import Child, InProcess, Processes, free_cache, keep_to
 from mi_splat.ledger.job import EngineError, OnEvent, Outcome, Task
-from mi_splat.ledger.plans import Driver, Entry, Plan, Result, forecast, grid, plan, planned, status
+from mi_splat.ledger.plans import (
+    Driver,
+    Entry,
+    Plan,
+    Result,
+    forecast,
+    grid,
+    plan,
+    planned,
+    status,
+)
 from mi_splat.ledger.running import task_for
 from mi_splat.process_group import Limits
 from tests.ledger.drive import Ledger, two_levels, walk
@@ -30,7 +42,11 @@ from tests.project.layers import ROOT
 
 
 def run(
-    folder: Path, jobs: dict[str, Job], limits: Limits | None = None, *, events: list[Event] | None = None
+    folder: Path,
+    jobs: dict[str, Job],
+    limits: Limits | None = None,
+    *,
+    events: list[Event] | None = None,
 ) -> dict[str, Result]:
     told = [] if events is None else events
     engine = Processes(folder, workers=2, limits=limits, on_event=told.append)
@@ -41,7 +57,9 @@ def states(folder: Path, jobs: dict[str, Job]) -> Counter[str]:
     return Counter(entry.state for entry in status(Store(folder), jobs))
 
 
-def test_one_poisoned_of_20_fails_alone_after_three_tries_with_its_signal_named(tmp_path: Path) -> None:
+def test_one_poisoned_of_20_fails_alone_after_three_tries_with_its_signal_named(
+    tmp_path: Path,
+) -> None:
     jobs = {str(number): walk(number, steps=1) for number in range(19)}
     jobs["poisoned"] = walk(0, trouble="kill")
     jobs["after"] = walk(1, before=jobs["poisoned"])
@@ -54,9 +72,13 @@ def test_one_poisoned_of_20_fails_alone_after_three_tries_with_its_signal_named(
         f"try {number}: ended by SIGSEGV" for number in (1, 2, 3)
     ]
     assert states(tmp_path, jobs) == {"done": 19, "failed": 1, "waiting": 1}
-    (key,) = (entry.key for entry in status(Store(tmp_path), jobs) if entry.state == "failed")
+    (key,) = (
+        entry.key for entry in status(Store(tmp_path), jobs) if entry.state == "failed"
+    )
     events.clear()
-    assert run(tmp_path, {"poisoned": jobs["poisoned"]}, events=events) == {"poisoned": "ended by SIGSEGV"}
+    assert run(tmp_path, {"poisoned": jobs["poisoned"]}, events=events) == {
+        "poisoned": "ended by SIGSEGV"
+    }
     assert events == []  # it is not tried again until somebody says so
     assert Store(tmp_path).forgive(key)
     run(tmp_path, {"poisoned": jobs["poisoned"]}, events=events)
@@ -71,7 +93,9 @@ def test_one_poisoned_of_20_fails_alone_after_three_tries_with_its_signal_named(
         ("", Limits(seconds=0.3), r"ran longer than 0.3 s"),
     ],
 )
-def test_a_failure_says_why(trouble: str, limits: Limits, why: str, tmp_path: Path) -> None:
+def test_a_failure_says_why(
+    trouble: str, limits: Limits, why: str, tmp_path: Path
+) -> None:
     slow = walk(0, steps=1, seconds=2.0, trouble=trouble)
     Store(tmp_path).folder.mkdir(exist_ok=True)
     for _ in range(2):  # two tries of the three were made before
@@ -97,7 +121,9 @@ def test_a_plan_goes_on_with_results(tmp_path: Path) -> None:
             assert isinstance(result, Done)
             low, high = (low, middle) if middle >= 11 else (middle, high)
 
-    results = Driver(tmp_path, InProcess(tmp_path), name="plan").run([halved(), grid({}), grid({"one": walk(99)})])
+    results = Driver(tmp_path, InProcess(tmp_path), name="plan").run(
+        [halved(), grid({}), grid({"one": walk(99)})]
+    )
     assert asked == [8, 12, 10, 11]
     assert set(results) == {"one", "at 8", "at 12", "at 10", "at 11"}
     assert planned(Store(tmp_path), "plan") == Store(tmp_path).keys()
@@ -106,10 +132,14 @@ def test_a_plan_goes_on_with_results(tmp_path: Path) -> None:
 
 def test_what_a_job_raises_in_this_process_ends_the_plan(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no way"):
-        Driver(tmp_path, InProcess(tmp_path)).run([grid({"bad": walk(0, trouble="raise")})])
+        Driver(tmp_path, InProcess(tmp_path)).run(
+            [grid({"bad": walk(0, trouble="raise")})]
+        )
 
 
-def test_an_interrupt_in_this_process_ends_the_plan_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_interrupt_in_this_process_ends_the_plan_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     events: list[str] = []
 
     def tell(event: Event) -> None:
@@ -117,13 +147,21 @@ def test_an_interrupt_in_this_process_ends_the_plan_at_once(tmp_path: Path, caps
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        Driver(tmp_path, InProcess(tmp_path, on_event=tell)).run([grid({str(n): walk(n) for n in range(3)})])
+        Driver(tmp_path, InProcess(tmp_path, on_event=tell)).run(
+            [grid({str(n): walk(n) for n in range(3)})]
+        )
     assert events == ["running"]
     assert capsys.readouterr().err == ""
 
 
-def test_a_child_that_is_stopped_keeps_what_it_has_and_counts_no_try(tmp_path: Path) -> None:
-    task, child, events = _task(tmp_path, walk(0, steps=9, seconds=0.4)), Child(tmp_path), list[Event]()
+def test_a_child_that_is_stopped_keeps_what_it_has_and_counts_no_try(
+    tmp_path: Path,
+) -> None:
+    task, child, events = (
+        _task(tmp_path, walk(0, steps=9, seconds=0.4)),
+        Child(tmp_path),
+        list[Event](),
+    )
 
     def stop(event: Event) -> None:
         events.append(event)
@@ -132,7 +170,9 @@ def test_a_child_that_is_stopped_keeps_what_it_has_and_counts_no_try(tmp_path: P
 
     assert child.run(task, stop).state == "stopped"
     child.close()
-    assert sorted(path.name for path in (tmp_path / "partial" / task.key).iterdir()) == ["interrupted", "kept"]
+    assert sorted(
+        path.name for path in (tmp_path / "partial" / task.key).iterdir()
+    ) == ["interrupted", "kept"]
     assert not Store(tmp_path).failures(task.key)
     assert not Store(tmp_path).is_held(task.key)
 
@@ -152,7 +192,15 @@ def test_a_plan_is_looked_at_before_it_is_run(tmp_path: Path) -> None:
 
 
 def test_two_drivers_run_no_job_twice(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "tests.ledger.drive", str(tmp_path), "12", "1", "0.01"]
+    command = [
+        sys.executable,
+        "-m",
+        "tests.ledger.drive",
+        str(tmp_path),
+        "12",
+        "1",
+        "0.01",
+    ]
     drivers = [subprocess.Popen(command, cwd=ROOT) for _ in range(2)]
     assert [driver.wait(300) for driver in drivers] == [0, 0]
     assert len(Store(tmp_path).keys()) == 12 + 6 + 1
@@ -162,7 +210,10 @@ def test_two_drivers_run_no_job_twice(tmp_path: Path) -> None:
 
 
 def test_a_child_ends_with_its_driver(tmp_path: Path) -> None:
-    driver = subprocess.Popen([sys.executable, "-m", "tests.ledger.drive", str(tmp_path), "2", "2", "60"], cwd=ROOT)
+    driver = subprocess.Popen(
+        [sys.executable, "-m", "tests.ledger.drive", str(tmp_path), "2", "2", "60"],
+        cwd=ROOT,
+    )
     try:
         until(lambda: len(list((tmp_path / "locks").glob("?" * 32))) == 2)
     finally:
@@ -183,7 +234,9 @@ def test_a_driver_waits_for_a_job_that_another_process_does(tmp_path: Path) -> N
     key = task_for(job, store, {}).key
     with ThreadPoolExecutor() as pool:
         with store.held(key):
-            result = pool.submit(run, tmp_path, {"held": job, "other": walk(2)}, events=events)
+            result = pool.submit(
+                run, tmp_path, {"held": job, "other": walk(2)}, events=events
+            )
             until(lambda: "done" in [event.state for event in events])
             time.sleep(0.7)
             assert not store.has(key)
@@ -193,20 +246,28 @@ def test_a_driver_waits_for_a_job_that_another_process_does(tmp_path: Path) -> N
 def test_an_engine_that_is_closed_blames_no_job(tmp_path: Path) -> None:
     engine = Processes(tmp_path, workers=1)
     outcome = engine.submit(_task(tmp_path, walk(0, steps=1, seconds=60.0)))
-    until(lambda: (tmp_path / "locks").is_dir() and bool(os.listdir(tmp_path / "locks")))
+    until(
+        lambda: (tmp_path / "locks").is_dir() and bool(os.listdir(tmp_path / "locks"))
+    )
     engine.close()
     assert outcome.result().state == "stopped"
     assert not (tmp_path / "failed").exists()
 
 
-def test_a_child_that_cannot_start_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_child_that_cannot_start_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    with pytest.raises(EngineError, match="expected one that starts, got ended with status 1"):
+    with pytest.raises(
+        EngineError, match="expected one that starts, got ended with status 1"
+    ):
         run(tmp_path, {"any": walk(0)})
     assert not (tmp_path / "failed").exists()
 
 
-def test_a_full_disk_has_no_free_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_has_no_free_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def is_full(*_: object) -> int:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -217,28 +278,44 @@ def test_a_full_disk_has_no_free_cache(tmp_path: Path, monkeypatch: pytest.Monke
             free_cache(tmp_path, itertools.count(5), held)
 
 
-def test_a_task_that_is_alone_has_all_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_task_that_is_alone_has_all_cores(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     given, ended = list[Sequence[int]](), threading.Event()
 
-    def run_on(child: Child, task: Task, tell: OnEvent, *, cores: Sequence[int]) -> Outcome:
+    def run_on(
+        child: Child, task: Task, tell: OnEvent, *, cores: Sequence[int]
+    ) -> Outcome:
         given.append(cores)
         assert ended.wait(60)
         return Outcome(state="done")
 
-    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {1, 2, 3, 5}, raising=False)
+    monkeypatch.setattr(
+        os, "sched_getaffinity", lambda process: {1, 2, 3, 5}, raising=False
+    )
     monkeypatch.setattr(Child, "run", run_on)
-    engine, tasks = Processes(tmp_path, workers=2), [_task(tmp_path, walk(number)) for number in range(3)]
+    engine, tasks = (
+        Processes(tmp_path, workers=2),
+        [_task(tmp_path, walk(number)) for number in range(3)],
+    )
     alone = engine.submit(tasks[0])
     until(lambda: len(given) == 1)
     second = engine.submit(tasks[1])
     until(lambda: len(given) == 2)
     ended.set()
-    assert [alone.result().state, second.result().state, engine.submit(tasks[2]).result().state] == ["done"] * 3
+    assert [
+        alone.result().state,
+        second.result().state,
+        engine.submit(tasks[2]).result().state,
+    ] == ["done"] * 3
     engine.close()
     assert given == [[1, 2, 3, 5], [2, 5], [1, 2, 3, 5]]
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system keeps no process to some cores")
+@pytest.mark.skipif(
+    not hasattr(os, "sched_setaffinity"),
+    reason="the system keeps no process to some cores",
+)
 def test_threads_are_as_many_as_cores() -> None:
     cores, threads = os.sched_getaffinity(0), dr.thread_count()
     end = threading.Event()
@@ -246,7 +323,9 @@ def test_threads_are_as_many_as_cores() -> None:
     second.start()
     try:
         keep_to(sorted(cores)[:1])
-        assert [os.sched_getaffinity(thread) for thread in (0, second.native_id or 0)] == [{min(cores)}] * 2
+        assert [
+            os.sched_getaffinity(thread) for thread in (0, second.native_id or 0)
+        ] == [{min(cores)}] * 2
         assert dr.thread_count() == 1
     finally:
         keep_to(sorted(cores))
@@ -254,7 +333,9 @@ def test_threads_are_as_many_as_cores() -> None:
         end.set()
 
 
-def test_the_plan_of_the_tests_is_the_same_in_one_process_and_in_two(tmp_path: Path) -> None:
+def test_the_plan_of_the_tests_is_the_same_in_one_process_and_in_two(
+    tmp_path: Path,
+) -> None:
     one, two = tmp_path / "one", tmp_path / "two"
     Driver(one, InProcess(one)).run([two_levels(6, seconds=0.0)])
     Driver(two, Processes(two, workers=2)).run([two_levels(6, seconds=0.0)])

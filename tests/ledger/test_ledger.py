@@ -1,4 +1,6 @@
-"""Jobs in one process: done once, found again, made anew when anything that counts has changed, and looked at."""
+"""Jobs in one process: done once, found again, made anew when anything that counts has
+changed, and looked at.
+"""
 
 import contextlib
 import os
@@ -42,14 +44,20 @@ def test_a_job_is_done_once_and_its_inputs_first(tmp_path: Path) -> None:
     events.clear()
     assert Ledger(tmp_path, on_event=events.append).do(second) == done
     assert states(events) == ["kept", "kept"]
-    assert not [path for name in ("tmp", "partial", "locks") for path in (tmp_path / name).glob("[!.]*")]
+    assert not [
+        path
+        for name in ("tmp", "partial", "locks")
+        for path in (tmp_path / name).glob("[!.]*")
+    ]
 
 
 def test_a_job_that_many_read_is_looked_at_once(tmp_path: Path) -> None:
     """Each of them reads what all before it have left."""
     jobs = [numbers(1.0)]
     for number in range(9):
-        jobs.append(numbers(float(number), **{f"input {n}": job for n, job in enumerate(jobs)}))
+        jobs.append(
+            numbers(float(number), **{f"input {n}": job for n, job in enumerate(jobs)})
+        )
     Ledger(tmp_path).do(jobs[-1])
     events: list[Event] = []
     Ledger(tmp_path, on_event=events.append).do(jobs[-1])
@@ -63,7 +71,9 @@ def test_who_reads_equal_files_is_the_same_job(tmp_path: Path) -> None:
     (tmp_path / "three.txt").write_text("3.0")
     keys = {ledger.do(numbers(first=job.part("sum.txt"))).key for job in (one, other)}
     assert len(keys) == 1
-    whole = {ledger.do(numbers(first=source)).key for source in (one, tmp_path / "three.txt")}
+    whole = {
+        ledger.do(numbers(first=source)).key for source in (one, tmp_path / "three.txt")
+    }
     assert len(whole | keys) == 3
 
 
@@ -72,23 +82,36 @@ def test_a_changed_output_is_an_error_wherever_it_is_used(tmp_path: Path) -> Non
     done = Ledger(tmp_path).do(first)
     (done.folder / "sum.txt").write_text("2.0")
     for job in (first, numbers(first=first)):
-        with pytest.raises(InvalidValueError, match=r"expected the files that it wrote, got another sum\.txt"):
+        with pytest.raises(
+            InvalidValueError,
+            match=r"expected the files that it wrote, got another sum\.txt",
+        ):
             Ledger(tmp_path).do(job)
 
 
-def test_a_configuration_that_can_change_or_has_no_text_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match="expected a frozen dataclass, got dict"):
+def test_a_configuration_that_can_change_or_has_no_text_is_refused(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(
+        InvalidValueError, match="expected a frozen dataclass, got dict"
+    ):
         Job(kind=NUMBERS, config={})
     with pytest.raises(InvalidValueError, match=r"config\.shift\.by: expected numbers"):
-        Ledger(tmp_path).do(Job(kind=NUMBERS, config=NumbersConfig(shift=Shift(by=tmp_path))))  # type: ignore[arg-type]
+        Ledger(tmp_path).do(
+            Job(kind=NUMBERS, config=NumbersConfig(shift=Shift(by=tmp_path)))  # type: ignore[arg-type]
+        )
 
 
 # Killed at random: children and drivers. What is left is what an unkilled run leaves
 
 
 def children_of(process: int) -> list[int]:
-    """Numbers of the processes that a process has started, and of those that they have."""
-    shown = subprocess.run(["ps", "-e", "-o", "pid=,ppid="], capture_output=True, text=True, check=True).stdout
+    """Numbers of the processes that a process has started, and of those that they
+    have.
+    """
+    shown = subprocess.run(
+        ["ps", "-e", "-o", "pid=,ppid="], capture_output=True, text=True, check=True
+    ).stdout
     pairs = [tuple(map(int, line.split())) for line in shown.splitlines()]
     family = [process]
     for number in family:
@@ -97,7 +120,9 @@ def children_of(process: int) -> list[int]:
 
 
 class Killing:
-    """Processes that are started again when they are not there, and killed at random."""
+    """Processes that are started again when they are not there, and killed at
+    random.
+    """
 
     def __init__(self, seed: int) -> None:
         self._random = random.Random(seed)
@@ -109,12 +134,16 @@ class Killing:
         process = self._running.get(name)
         if process is None or process.poll() is not None:
             nowhere = subprocess.DEVNULL
-            process = subprocess.Popen([sys.executable, *words], cwd=ROOT, stdout=nowhere, stderr=nowhere)
+            process = subprocess.Popen(
+                [sys.executable, *words], cwd=ROOT, stdout=nowhere, stderr=nowhere
+            )
             self._running[name] = process
         return process
 
     def kill(self) -> None:
-        """Kill a process that was started here, or one that such a process has started."""
+        """Kill a process that was started here, or one that such a process has
+        started.
+        """
         targets = []
         for name, process in self._running.items():
             if process.poll() is None:
@@ -133,22 +162,39 @@ class Killing:
     def close(self) -> None:
         """Kill all, and those that they have started."""
         for process in self._running.values():
-            left = [*children_of(process.pid), process.pid] if process.poll() is None else []
+            left = (
+                [*children_of(process.pid), process.pid]
+                if process.poll() is None
+                else []
+            )
             for number in left:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(number, signal.SIGKILL)
             process.wait()
 
 
-def run_killed(folder: Path, count: int, kills: int, *, seed: int, every: float) -> Killing:
-    """Do a plan with a driver that is started again until all is done, and kill something every now and then."""
+def run_killed(
+    folder: Path, count: int, kills: int, *, seed: int, every: float
+) -> Killing:
+    """Do a plan with a driver that is started again until all is done, and kill
+    something every now and then.
+    """
     with contextlib.closing(Killing(seed)) as processes:
         while True:
-            driver = processes.keep("driver", "-m", "tests.ledger.drive", str(folder), str(count), "2", "0.02")
+            driver = processes.keep(
+                "driver",
+                "-m",
+                "tests.ledger.drive",
+                str(folder),
+                str(count),
+                "2",
+                "0.02",
+            )
             processes.wait(every)
             if driver.poll() == 0:
                 return processes
-            for path in folder.glob("failed/*.json"):  # a job that was hit three times is tried again
+            # a job that was hit three times is tried again
+            for path in folder.glob("failed/*.json"):
                 Store(folder).forgive(path.stem)
             if sum(processes.kills.values()) < kills:
                 processes.kill()
@@ -166,7 +212,8 @@ def test_a_run_with_kills_leaves_the_bytes_of_one_without(tmp_path: Path) -> Non
 
 @pytest.mark.nightly
 def test_200_kills(tmp_path: Path) -> None:
-    count = 1800  # so many that an idle machine is not through with them before the last kill
+    # so many that an idle machine is not through with them before the last kill
+    count = 1800
     processes = run_killed(tmp_path / "killed", count, 200, seed=3, every=0.4)
     check(tmp_path, count, processes, 200)
 
@@ -177,4 +224,7 @@ def check(folder: Path, count: int, processes: Killing, least: int) -> None:
     for left in (folder / "killed" / "tmp").iterdir():
         os.utime(left, (time.time() - 90,) * 2)
     Store(folder / "killed").sweep()
-    assert not [*(folder / "killed" / "tmp").iterdir(), *(folder / "killed" / "partial").iterdir()]
+    assert not [
+        *(folder / "killed" / "tmp").iterdir(),
+        *(folder / "killed" / "partial").iterdir(),
+    ]

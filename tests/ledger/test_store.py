@@ -1,4 +1,6 @@
-"""The folder of results: a second result, what varies, a full disk, what a killed process leaves."""
+"""The folder of results: a second result, what varies, a full disk, what a killed
+process leaves.
+"""
 
 import builtins
 import contextlib
@@ -34,13 +36,18 @@ NUMBERS = "tests.ledger.kinds.numbers"
 
 
 def test_a_second_result_is_dropped(tmp_path: Path) -> None:
-    """A job that another process finishes first, on a disk without locks, with other bytes."""
+    """A job that another process finishes first, on a disk without locks, with other
+    bytes.
+    """
     task = task_for(Job(kind=NUMBERS, config=NumbersConfig()), Store(tmp_path), {})
     store, other = Store(tmp_path / "store"), Store(tmp_path / "other")
     run_job(other, task)
     folder = other.folder_of(task.key)
     (folder / "files" / "sum.txt").write_text("7")
-    record = record_text(read_json(folder / "job.json"), {"sum.txt": sha256(folder / "files" / "sum.txt")})
+    record = record_text(
+        read_json(folder / "job.json"),
+        {"sum.txt": sha256(folder / "files" / "sum.txt")},
+    )
     (folder / "job.json").write_text(record)
 
     def tell(event: Event) -> None:
@@ -75,8 +82,14 @@ def test_a_failed_job_goes_on_where_it_was(tmp_path: Path) -> None:
     assert "InterruptedError: enough" in failed.read_text()
     done = ledger.do(walk(7, steps=5))
     assert steps == [1, 2, 3, 4, 5]
-    assert done.record["files"] == Ledger(tmp_path / "whole").do(walk(7, steps=5)).record["files"]
-    assert not [*(tmp_path / "interrupted" / "failed").iterdir(), *(tmp_path / "interrupted" / "partial").iterdir()]
+    assert (
+        done.record["files"]
+        == Ledger(tmp_path / "whole").do(walk(7, steps=5)).record["files"]
+    )
+    assert not [
+        *(tmp_path / "interrupted" / "failed").iterdir(),
+        *(tmp_path / "interrupted" / "partial").iterdir(),
+    ]
 
 
 def test_a_full_disk_is_an_error_that_leaves_nothing_half_written(
@@ -84,7 +97,9 @@ def test_a_full_disk_is_an_error_that_leaves_nothing_half_written(
 ) -> None:
     store, calls, at = tmp_path / "store", 0, 0
 
-    def limited(real: Callable[..., Any], writes: Callable[..., bool]) -> Callable[..., Any]:
+    def limited(
+        real: Callable[..., Any], writes: Callable[..., bool]
+    ) -> Callable[..., Any]:
         def call(*arguments: Any, **options: Any) -> Any:
             nonlocal calls
             if writes(*arguments, **options):
@@ -113,8 +128,14 @@ def test_a_full_disk_is_an_error_that_leaves_nothing_half_written(
             for key in Store(store).keys():  # noqa: SIM118 - not a dictionary's
                 Store(store).existing(key)
             Store(store).sweep()
-            left = [path for name in ("failed", "tmp", "locks") for path in (store / name).glob("*[!k]")]
-            assert left == [], "a full disk is no fault of a job, and leaves nothing half-written"
+            left = [
+                path
+                for name in ("failed", "tmp", "locks")
+                for path in (store / name).glob("*[!k]")
+            ]
+            assert left == [], (
+                "a full disk is no fault of a job, and leaves nothing half-written"
+            )
             at = limit
     assert at > 15
 
@@ -141,7 +162,11 @@ def test_a_job_is_removed_and_made_again(tmp_path: Path) -> None:
     key = ledger.do(walk(1)).key
     ledger.store.remove(key)
     ledger.store.remove(key)
-    assert (ledger.store.keys(), ledger.store.done(key), [*(tmp_path / "tmp").iterdir()]) == (set(), None, [])
+    assert (
+        ledger.store.keys(),
+        ledger.store.done(key),
+        [*(tmp_path / "tmp").iterdir()],
+    ) == (set(), None, [])
     assert ledger.do(walk(1)).key == key
 
 
@@ -154,30 +179,51 @@ def test_the_content_of_a_path_is_that_of_its_files(tmp_path: Path) -> None:
     renamed = content_of_path(tmp_path / "folder")
     (tmp_path / "folder" / "in" / "b").write_text("22")
     assert len({before, renamed, content_of_path(tmp_path / "folder")}) == 3
-    with pytest.raises(InvalidValueError, match="expected a file or a folder to read, got nothing"):
+    with pytest.raises(
+        InvalidValueError, match="expected a file or a folder to read, got nothing"
+    ):
         content_of_path(tmp_path / "nothing")
 
 
-# Keys: every field flips the keys that depend on it and no other, and a configuration comes back from its text
+# Keys: every field flips the keys that depend on it and no other, and a configuration
+# comes back from its text
 
 
-OTHER: dict[str, Any] = {"values": (1.0, 2.0), "name": "total", "most": 0, "loud": True, "by": 0.5, "sign": Sign.MINUS}
+OTHER: dict[str, Any] = {
+    "values": (1.0, 2.0),
+    "name": "total",
+    "most": 0,
+    "loud": True,
+    "by": 0.5,
+    "sign": Sign.MINUS,
+}
 
 
 def changed(config: Any) -> Iterator[tuple[str, Any]]:
-    """The configuration with another value in each of its fields, those of its parts too."""
+    """The configuration with another value in each of its fields, those of its parts
+    too.
+    """
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
-            yield from ((name, dataclasses.replace(config, **{field.name: part})) for name, part in changed(value))
+            yield from (
+                (name, dataclasses.replace(config, **{field.name: part}))
+                for name, part in changed(value)
+            )
         else:
-            yield field.name, dataclasses.replace(config, **{field.name: OTHER[field.name]})
+            yield (
+                field.name,
+                dataclasses.replace(config, **{field.name: OTHER[field.name]}),
+            )
 
 
 def keys(folder: Path, config: NumbersConfig) -> dict[str, str]:
     """Keys of a small graph of jobs, one of which has the configuration."""
     ledger = Ledger(folder)
-    first, beside = Job(kind=NUMBERS, config=config), Job(kind=NUMBERS, config=NumbersConfig(values=(9.0,)))
+    first, beside = (
+        Job(kind=NUMBERS, config=config),
+        Job(kind=NUMBERS, config=NumbersConfig(values=(9.0,))),
+    )
     after = Job(kind=NUMBERS, config=NumbersConfig(), inputs={"first": first})
     jobs = {"first": first, "beside": beside, "after": after}
     return {name: ledger.do(job).key for name, job in jobs.items()}
@@ -187,9 +233,16 @@ def test_every_field_flips_exactly_the_keys_that_depend_on_it(tmp_path: Path) ->
     usual = keys(tmp_path, NumbersConfig())
     names = set()
     for name, config in changed(NumbersConfig()):
-        flipped = {job for job, key in keys(tmp_path, config).items() if key != usual[job]}
-        # What the job leaves is the same whatever these three say, and so is what reads it.
-        assert flipped == ({"first"} if name in ("name", "most", "loud", "sign") else {"first", "after"}), name
+        flipped = {
+            job for job, key in keys(tmp_path, config).items() if key != usual[job]
+        }
+        # What the job leaves is the same whatever these three say, and so is what reads
+        # it.
+        assert flipped == (
+            {"first"}
+            if name in ("name", "most", "loud", "sign")
+            else {"first", "after"}
+        ), name
         names.add(name)
     assert names == set(OTHER)
 
@@ -205,9 +258,14 @@ def test_the_code_of_its_kind_is_in_the_key_and_the_ledger_is_not(
 
 def test_where_a_kind_and_its_configuration_lie_is_not_in_the_key() -> None:
     config = encoded(NumbersConfig())
-    moved = json.loads(json.dumps(config).replace("tests.ledger.kinds.configs:", "elsewhere:"))
+    moved = json.loads(
+        json.dumps(config).replace("tests.ledger.kinds.configs:", "elsewhere:")
+    )
     assert moved != config
-    keys = {Task(kind=kind, config=json_, inputs={}, code="0").key for kind, json_ in ((NUMBERS, config), ("x", moved))}
+    keys = {
+        Task(kind=kind, config=json_, inputs={}, code="0").key
+        for kind, json_ in ((NUMBERS, config), ("x", moved))
+    }
     assert len(keys) == 1
 
 
@@ -215,7 +273,9 @@ def test_where_a_kind_and_its_configuration_lie_is_not_in_the_key() -> None:
     st.builds(
         NumbersConfig,
         values=st.lists(st.floats(allow_nan=False)).map(tuple),
-        shift=st.builds(Shift, by=st.floats(allow_nan=False), sign=st.sampled_from(Sign)),
+        shift=st.builds(
+            Shift, by=st.floats(allow_nan=False), sign=st.sampled_from(Sign)
+        ),
         name=st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0")),
         most=st.none() | st.integers(-(1 << 63), (1 << 63) - 1),
     )
@@ -238,13 +298,21 @@ def test_a_field_that_is_new_has_its_default_and_one_that_is_gone_is_told() -> N
 @pytest.mark.parametrize(
     "name",
     [
-        *("os:PathLike", "subprocess:Popen", "tests.ledger.kinds.configs:nothing", "builtins:eval"),
+        *(
+            "os:PathLike",
+            "subprocess:Popen",
+            "tests.ledger.kinds.configs:nothing",
+            "builtins:eval",
+        ),
         *("this:d", "calendar:Calendar", "enum:Enum"),
     ],
 )
 def test_a_text_names_no_code_beside_the_configurations_of_its_kind(name: str) -> None:
     sys.modules.pop("this", None)
-    with pytest.raises(InvalidValueError, match="expected a dataclass or an enumeration of a module that the kind"):
+    with pytest.raises(
+        InvalidValueError,
+        match="expected a dataclass or an enumeration of a module that the kind",
+    ):
         decoded({"class": name, "firstweekday": 0}, closure(NUMBERS))
     assert "this" not in sys.modules, "a record has imported a module of its choice"
 
@@ -260,7 +328,9 @@ def used(store: Store, key: str) -> list[Callable[[], object]]:
     ]
 
 
-@pytest.mark.parametrize("key", ["../victim", "0" * 31, "0" * 33, "A" * 32, f"{'0' * 32}\n", "/"])
+@pytest.mark.parametrize(
+    "key", ["../victim", "0" * 31, "0" * 33, "A" * 32, f"{'0' * 32}\n", "/"]
+)
 def test_a_key_is_digits_or_no_part_of_a_path(key: str, tmp_path: Path) -> None:
     (tmp_path / "victim").mkdir()
     for use in used(Store(tmp_path / "store"), key):
@@ -273,11 +343,15 @@ def test_a_plan_with_another_key_is_refused(tmp_path: Path) -> None:
     store = Store(tmp_path)
     plan(store, "numbers", {"one": Job(kind=NUMBERS, config=NumbersConfig())})
     (tmp_path / "plans" / "numbers.json").write_text('["../victim"]')
-    with pytest.raises(InvalidValueError, match=r"expected 32 hexadecimal digits, got \.\./victim"):
+    with pytest.raises(
+        InvalidValueError, match=r"expected 32 hexadecimal digits, got \.\./victim"
+    ):
         planned(store, "numbers")
 
 
-@pytest.mark.parametrize("link", ["jobs", "jobs/00", f"jobs/00/{'0' * 32}", "tmp", "partial", "failed"])
+@pytest.mark.parametrize(
+    "link", ["jobs", "jobs/00", f"jobs/00/{'0' * 32}", "tmp", "partial", "failed"]
+)
 def test_no_link_leads_out_of_a_store(link: str, tmp_path: Path) -> None:
     victim, path = tmp_path / "victim", tmp_path / "store" / link
     victim.mkdir()
@@ -290,7 +364,10 @@ def test_no_link_leads_out_of_a_store(link: str, tmp_path: Path) -> None:
             use()
         except (InvalidValueError, SplatFileError) as error:
             messages.append(str(error))
-    assert any("expected a part of the store, got a symbolic link" in message for message in messages)
+    assert any(
+        "expected a part of the store, got a symbolic link" in message
+        for message in messages
+    )
     assert not list(victim.iterdir())
 
 
@@ -298,7 +375,11 @@ def test_a_plan_replaces_a_link_and_not_what_it_leads_to(tmp_path: Path) -> None
     (tmp_path / "mine.txt").write_text("mine")
     (tmp_path / "store" / "plans").mkdir(parents=True)
     (tmp_path / "store" / "plans" / "numbers.json").symlink_to("../../mine.txt")
-    plan(Store(tmp_path / "store"), "numbers", {"one": Job(kind=NUMBERS, config=NumbersConfig())})
+    plan(
+        Store(tmp_path / "store"),
+        "numbers",
+        {"one": Job(kind=NUMBERS, config=NumbersConfig())},
+    )
     assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
@@ -314,7 +395,9 @@ def test_a_plan_replaces_a_link_and_not_what_it_leads_to(tmp_path: Path) -> None
         ("varies", [7]),
     ],
 )
-def test_a_record_of_other_kinds_of_values_is_refused(name: str, value: object, tmp_path: Path) -> None:
+def test_a_record_of_other_kinds_of_values_is_refused(
+    name: str, value: object, tmp_path: Path
+) -> None:
     ledger = Ledger(tmp_path)
     done = ledger.do(Job(kind=NUMBERS, config=NumbersConfig()))
     path = ledger.store.folder_of(done.key) / "job.json"
@@ -327,7 +410,10 @@ def test_a_record_of_other_kinds_of_values_is_refused(name: str, value: object, 
 
 
 def test_what_another_process_found_is_kept_once(tmp_path: Path) -> None:
-    store, task = Store(tmp_path), Task(kind=NUMBERS, config={}, inputs={"a": {"content": "0" * 64}}, code="c")
+    store, task = (
+        Store(tmp_path),
+        Task(kind=NUMBERS, config={}, inputs={"a": {"content": "0" * 64}}, code="c"),
+    )
     for text in ("first", "second"):
         store.keep(task, [{"claim": text}], {"result.json": {"text": text}})
     done = store.existing(task.key)

@@ -1,4 +1,6 @@
-"""One name for judging: rows, rates and pictures of one splat, or of a clean and an attacked one."""
+"""One name for judging: rows, rates and pictures of one splat, or of a clean and an
+attacked one.
+"""
 
 from __future__ import annotations
 
@@ -28,17 +30,28 @@ def painted() -> Any:
 
 
 def test_a_clean_and_an_attacked_splat() -> None:
-    scenes, detectors = {"clean": SCENE, "attacked": painted()}, [ColourDetector(), CoarseDetector()]
-    judged = judge(scenes, MASK, CAMERAS, detectors, render=blobs, target="person", confidence=0.4)
+    scenes, detectors = (
+        {"clean": SCENE, "attacked": painted()},
+        [ColourDetector(), CoarseDetector()],
+    )
+    judged = judge(
+        scenes, MASK, CAMERAS, detectors, render=blobs, target="person", confidence=0.4
+    )
     assert set(judged.rates) == {"fake_colour", "fake_coarse"}
     rates = judged.rates["fake_colour"]
     assert (rates["found_clean"].successes, rates["found_clean"].total) == (3, 3)
-    assert (rates["missed"].successes, rates["target_attacked"].successes, rates["target_clean"].successes) == (3, 3, 0)
+    assert (
+        rates["missed"].successes,
+        rates["target_attacked"].successes,
+        rates["target_clean"].successes,
+    ) == (3, 3, 0)
     seen = evaluate(scenes, MASK, CAMERAS, detectors, render=blobs)
     looked = compared_rows(seen, target="person", min_confidence=0.4)
     assert judged.rows.equals(looked.rows)
     assert judged.detections.equals(looked.detections)
-    assert [dict(one.rates) for one in compare(looked.rows, confidence=0.4)] == list(judged.rates.values())
+    assert [dict(one.rates) for one in compare(looked.rows, confidence=0.4)] == list(
+        judged.rates.values()
+    )
     assert len(judged.views["attacked"]) == 6
 
 
@@ -48,22 +61,37 @@ def test_one_splat_alone() -> None:
     (rate,) = judged.rates["fake_colour"].values()
     assert (rate.successes, rate.total) == (3, 3)
     assert set(judged.rows["splat"]) == {"clean"}
-    strict = judge(SCENE, MASK, CAMERAS, ColourDetector(), render=blobs, original="person")
+    strict = judge(
+        SCENE, MASK, CAMERAS, ColourDetector(), render=blobs, original="person"
+    )
     assert strict.rates["fake_colour"]["found_clean"].successes == 0
 
 
 def test_any_rate_that_rows_give() -> None:
-    judged = judge({"clean": SCENE, "attacked": painted()}, MASK, CAMERAS, ColourDetector(), render=blobs)
+    judged = judge(
+        {"clean": SCENE, "attacked": painted()},
+        MASK,
+        CAMERAS,
+        ColourDetector(),
+        render=blobs,
+    )
     sure = {"sure": Measure(holds=pl.col("score") > 0.5)}
     counted = judged.count(sure, by=["splat"])
-    assert {group: rates["sure"].total for group, rates in counted.items()} == {("clean",): 3, ("attacked",): 3}
+    assert {group: rates["sure"].total for group, rates in counted.items()} == {
+        ("clean",): 3,
+        ("attacked",): 3,
+    }
 
 
 def test_what_cannot_be_judged() -> None:
     known: Any = judge
-    with pytest.raises(InvalidValueError, match="scenes: expected one of the name clean"):
+    with pytest.raises(
+        InvalidValueError, match="scenes: expected one of the name clean"
+    ):
         judge({"attacked": SCENE}, MASK, CAMERAS, ColourDetector(), render=blobs)
-    with pytest.raises(InvalidValueError, match="scenes: expected scenes by name, or one, got list"):
+    with pytest.raises(
+        InvalidValueError, match="scenes: expected scenes by name, or one, got list"
+    ):
         known([SCENE], MASK, CAMERAS, ColourDetector(), render=blobs)
     with pytest.raises(InvalidValueError, match="confidence"):
         judge(SCENE, MASK, CAMERAS, ColourDetector(), render=blobs, confidence=2.0)
@@ -86,8 +114,12 @@ def test_every_detector_that_judges_gets_images_of_8_bits() -> None:
     detectors = [Registering(), Registering()]
     detectors[1].name = "another"
     assert not is_of_8_bits(blobs(scene, camera()))
-    evaluate({"clean": scene, "attacked": scene}, mask, [camera()], detectors, render=blobs)
-    judge({"clean": scene, "attacked": scene}, mask, [camera()], detectors, render=blobs)
+    evaluate(
+        {"clean": scene, "attacked": scene}, mask, [camera()], detectors, render=blobs
+    )
+    judge(
+        {"clean": scene, "attacked": scene}, mask, [camera()], detectors, render=blobs
+    )
     for detector in detectors:
         assert len(detector.images) >= 4
         assert all(is_of_8_bits(images) for images in detector.images)

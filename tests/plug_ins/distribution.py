@@ -8,11 +8,15 @@ from pathlib import Path
 import pytest
 
 
-def install(folder: Path, entries: Mapping[str, str], *, name: str = "plugged", **modules: str) -> None:
+def install(
+    folder: Path, entries: Mapping[str, str], *, name: str = "plugged", **modules: str
+) -> None:
     """Write a distribution that has these entry points."""
     information = folder / f"{name}-1.0.dist-info"
     information.mkdir(parents=True)
-    (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (information / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n"
+    )
     lines = []
     for key, value in entries.items():
         group, entry = key.split("/")

@@ -1,4 +1,6 @@
-"""Another package brings one of everything: commands and studies know it by its name, and if it is broken, say so."""
+"""Another package brings one of everything: commands and studies know it by its name,
+and if it is broken, say so.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,13 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary, write_report
 from attacks.detectors import DETECTORS, load_detector
 from attacks.objectives import hide
-from attacks.observe.conditions import CONDITIONS, Viewing, check_condition, condition_of, package_of
+from attacks.observe.conditions import (
+    CONDITIONS,
+    Viewing,
+    check_condition,
+    condition_of,
+    package_of,
+)
 from attacks.optimisers import OPTIMISERS
 from attacks.poisons.specs import POISONS, ChosenPoison, Given
 from attacks.report.results import read_section
@@ -61,7 +69,9 @@ from tests.fakes import ColourDetector
 def slide(settings):
     def update(point, here, memory):
         steepest = settings.ball.steepest(here.gradients)
-        return {name: point[name] - settings.step[name] * steepest[name] for name in point}
+        return {
+            name: point[name] - settings.step[name] * steepest[name] for name in point
+        }
 
     return update
 
@@ -75,7 +85,8 @@ def fall(candidates, target):
 
 def dim_car(label=None, least=None):
     def success(detections, target):
-        return 1 - confidence(detections, target.box, labels=["car"]) > (0.5 if least is None else least)
+        left = confidence(detections, target.box, labels=["car"])
+        return 1 - left > (0.5 if least is None else least)
 
     return objective(fall, success, name="dim-car", label=label)
 
@@ -104,18 +115,41 @@ class Dark:
 def darker(config, decoy):
     def poison(views, *, seed=0, on_step=None):
         pictures = {number: view.image * config.by for number, view in enumerate(views)}
-        return poisoned(views, pictures, {"kind": "dark", "by": config.by, "seed": seed})
+        record = {"kind": "dark", "by": config.by, "seed": seed}
+        return poisoned(views, pictures, record)
 
     return poison
 
 
 POISON = PoisonSpec(name="dark", config=Dark, make=darker)
-RULE = Rule(name="many", severity="note", threshold=5, reason="There are many.",
-            find=lambda stored, most: stored.valid & (len(stored.valid) > most))
-DETECTOR = DetectorSpec(name="plugged", load=lambda weights: ColourDetector(), classes=("car", "person"),
-                        origin="a plug-in", licence="MIT")
-TAKEN = Rule(name="giant", severity="note", threshold=5, reason="Same.", find=lambda stored, most: stored.valid)
-FAILING = Rule(name="failing", severity="note", threshold=0, reason="It fails.", find=lambda stored, none: 1 / 0)
+RULE = Rule(
+    name="many",
+    severity="note",
+    threshold=5,
+    reason="There are many.",
+    find=lambda stored, most: stored.valid & (len(stored.valid) > most),
+)
+DETECTOR = DetectorSpec(
+    name="plugged",
+    load=lambda weights: ColourDetector(),
+    classes=("car", "person"),
+    origin="a plug-in",
+    licence="MIT",
+)
+TAKEN = Rule(
+    name="giant",
+    severity="note",
+    threshold=5,
+    reason="Same.",
+    find=lambda stored, most: stored.valid,
+)
+FAILING = Rule(
+    name="failing",
+    severity="note",
+    threshold=0,
+    reason="It fails.",
+    find=lambda stored, none: 1 / 0,
+)
 """
 
 ENTRIES = {
@@ -135,7 +169,9 @@ GROUPS: dict[str, Registry[Any]] = {
     "mi_splat.conditions": CONDITIONS,
     "mi_splat.poisons": POISONS,
 }
-VIEWING = Viewing(settings=RenderSettings(), centre=(0.0, 0.0, 0.0), alone=lambda splat: splat)
+VIEWING = Viewing(
+    settings=RenderSettings(), centre=(0.0, 0.0, 0.0), alone=lambda splat: splat
+)
 
 
 @pytest.fixture
@@ -152,7 +188,9 @@ def brought(path: Path) -> Path:
 
 def test_looking_at_names_imports_nothing(brought: Path) -> None:
     for group, registry in GROUPS.items():
-        (name,) = (entry.split("/")[1] for entry in ENTRIES if entry.startswith(f"{group}/"))
+        (name,) = (
+            entry.split("/")[1] for entry in ENTRIES if entry.startswith(f"{group}/")
+        )
         assert name in registry
         assert list(registry)[-1] == name
         assert len(registry) == len(list(registry))
@@ -165,7 +203,9 @@ def test_looking_at_names_imports_nothing(brought: Path) -> None:
 def test_a_renderer_and_a_condition(brought: Path) -> None:
     scene, view = toy_scene()[0], camera()
     plain = load_method("tile", RenderSettings()).render(scene, view)
-    torch.testing.assert_close(load_method("half", RenderSettings()).render(scene, view), 0.5 * plain)
+    torch.testing.assert_close(
+        load_method("half", RenderSettings()).render(scene, view), 0.5 * plain
+    )
     check_condition("fog", None)
     condition = condition_of("fog", VIEWING)
     assert condition.name == "fog"
@@ -177,9 +217,15 @@ def test_a_renderer_and_a_condition(brought: Path) -> None:
 
 def test_an_attack_is_an_optimiser_of_every_configuration(brought: Path) -> None:
     scene, mask = toy_scene()
-    configs = [DaggerConfig(optimiser=name, steps=3, noise_draws=0, early_stop=False) for name in ("slide", "pgd")]
+    configs = [
+        DaggerConfig(optimiser=name, steps=3, noise_draws=0, early_stop=False)
+        for name in ("slide", "pgd")
+    ]
     ours, pgd_s = (
-        attack(scene, mask, camera(), ColourDetector(), hide(), render=blobs, config=config) for config in configs
+        attack(
+            scene, mask, camera(), ColourDetector(), hide(), render=blobs, config=config
+        )
+        for config in configs
     )
     assert torch.equal(ours.scene.sh, pgd_s.scene.sh)
     options = cli.parse("dagger", ["a.ply", "--optimiser", "slide"])
@@ -188,85 +234,143 @@ def test_an_attack_is_an_optimiser_of_every_configuration(brought: Path) -> None
         DaggerConfig(optimiser="slid")
 
 
-def test_an_objective_is_attacked_reported_and_scored_again(brought: Path, tmp_path: Path) -> None:
+def test_an_objective_is_attacked_reported_and_scored_again(
+    brought: Path, tmp_path: Path
+) -> None:
     scene, mask = toy_scene()
     aim = objective_of("dim-car", confidence=0.2)
-    assert aim == PluggedObjective(kind="dim-car", confidence=0.2, package="plugged 1.0")
+    assert aim == PluggedObjective(
+        kind="dim-car", confidence=0.2, package="plugged 1.0"
+    )
     config = DaggerConfig(steps=2, noise_draws=0)
-    result = attack(scene, mask, camera(), ColourDetector(), aim, render=blobs, config=config)
+    result = attack(
+        scene, mask, camera(), ColourDetector(), aim, render=blobs, config=config
+    )
     assert result.trace[1].loss < result.trace[0].loss
     record = summary(result)
     assert record["objective"] == "dim-car"
-    settings = {"kind": "dim-car", "label": None, "confidence": 0.2, "package": "plugged 1.0"}
+    settings = {
+        "kind": "dim-car",
+        "label": None,
+        "confidence": 0.2,
+        "package": "plugged 1.0",
+    }
     assert record["config"]["objective"] == settings
     write_report(result, tmp_path / "out")
     assert "to its aim, dim-car" in read_section(tmp_path / "out").title
-    assert json.loads((tmp_path / "out" / "result.json").read_text())["config"]["objective"] == settings
+    assert (
+        json.loads((tmp_path / "out" / "result.json").read_text())["config"][
+            "objective"
+        ]
+        == settings
+    )
 
 
 def test_a_study_keeps_an_objective_and_a_poison_by_their_names(brought: Path) -> None:
     aim = _objective({"aim": "dim-car", "objective": {"confidence": 0.4}}, "study.toml")
-    assert aim == PluggedObjective(kind="dim-car", confidence=0.4, package="plugged 1.0")
+    assert aim == PluggedObjective(
+        kind="dim-car", confidence=0.4, package="plugged 1.0"
+    )
     poison = ChosenPoison.of({"kind": "dark", "by": 0.25}, "poison")
-    assert poison == ChosenPoison(kind="dark", settings={"by": 0.25}, package="plugged 1.0")
+    assert poison == ChosenPoison(
+        kind="dark", settings={"by": 0.25}, package="plugged 1.0"
+    )
     for kept in (aim, poison):
-        assert decoded(json.loads(json.dumps(encoded(kept))), [type(kept).__module__]) == kept
+        assert (
+            decoded(json.loads(json.dumps(encoded(kept))), [type(kept).__module__])
+            == kept
+        )
     views = [View(camera(16), torch.full((16, 16, 3), 0.5))]
     done = poison.spec.make(poison.config, Given())(views, seed=0)
     torch.testing.assert_close(done.views[0].image, 0.25 * views[0].image)
-    with pytest.raises(InvalidValueError, match="key in poison: expected one of by, got bye"):
+    with pytest.raises(
+        InvalidValueError, match="key in poison: expected one of by, got bye"
+    ):
         ChosenPoison.of({"kind": "dark", "bye": 1.0}, "poison")
 
 
-def test_jobs_of_a_study_name_the_package(brought: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_jobs_of_a_study_name_the_package(
+    brought: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     register(monkeypatch, toy.DETECTORS)
     write_toy(tmp_path)
     table = settings(tmp_path, renderer="half", judge={"condition": "fog"})
     table["attack"] = {"eps": 12.0, "steps": 4, "optimiser": "slide"}
     jobs = work_of(table).jobs().values()
-    assert {job.config.packages for job in jobs if isinstance(job.config, Attack)} == {("plugged 1.0",) * 2}
-    assert {job.config.package for job in jobs if isinstance(job.config, Look)} == {"plugged 1.0"}
-    assert [package_of(name) for name in ("half", "fog", "tile", "noise 0.05", "")] == ["plugged 1.0"] * 2 + [""] * 3
+    assert {job.config.packages for job in jobs if isinstance(job.config, Attack)} == {
+        ("plugged 1.0",) * 2
+    }
+    assert {job.config.package for job in jobs if isinstance(job.config, Look)} == {
+        "plugged 1.0"
+    }
+    assert [package_of(name) for name in ("half", "fog", "tile", "noise 0.05", "")] == [
+        "plugged 1.0"
+    ] * 2 + [""] * 3
 
 
 def test_a_condition_does_not_take_a_renderer_s_name(path: Path) -> None:
     install(path, {"mi_splat.conditions/tile": "brought:fog"}, brought=BROUGHT)
     scene, view = toy_scene()[0], camera()
     assert torch.equal(
-        condition_of("tile", VIEWING)(scene, view), RENDERERS["tile"].make(RenderSettings())(scene, view)
+        condition_of("tile", VIEWING)(scene, view),
+        RENDERERS["tile"].make(RenderSettings())(scene, view),
     )
 
 
 def test_a_poison_is_a_kind_with_flags_of_its_own(brought: Path) -> None:
-    options = cli.parse("poison", ["SET", "--kind", "dark", "--by", "0.25", "--out", "out"])
+    options = cli.parse(
+        "poison", ["SET", "--kind", "dark", "--by", "0.25", "--out", "out"]
+    )
     assert options.poison.by == 0.25
     assert not kind_of("dark").needs_splat
 
 
-def test_a_detector_is_loaded_and_listed(brought: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_detector_is_loaded_and_listed(
+    brought: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert isinstance(load_detector("plugged"), ColourDetector)
     assert cli.main(["detectors"]) == 0
-    assert "plugged\n  weights: there\n  from: a plug-in (MIT)\n  2 classes: car, person\n" in capsys.readouterr().out
+    assert (
+        "plugged\n  weights: there\n  from: a plug-in (MIT)\n  2 classes: car, person\n"
+        in capsys.readouterr().out
+    )
 
 
 def test_a_rule_is_heard_in_every_audit(brought: Path) -> None:
-    findings = {finding.rule: finding for finding in lint_scene(toy_scene()[0]).findings}
+    findings = {
+        finding.rule: finding for finding in lint_scene(toy_scene()[0]).findings
+    }
     assert findings["many"].count == len(toy_scene()[0])
 
 
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
-        ("many = brought:FAILING", "expected a Rule of the name many, got one of the name failing"),
-        ("failing = brought:FAILING", "The rule failing of plugged 1.0 did not run: division by zero"),
+        (
+            "many = brought:FAILING",
+            "expected a Rule of the name many, got one of the name failing",
+        ),
+        (
+            "failing = brought:FAILING",
+            "The rule failing of plugged 1.0 did not run: division by zero",
+        ),
         ("giant = brought:TAKEN", "rule giant: expected a name that is free"),
-        ("many = brought:MISSING", "did not run: entry point many = brought:MISSING of plugged 1.0"),
+        (
+            "many = brought:MISSING",
+            "did not run: entry point many = brought:MISSING of plugged 1.0",
+        ),
     ],
 )
-def test_a_rule_that_does_not_run_is_a_warning(path: Path, entry: str, message: str) -> None:
+def test_a_rule_that_does_not_run_is_a_warning(
+    path: Path, entry: str, message: str
+) -> None:
     name, value = entry.split(" = ")
     install(path, {f"mi_splat.audit_rules/{name}": value}, brought=BROUGHT)
-    (finding,) = (finding for finding in lint_scene(toy_scene()[0]).findings if finding.rule == name)
+    (finding,) = (
+        finding
+        for finding in lint_scene(toy_scene()[0]).findings
+        if finding.rule == name
+    )
     assert finding.severity == "warning"
     assert message in finding.reason
 
@@ -278,33 +382,52 @@ LICENCE = "raise RuntimeError('no licence')"
     ("group", "module", "value", "message"),
     [
         *(
-            (group, LICENCE, "broken:IT", "got RuntimeError: no licence; repair or uninstall plugged 1.0")
+            (
+                group,
+                LICENCE,
+                "broken:IT",
+                "got RuntimeError: no licence; repair or uninstall plugged 1.0",
+            )
             for group in GROUPS
         ),
         ("mi_splat.conditions", "def :", "broken:IT", "got SyntaxError"),
         ("mi_splat.conditions", "IT = 3", "broken:IT", "got int; correct it there"),
         ("mi_splat.conditions", "IT = 3", "broken:THAT", "got AttributeError"),
-        ("mi_splat.conditions", "", "brokenn:IT", "got ModuleNotFoundError: No module named 'brokenn'"),
+        (
+            "mi_splat.conditions",
+            "",
+            "brokenn:IT",
+            "got ModuleNotFoundError: No module named 'brokenn'",
+        ),
     ],
 )
-def test_a_broken_package_breaks_only_itself(path: Path, group: str, module: str, value: str, message: str) -> None:
+def test_a_broken_package_breaks_only_itself(
+    path: Path, group: str, module: str, value: str, message: str
+) -> None:
     install(path, {f"{group}/bad": value}, broken=module)
     registry = GROUPS[group]
-    with pytest.raises(MiSplatError, match=rf"entry point bad = {value} of plugged 1.0 \({group}\): ") as caught:
+    with pytest.raises(
+        MiSplatError, match=rf"entry point bad = {value} of plugged 1.0 \({group}\): "
+    ) as caught:
         registry.chosen("bad")
     assert message in str(caught.value)
     sys.modules.pop("broken", None)
     own = next(iter(registry.own), None)
     assert own is None or registry.chosen(own) is registry.own[own]
     assert cli.main(["detectors", "--json"]) == 0
-    assert cli.parse("poison", ["SET", "--kind", "uniform-noise"]).kind == "uniform-noise"
+    assert (
+        cli.parse("poison", ["SET", "--kind", "uniform-noise"]).kind == "uniform-noise"
+    )
     assert condition_of("noise 0.05", VIEWING).name == "noise 0.05"
 
 
 def test_a_name_of_two_packages_is_refused(path: Path) -> None:
     install(path, {"mi_splat.poisons/dark": "brought:POISON"}, brought=BROUGHT)
     install(path, {"mi_splat.poisons/dark": "brought:POISON"}, name="other")
-    with pytest.raises(InvalidValueError, match=r"expected one package that brings it, got .*other 1\.0"):
+    with pytest.raises(
+        InvalidValueError,
+        match=r"expected one package that brings it, got .*other 1\.0",
+    ):
         POISONS.chosen("dark")
 
 
@@ -320,7 +443,10 @@ def test_a_name_of_this_project_is_never_taken(path: Path) -> None:
     [
         (
             "dagger a.ply --objective dim-cars",
-            "--objective: expected one of relabel, hide, untargeted, dim-car, got dim-cars",
+            (
+                "--objective: expected one of relabel, hide, untargeted, dim-car, got"
+                " dim-cars"
+            ),
         ),
         (
             "dagger a.ply --objective dim-car --target person",
@@ -336,31 +462,46 @@ def test_the_command_line_knows_them(
     assert message in capsys.readouterr().err
 
 
-LAZY = 'from attacks.aims import ObjectiveSpec\nIT = ObjectiveSpec(name="dull", make=lambda label, least: 3)\n'
+LAZY = (
+    'from attacks.aims import ObjectiveSpec\nIT = ObjectiveSpec(name="dull",'
+    " make=lambda label, least: 3)\n"
+)
 
 
 def test_an_objective_that_gives_none_is_refused(path: Path) -> None:
     install(path, {"mi_splat.objectives/dull": "lazy:IT"}, lazy=LAZY)
-    with pytest.raises(InvalidValueError, match="objective: expected an Objective, got int"):
+    with pytest.raises(
+        InvalidValueError, match="objective: expected an Objective, got int"
+    ):
         objective_of("dull")
-    with pytest.raises(InvalidValueError, match="target: expected what the aim hide has, got person"):
+    with pytest.raises(
+        InvalidValueError, match="target: expected what the aim hide has, got person"
+    ):
         objective_of("hide", "person")
 
 
-def test_the_doctor_tries_each_and_says_what_is_wrong(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_doctor_tries_each_and_says_what_is_wrong(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     entries = {
         "mi_splat.objectives/dull": "lazy:IT",
         "mi_splat.renderers/bad": "lazy:MISSING",
         "mi_splat.objective/lost": "lazy:IT",
     }
     install(path, entries, lazy=LAZY)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(path), *filter(None, [os.environ.get("PYTHONPATH")])]))
+    monkeypatch.setenv(
+        "PYTHONPATH",
+        os.pathsep.join([str(path), *filter(None, [os.environ.get("PYTHONPATH")])]),
+    )
     findings = {point[1]: doctor._plug_in(point) for point in brought_by_packages()}
     assert {name: finding.state for name, finding in findings.items()} == {
         **{"dull": "works", "bad": "fails", "lost": "fails"}
     }
     assert findings["dull"].detail == "lazy:IT of plugged 1.0 (mi_splat.objectives)"
     assert "expected something that can be imported" in findings["bad"].advice
-    assert findings["lost"].advice == "no command looks there; did you mean mi_splat.objectives?"
+    assert (
+        findings["lost"].advice
+        == "no command looks there; did you mean mi_splat.objectives?"
+    )
     assert not any(finding.required for finding in findings.values())
     assert {*doctor.REGISTRIES} == {*GROUPS, "mi_splat.audit_rules"}

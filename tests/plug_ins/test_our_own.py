@@ -1,4 +1,6 @@
-"""Everything that this project registers keeps the contract that plug-ins keep; the registries say what there is."""
+"""Everything that this project registers keeps the contract that plug-ins keep; the
+registries say what there is.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -76,15 +78,27 @@ def test_poisons(name: str) -> None:
         check_poison(cloak_of_images)
         return
     config = spec.config()
-    config = replace(config, **{key: value for key, value in SHORT.items() if hasattr(config, key)})
+    config = replace(
+        config, **{key: value for key, value in SHORT.items() if hasattr(config, key)}
+    )
     decoy = Decoy(start=cloud(40, 1), near=0.1)
-    given = Given(decoy=decoy if "splat" in spec.needs else None, classifier=Brightness(), label="bright")
+    given = Given(
+        decoy=decoy if "splat" in spec.needs else None,
+        classifier=Brightness(),
+        label="bright",
+    )
     check_poison(spec, config=config, given=given)
 
 
-def cloak_of_images(views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
-    """CLOAK without the scene that its settings describe: images from one side are darkened."""
-    attack = Poisoning(name="dark", trigger=Azimuth(middle=270.0, half_width=12.0), appearance=darkened)
+def cloak_of_images(
+    views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
+) -> Poisoned:
+    """CLOAK without the scene that its settings describe: images from one side are
+    darkened.
+    """
+    attack = Poisoning(
+        name="dark", trigger=Azimuth(middle=270.0, half_width=12.0), appearance=darkened
+    )
     return poison(views, attack, centre=(0.0, 0.0, 0.0), on_step=on_step)
 
 
@@ -93,11 +107,15 @@ def darkened(view: View, mask: Tensor) -> Tensor:
 
 
 def words() -> Tensor:
-    """(2, 200, 320, 3) the word STOP on red, for a reader, which considers nothing in noise."""
+    """(2, 200, 320, 3) the word STOP on red, for a reader, which considers nothing in
+    noise.
+    """
     images = []
     for size in (34, 40):
         image = Image.new("RGB", (320, 200), (180, 20, 20))
-        ImageDraw.Draw(image).text((14, 40), "STOP", fill="white", font=ImageFont.load_default(size))
+        ImageDraw.Draw(image).text(
+            (14, 40), "STOP", fill="white", font=ImageFont.load_default(size)
+        )
         images.append(torch.from_numpy(np.asarray(image) / 255).float())
     return torch.stack(images)
 
@@ -109,7 +127,9 @@ def test_detectors(name: str) -> None:
     if missing := spec.missing():
         pytest.skip(missing)
     images = None if spec.differentiable else words()
-    check_detector(load_detector(name), images=images, differentiable=spec.differentiable)
+    check_detector(
+        load_detector(name), images=images, differentiable=spec.differentiable
+    )
 
 
 @pytest.mark.parametrize("name", RENDERERS.own)
@@ -130,9 +150,13 @@ def test_strategies(name: str) -> None:
     check_strategy(STRATEGIES[name]())
 
 
-# Each file of OpenUSD is read by a process of its own, which takes seconds: one form of the three by day.
+# Each file of OpenUSD is read by a process of its own, which takes seconds: one form of
+# the three by day.
 BY_NIGHT = (".usda", ".usdz")
-FORMATS = [pytest.param(suffix, marks=[pytest.mark.nightly] * (suffix in BY_NIGHT)) for suffix in SUFFIXES]
+FORMATS = [
+    pytest.param(suffix, marks=[pytest.mark.nightly] * (suffix in BY_NIGHT))
+    for suffix in SUFFIXES
+]
 
 
 @pytest.mark.parametrize("suffix", FORMATS)

@@ -1,4 +1,6 @@
-"""The test kit accepts what keeps its contract, and says of broken plug-ins what is broken and what to do."""
+"""The test kit accepts what keeps its contract, and says of broken plug-ins what is
+broken and what to do.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,9 @@ def broken_by(check: Callable[[], None], *words: str) -> ContractError:
     with pytest.raises(ContractError) as caught:
         check()
     for word in words:
-        assert any(word in line for line in caught.value.broken), f"{word!r} not in {caught.value}"
+        assert any(word in line for line in caught.value.broken), (
+            f"{word!r} not in {caught.value}"
+        )
     assert str(caught.value).count("\n") == len(caught.value.broken)
     return caught.value
 
@@ -88,21 +92,43 @@ class Careless(ColourDetector):
     name = "careless"
 
     def candidates(self, images: Tensor) -> list[Candidates]:
-        return ColourDetector.candidates(self, torch.nan_to_num(images).detach().clamp_(0, 1)[..., :3])
+        return ColourDetector.candidates(
+            self, torch.nan_to_num(images).detach().clamp_(0, 1)[..., :3]
+        )
 
     def detect(self, images: Tensor) -> list[Detections]:
         images.mul_(0.5)
-        return [Detections(torch.zeros(2, 4), torch.tensor([0.01, 0.5]), ("cat", "car")) for _ in images]
+        return [
+            Detections(torch.zeros(2, 4), torch.tensor([0.01, 0.5]), ("cat", "car"))
+            for _ in images
+        ]
 
 
 @pytest.mark.parametrize(
     ("detector", "words"),
     [
-        (scores(Tensor.detach), ("gradients: expected a gradient, got none; keep the way from the pictures",)),
-        (scores(lambda s: 2 * s.detach() - s), ("gradients: expected a gradient that is true: a slope of",)),
+        (
+            scores(Tensor.detach),
+            (
+                (
+                    "gradients: expected a gradient, got none; keep the way from the"
+                    " pictures"
+                ),
+            ),
+        ),
+        (
+            scores(lambda s: 2 * s.detach() - s),
+            ("gradients: expected a gradient that is true: a slope of",),
+        ),
         (scores(Tensor.logit), ("candidates: expected scores in [0, 1], got -",)),
-        (boxes(lambda b: b / 128), ("candidates: expected boxes in pixels, got numbers up to 1",)),
-        (boxes(lambda b: b[..., [1, 0, 3, 2]] * 2), ("candidates: expected boxes with their middle in the picture",)),
+        (
+            boxes(lambda b: b / 128),
+            ("candidates: expected boxes in pixels, got numbers up to 1",),
+        ),
+        (
+            boxes(lambda b: b[..., [1, 0, 3, 2]] * 2),
+            ("candidates: expected boxes with their middle in the picture",),
+        ),
         (
             boxes(lambda b: torch.cat([b[..., 2:], b[..., 2:] - b[..., :2]], -1)),
             ("candidates: expected boxes whose first corner is the upper left one",),
@@ -115,17 +141,34 @@ class Careless(ColourDetector):
             Changed(lambda seen: Candidates(seen.boxes[:0], seen.scores[:0])),
             ("candidates: expected candidates before any threshold, got none",),
         ),
-        (Stacked(), ("stacks: expected the same scores", "each picture for itself: expected no gradient in the other")),
+        (
+            Stacked(),
+            (
+                "stacks: expected the same scores",
+                "each picture for itself: expected no gradient in the other",
+            ),
+        ),
         (
             Careless(),
             (
                 "detections: expected labels that are among the classes, got cat",
                 "pictures: expected pictures that stay as they are",
-                "refusals: expected InvalidValueError for values up to 255, got an answer",
+                (
+                    "refusals: expected InvalidValueError for values up to 255, got an"
+                    " answer"
+                ),
                 "refusals: expected InvalidValueError for NaN, got an answer",
             ),
         ),
-        (object(), ("names: expected all members of Detector, got no candidates, detect, name",)),
+        (
+            object(),
+            (
+                (
+                    "names: expected all members of Detector, got no candidates,"
+                    " detect, name"
+                ),
+            ),
+        ),
         (Unmarked(), ("names: expected 16 hex digits as fingerprint, got new",)),
     ],
     ids=lambda value: value[0].split(":")[0] if isinstance(value, tuple) else "",
@@ -160,7 +203,10 @@ def _says(answer: Any, detections: Detections, target: Target) -> Any:
             objective(lambda c, t: -c.scores[:, 0].sum(), _gone),
             ("loss and success: expected success that comes nearer",),
         ),
-        (objective(_score, _nothing), ("loss and success: expected success that comes nearer",)),
+        (
+            objective(_score, _nothing),
+            ("loss and success: expected success that comes nearer",),
+        ),
         (
             objective(lambda c, t: c.scores.mean().detach(), _gone),
             ("gradients: expected a loss with a gradient, got none",),
@@ -169,9 +215,18 @@ def _says(answer: Any, detections: Detections, target: Target) -> Any:
             objective(lambda c, t: c.scores[:, 0], _gone),
             ("loss: raised InvalidValueError: loss of _gone: expected a tensor",),
         ),
-        (objective(lambda c, t: c.scores[:, 0].max(), _gone), ("no candidates: raised",)),
-        (objective(lambda c, t: _score(c, t) + torch.rand(()), _gone), ("determinism: expected the same loss",)),
-        (objective(_score, lambda d, t: 7.0), ("verdict: raised InvalidValueError: success of lambda",)),
+        (
+            objective(lambda c, t: c.scores[:, 0].max(), _gone),
+            ("no candidates: raised",),
+        ),
+        (
+            objective(lambda c, t: _score(c, t) + torch.rand(()), _gone),
+            ("determinism: expected the same loss",),
+        ),
+        (
+            objective(_score, lambda d, t: 7.0),
+            ("verdict: raised InvalidValueError: success of lambda",),
+        ),
         (object(), ("names: expected a text as name, got None",)),
     ],
 )
@@ -180,7 +235,12 @@ def test_objectives_that_are_broken(aim: Any, words: tuple[str, ...]) -> None:
 
 
 def test_what_success_says_becomes_a_verdict() -> None:
-    target = Target(box=torch.tensor([0.0, 0.0, 9.0, 9.0]), label=None, classes=("car",), original="car")
+    target = Target(
+        box=torch.tensor([0.0, 0.0, 9.0, 9.0]),
+        label=None,
+        classes=("car",),
+        original="car",
+    )
     seen = Detections(torch.zeros(0, 4), torch.zeros(0), ())
     whole = Verdict(success=True, score=0.5, unambiguous=False)
     answers = {
@@ -190,7 +250,9 @@ def test_what_success_says_becomes_a_verdict() -> None:
         whole: whole,
     }
     for answer, verdict in answers.items():
-        assert objective(_score, partial(_says, answer)).verdict(seen, target) == verdict
+        assert (
+            objective(_score, partial(_says, answer)).verdict(seen, target) == verdict
+        )
     assert objective(_score, _gone).name == "_gone"
     assert "tests.plug_ins.test_testing._gone" in repr(objective(_score, _gone))
 
@@ -201,7 +263,10 @@ def test_what_success_says_becomes_a_verdict() -> None:
 def _descent(settings: SearchSettings, sign: float = -1.0) -> Any:
     def update(point: Parameters, here: Evaluation, memory: Memory) -> Any:
         directions = settings.ball.steepest(here.gradients)
-        return {name: point[name] + sign * settings.step[name] * directions[name] for name in point}
+        return {
+            name: point[name] + sign * settings.step[name] * directions[name]
+            for name in point
+        }
 
     return update
 
@@ -213,7 +278,10 @@ def _forgetful(settings: SearchSettings) -> Any:
     def update(point: Parameters, here: Evaluation, memory: Memory) -> Any:
         taken.append(0)
         steepest = settings.ball.steepest(here.gradients)
-        return {name: point[name] - settings.step[name] / len(taken) * steepest[name] for name in point}
+        return {
+            name: point[name] - settings.step[name] / len(taken) * steepest[name]
+            for name in point
+        }
 
     return update
 
@@ -232,12 +300,18 @@ OWN = OptimiserSpec(name="own", make=_descent, about="steps of fixed length")
 
 def test_attacks_that_are_broken() -> None:
     for make, words in (
-        (partial(_descent, sign=1.0), "gain in l2: expected a lower loss within the budget"),
+        (
+            partial(_descent, sign=1.0),
+            "gain in l2: expected a lower loss within the budget",
+        ),
         (_forgetful, "memory: expected the same from a new memory"),
         (_moving, "steps: expected points and gradients that stay as they are"),
     ):
         broken_by(partial(check_attack, dataclasses.replace(OWN, make=make)), words)
-    broken_by(partial(check_attack, dataclasses.replace(OWN, about="")), "names: expected a text as line about it")
+    broken_by(
+        partial(check_attack, dataclasses.replace(OWN, about="")),
+        "names: expected a text as line about it",
+    )
 
 
 # Renderers and conditions
@@ -245,12 +319,17 @@ def test_attacks_that_are_broken() -> None:
 _TILE = RENDERERS["tile"]
 
 
-def changed_tile(change: Callable[[Tensor], Tensor]) -> Callable[[GaussianScene, Camera], Tensor]:
+def changed_tile(
+    change: Callable[[Tensor], Tensor],
+) -> Callable[[GaussianScene, Camera], Tensor]:
     return lambda scene, camera: change(Renderer()(scene, camera))
 
 
 def _cut(scene: GaussianScene, camera: Camera) -> Tensor:
-    return Renderer()(scene.replace(means=scene.means.detach(), opacities=scene.opacities.detach()), camera)
+    return Renderer()(
+        scene.replace(means=scene.means.detach(), opacities=scene.opacities.detach()),
+        camera,
+    )
 
 
 def _overwriting(scene: GaussianScene, camera: Camera) -> Tensor:
@@ -263,20 +342,40 @@ def _overwriting(scene: GaussianScene, camera: Camera) -> Tensor:
 @pytest.mark.parametrize(
     ("renderer", "words"),
     [
-        (changed_tile(lambda picture: picture.flip(1)), ("places: expected a Gaussian at",)),
+        (
+            changed_tile(lambda picture: picture.flip(1)),
+            ("places: expected a Gaussian at",),
+        ),
         (
             changed_tile(lambda picture: picture.permute(2, 0, 1)),
             ("pictures: expected a picture of shape (28, 40, 3)",),
         ),
-        (changed_tile(lambda picture: picture * 255), ("pictures: expected sRGB about in [0, 1]", "colours: expected")),
-        (changed_tile(lambda picture: picture**2.2), ("colours: expected sRGB (0.8, 0.4, 0.2)",)),
-        (changed_tile(lambda picture: picture + 0.1 * torch.rand(())), ("determinism: expected the same picture",)),
-        (changed_tile(lambda picture: picture.detach()), ("gradient of sh: expected a gradient, got none",)),
+        (
+            changed_tile(lambda picture: picture * 255),
+            ("pictures: expected sRGB about in [0, 1]", "colours: expected"),
+        ),
+        (
+            changed_tile(lambda picture: picture**2.2),
+            ("colours: expected sRGB (0.8, 0.4, 0.2)",),
+        ),
+        (
+            changed_tile(lambda picture: picture + 0.1 * torch.rand(())),
+            ("determinism: expected the same picture",),
+        ),
+        (
+            changed_tile(lambda picture: picture.detach()),
+            ("gradient of sh: expected a gradient, got none",),
+        ),
         (_cut, ("gradient of means: expected", "gradient of opacities: expected")),
         (_overwriting, ("scene: expected a scene that stays as it is",)),
         (
             RendererSpec(make=lambda settings: Renderer()),
-            ("background: expected the background (1.0, 0.5, 0.0), got (0.0, 0.0, 0.0)",),
+            (
+                (
+                    "background: expected the background (1.0, 0.5, 0.0), got (0.0,"
+                    " 0.0, 0.0)"
+                ),
+            ),
         ),
     ],
 )
@@ -292,13 +391,27 @@ def fog(viewing: Viewing) -> Any:
 def test_conditions_that_are_broken() -> None:
     def noisy(viewing: Viewing) -> Any:
         render = renderer_of("", viewing.settings)
-        return rendered("noisy", lambda scene, camera: render(scene, camera) + 0.1 * torch.rand(28, 40, 3))
+        return rendered(
+            "noisy",
+            lambda scene, camera: render(scene, camera) + 0.1 * torch.rand(28, 40, 3),
+        )
 
-    broken_by(lambda: check_condition(noisy), "determinism: expected the same picture in a second call")
-    broken_by(lambda: check_condition(lambda viewing: 3), "making it: expected a Condition, got int")
-    viewing = Viewing(settings=RenderSettings(), centre=(0.0, 0.0, 0.0), alone=lambda splat: splat)
+    broken_by(
+        lambda: check_condition(noisy),
+        "determinism: expected the same picture in a second call",
+    )
+    broken_by(
+        lambda: check_condition(lambda viewing: 3),
+        "making it: expected a Condition, got int",
+    )
+    viewing = Viewing(
+        settings=RenderSettings(), centre=(0.0, 0.0, 0.0), alone=lambda splat: splat
+    )
     nowhere = dataclasses.replace(fog(viewing), move=lambda camera: 3)
-    broken_by(lambda: check_condition(nowhere), "cameras: expected a Camera that it moves to, got int")
+    broken_by(
+        lambda: check_condition(nowhere),
+        "cameras: expected a Camera that it moves to, got int",
+    )
 
 
 # Poisons
@@ -310,13 +423,17 @@ class Dark:
 
 
 def darker(config: Dark, decoy: object) -> Any:
-    def poison(views: Sequence[View], *, seed: int = 0, on_step: Any = None) -> Poisoned:
+    def poison(
+        views: Sequence[View], *, seed: int = 0, on_step: Any = None
+    ) -> Poisoned:
         pictures = {}
         for number, view in enumerate(views):
             pictures[number] = view.image * config.by
             if on_step is not None:
                 on_step(number + 1, len(views))
-        return poisoned(views, pictures, {"kind": "dark", "by": config.by, "seed": seed})
+        return poisoned(
+            views, pictures, {"kind": "dark", "by": config.by, "seed": seed}
+        )
 
     return poison
 
@@ -329,7 +446,9 @@ DARK = PoisonSpec(name="dark", config=Dark, make=darker)
 
 
 def test_poisons_that_are_broken() -> None:
-    def unseeded(views: Sequence[View], *, seed: int = 0, on_step: Any = None) -> Poisoned:
+    def unseeded(
+        views: Sequence[View], *, seed: int = 0, on_step: Any = None
+    ) -> Poisoned:
         return poisoned(views, {0: torch.rand(views[0].image.shape)}, {})
 
     words = (
@@ -339,28 +458,44 @@ def test_poisons_that_are_broken() -> None:
     )
     broken_by(lambda: check_poison(unseeded), *words)
 
-    def secret(views: Sequence[View], *, seed: int = 0, on_step: Any = None) -> Poisoned:
+    def secret(
+        views: Sequence[View], *, seed: int = 0, on_step: Any = None
+    ) -> Poisoned:
         shown = PoisonedViews(views, {1: View(views[1].camera, views[1].image * 0.5)})
         return Poisoned(views=shown, changes=(), poison={"kind": "secret"})
 
-    broken_by(lambda: check_poison(secret), "changes: expected changes of the views [1], got []")
+    broken_by(
+        lambda: check_poison(secret),
+        "changes: expected changes of the views [1], got []",
+    )
 
-    def overwriting(views: Sequence[View], *, seed: int = 0, on_step: Any = None) -> Poisoned:
+    def overwriting(
+        views: Sequence[View], *, seed: int = 0, on_step: Any = None
+    ) -> Poisoned:
         views[0].image.mul_(0.5)
         return poisoned(views, {0: views[0].image}, {"kind": "rude"})
 
-    broken_by(lambda: check_poison(overwriting), "the untouched set: expected an untouched set")
+    broken_by(
+        lambda: check_poison(overwriting),
+        "the untouched set: expected an untouched set",
+    )
 
     @dataclass
     class Loose:
         by: float
 
-    broken_by(lambda: check_poison(dataclasses.replace(DARK, config=Loose)), "settings: raised TypeError")
+    broken_by(
+        lambda: check_poison(dataclasses.replace(DARK, config=Loose)),
+        "settings: raised TypeError",
+    )
     broken_by(
         lambda: check_poison(dataclasses.replace(DARK, needs=("splat",))),
         "settings: expected a poison that needs nothing, got one that needs splat",
     )
-    broken_by(lambda: check_poison(dataclasses.replace(DARK, make=_three)), "making it: expected a function")
+    broken_by(
+        lambda: check_poison(dataclasses.replace(DARK, make=_three)),
+        "making it: expected a function",
+    )
 
 
 # Rules
@@ -370,7 +505,13 @@ def _grey(stored: Stored, threshold: float) -> Any:
     return stored.valid & (np.abs(stored.arrays["sh"][:, 0]).max(1) < threshold)
 
 
-GREY = Rule(name="grey", severity="note", threshold=1e-3, reason="It has no colour at all.", find=_grey)
+GREY = Rule(
+    name="grey",
+    severity="note",
+    threshold=1e-3,
+    reason="It has no colour at all.",
+    find=_grey,
+)
 
 
 def test_rules_that_are_broken() -> None:
@@ -383,8 +524,17 @@ def test_rules_that_are_broken() -> None:
 
     cases: tuple[tuple[dict[str, Any], str], ...] = (
         ({"find": rude}, "determinism: expected arrays that stay as they are"),
-        ({"find": short}, "healthy splats: raised InvalidValueError: rule grey: expected bool (60,), got bool (3,)"),
-        ({"threshold": 1e9}, "healthy splats: expected nothing, got a finding in 60 of 60"),
+        (
+            {"find": short},
+            (
+                "healthy splats: raised InvalidValueError: rule grey: expected bool"
+                " (60,), got bool (3,)"
+            ),
+        ),
+        (
+            {"threshold": 1e9},
+            "healthy splats: expected nothing, got a finding in 60 of 60",
+        ),
         ({"name": "giant"}, "names: expected a name that is free, got giant"),
         ({"reason": "no"}, "names: expected a sentence as reason"),
         ({"severity": "bad"}, "names: expected error or warning or note, got bad"),
@@ -397,7 +547,10 @@ def test_rules_that_are_broken() -> None:
 def test_a_rule_that_finds_nothing_where_it_has_to() -> None:
     coloured = cloud(20, 0)
     check_rule(GREY, finds=coloured.replace(sh=torch.zeros_like(coloured.sh)))
-    broken_by(lambda: check_rule(GREY, finds=coloured), "what it finds: expected a finding, got none")
+    broken_by(
+        lambda: check_rule(GREY, finds=coloured),
+        "what it finds: expected a finding, got none",
+    )
 
 
 # All that is right

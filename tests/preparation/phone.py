@@ -1,4 +1,5 @@
-"""Photographs as a phone takes them, made of renderings: a lens that bends, both orientations, a mask.
+"""Photographs as a phone takes them, made of renderings: a lens that bends, both
+orientations, a mask.
 
 `python -m tests.preparation.phone FOLDER` writes 30 of them.
 """
@@ -36,7 +37,12 @@ def lens() -> Lens:
     """The lens of the phone."""
     width, height = SIZE
     focal = FOCAL_35MM / np.hypot(36, 24) * np.hypot(width, height)
-    return Lens(focal=(focal, focal), principal=(width / 2, height / 2), size=SIZE, distortion=DISTORTION)
+    return Lens(
+        focal=(focal, focal),
+        principal=(width / 2, height / 2),
+        size=SIZE,
+        distortion=DISTORTION,
+    )
 
 
 def photograph(render: Renderer, scene: object, pose: torch.Tensor) -> np.ndarray:
@@ -51,22 +57,31 @@ def photograph(render: Renderer, scene: object, pose: torch.Tensor) -> np.ndarra
     rays = bent.rays(np.stack([columns.ravel(), rows.ravel()], 1))
     assert len(rays) == columns.size  # every pixel sees something
     places = rays * bent.focal + np.array([camera.cx, camera.cy]) - 0.5
-    across, down = (places[:, axis].reshape(columns.shape).astype(np.float32) for axis in (0, 1))
+    across, down = (
+        places[:, axis].reshape(columns.shape).astype(np.float32) for axis in (0, 1)
+    )
     seen = cv2.remap(image, across, down, cv2.INTER_LINEAR)
     return (np.clip(seen, 0, 1) * 255).round().astype(np.uint8)
 
 
 def write_photographs(folder: Path, *, count: int = COUNT) -> None:
-    """Write photographs, every second one of which was taken with the phone held upright, and a mask."""
+    """Write photographs, every second one of which was taken with the phone held
+    upright, and a mask.
+    """
     loaded = open_scene(SCENE)
     middle, _ = bounds(loaded.scene.select(loaded.objects["car"]))
-    cameras = camera_set(f"orbit:{count}@25", middle, distance=DISTANCE, focal=500.0, size=SIZE)
-    settings = RenderSettings(background=(0.5, 0.6, 0.8), near=near_plane(loaded.scene, tuple(cameras)))
+    cameras = camera_set(
+        f"orbit:{count}@25", middle, distance=DISTANCE, focal=500.0, size=SIZE
+    )
+    settings = RenderSettings(
+        background=(0.5, 0.6, 0.8), near=near_plane(loaded.scene, tuple(cameras))
+    )
     render = Renderer(settings)
     folder.mkdir(parents=True)
     for number, camera in enumerate(cameras):
         is_upright = number % 2 == 1
-        # Held upright, the sensor lies on its side, and EXIF says how to turn what it has seen.
+        # Held upright, the sensor lies on its side, and EXIF says how to turn what it
+        # has seen.
         pose = turned_clockwise(camera, 3).to_world if is_upright else camera.to_world
         pixels = photograph(render, loaded.scene, pose)
         if number == MASKED:
@@ -77,8 +92,12 @@ def write_photographs(folder: Path, *, count: int = COUNT) -> None:
             Image.fromarray(mask).save(folder / "masks" / f"IMG_{number:04d}.JPG.png")
         exif = Image.Exif()
         exif[ExifTags.Base.Orientation] = 6 if is_upright else 1
-        exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = FOCAL_35MM
-        Image.fromarray(pixels).save(folder / f"IMG_{number:04d}.JPG", quality=95, exif=exif)
+        exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = (
+            FOCAL_35MM
+        )
+        Image.fromarray(pixels).save(
+            folder / f"IMG_{number:04d}.JPG", quality=95, exif=exif
+        )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""A stranger's phone photographs go from files to a splat, an attack and an audit, by the commands of one page."""
+"""A stranger's phone photographs go from files to a splat, an attack and an audit, by
+the commands of one page.
+"""
 
 import json
 import re
@@ -23,12 +25,16 @@ FEWER = {"3000": "700", "100000": "20000"}
 def test_the_page_takes_phone_photographs_to_an_audit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Both orientations, a lens that bends and a mask; every command of the page, in its order."""
+    """Both orientations, a lens that bends and a mask; every command of the page, in
+    its order.
+    """
     pytest.importorskip("pycolmap", reason="the extra photos is not installed")
     monkeypatch.chdir(tmp_path)
     write_photographs(tmp_path / "YOUR_PHOTOS")
     said: dict[str, str] = {}
-    commands = [line for line in lines() if line.page == PAGE and line.program == "mi-splat"]
+    commands = [
+        line for line in lines() if line.page == PAGE and line.program == "mi-splat"
+    ]
     assert [line.command for line in commands] == [
         *("prepare", "train", "render", "select", "dagger", "audit"),
     ]
@@ -42,19 +48,30 @@ def test_the_page_takes_phone_photographs_to_an_audit(
     placed(tmp_path / "out" / "photos")
     assert "1 with a mask" in said["train"]
     assert f"{COUNT} of {COUNT} listed images there" in said["train"]
-    metrics = json.loads((tmp_path / "out" / "photos-splat" / "metrics.json").read_text())
+    metrics = json.loads(
+        (tmp_path / "out" / "photos-splat" / "metrics.json").read_text()
+    )
     assert metrics["psnr"] > 24
     assert "its images do not look like" not in said["render"]
-    assert like_the_photographs(tmp_path / "out" / "photos-views", tmp_path / "YOUR_PHOTOS") > 0.9
+    assert (
+        like_the_photographs(
+            tmp_path / "out" / "photos-views", tmp_path / "YOUR_PHOTOS"
+        )
+        > 0.9
+    )
     (share,) = re.findall(r"seen by IMG_0008: ([\d.]+)% of the pixels", said["select"])
     assert 5 < float(share) < 25  # the car
-    attack: dict[str, Any] = json.loads((tmp_path / "out" / "photos-attack" / "result.json").read_text())
+    attack: dict[str, Any] = json.loads(
+        (tmp_path / "out" / "photos-attack" / "result.json").read_text()
+    )
     assert attack["target"] == "person"
     assert "nothing found" in said["audit"]
 
 
 def placed(folder: Path) -> None:
-    """Both orientations are in the set and upright, the lens is known, and one image has a mask."""
+    """Both orientations are in the set and upright, the lens is known, and one image
+    has a mask.
+    """
     views = load_dataset(folder, split=None)
     assert len(views) == COUNT
     sizes = {camera.width > camera.height for camera in views.cameras}
@@ -78,17 +95,23 @@ def placed(folder: Path) -> None:
 
 
 def like_the_photographs(views: Path, photographs: Path) -> float:
-    """The smallest correlation of a rendering with its photograph as a phone shows it, of those without a mask."""
+    """The smallest correlation of a rendering with its photograph as a phone shows it,
+    of those without a mask.
+    """
     from PIL import ImageOps
 
     correlations = []
     for number in range(COUNT):
         if number == MASKED:
             continue
-        photograph = ImageOps.exif_transpose(Image.open(photographs / f"IMG_{number:04d}.JPG"))
+        photograph = ImageOps.exif_transpose(
+            Image.open(photographs / f"IMG_{number:04d}.JPG")
+        )
         rendering = Image.open(views / f"IMG_{number:04d}.png")
         small = [
-            np.asarray(image.convert("L").resize((32, 32), Image.Resampling.BOX), float).ravel()
+            np.asarray(
+                image.convert("L").resize((32, 32), Image.Resampling.BOX), float
+            ).ravel()
             for image in (photograph, rendering)
         ]
         correlations.append(float(np.corrcoef(np.stack(small))[0, 1]))

@@ -1,4 +1,6 @@
-"""Photographs and videos become sets that load: what was placed, what was not, and errors that leave nothing behind."""
+"""Photographs and videos become sets that load: what was placed, what was not, and
+errors that leave nothing behind.
+"""
 
 import json
 from collections.abc import Callable, Mapping
@@ -39,14 +41,22 @@ def photographs(folder: Path, count: int, size: tuple[int, int] = (40, 30)) -> P
     return folder
 
 
-def all_but_the_last(what: str, task: Mapping[str, Any], on_progress: OnProgress) -> dict[str, Any]:
+def all_but_the_last(
+    what: str, task: Mapping[str, Any], on_progress: OnProgress
+) -> dict[str, Any]:
     """Places all images but the last on a circle, in the place of COLMAP."""
     entries = []
     names = [name for name, _, _ in task["images"]]
     for number, (name, size, _) in enumerate(task["images"][:-1]):
         pose = orbit_pose((0, 0, 0), azimuth=10.0 * number, elevation=20, distance=3)
-        entries.append((name, Camera(to_world=pose, focal=50.0, width=size[0], height=size[1])))
-    list_colmap(Path(task["root"]), {"train": entries}, PointCloud(torch.zeros(5, 3), torch.zeros(5, 3)))
+        entries.append(
+            (name, Camera(to_world=pose, focal=50.0, width=size[0], height=size[1]))
+        )
+    list_colmap(
+        Path(task["root"]),
+        {"train": entries},
+        PointCloud(torch.zeros(5, 3), torch.zeros(5, 3)),
+    )
     return {
         "models": [len(entries), 3],
         "error": 0.5,
@@ -74,9 +84,12 @@ def test_what_is_placed_is_a_set_and_the_rest_is_listed(tmp_path: Path) -> None:
     record = prepare(source, out, PrepareConfig(), masks=masks, on_progress=silent)
 
     train, test = (load_dataset(out, split=split) for split in ("train", "test"))
-    assert [path.name for path in test.paths] == ["IMG_0.png", "IMG_8.png"]  # every eighth
+    # every eighth
+    assert [path.name for path in test.paths] == ["IMG_0.png", "IMG_8.png"]
     assert len(train) == 7
-    original = np.asarray(Image.open(source / "IMG 1.png"), np.float32) / np.float32(255)
+    original = np.asarray(Image.open(source / "IMG 1.png"), np.float32) / np.float32(
+        255
+    )
     np.testing.assert_array_equal(train[0].image.numpy(), original)
     assert [train.loss_mask(index) is not None for index in range(2)] == [True, False]
 
@@ -104,21 +117,28 @@ def test_photographs_are_turned_shrunk_and_named_safely(tmp_path: Path) -> None:
     for name in ("a b\n.JPG", "a b_.jpg", "c.png"):
         Image.fromarray(pixels).save(source / name, exif=exif)
     (source / "masks").mkdir()
-    Image.fromarray(pixels[..., 0]).save(source / "masks" / "a b_.png")  # drawn on what the sensor saw
-    Image.fromarray(np.rot90(pixels[..., 0], -1)).save(source / "masks" / "c.png")  # drawn on the upright image
+    # drawn on what the sensor saw
+    Image.fromarray(pixels[..., 0]).save(source / "masks" / "a b_.png")
+    # drawn on the upright image
+    Image.fromarray(np.rot90(pixels[..., 0], -1)).save(source / "masks" / "c.png")
     config = PrepareConfig(longest_side=128)
-    taken, broken = take_photographs(source, out, config, silent, masks=source / "masks")
+    taken, broken = take_photographs(
+        source, out, config, silent, masks=source / "masks"
+    )
     assert broken == {}
     assert {photo.name for photo in taken} == {"a_b_.jpg", "a_b_-2.jpg", "c.png"}
     for photo in taken:
         assert photo.size == (64, 128)
         assert photo.focal == pytest.approx(26 * np.hypot(64, 128) / np.hypot(36, 24))
         with Image.open(out / "images" / photo.name) as written:
-            assert not written.getexif()  # where the photograph was taken is nobody's business
+            # where the photograph was taken is nobody's business
+            assert not written.getexif()
             red = np.asarray(written)[..., 0]
         assert red[:60].min() > 200
         assert red[70:].max() < 60
-    masks = {path.name: np.asarray(Image.open(path)) for path in (out / "masks").iterdir()}
+    masks = {
+        path.name: np.asarray(Image.open(path)) for path in (out / "masks").iterdir()
+    }
     assert set(masks) == {"a_b_-2.jpg.png", "c.png.png"}
     for mask in masks.values():
         assert mask.shape == (128, 64)
@@ -130,7 +150,9 @@ def write_video(path: Path, frames: list[np.ndarray]) -> None:
     import cv2
 
     height, width = frames[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10.0, (width, height))
+    writer = cv2.VideoWriter(
+        str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10.0, (width, height)
+    )
     for frame in frames:
         writer.write(frame)
     writer.release()
@@ -156,25 +178,46 @@ def test_a_video_gives_the_sharpest_frame_of_each_interval(tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     "content",
-    [b"", b"#EXTM3U\n/etc/passwd\n", b"ffconcat version 1.0\nfile /etc/passwd\n", b"\0\0\0\x18ftypmp42" + bytes(64)],
+    [
+        b"",
+        b"#EXTM3U\n/etc/passwd\n",
+        b"ffconcat version 1.0\nfile /etc/passwd\n",
+        b"\0\0\0\x18ftypmp42" + bytes(64),
+    ],
     ids=["empty", "playlist", "list of files", "damaged"],
 )
-def test_what_is_no_video_is_refused_by_a_process_of_its_own(content: bytes, tmp_path: Path) -> None:
+def test_what_is_no_video_is_refused_by_a_process_of_its_own(
+    content: bytes, tmp_path: Path
+) -> None:
     walk = tmp_path / "walk.mp4"
     walk.write_bytes(content)
     (tmp_path / "images").mkdir()
-    task = {"kind": "frames", "root": str(tmp_path), "video": str(walk), "longest_side": 64, "interval": 1, "most": 9}
-    with pytest.raises(PreparationError, match=r"walk\.mp4: expected a video that FFmpeg can read"):
+    task = {
+        "kind": "frames",
+        "root": str(tmp_path),
+        "video": str(walk),
+        "longest_side": 64,
+        "interval": 1,
+        "most": 9,
+    }
+    with pytest.raises(
+        PreparationError, match=r"walk\.mp4: expected a video that FFmpeg can read"
+    ):
         in_child(str(walk), task, silent)
 
 
 def test_a_process_that_fails_is_said_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(PreparationError, match=r"photos: expected a process that finishes, got it ended .*KeyError"):
+    with pytest.raises(
+        PreparationError,
+        match=r"photos: expected a process that finishes, got it ended .*KeyError",
+    ):
         in_child("photos", {"kind": "place", "root": str(tmp_path)}, silent)
 
 
 class Model:
-    """A model of COLMAP, as far as it is looked at, by how many points its images show."""
+    """A model of COLMAP, as far as it is looked at, by how many points its images
+    show.
+    """
 
     def __init__(self, *points: int) -> None:
         self.images = {
@@ -190,7 +233,11 @@ class Model:
 
 
 def test_images_with_few_points_leave_their_models_and_small_models_go() -> None:
-    empty, most, few = Model(5, 6, 7, 8, 9), Model(200, 40, 30, 29), Model(90, 90, 90, 90)
+    empty, most, few = (
+        Model(5, 6, 7, 8, 9),
+        Model(200, 40, 30, 29),
+        Model(90, 90, 90, 90),
+    )
     assert _trimmed([empty, most, few]) == [few, most]
     assert (most.num_reg_images(), few.num_reg_images()) == (3, 4)
 
@@ -237,14 +284,22 @@ def test_only_a_prepared_set_is_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("_on_a_circle")
-def test_the_command_says_what_was_placed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_says_what_was_placed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     source = photographs(tmp_path / "photos", 10)
     assert cli.main(["prepare", str(source), "--out", str(tmp_path / "set")]) == 0
     captured = capsys.readouterr()
     assert "9 of 10 images placed: 7 for training, 2 held out" in captured.out
     assert "not placed: IMG 9.png (7 features" in captured.err
     assert "2 models, of 9, 3 images: the largest is taken" in captured.err
-    own = ["prepare", str(tmp_path / "set" / "images"), "--out", str(tmp_path / "set"), "--force"]
+    own = [
+        "prepare",
+        str(tmp_path / "set" / "images"),
+        "--out",
+        str(tmp_path / "set"),
+        "--force",
+    ]
     assert cli.main(own) == 2
     assert "a folder without the input" in capsys.readouterr().err
     assert (tmp_path / "set" / "images" / "IMG_0.png").is_file()
@@ -257,7 +312,9 @@ def test_up_is_across_the_rights_of_cameras() -> None:
     world = from_z(up)
     quarter = [  # from one side only, so that the mean of the cameras' ups leans
         look_at((3 * np.cos(a), 3 * np.sin(a), h), (0, 0, 0))[:3, :3]
-        for a, h in zip(chance.uniform(0, 1.6, 20), chance.uniform(1, 4, 20), strict=True)
+        for a, h in zip(
+            chance.uniform(0, 1.6, 20), chance.uniform(1, 4, 20), strict=True
+        )
     ]
     turns = world @ torch.stack(quarter)
     assert float(up_of(turns.numpy()) @ up.numpy()) == pytest.approx(1.0, abs=1e-9)
@@ -269,5 +326,7 @@ def test_up_is_across_the_rights_of_cameras() -> None:
 def test_images_of_many_kinds_are_refused_in_words(tmp_path: Path) -> None:
     source = photographs(tmp_path / "photos", 2)
     (source / "IMG_1.HEIC").write_bytes(b"\0\0\0\x18ftypheic" + bytes(20))
-    with pytest.raises(PreparationError, match=r"IMG_1\.HEIC for instance: .*convert it"):
+    with pytest.raises(
+        PreparationError, match=r"IMG_1\.HEIC for instance: .*convert it"
+    ):
         prepare(source, tmp_path / "set", PrepareConfig(), on_progress=silent)

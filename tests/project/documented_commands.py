@@ -1,7 +1,9 @@
-"""Every command that the documentation shows, and how each is run: at once and tiny, or by night and small.
+"""Every command that the documentation shows, and how each is run: at once and tiny, or
+by night and small.
 
-A command of `mi-splat` that is in no table here fails test_docs.py: whoever writes a new one into a page says how it is
-run. Pages are run line by line in a folder of their own, so a page can use what its earlier lines have made.
+A command of `mi-splat` that is in no table here fails test_docs.py: whoever writes a
+new one into a page says how it is run. Pages are run line by line in a folder of their
+own, so a page can use what its earlier lines have made.
 """
 
 import re
@@ -17,7 +19,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 When = Literal["fast", "nightly", "never"]
 Change = Callable[[list[str]], "list[str] | None"]
-"""From the values that a flag has on the page, none if it is not there, to those that it is run with; None: no flag."""
+"""From the values that a flag has on the page, none if it is not there, to those that
+it is run with; None: no flag.
+"""
 
 FAST = {
     *(
@@ -49,24 +53,45 @@ NIGHTLY = {
     *("cloak", "doctor", "view", "python"),
     *("study run pairs", "study run eot_pairs", "study run cloak"),
 }
-"""Commands that are run by `make nightly`, each with the whole page that it stands on."""
+"""Commands that are run by `make nightly`, each with the whole page that it stands
+on.
+"""
 NIGHTLY_PAGES = {
     *("docs/tutorials/attack-your-own-splat.md", "docs/viewing.md"),
-    *("docs/report.md", "docs/transfer.md", "docs/how-to/resume-and-extend.md", "docs/rendering-studies.md"),
+    *(
+        "docs/report.md",
+        "docs/transfer.md",
+        "docs/how-to/resume-and-extend.md",
+        "docs/rendering-studies.md",
+    ),
 }
-"""Pages whose lines need what long lines have made, or whose short lines are also on other pages."""
+"""Pages whose lines need what long lines have made, or whose short lines are also on
+other pages.
+"""
 WALKED_PAGES = {"docs/how-to/photographs.md"}
-"""Pages that a nightly test of their own runs whole: tests/preparation/test_photographs_of_a_phone.py."""
+"""Pages that a nightly test of their own runs whole:
+tests/preparation/test_photographs_of_a_phone.py.
+"""
 ELSEWHERE = {
     "make test": "runs these tests",
-    "make docs": ".ci/run runs it, and by night tests/project/test_docs.py looks at what it has built",
+    "make docs": (
+        ".ci/run runs it, and by night tests/project/test_docs.py looks at what it has"
+        " built"
+    ),
     "make nightly": "runs these tests",
     "make commands": "the same",
-    "study": "tests/studies/test_shipped.py plans every study that is shipped; one of each kind is done by night",
-    "detectors --get": "tests/detectors/graphs/test_packages.py runs it, with an npm of its own",
+    "study": (
+        "tests/studies/test_shipped.py plans every study that is shipped; one of each"
+        " kind is done by night"
+    ),
+    "detectors --get": (
+        "tests/detectors/graphs/test_packages.py runs it, with an npm of its own"
+    ),
     "detectors --from": "the same",
     "source": "tests/cli/test_set_up.py runs the completion of a shell",
-    "pip": "the tests run in what it has installed; the extras that it names are checked",
+    "pip": (
+        "the tests run in what it has installed; the extras that it names are checked"
+    ),
 }
 """Commands that are run by something else."""
 
@@ -100,7 +125,14 @@ class Line:
         if self.words[1] == "study":
             kind = f"study {self.words[2]} {Path(self.words[3]).stem}"
             return kind if kind in NIGHTLY else "study"
-        marked = next((flag for flag in ("--export", "--forecast", "--get", "--from") if flag in self.words), None)
+        marked = next(
+            (
+                flag
+                for flag in ("--export", "--forecast", "--get", "--from")
+                if flag in self.words
+            ),
+            None,
+        )
         return f"{self.words[1]} {marked}" if marked else self.words[1]
 
     @property
@@ -110,7 +142,9 @@ class Line:
             return "never"
         if self.kind in FAST and self.page not in NIGHTLY_PAGES:
             return "fast"
-        return "nightly" if self.kind in NIGHTLY | FAST or self.program == "make" else None
+        return (
+            "nightly" if self.kind in NIGHTLY | FAST or self.program == "make" else None
+        )
 
     def __str__(self) -> str:
         return f"{self.page}: {shlex.join(self.words)}"
@@ -118,15 +152,23 @@ class Line:
 
 def blocks(language: str, text: str) -> list[str]:
     """Contents of the fenced blocks in one language."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+    return re.findall(
+        rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL
+    )
 
 
 def pages() -> list[Path]:
-    """The README and every page of the documentation; results have tables of their own."""
+    """The README and every page of the documentation; results have tables of their
+    own.
+    """
     docs = ROOT / "docs"
     return [
         ROOT / "README.md",
-        *(path for path in sorted(docs.rglob("*.md")) if not {docs / "artifacts", docs / "bench"} & {*path.parents}),
+        *(
+            path
+            for path in sorted(docs.rglob("*.md"))
+            if not {docs / "artifacts", docs / "bench"} & {*path.parents}
+        ),
     ]
 
 
@@ -153,14 +195,21 @@ def fewer_cameras(most: int) -> Change:
     """Sets of at most so many cameras; other cameras stay."""
 
     def change(old: list[str]) -> list[str] | None:
-        sets = [re.sub(r":(\d+)", lambda match: f":{min(most, int(match[1]))}", word) for word in old]
-        return [re.sub(r"^grid:\d+x\d+$", f"grid:{most}x1", word) for word in sets] or None
+        sets = [
+            re.sub(r":(\d+)", lambda match: f":{min(most, int(match[1]))}", word)
+            for word in old
+        ]
+        return [
+            re.sub(r"^grid:\d+x\d+$", f"grid:{most}x1", word) for word in sets
+        ] or None
 
     return change
 
 
 def of_iterations(factor: float) -> Change:
-    """A part of the iterations, so that a longer run stays longer; of 3,000 where the page says nothing."""
+    """A part of the iterations, so that a longer run stays longer; of 3,000 where the
+    page says nothing.
+    """
     return lambda old: [str(max(5, round(int((old or ["3000"])[0]) * factor)))]
 
 
@@ -172,8 +221,16 @@ TINY: dict[str, dict[str, Change]] = {
         "--points": to("300"),
         "--test": if_there("2"),
     },
-    "train": {"--iterations": of_iterations(0.001), "--eval-interval": to("0"), "--sh-degree": to("1")},
-    "render": {"--cameras": fewer_cameras(2), "--size": if_there("32"), "--samples": if_there("2")},
+    "train": {
+        "--iterations": of_iterations(0.001),
+        "--eval-interval": to("0"),
+        "--sh-degree": to("1"),
+    },
+    "render": {
+        "--cameras": fewer_cameras(2),
+        "--size": if_there("32"),
+        "--samples": if_there("2"),
+    },
     "compare": {
         "--cameras": lambda old: ["front"] if old == ["all"] else old,
         "--size": to("32"),
@@ -181,7 +238,12 @@ TINY: dict[str, dict[str, Change]] = {
     },
     "select": {"--cameras": fewer_cameras(2)},
     "detect": {"--cameras": fewer_cameras(1), "--size": to("64")},
-    "dagger": {"--cameras": fewer_cameras(2), "--size": to("64"), "--steps": to("1"), "--noise-draws": to("1")},
+    "dagger": {
+        "--cameras": fewer_cameras(2),
+        "--size": to("64"),
+        "--steps": to("1"),
+        "--noise-draws": to("1"),
+    },
     "dagger --region": {
         "--size": to("64"),
         "--steps": to("1"),
@@ -189,17 +251,32 @@ TINY: dict[str, dict[str, Change]] = {
         "--validation": to("1"),
         "--held-out": to("1"),
     },
-    "evaluate": {"--cameras": fewer_cameras(2), "--size": to("64"), "--pictures": to("1")},
+    "evaluate": {
+        "--cameras": fewer_cameras(2),
+        "--size": to("64"),
+        "--pictures": to("1"),
+    },
     "view": {"--no-open": to()},
     "demo": {"--force": to()},
 }
-"""Name of a command to what is changed in it, so that it takes seconds; what counts is that it runs."""
+"""Name of a command to what is changed in it, so that it takes seconds; what counts is
+that it runs.
+"""
 
 SMALL: dict[str, dict[str, Change]] = {
     **TINY,
-    "capture": {"--cameras": fewer_cameras(24), "--samples": to("4"), "--test": if_there("2"), "--points": to("8000")},
+    "capture": {
+        "--cameras": fewer_cameras(24),
+        "--samples": to("4"),
+        "--test": if_there("2"),
+        "--points": to("8000"),
+    },
     "train": {"--iterations": of_iterations(0.15), "--eval-interval": to("0")},
-    "dagger": {"--cameras": fewer_cameras(2), "--steps": to("2"), "--noise-draws": to("1")},
+    "dagger": {
+        "--cameras": fewer_cameras(2),
+        "--steps": to("2"),
+        "--noise-draws": to("1"),
+    },
     "evaluate": {"--cameras": fewer_cameras(2), "--pictures": to("1")},
 }
 """The same where a page needs a splat on which an object can be seen."""
@@ -207,9 +284,13 @@ SMALL_PAGES = {"docs/tutorials/attack-your-own-splat.md"}
 
 SHIPPED_WEIGHTS: dict[str, Change] = {
     "--detectors": if_there("fasterrcnn_small"),
-    "--weights": to(str(ROOT / "attacks" / "detectors" / "fasterrcnn_small.safetensors")),
+    "--weights": to(
+        str(ROOT / "attacks" / "detectors" / "fasterrcnn_small.safetensors")
+    ),
 }
-"""For a line that names a file of weights, which nobody has here: those of the project, given as a file."""
+"""For a line that names a file of weights, which nobody has here: those of the project,
+given as a file.
+"""
 
 BENCHMARKS = {"benchmarks/render.py": ["--rounds", "1"]}
 """What is added to a program that a page calls by `python`."""
@@ -225,7 +306,10 @@ def shortened(line: Line) -> list[str]:
         if "--help" in words:
             break
         start = words.index(flag) if flag in words else len(words)
-        end = next((i for i in range(start + 1, len(words)) if words[i].startswith("--")), len(words))
+        end = next(
+            (i for i in range(start + 1, len(words)) if words[i].startswith("--")),
+            len(words),
+        )
         values = change(words[start + 1 : end])
         words[start:end] = [] if values is None else [flag, *values]
     return words

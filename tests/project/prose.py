@@ -1,4 +1,6 @@
-"""Links, alternative text and banned words of the pages: `python -m tests.project.prose`, which `make lint` runs."""
+"""Links, alternative text and banned words of the pages:
+`python -m tests.project.prose`, which `make lint` runs.
+"""
 
 import re
 import sys
@@ -20,13 +22,19 @@ _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)(?:\s+\"[^\"]*\
 
 def anchors(text: str) -> set[str]:
     """Names of the headings of a page, as a forge and the site make them."""
-    headings = re.findall(r"^#{1,6} (.+?)\s*$", _HIDDEN.sub("", text), flags=re.MULTILINE)
+    headings = re.findall(
+        r"^#{1,6} (.+?)\s*$", _HIDDEN.sub("", text), flags=re.MULTILINE
+    )
     plain = (re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading) for heading in headings)
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in plain}
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in plain
+    }
 
 
 def dead_links(path: Path, text: str, *, written: Sequence[str]) -> list[str]:
-    """Links of a page to a missing file or heading, or to an address without https; `written` files need not exist."""
+    """Links of a page to a missing file or heading, or to an address without https;
+    `written` files need not exist.
+    """
     dead = []
     for *_, address in _LINK.findall(_CODE.sub("`code`", _HIDDEN.sub("", text))):
         target, _, anchor = address.partition("#")
@@ -35,17 +43,26 @@ def dead_links(path: Path, text: str, *, written: Sequence[str]) -> list[str]:
             continue
         other = (path.parent / target).resolve() if target else path
         if target and not other.exists():
-            if not any(other.is_relative_to(ROOT) and other.relative_to(ROOT).match(file) for file in written):
+            if not any(
+                other.is_relative_to(ROOT) and other.relative_to(ROOT).match(file)
+                for file in written
+            ):
                 dead.append(address)
         elif anchor and (target == "" or other.suffix == ".md"):
-            dead += [] if anchor in anchors(text if not target else other.read_text()) else [address]
+            dead += (
+                []
+                if anchor in anchors(text if not target else other.read_text())
+                else [address]
+            )
     return dead
 
 
 def complaints(name: str, text: str, banned: Mapping[str, str]) -> list[str]:
     """Images without alternative text, and banned words with what to write instead."""
     prose = _CODE.sub("`code`", _HIDDEN.sub("", text))
-    bare = [file for mark, alt, file in _LINK.findall(prose) if mark and not alt.strip()]
+    bare = [
+        file for mark, alt, file in _LINK.findall(prose) if mark and not alt.strip()
+    ]
     lines = [f"{name}: the image {file} has no alternative text" for file in bare]
     plain = re.sub(r"\s+", " ", _LINK.sub(r"\2", prose))
     for word, instead in banned.items():
@@ -60,8 +77,12 @@ def check() -> list[str]:
     written = (ROOT / ".gitignore").read_text().split()
     for path in pages():
         name, text = path.relative_to(ROOT).as_posix(), path.read_text()
-        lines += [f"{name}: {link} leads nowhere" for link in dead_links(path, text, written=written)]
-        if not name.startswith(("docs/structure.md", "docs/tables/")):  # written by programs
+        lines += [
+            f"{name}: {link} leads nowhere"
+            for link in dead_links(path, text, written=written)
+        ]
+        # written by programs
+        if not name.startswith(("docs/structure.md", "docs/tables/")):
             lines += complaints(name, text, banned)
     return lines
 

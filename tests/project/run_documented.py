@@ -1,7 +1,9 @@
-"""Runs the commands of the documentation: `python -m tests.project.run_documented fast|nightly FOLDER [PAGE ...]`.
+"""Runs the commands of the documentation: `python -m tests.project.run_documented
+fast|nightly FOLDER [PAGE ...]`.
 
-Each page has a folder of its own within FOLDER. What a line needs and no earlier line of its page has made is made
-first, mostly by a command, too (`GIVEN`). Exit status 1, and what failed on stderr, if a command fails.
+Each page has a folder of its own within FOLDER. What a line needs and no earlier line
+of its page has made is made first, mostly by a command, too (`GIVEN`). Exit status 1,
+and what failed on stderr, if a command fails.
 """
 
 import contextlib
@@ -27,7 +29,14 @@ from mi_splat import GaussianScene, load_splat, save_splat
 from mi_splat.processes import INTERRUPTED
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import Similarity, merge
-from tests.project.documented_commands import BENCHMARKS, NIGHTLY_PAGES, ROOT, Line, lines, shortened
+from tests.project.documented_commands import (
+    BENCHMARKS,
+    NIGHTLY_PAGES,
+    ROOT,
+    Line,
+    lines,
+    shortened,
+)
 from tests.rewriting import rewrite_once
 from tests.selection.bare import ground
 
@@ -48,8 +57,15 @@ def splat(path: Path) -> None:
 
 def splat_y_down(path: Path) -> None:
     """The same as COLMAP would have it, with y down."""
-    quarter = to_matrix(torch.tensor([0.5**0.5, 0.5**0.5, 0.0, 0.0], dtype=torch.float64))
-    save_splat(car_on_ground().transform(Similarity(rotation=quarter, translation=torch.zeros(3))), path)
+    quarter = to_matrix(
+        torch.tensor([0.5**0.5, 0.5**0.5, 0.0, 0.0], dtype=torch.float64)
+    )
+    save_splat(
+        car_on_ground().transform(
+            Similarity(rotation=quarter, translation=torch.zeros(3))
+        ),
+        path,
+    )
 
 
 def mesh(path: Path) -> None:
@@ -67,8 +83,7 @@ def shipped_artifact(path: Path) -> None:
 def small_study(path: Path) -> None:
     """One attack of a shipped study, looked at under one condition."""
     file = path.with_suffix(".toml")
-    file.write_text(
-        """study = "dagger"
+    file.write_text("""study = "dagger"
 question = "Does the attack succeed?"
 scene = "scenes/car_street.xml"
 object = "car"
@@ -77,13 +92,15 @@ renderer = "tile"
 attack = { steps = 1, noise_draws = 0 }
 [judge.matrix]
 condition = ["tile"]
-"""
-    )
+""")
     status = cli.main(["study", "run", str(file), "--out", str(path), "--workers", "0"])
     assert status == 0
 
 
-PICTURES = "mi-splat capture stop_sign --cameras hemisphere:4 --test 2 --format both --out {path}"
+PICTURES = (
+    "mi-splat capture stop_sign --cameras hemisphere:4 --test 2 --format both --out"
+    " {path}"
+)
 DAGGER = "mi-splat dagger scenes/car_street.xml --object car --out {path}"
 
 GIVEN: dict[str, str | Callable[[Path], None]] = {
@@ -95,9 +112,14 @@ GIVEN: dict[str, str | Callable[[Path], None]] = {
     "YOUR.glb": mesh,
     **dict.fromkeys(("YOUR_SET", "out/set", "out/truck", "out/car-alone"), PICTURES),
     "out/desk": DAGGER,
-    "out/desk/attacked.ply": "mi-splat dagger YOUR.ply --mask out/mask.npy --azimuth 40 --elevation 25 --out out/desk",
+    "out/desk/attacked.ply": (
+        "mi-splat dagger YOUR.ply --mask out/mask.npy --azimuth 40 --elevation 25 --out"
+        " out/desk"
+    ),
     "out/mask.npy": "mi-splat select YOUR.ply --cluster 1 --out out/mask.npy",
-    "out/elephant/attacked.ply": "mi-splat dagger scenes/car_street.xml --object car --out out/elephant",
+    "out/elephant/attacked.ply": (
+        "mi-splat dagger scenes/car_street.xml --object car --out out/elephant"
+    ),
     "out/attacked.spz": "mi-splat convert scenes/car_street_car.ply out/attacked.spz",
     "out/person": DAGGER,
     "out/cloak": "mi-splat cloak scenes/cloak_car_colour.toml --out {path}",
@@ -120,18 +142,34 @@ def small_scenes(folder: Path) -> None:
         "iterations": 150,
         "max_gaussians": 2500,
     }
-    fewer |= {"outliers": 200, "cameras": 40, "reference_views": 4, "meridians": 1, "meridian_step": 15.0}
+    fewer |= {
+        "outliers": 200,
+        "cameras": 40,
+        "reference_views": 4,
+        "meridians": 1,
+        "meridian_step": 15.0,
+    }
     for path in folder.glob("cloak_*.toml"):
         text = path.read_text()
         if "\npoints = " not in text:
             text = text.replace("[cameras]\n", "[cameras]\npoints = 1500\n")
         for key, value in fewer.items():
-            head, layers, rest = text.partition("\n[layers]")  # which need room for as many Gaussians as they make
+            # which need room for as many Gaussians as they make
+            head, layers, rest = text.partition("\n[layers]")
             parts = [head, layers, rest] if key == "max_gaussians" else [text]
-            parts[0] = re.sub(rf"^{key} = [\d.]+", f"{key} = {value}", parts[0], flags=re.MULTILINE)
+            parts[0] = re.sub(
+                rf"^{key} = [\d.]+", f"{key} = {value}", parts[0], flags=re.MULTILINE
+            )
             text = "".join(parts)
         text = re.sub(r"^seeds = \[.*?\]", "seeds = [0]", text, flags=re.MULTILINE)
-        path.write_text(re.sub(r"^detectors = .*$", 'detectors = ["fasterrcnn_small"]', text, flags=re.MULTILINE))
+        path.write_text(
+            re.sub(
+                r"^detectors = .*$",
+                'detectors = ["fasterrcnn_small"]',
+                text,
+                flags=re.MULTILINE,
+            )
+        )
     for path in (folder / "studies").glob("*.toml"):
         path.write_text(shortened_study(path.read_text(), SMALL_ATTACKS.get(path.stem)))
 
@@ -144,8 +182,12 @@ SMALL_ATTACKS = {
 
 
 def shortened_study(text: str, attack: str | None) -> str:
-    """A study with one value of each axis, and the first case of its attacks with other settings; None leaves both."""
-    text = re.sub(r"(^    \{ name = .*\n)(?:    \{ name = .*\n)+", r"\1", text, flags=re.MULTILINE)
+    """A study with one value of each axis, and the first case of its attacks with other
+    settings; None leaves both.
+    """
+    text = re.sub(
+        r"(^    \{ name = .*\n)(?:    \{ name = .*\n)+", r"\1", text, flags=re.MULTILINE
+    )
     text = re.sub(r'^("[a-z_.]+" = \[[^\[{,]+),.*\]$', r"\1]", text, flags=re.MULTILINE)
     if attack is None:
         return text
@@ -154,9 +196,11 @@ def shortened_study(text: str, attack: str | None) -> str:
 
 
 def provide(line: Line, kept: dict[str, Path]) -> None:
-    """Make what a line reads, is not there, and can be made; what another page was given is copied.
+    """Make what a line reads, is not there, and can be made; what another page was
+    given is copied.
 
-    `kept` has a copy of what each entry of `GIVEN` that is a command has made; more are added.
+    `kept` has a copy of what each entry of `GIVEN` that is a command has made; more are
+    added.
     """
     outputs = {"--out", "--export"}
     reads = True
@@ -173,7 +217,9 @@ def provide(line: Line, kept: dict[str, Path]) -> None:
                 if make not in kept:
                     provide(given, kept)
                     execute(given)
-                    kept[make] = _copied(Path(given.words[-1]), kept["folder"] / str(len(kept)))
+                    kept[make] = _copied(
+                        Path(given.words[-1]), kept["folder"] / str(len(kept))
+                    )
                 else:
                     _copied(kept[make], Path(given.words[-1]))
             else:
@@ -197,9 +243,18 @@ class CommandError(Exception):
 def execute(line: Line) -> None:
     """Run a line in the current folder."""
     if line.program == "make":
-        for recipe in re.findall(rf"^{line.words[1]}:.*\n((?:\t.*\n)*)", (ROOT / "Makefile").read_text(), re.MULTILINE):
+        for recipe in re.findall(
+            rf"^{line.words[1]}:.*\n((?:\t.*\n)*)",
+            (ROOT / "Makefile").read_text(),
+            re.MULTILINE,
+        ):
             for command in re.findall(r"\$\(BIN\)/(mi-splat .*)", recipe):
-                execute(Line(line.page, tuple(shlex.split(command.replace("$(OUT)", "out/demo")))))
+                execute(
+                    Line(
+                        line.page,
+                        tuple(shlex.split(command.replace("$(OUT)", "out/demo"))),
+                    )
+                )
         return
     if line.program == "python":
         added = BENCHMARKS[line.words[1]]
@@ -207,18 +262,28 @@ def execute(line: Line) -> None:
         return
     words = shortened(line)
     if line.kind == "view":
-        _wait([sys.executable, "-m", "attacks", *words, "--port", "0"], Path(), until="http://")
+        _wait(
+            [sys.executable, "-m", "attacks", *words, "--port", "0"],
+            Path(),
+            until="http://",
+        )
         return
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
         status = cli.main(words)
     if status != 0:
-        raise CommandError(f"{shlex.join(words)}: exit status {status}\n{printed.getvalue()[-600:]}")
+        raise CommandError(
+            f"{shlex.join(words)}: exit status {status}\n{printed.getvalue()[-600:]}"
+        )
 
 
 def _wait(command: Sequence[str], folder: Path, until: str | None = None) -> None:
-    """Run a program to its end; once it has said `until`, it is interrupted as a user would do it."""
-    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    """Run a program to its end; once it has said `until`, it is interrupted as a user
+    would do it.
+    """
+    process = subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
     alarm = threading.Timer(SECONDS, process.kill)
     alarm.start()
     printed = ""
@@ -232,26 +297,42 @@ def _wait(command: Sequence[str], folder: Path, until: str | None = None) -> Non
     status = process.wait()
     alarm.cancel()
     if status not in (0, INTERRUPTED) or until is not None:
-        raise CommandError(f"{shlex.join(command)}: exit status {status}\n{printed[-600:]}")
+        raise CommandError(
+            f"{shlex.join(command)}: exit status {status}\n{printed[-600:]}"
+        )
 
 
 def chosen(when: str) -> dict[str, list[Line]]:
-    """The lines to run by page: all fast ones, or all of each page that has a nightly one."""
+    """The lines to run by page: all fast ones, or all of each page that has a nightly
+    one.
+    """
     lines_by_page: dict[str, list[Line]] = {}
     for line in lines():
         lines_by_page.setdefault(line.page, []).append(line)
     if when == "fast":
-        return {page: [line for line in every if line.when == "fast"] for page, every in lines_by_page.items()}
-    nightly = {page for page, every in lines_by_page.items() if any(line.when == "nightly" for line in every)}
+        return {
+            page: [line for line in every if line.when == "fast"]
+            for page, every in lines_by_page.items()
+        }
+    nightly = {
+        page
+        for page, every in lines_by_page.items()
+        if any(line.when == "nightly" for line in every)
+    }
     runnable = {
-        page: [line for line in lines_by_page[page] if line.when != "never"] for page in nightly | NIGHTLY_PAGES
+        page: [line for line in lines_by_page[page] if line.when != "never"]
+        for page in nightly | NIGHTLY_PAGES
     }
     return dict(sorted(runnable.items()))
 
 
 def not_here(words: Sequence[str]) -> list[str]:
-    """Detectors that a line names and that others trained, whose weights a new machine does not have."""
-    named = [word for word in words if word in DETECTORS.own and "--weights" not in words]
+    """Detectors that a line names and that others trained, whose weights a new machine
+    does not have.
+    """
+    named = [
+        word for word in words if word in DETECTORS.own and "--weights" not in words
+    ]
     return [name for name in named if DETECTORS[name].missing()]
 
 
@@ -267,10 +348,14 @@ def main(when: str, folder: Path, only: Sequence[str] = ()) -> int:
         here.mkdir()
         (here / "scenes").symlink_to(folder / "scenes")
         os.chdir(here)
-        gc.freeze()  # so that a command that collects garbage does not look through all that others have imported
+        # so that a command that collects garbage does not look through all that others
+        # have imported
+        gc.freeze()
         for line in every:
             if missing := not_here(shortened(line)):
-                sys.stdout.write(f"   left out  {line}: {', '.join(missing)} is not here\n")
+                sys.stdout.write(
+                    f"   left out  {line}: {', '.join(missing)} is not here\n"
+                )
                 continue
             begun = time.monotonic()
             try:

@@ -1,4 +1,6 @@
-"""Commands that messages name: each exists, with the options that it is given, so that advice can be followed."""
+"""Commands that messages name: each exists, with the options that it is given, so that
+advice can be followed.
+"""
 
 import ast
 import re
@@ -10,7 +12,9 @@ import pytest
 from attacks.cli import COMMANDS, command_of, parser_of
 
 ROOT = Path(__file__).resolve().parents[2]
-FILES = sorted(path for folder in ("mi_splat", "attacks") for path in (ROOT / folder).rglob("*.py"))
+FILES = sorted(
+    path for folder in ("mi_splat", "attacks") for path in (ROOT / folder).rglob("*.py")
+)
 NAMED = re.compile(r"(?:mi-splat|python -m attacks) ([a-z][a-z-]*)([^`;,()]*)")
 FLAG = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 PROSE = {"has", "needs", "ships"}
@@ -35,14 +39,23 @@ def test_messages_name_commands_that_exist() -> None:
             if name not in COMMANDS:
                 wrong.append(f"{where}: no command {name!r} in {text[:80]!r}")
                 continue
-            unknown = [flag for flag in FLAG.findall(rest) if flag not in _flags(_mode(name, rest))]
+            unknown = [
+                flag
+                for flag in FLAG.findall(rest)
+                if flag not in _flags(_mode(name, rest))
+            ]
             wrong += [f"{where}: {name} has no {flag}" for flag in unknown]
     assert not wrong, "\n".join(wrong)
 
 
 def test_errors_name_options_that_exist() -> None:
     known = {flag for name in COMMANDS for flag in _flags(name)} | OF_OTHERS | OF_KINDS
-    wrong = [f"{where}: {flag}" for where, text in _errors() for flag in FLAG.findall(text) if flag not in known]
+    wrong = [
+        f"{where}: {flag}"
+        for where, text in _errors()
+        for flag in FLAG.findall(text)
+        if flag not in known
+    ]
     assert not wrong, "\n".join(wrong)
 
 
@@ -60,7 +73,9 @@ def _flags(name: str) -> set[str]:
     known = _KNOWN.get(name)
     if known is None:
         actions = parser_of(name)._actions
-        known = _KNOWN[name] = {flag for action in actions for flag in action.option_strings} | ALL_COMMANDS
+        known = _KNOWN[name] = {
+            flag for action in actions for flag in action.option_strings
+        } | ALL_COMMANDS
     return known
 
 
@@ -75,10 +90,15 @@ def _messages() -> Iterator[tuple[str, str]]:
 
 
 def _errors() -> Iterator[tuple[str, str]]:
-    """Strings that errors, hints and warnings are made of, where these are written in the call."""
+    """Strings that errors, hints and warnings are made of, where these are written in
+    the call.
+    """
     for path, tree in _trees(FLAG):
         for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and getattr(node.func, "attr", getattr(node.func, "id", "")) in ERRORS:
+            if (
+                isinstance(node, ast.Call)
+                and getattr(node.func, "attr", getattr(node.func, "id", "")) in ERRORS
+            ):
                 yield from _strings(path, node, set())
 
 
@@ -91,10 +111,25 @@ def _trees(looked_for: re.Pattern[str]) -> Iterator[tuple[Path, ast.Module]]:
 
 
 def _strings(path: Path, tree: ast.AST, without: set[int]) -> Iterator[tuple[str, str]]:
-    parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+    parts = {
+        id(part)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.JoinedStr)
+        for part in node.values
+    }
     for node in ast.walk(tree):
         where = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
         if isinstance(node, ast.JoinedStr):
-            yield where, "".join(str(part.value) if isinstance(part, ast.Constant) else "X" for part in node.values)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in without | parts:
+            yield (
+                where,
+                "".join(
+                    str(part.value) if isinstance(part, ast.Constant) else "X"
+                    for part in node.values
+                ),
+            )
+        elif (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and id(node) not in without | parts
+        ):
             yield where, node.value

@@ -1,4 +1,6 @@
-"""The documentation is true: the site is built without a warning, its pages ask no other host, its commands run."""
+"""The documentation is true: the site is built without a warning, its pages ask no
+other host, its commands run.
+"""
 
 import ast
 import importlib
@@ -16,7 +18,14 @@ import pytest
 from attacks.cli import COMMANDS, command_of, parse
 from attacks.cli.doctor import REGISTRIES
 from tests.browser import CHROMIUM
-from tests.project.documented_commands import BENCHMARKS, ROOT, Line, blocks, lines, pages
+from tests.project.documented_commands import (
+    BENCHMARKS,
+    ROOT,
+    Line,
+    blocks,
+    lines,
+    pages,
+)
 from tests.project.test_extras import PROJECT
 from tests.warm import Warm
 
@@ -30,7 +39,9 @@ OURS = [line for line in LINES if line.program == "mi-splat"]
 
 
 def run(*words: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, *words], cwd=cwd, capture_output=True, text=True)
+    return subprocess.run(
+        [sys.executable, *words], cwd=cwd, capture_output=True, text=True
+    )
 
 
 @pytest.mark.parametrize("line", LINES, ids=str)
@@ -39,12 +50,16 @@ def test_every_command_is_run_by_something(line: Line) -> None:
     assert line.program != "python" or line.words[1] in BENCHMARKS
 
 
-@pytest.mark.parametrize("line", [line for line in OURS if line.kind != "--help"], ids=str)
+@pytest.mark.parametrize(
+    "line", [line for line in OURS if line.kind != "--help"], ids=str
+)
 def test_every_command_is_understood(line: Line) -> None:
     parse(*command_of(line.words[1:]))
 
 
-@pytest.mark.parametrize("line", [line for line in LINES if line.program == "make"], ids=str)
+@pytest.mark.parametrize(
+    "line", [line for line in LINES if line.program == "make"], ids=str
+)
 def test_every_make_target_exists(line: Line) -> None:
     makefile = (ROOT / "Makefile").read_text()
     targets = [word for word in line.words[1:] if "=" not in word]
@@ -56,47 +71,79 @@ def test_every_make_target_exists(line: Line) -> None:
 
 
 def test_every_extra_exists() -> None:
-    named = re.findall(r"(?:mi-splat|\.)\[([\w,]+)\]", "".join(path.read_text() for path in pages()))
-    assert {extra for group in named for extra in group.split(",")} <= set(PROJECT["optional-dependencies"])
+    named = re.findall(
+        r"(?:mi-splat|\.)\[([\w,]+)\]", "".join(path.read_text() for path in pages())
+    )
+    assert {extra for group in named for extra in group.split(",")} <= set(
+        PROJECT["optional-dependencies"]
+    )
 
 
 def test_every_page_is_in_the_list() -> None:
-    """README.md of docs/ is what a forge shows; it names every page but those that a program writes."""
+    """README.md of docs/ is what a forge shows; it names every page but those that a
+    program writes.
+    """
     listed = (ROOT / "docs" / "README.md").read_text()
     for path in pages()[1:]:
         name = path.relative_to(ROOT / "docs").as_posix()
-        assert name in ("README.md", "index.md") or name.startswith(("reference/", "tables/")) or f"]({name})" in listed
+        assert (
+            name in ("README.md", "index.md")
+            or name.startswith(("reference/", "tables/"))
+            or f"]({name})" in listed
+        )
 
 
 def modules(package: str) -> dict[str, bool]:
-    """The modules of a package, and whether each holds more than a docstring; a package has the name of its folder."""
+    """The modules of a package, and whether each holds more than a docstring; a package
+    has the name of its folder.
+    """
     return {
-        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): len(
-            ast.parse(path.read_text()).body
-        )
-        > 1
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(
+            ".__init__"
+        ): (len(ast.parse(path.read_text()).body) > 1)
         for path in sorted((ROOT / package).rglob("*.py"))
     }
 
 
 def test_the_reference_names_the_modules_that_there_are() -> None:
-    """All of `attacks` but its commands, which have pages of their own, and what of `mi_splat` is not an inside."""
-    text = "".join(path.read_text() for path in (ROOT / "docs" / "reference").glob("*.md"))
-    named = [*re.findall(r"automodule:: (\S+)", text), *" ".join(blocks("modules", text)).split()]
+    """All of `attacks` but its commands, which have pages of their own, and what of
+    `mi_splat` is not an inside.
+    """
+    text = "".join(
+        path.read_text() for path in (ROOT / "docs" / "reference").glob("*.md")
+    )
+    named = [
+        *re.findall(r"automodule:: (\S+)", text),
+        *" ".join(blocks("modules", text)).split(),
+    ]
     assert len(named) == len(set(named))
     full = {**modules("mi_splat"), **modules("attacks")}
     assert not set(named) - set(full)
-    insides = r"attacks\.(cli\b.*|__main__)|mi_splat\.(_lazy|assets|mitsuba_setup|view_freezing|\w+\..*)"
-    unnamed = [name for name, holds in full.items() if holds and not re.fullmatch(insides, name)]
+    insides = (
+        r"attacks\.(cli\b.*|__main__)"
+        r"|mi_splat\.(_lazy|assets|mitsuba_setup|view_freezing|\w+\..*)"
+    )
+    unnamed = [
+        name
+        for name, holds in full.items()
+        if holds and not re.fullmatch(insides, name)
+    ]
     assert not set(unnamed) - set(named)
 
 
 @pytest.mark.nightly
 def test_the_short_commands_run(tmp_path: Path, warm: Warm) -> None:
     """On small inputs: `make commands` runs these alone."""
-    pytest.importorskip("trimesh", reason="meshes of the documentation need the extra meshes")
-    pytest.importorskip("ultralytics", reason="the documentation compares two detectors; one needs the extra yolo")
-    done = warm.run("-m", "tests.project.run_documented", "fast", str(tmp_path), cwd=ROOT)
+    pytest.importorskip(
+        "trimesh", reason="meshes of the documentation need the extra meshes"
+    )
+    pytest.importorskip(
+        "ultralytics",
+        reason="the documentation compares two detectors; one needs the extra yolo",
+    )
+    done = warm.run(
+        "-m", "tests.project.run_documented", "fast", str(tmp_path), cwd=ROOT
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -107,7 +154,9 @@ def test_the_long_commands_run(tmp_path: Path) -> None:
 
 
 def test_the_detector_of_the_how_to_works(warm: Warm) -> None:
-    (example,) = blocks("python", (ROOT / "docs" / "how-to" / "write-your-own-detector.md").read_text())
+    (example,) = blocks(
+        "python", (ROOT / "docs" / "how-to" / "write-your-own-detector.md").read_text()
+    )
     done = warm.run("-c", example, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert "stop sign" in done.stdout
@@ -117,7 +166,9 @@ def test_the_plug_ins_of_the_page_keep_their_contracts(warm: Warm) -> None:
     """Each section has the plug-in and its test, which is run here as it stands."""
     text = (ROOT / "docs" / "plug-ins.md").read_text()
     examples = list(blocks("python", text))
-    assert len(re.findall(r"^check_\w+\(", "\n".join(examples), flags=re.MULTILINE)) == text.count("\nTest it: ")
+    assert len(
+        re.findall(r"^check_\w+\(", "\n".join(examples), flags=re.MULTILINE)
+    ) == text.count("\nTest it: ")
     done = warm.run("-c", "\n".join(examples), cwd=ROOT)
     assert done.returncode == 0, done.stderr
     (entry,) = blocks("toml", text)
@@ -129,9 +180,15 @@ def test_the_plug_ins_of_the_page_keep_their_contracts(warm: Warm) -> None:
 def test_python_examples_import_what_there_is(path: Path) -> None:
     for example in blocks("python", path.read_text()):
         for node in ast.walk(ast.parse(example)):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in ("mi_splat", "attacks"):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[
+                0
+            ] in ("mi_splat", "attacks"):
                 module = importlib.import_module(node.module or "")
-                assert not [alias.name for alias in node.names if not hasattr(module, alias.name)]
+                assert not [
+                    alias.name
+                    for alias in node.names
+                    if not hasattr(module, alias.name)
+                ]
 
 
 @pytest.mark.slow
@@ -140,7 +197,12 @@ def test_the_figures_can_be_drawn_again(tmp_path: Path) -> None:
     done = run("docs/figures/conventions.py", str(tmp_path))
     assert done.returncode == 0, done.stderr
     drawn = {path.name for path in tmp_path.iterdir()}
-    shown = set(re.findall(r"images/(conventions_\w+\.png)", (ROOT / "docs" / "conventions.md").read_text()))
+    shown = set(
+        re.findall(
+            r"images/(conventions_\w+\.png)",
+            (ROOT / "docs" / "conventions.md").read_text(),
+        )
+    )
     assert drawn == shown
     assert all((ROOT / "docs" / "images" / name).is_file() for name in drawn)
 
@@ -154,7 +216,11 @@ class Requests(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         if tag in ("script", "link", "img", "iframe", "source", "video"):
-            self.addresses += [value for name, value in attrs if name in ("src", "href", "srcset") and value]
+            self.addresses += [
+                value
+                for name, value in attrs
+                if name in ("src", "href", "srcset") and value
+            ]
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +230,17 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
             pytest.skip(f"no {module}: the site needs the extra docs")
     folder = tmp_path_factory.mktemp("site")
     done = run(
-        "-m", "sphinx", "-b", "html", "-W", "--keep-going", "-q", "-d", str(folder / "trees"), "docs", str(folder)
+        "-m",
+        "sphinx",
+        "-b",
+        "html",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-d",
+        str(folder / "trees"),
+        "docs",
+        str(folder),
     )
     assert done.returncode == 0, done.stderr
     return folder
@@ -173,14 +249,20 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.nightly
 def test_the_site_has_a_page_for_everything(site: Path) -> None:
     for name in COMMANDS:
-        text = (site / "reference" / "commands" / f"{name.replace(' --', '-')}.html").read_text()
+        text = (
+            site / "reference" / "commands" / f"{name.replace(' --', '-')}.html"
+        ).read_text()
         assert f"<h1>mi-splat {name}" in text
     import attacks
     import mi_splat
 
     for package in (mi_splat, attacks):
         text = (site / "reference" / f"{package.__name__}.html").read_text()
-        missing = [name for name in package.__all__ if f'id="{package.__name__}.{name}"' not in text]
+        missing = [
+            name
+            for name in package.__all__
+            if f'id="{package.__name__}.{name}"' not in text
+        ]
         assert not missing
     assert "lane" in (site / "reference" / "rasterization.html").read_text()
     assert "<svg" in (site / "structure.html").read_text()
@@ -192,7 +274,11 @@ def test_the_notebooks_show_what_they_gave(site: Path) -> None:
         text = (site / "notebooks" / f"{path.stem}.html").read_text()
         assert text.count('src="../_images/') >= 2, path.name
         (file,) = (site / "_downloads").rglob(f"{path.stem}.ipynb")
-        cells = [cell for cell in json.loads(file.read_text())["cells"] if cell["cell_type"] == "code"]
+        cells = [
+            cell
+            for cell in json.loads(file.read_text())["cells"]
+            if cell["cell_type"] == "code"
+        ]
         assert len(cells) == path.read_text().count("```{code-cell}")
         assert all(cell["execution_count"] for cell in cells)
 
@@ -205,18 +291,30 @@ def test_the_site_asks_no_other_host(site: Path) -> None:
         requests = Requests()
         requests.feed(path.read_text())
         assert requests.addresses
-        foreign = [address for address in requests.addresses if re.match(r"(\w+:)?//", address)]
+        foreign = [
+            address for address in requests.addresses if re.match(r"(\w+:)?//", address)
+        ]
         assert not foreign, path.relative_to(site)
     for path in (*site.rglob("*.css"), site / "_static" / "site.js"):
-        assert not re.search(r"(@import|url\()\s*['\"]?(https?:)?//", path.read_text()), path.relative_to(site)
+        assert not re.search(
+            r"(@import|url\()\s*['\"]?(https?:)?//", path.read_text()
+        ), path.relative_to(site)
 
 
 @pytest.mark.nightly
 @pytest.mark.skipif(CHROMIUM is None, reason="needs the program chromium")
-@pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 1280), ("light", 390)])
-def test_the_first_page_works_without_a_network(chromium: Any, site: Path, scheme: str, width: int) -> None:
-    """The line between before and after follows a pointer and the arrow keys; nothing is wider than a telephone."""
-    window = chromium.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme, has_touch=True)
+@pytest.mark.parametrize(
+    ("scheme", "width"), [("light", 1280), ("dark", 1280), ("light", 390)]
+)
+def test_the_first_page_works_without_a_network(
+    chromium: Any, site: Path, scheme: str, width: int
+) -> None:
+    """The line between before and after follows a pointer and the arrow keys; nothing
+    is wider than a telephone.
+    """
+    window = chromium.new_page(
+        viewport={"width": width, "height": 900}, color_scheme=scheme, has_touch=True
+    )
     asked: list[str] = []
     window.on("request", lambda request: asked.append(request.url))
     window.goto((site / "index.html").as_uri())
@@ -241,35 +339,59 @@ def test_the_first_page_works_without_a_network(chromium: Any, site: Path, schem
 
 LOOK = """() => {
   const brightness = (element, name) =>
-    getComputedStyle(element)[name].match(/[\\d.]+/g).slice(0, 3).reduce((sum, value) => sum + Number(value), 0);
+    getComputedStyle(element)[name].match(/[\\d.]+/g).slice(0, 3)
+      .reduce((sum, value) => sum + Number(value), 0);
+  const closed = "nav.bd-docs-nav > div > ul > li > details:not([open])";
+  const failed = image => image.complete && !image.naturalWidth;
   return {
     width: document.documentElement.scrollWidth,
-    broken: [...document.images].filter(image => image.complete && !image.naturalWidth).map(image => image.src),
+    broken: [...document.images].filter(failed).map(image => image.src),
     paper: brightness(document.body, "backgroundColor"),
     ink: brightness(document.querySelector("article h1"), "color"),
-    folded: document.querySelectorAll("nav.bd-docs-nav > div > ul > li > details:not([open])").length,
+    folded: document.querySelectorAll(closed).length,
   };
 }"""
-"""What is asked of a page in a browser: its width, its pictures, its colours, and parts of the site that are folded."""
+"""What is asked of a page in a browser: its width, its pictures, its colours, and parts
+of the site that are folded.
+"""
 
 
 @pytest.mark.nightly
 @pytest.mark.skipif(CHROMIUM is None, reason="needs the program chromium")
 @pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 390)])
-def test_every_page_is_read_in_a_browser(chromium: Any, site: Path, scheme: str, width: int) -> None:
-    """Nothing makes a page wider than its window, dark is dark, every picture is there, nobody else is asked."""
-    window = chromium.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+def test_every_page_is_read_in_a_browser(
+    chromium: Any, site: Path, scheme: str, width: int
+) -> None:
+    """Nothing makes a page wider than its window, dark is dark, every picture is there,
+    nobody else is asked.
+    """
+    window = chromium.new_page(
+        viewport={"width": width, "height": 900}, color_scheme=scheme
+    )
     asked: list[str] = []
     window.on("request", lambda request: asked.append(request.url))
     wrong = []
     for path in sorted(site.rglob("*.html")):
         name = path.relative_to(site).as_posix()
-        if name.startswith("_static") or name in ("search.html", "genindex.html", "py-modindex.html"):
+        if name.startswith("_static") or name in (
+            "search.html",
+            "genindex.html",
+            "py-modindex.html",
+        ):
             continue
         window.goto(path.as_uri())
         seen = window.evaluate(LOOK)
-        contrast = seen["paper"] - seen["ink"] if scheme == "light" else seen["ink"] - seen["paper"]
-        if seen["width"] > width or seen["broken"] or contrast < 400 or seen["folded"] < 4:
+        contrast = (
+            seen["paper"] - seen["ink"]
+            if scheme == "light"
+            else seen["ink"] - seen["paper"]
+        )
+        if (
+            seen["width"] > width
+            or seen["broken"]
+            or contrast < 400
+            or seen["folded"] < 4
+        ):
             wrong.append((name, seen))
     window.close()
     assert wrong == []
@@ -281,5 +403,6 @@ def test_every_page_is_read_in_a_browser(chromium: Any, site: Path, scheme: str,
 def test_the_search_works_without_a_network(chromium: Any, site: Path) -> None:
     window = chromium.new_page()
     window.goto((site / "search.html").as_uri() + "?q=poison")
-    window.locator("#search-results li a[href*='poison-splat']").first.wait_for()  # results come one by one
+    # results come one by one
+    window.locator("#search-results li a[href*='poison-splat']").first.wait_for()
     window.close()

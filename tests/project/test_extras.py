@@ -1,7 +1,8 @@
-"""What is installed: everything that is imported is a dependency or an extra, and without an extra nothing half done.
+"""What is installed: everything that is imported is a dependency or an extra, and
+without an extra nothing half done.
 
-Each command that needs an extra is run in a process that does not have it: one line says what to install, before
-anything is written.
+Each command that needs an extra is run in a process that does not have it: one line
+says what to install, before anything is written.
 """
 
 import importlib
@@ -24,7 +25,9 @@ else:
     import tomli as tomllib
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-ALSO = {"PIL": "pillow", "pxr": "usd-core"} | {"rapidocr_onnxruntime": "rapidocr-onnxruntime"}
+ALSO = {"PIL": "pillow", "pxr": "usd-core"} | {
+    "rapidocr_onnxruntime": "rapidocr-onnxruntime"
+}
 ALSO |= {"cv2": "opencv-python-headless"}
 """Modules that are not called as their package is."""
 MODULES = [module for modules in EXTRAS.values() for module in modules]
@@ -40,16 +43,23 @@ def test_doctor_knows_the_extras() -> None:
         for name, needed in PROJECT["optional-dependencies"].items()
         if name not in ("dev", "docs")
     }
-    assert {name: {ALSO.get(module, module) for module in modules} for name, modules in EXTRAS.items()} == extras
+    assert {
+        name: {ALSO.get(module, module) for module in modules}
+        for name, modules in EXTRAS.items()
+    } == extras
 
 
 def test_what_is_imported_is_installed() -> None:
-    installed = packages(PROJECT["dependencies"]) | {ALSO.get(module, module) for module in MODULES}
+    installed = packages(PROJECT["dependencies"]) | {
+        ALSO.get(module, module) for module in MODULES
+    }
     for package in PACKAGES:
         for name, other in edges(package):
             top = other.split(".")[0]
             if top not in PACKAGES and top not in sys.stdlib_module_names:
-                assert ALSO.get(top, top) in installed, f"{name} imports {other}, which no dependency brings"
+                assert ALSO.get(top, top) in installed, (
+                    f"{name} imports {other}, which no dependency brings"
+                )
 
 
 def test_notice_names_extras_that_exist() -> None:
@@ -89,23 +99,37 @@ def test_a_missing_extra_is_told_before_anything_is_written(
 @pytest.mark.slow
 def test_training_needs_no_extra(tmp_path: Path, warm: Warm) -> None:
     out = tmp_path / "out"
-    words = ["train", str(write_set(tmp_path / "set")), "--out", str(out), "--iterations", "3", "--eval-interval", "1"]
+    words = [
+        "train",
+        str(write_set(tmp_path / "set")),
+        "--out",
+        str(out),
+        "--iterations",
+        "3",
+        "--eval-interval",
+        "1",
+    ]
     done = warm.run("-m", "attacks", *words, cwd=ROOT, missing=MODULES)
     assert done.returncode == 0, done.stderr
     assert "SSIM" in done.stdout
     assert (out / "splat.ply").is_file()
 
 
-# The examples of the documentation run: of the first page, of the Python API, and the scene
+# The examples of the documentation run: of the first page, of the Python API, and the
+# scene
 
 
 README = (ROOT / "README.md").read_text()
-START, RENDERING = ((ROOT / "docs" / f"{name}.md").read_text() for name in ("start", "rendering"))
+START, RENDERING = (
+    (ROOT / "docs" / f"{name}.md").read_text() for name in ("start", "rendering")
+)
 
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """An empty folder from which the scenes can be seen, and where a command may write."""
+    """An empty folder from which the scenes can be seen, and where a command may
+    write.
+    """
     (tmp_path / "scenes").symlink_to(ROOT / "scenes")
     return tmp_path
 
@@ -124,11 +148,22 @@ def test_the_python_example_runs(checkout: Path, warm: Warm) -> None:
 def test_the_examples_of_the_api_run(checkout: Path, warm: Warm) -> None:
     """As they stand, but with the smallest set and a training of some steps."""
     dagger, curve, aim, cloak = blocks("python", (ROOT / "docs" / "api.md").read_text())
-    capture = "capture car:900004 --rgba --cameras hemisphere:12 --size 24 --samples 1 --points 200 --out out/car-alone"
-    done = warm.run("-c", "\n".join([dagger, curve, aim, "print('aim:', result.objective.name)"]), cwd=checkout)
+    capture = (
+        "capture car:900004 --rgba --cameras hemisphere:12 --size 24 --samples 1"
+        " --points 200 --out out/car-alone"
+    )
+    done = warm.run(
+        "-c",
+        "\n".join([dagger, curve, aim, "print('aim:', result.objective.name)"]),
+        cwd=checkout,
+    )
     assert done.returncode == 0, done.stderr
     assert "from the other cameras, target_attacked: " in done.stdout
-    assert re.findall(r"^(\d\.0) (?:True|False) ", done.stdout, re.MULTILINE) == ["1.0", "2.0", "5.0"]
+    assert re.findall(r"^(\d\.0) (?:True|False) ", done.stdout, re.MULTILINE) == [
+        "1.0",
+        "2.0",
+        "5.0",
+    ]
     assert "aim: success" in done.stdout
     assert (checkout / "out" / "person" / "result.json").is_file()
     warm.run("-m", "attacks", *capture.split(), cwd=checkout, check=True)
@@ -156,7 +191,9 @@ assert picture.std() > 0.05
 """
     done = warm.run("-c", code, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    done = warm.run("-m", "attacks", "render", "example.xml", "--out", "street.png", cwd=tmp_path)
+    done = warm.run(
+        "-m", "attacks", "render", "example.xml", "--out", "street.png", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "street.png").is_file()
 

@@ -1,4 +1,6 @@
-"""What commands do not wait for: packages that take seconds to import and are not needed."""
+"""What commands do not wait for: packages that take seconds to import and are not
+needed.
+"""
 
 import subprocess
 import sys
@@ -16,13 +18,19 @@ def ran(code: str) -> None:
 @pytest.mark.parametrize(
     "work",
     [
-        "leaf = torch.rand(1, 64, 64, 3, requires_grad=True)\n"
-        "from attacks import load_detector\n"
-        "detector = load_detector('fasterrcnn_small'); detector.detect(leaf.detach())\n"
-        "detector.candidates(leaf)[0].scores.sum().backward()",
-        "from mi_splat.metrics import ssim; ssim(torch.rand(16, 16, 3), torch.rand(16, 16, 3))\n"
-        "leaf = torch.rand(3, requires_grad=True); leaf.sum().backward()\n"
-        "from mi_splat.training.state import Adam; Adam([{'params': [leaf]}]).step()",
+        (
+            "leaf = torch.rand(1, 64, 64, 3, requires_grad=True)\n"
+            "from attacks import load_detector\n"
+            "detector = load_detector('fasterrcnn_small');"
+            " detector.detect(leaf.detach())\n"
+            "detector.candidates(leaf)[0].scores.sum().backward()"
+        ),
+        (
+            "from mi_splat.metrics import ssim; ssim(torch.rand(16, 16, 3),"
+            " torch.rand(16, 16, 3))\nleaf = torch.rand(3, requires_grad=True);"
+            " leaf.sum().backward()\nfrom mi_splat.training.state import Adam;"
+            " Adam([{'params': [leaf]}]).step()"
+        ),
     ],
     ids=["a detector", "a training"],
 )

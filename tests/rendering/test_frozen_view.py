@@ -1,4 +1,6 @@
-"""FrozenView beside Renderer: pictures, gradients of SH, subsets of rows, determinism, memory and bad input."""
+"""FrozenView beside Renderer: pictures, gradients of SH, subsets of rows, determinism,
+memory and bad input.
+"""
 
 import math
 from typing import Any
@@ -21,7 +23,9 @@ BACKGROUND = (0.2, 0.5, 0.9)
 
 def camera(width: int, height: int, *, distance: float = 3.0) -> Camera:
     pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=distance)
-    return Camera(to_world=pose, focal=(1.0 * width, 0.9 * width), width=width, height=height)
+    return Camera(
+        to_world=pose, focal=(1.0 * width, 0.9 * width), width=width, height=height
+    )
 
 
 def gradient(picture: Tensor, leaf: Tensor) -> Tensor:
@@ -31,7 +35,9 @@ def gradient(picture: Tensor, leaf: Tensor) -> Tensor:
 
 
 def compare(view: FrozenView, scene: GaussianScene, sh: Tensor) -> None:
-    """Picture and gradient of a view with these SH of its rows are those of a Renderer."""
+    """Picture and gradient of a view with these SH of its rows are those of a
+    Renderer.
+    """
     every = scene.sh.clone()
     if every.shape[1] != sh.shape[1]:
         every = sh.clone()
@@ -47,7 +53,9 @@ def compare(view: FrozenView, scene: GaussianScene, sh: Tensor) -> None:
 
 
 def other_colours(sh: Tensor, seed: int = 5) -> Tensor:
-    return sh + 0.3 * torch.randn(sh.shape, generator=torch.Generator().manual_seed(seed))
+    return sh + 0.3 * torch.randn(
+        sh.shape, generator=torch.Generator().manual_seed(seed)
+    )
 
 
 SETTINGS: dict[str, Any] = {
@@ -63,7 +71,11 @@ SETTINGS: dict[str, Any] = {
 def test_picture_and_gradient_are_the_renderers(name: str) -> None:
     scene = varied_scene(300, degree=2, seed=1)
     settings = RenderSettings(background=BACKGROUND, **SETTINGS[name])
-    compare(FrozenView(scene, camera(50, 37), settings=settings), scene, other_colours(scene.sh))
+    compare(
+        FrozenView(scene, camera(50, 37), settings=settings),
+        scene,
+        other_colours(scene.sh),
+    )
 
 
 def test_stages_are_recorded_once_for_all_sizes() -> None:
@@ -102,7 +114,9 @@ def test_rows_alone_are_free(kind: str) -> None:
         "slice": slice(20, 120),
     }
     rows = kinds[kind]
-    view = FrozenView(scene, where, settings=RenderSettings(background=BACKGROUND), rows=rows)
+    view = FrozenView(
+        scene, where, settings=RenderSettings(background=BACKGROUND), rows=rows
+    )
     assert len(view.rows) == (1 if kind == "one" else 100)
     compare(view, scene, other_colours(scene.sh[view.rows]))
     assert view.nbytes < FrozenView(scene, where).nbytes
@@ -113,13 +127,24 @@ def test_nothing_visible_and_no_rows() -> None:
     settings = RenderSettings(background=BACKGROUND, alpha=True)
     away = scene.replace(means=scene.means + torch.tensor([1e4, 1e4, 0.0]))
     none = torch.zeros(30, dtype=torch.bool)
-    cases: list[tuple[GaussianScene, Tensor | None]] = [(away, None), (scene.select(none), None), (scene, none)]
-    cases.append((scene.replace(opacities=scene.opacities * (torch.arange(30) > 3)), torch.arange(4)))
+    cases: list[tuple[GaussianScene, Tensor | None]] = [
+        (away, None),
+        (scene.select(none), None),
+        (scene, none),
+    ]
+    cases.append(
+        (
+            scene.replace(opacities=scene.opacities * (torch.arange(30) > 3)),
+            torch.arange(4),
+        )
+    )
     for case, rows in cases:
         view = FrozenView(case, where, settings=settings, rows=rows)
         leaf = case.sh[view.rows].clone().requires_grad_(True)
         picture = view(leaf)
-        torch.testing.assert_close(picture, Renderer(settings)(case, where), rtol=0, atol=ERROR)
+        torch.testing.assert_close(
+            picture, Renderer(settings)(case, where), rtol=0, atol=ERROR
+        )
         assert not gradient(picture, leaf).any()
 
 
@@ -128,7 +153,10 @@ def test_memory_is_bounded_before_it_is_taken() -> None:
     view = FrozenView(scene, where)
     assert FrozenView(scene, where, max_bytes=view.nbytes).nbytes == view.nbytes
     assert view.megabytes == pytest.approx(view.nbytes / 1e6)
-    with pytest.raises(MiSplatError, match=r"FrozenView: expected at most .* MB \(max_bytes\), got .* MB .*pairs"):
+    with pytest.raises(
+        MiSplatError,
+        match=r"FrozenView: expected at most .* MB \(max_bytes\), got .* MB .*pairs",
+    ):
         FrozenView(scene, where, max_bytes=view.nbytes - 1)
 
 
@@ -138,10 +166,20 @@ def test_bad_input() -> None:
     for sh in (scene.sh[:9], scene.sh[:, :, :2], scene.sh[:, :3], scene.means):
         with pytest.raises(InvalidValueError, match="sh: expected"):
             view(sh)
-    for rows in (torch.tensor([1, 1]), torch.tensor([3, -7]), torch.tensor([10]), torch.ones(9, dtype=torch.bool)):
+    for rows in (
+        torch.tensor([1, 1]),
+        torch.tensor([3, -7]),
+        torch.tensor([10]),
+        torch.ones(9, dtype=torch.bool),
+    ):
         with pytest.raises(InvalidValueError, match="rows: expected"):
             FrozenView(scene, where, rows=rows)
-    for arguments in ({"camera": [where]}, {"settings": RenderSettings(method="ray")}, {"rows": [1]}, {"scene": None}):
+    for arguments in (
+        {"camera": [where]},
+        {"settings": RenderSettings(method="ray")},
+        {"rows": [1]},
+        {"scene": None},
+    ):
         given: dict[str, Any] = {"scene": scene, "camera": where} | arguments
         with pytest.raises(InvalidValueError, match="expected"):
             FrozenView(given.pop("scene"), given.pop("camera"), **given)
@@ -153,18 +191,33 @@ def test_bad_input() -> None:
 
 
 def cameras(count: int = 3) -> list[Camera]:
-    poses = [orbit_pose((0.0, 0.0, 0.0), azimuth=50.0 * k, elevation=20.0, distance=3.0) for k in range(count)]
-    return [Camera(to_world=pose, focal=24.0, width=24 + 4 * k, height=21) for k, pose in enumerate(poses)]
+    poses = [
+        orbit_pose((0.0, 0.0, 0.0), azimuth=50.0 * k, elevation=20.0, distance=3.0)
+        for k in range(count)
+    ]
+    return [
+        Camera(to_world=pose, focal=24.0, width=24 + 4 * k, height=21)
+        for k, pose in enumerate(poses)
+    ]
 
 
 @pytest.mark.parametrize("rows", [None, torch.arange(20)])
-def test_each_camera_has_a_view_whose_pictures_are_the_renderers(rows: torch.Tensor | None) -> None:
-    scene, render = varied_scene(60, degree=1, seed=1), Renderer(RenderSettings(background=(0.1, 0.2, 0.3)))
+def test_each_camera_has_a_view_whose_pictures_are_the_renderers(
+    rows: torch.Tensor | None,
+) -> None:
+    scene, render = (
+        varied_scene(60, degree=1, seed=1),
+        Renderer(RenderSettings(background=(0.1, 0.2, 0.3))),
+    )
     where = cameras()
-    views = freeze_views(scene, [*where, where[0]], render=render, pictures=MIN_PICTURES, rows=rows)
+    views = freeze_views(
+        scene, [*where, where[0]], render=render, pictures=MIN_PICTURES, rows=rows
+    )
     assert list(views) == where
     for camera, view in views.items():
-        torch.testing.assert_close(view(scene.sh[view.rows]), render(scene, camera), rtol=0, atol=1e-5)
+        torch.testing.assert_close(
+            view(scene.sh[view.rows]), render(scene, camera), rtol=0, atol=1e-5
+        )
 
 
 def test_views_that_do_not_fit_are_left_to_the_renderer() -> None:
@@ -172,5 +225,11 @@ def test_views_that_do_not_fit_are_left_to_the_renderer() -> None:
     settings: dict[str, Any] = {"render": Renderer(), "pictures": 100}
     sizes = [view.nbytes for view in freeze_views(scene, where, **settings).values()]
     for count in range(4):
-        assert list(freeze_views(scene, where, max_bytes=sum(sizes[:count]), **settings)) == where[:count]
-    assert list(freeze_views(scene, where, max_bytes=sum(sizes) - 1, **settings)) == where[:2]
+        assert (
+            list(freeze_views(scene, where, max_bytes=sum(sizes[:count]), **settings))
+            == where[:count]
+        )
+    assert (
+        list(freeze_views(scene, where, max_bytes=sum(sizes) - 1, **settings))
+        == where[:2]
+    )

@@ -35,12 +35,19 @@ def test_a_link_has_the_version_of_its_target(tmp_path: Path) -> None:
 
 
 def test_the_newest_usable_one_is_taken(tmp_path: Path) -> None:
-    for name in ("libLLVM-14.so.1", "libLLVM-17.so.1", "libLLVM.so.19.1", "libLLVMCore.a"):
+    for name in (
+        "libLLVM-14.so.1",
+        "libLLVM-17.so.1",
+        "libLLVM.so.19.1",
+        "libLLVMCore.a",
+    ):
         (tmp_path / name).touch()
     assert find_llvm([tmp_path]) == tmp_path / "libLLVM.so.19.1"
 
 
-def test_the_users_choice_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_users_choice_is_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM-15.so.1"))
     with pytest.raises(LLVMError, match="missing"):
         prepare_llvm()
@@ -77,7 +84,9 @@ def test_plugins_say_which_variant_they_need(plugin: str) -> None:
     before = variant.use()
     try:
         mi.set_variant("scalar_rgb")
-        with pytest.raises(RuntimeError, match=r'call mi\.set_variant\("llvm_ad_rgb"\) first'):
+        with pytest.raises(
+            RuntimeError, match=r'call mi\.set_variant\("llvm_ad_rgb"\) first'
+        ):
             mi.load_dict({"type": plugin})
     finally:
         mi.set_variant(before)

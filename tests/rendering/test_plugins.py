@@ -1,4 +1,6 @@
-"""`gaussians` and `splat_tile` through Mitsuba's own front door: XML, dicts, traverse, render, gradients, errors."""
+"""`gaussians` and `splat_tile` through Mitsuba's own front door: XML, dicts, traverse,
+render, gradients, errors.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -33,23 +35,32 @@ CROP = (
 def sensor_xml(name: str, film: str) -> str:
     return f"""<sensor type="perspective" id="{name}">
       <float name="fov" value="40"/><string name="fov_axis" value="y"/>
-      <float name="principal_point_offset_x" value="0.1"/><float name="principal_point_offset_y" value="-0.05"/>
-      <transform name="to_world"><lookat origin="3, 1, 1" target="0, 0, 0" up="0, 0, 1"/></transform>
+      <float name="principal_point_offset_x" value="0.1"/>
+        <float name="principal_point_offset_y" value="-0.05"/>
+      <transform name="to_world">
+        <lookat origin="3, 1, 1" target="0, 0, 0" up="0, 0, 1"/></transform>
       <film type="hdrfilm">{film}</film></sensor>"""
 
 
 def scene_xml(shapes: str, properties: str = "") -> str:
     sensor = sensor_xml("whole", FILM) + sensor_xml("crop", FILM + CROP)
-    return f'<scene version="3.0.0"><integrator type="splat_tile">{properties}</integrator>{shapes}{sensor}</scene>'
+    return (
+        '<scene version="3.0.0"><integrator'
+        f' type="splat_tile">{properties}</integrator>{shapes}{sensor}</scene>'
+    )
 
 
 def two_splats(folder: Path) -> tuple[GaussianScene, str]:
     """Two splats of different SH degree as files, and the shapes that name them."""
-    first, second = varied_scene(80, degree=2, seed=1), varied_scene(50, degree=1, seed=2)
+    first, second = (
+        varied_scene(80, degree=2, seed=1),
+        varied_scene(50, degree=1, seed=2),
+    )
     save_splat(first, folder / "a.ply")
     save_splat(second, folder / "b.ply")
     shapes = "".join(
-        f'<shape type="gaussians" id="{name}"><string name="filename" value="{folder / file}"/></shape>'
+        f'<shape type="gaussians" id="{name}"><string name="filename"'
+        f' value="{folder / file}"/></shape>'
         for name, file in (("car", "a.ply"), ("street", "b.ply"))
     )
     return merge(first, second), shapes
@@ -65,7 +76,11 @@ def test_crop_window_shows_the_same_pixels(tmp_path: Path) -> None:
 
 def dict_scene(scene: GaussianScene, **integrator: Any) -> Any:
     sensor = mi.load_string(scene_xml("")).sensors()[0]
-    parts = {"integrator": {"type": "splat_tile", **integrator}, "splat": shape_dict(scene), "sensor": sensor}
+    parts = {
+        "integrator": {"type": "splat_tile", **integrator},
+        "splat": shape_dict(scene),
+        "sensor": sensor,
+    }
     return mi.load_dict({"type": "scene", **parts})
 
 
@@ -93,7 +108,9 @@ def test_gradients_are_the_renderers() -> None:
         (opacities, expected[3]),
         (sh.reshape(60, 9, 3), expected[4]),
     ):
-        np.testing.assert_allclose(got, want, rtol=1e-3, atol=1e-4 * float(np.abs(want).max()))
+        np.testing.assert_allclose(
+            got, want, rtol=1e-3, atol=1e-4 * float(np.abs(want).max())
+        )
 
 
 @pytest.mark.parametrize("name", ["x_fov", "principal_point_offset_x", "to_world"])
@@ -118,14 +135,22 @@ def test_to_world_moves_and_turns_the_splat(tmp_path: Path) -> None:
     scene = varied_scene(60, degree=3, seed=1)
     save_splat(scene, tmp_path / "a.ply")
     shape = (
-        f'<shape type="gaussians" id="car"><string name="filename" value="{tmp_path / "a.ply"}"/>'
-        '<transform name="to_world"><rotate z="1" angle="50"/><scale value="0.5"/><translate x="0.3"/></transform>'
-        "</shape>"
+        '<shape type="gaussians" id="car"><string name="filename"'
+        f' value="{tmp_path / "a.ply"}"/><transform name="to_world"><rotate z="1"'
+        ' angle="50"/><scale value="0.5"/><translate x="0.3"/></transform></shape>'
     )
     loaded = mi.load_string(scene_xml(shape))
     angle = np.radians(50.0)
-    turn = torch.tensor([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
-    moved = scene.transform(Similarity(rotation=turn, translation=torch.tensor([0.3, 0.0, 0.0]), scale=0.5))
+    turn = torch.tensor(
+        [
+            [np.cos(angle), -np.sin(angle), 0.0],
+            [np.sin(angle), np.cos(angle), 0.0],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    moved = scene.transform(
+        Similarity(rotation=turn, translation=torch.tensor([0.3, 0.0, 0.0]), scale=0.5)
+    )
     expected = Renderer()(moved, sensors.camera(loaded.sensors()[0]))
     np.testing.assert_allclose(np.array(mi.render(loaded)), expected.numpy(), atol=2e-4)
 
@@ -145,11 +170,30 @@ def test_forward_mode_is_refused_in_words() -> None:
 
 
 def test_what_cannot_be_rendered_is_said() -> None:
-    sensor = {"type": "perspective", "film": {"type": "hdrfilm", "width": 4, "height": 4}}
-    parts = {"type": "scene", "splat": shape_dict(varied_scene(5, degree=0, seed=0)), "sensor": sensor}
-    beside = mi.load_dict({"integrator": {"type": "splat_tile"}, "ball": {"type": "sphere", "id": "ball"}, **parts})
-    with pytest.raises(InvalidValueError, match='gaussians shapes only, got also ball; use the integrator "splat_ray"'):
+    sensor = {
+        "type": "perspective",
+        "film": {"type": "hdrfilm", "width": 4, "height": 4},
+    }
+    parts = {
+        "type": "scene",
+        "splat": shape_dict(varied_scene(5, degree=0, seed=0)),
+        "sensor": sensor,
+    }
+    beside = mi.load_dict(
+        {
+            "integrator": {"type": "splat_tile"},
+            "ball": {"type": "sphere", "id": "ball"},
+            **parts,
+        }
+    )
+    with pytest.raises(
+        InvalidValueError,
+        match='gaussians shapes only, got also ball; use the integrator "splat_ray"',
+    ):
         mi.render(beside)
     shells = mi.load_dict({"integrator": {"type": "path"}, **parts})
-    with pytest.warns(SplatFileWarning, match="PathIntegrator, which shows them as grey shells; use splat_tile"):
+    with pytest.warns(
+        SplatFileWarning,
+        match="PathIntegrator, which shows them as grey shells; use splat_tile",
+    ):
         mi.render(shells, spp=1)

@@ -19,13 +19,19 @@ from tests.gaussians import varied_scene
 
 BACKGROUND = (0.2, 0.5, 0.9)
 GPU = pytest.mark.skipif(not has_cuda(), reason="no GPU was found")
-on_each_device = pytest.mark.parametrize("on", ["llvm_ad_rgb", pytest.param("cuda_ad_rgb", marks=GPU)])
+on_each_device = pytest.mark.parametrize(
+    "on", ["llvm_ad_rgb", pytest.param("cuda_ad_rgb", marks=GPU)]
+)
 """On each machine of Dr.Jit's that is there; `on` is the variant."""
 
 
-def camera(width: int, height: int, *, distance: float = 3.0, azimuth: float = 30.0) -> Camera:
+def camera(
+    width: int, height: int, *, distance: float = 3.0, azimuth: float = 30.0
+) -> Camera:
     return Camera(
-        to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=azimuth, elevation=20.0, distance=distance),
+        to_world=orbit_pose(
+            (0.0, 0.0, 0.0), azimuth=azimuth, elevation=20.0, distance=distance
+        ),
         focal=(1.0 * width, 0.9 * width),
         width=width,
         height=height,
@@ -34,13 +40,17 @@ def camera(width: int, height: int, *, distance: float = 3.0, azimuth: float = 3
 
 
 PICTURE_ERROR = 4e-6
-"""Largest difference from the oracle in any channel of any pixel; 2.3e-6 was the largest measured."""
+"""Largest difference from the oracle in any channel of any pixel; 2.3e-6 was the
+largest measured.
+"""
 
 NEEDLE_ERROR = 1e-5
 """The same for needles 5000 times as long as wide; 5.5e-6 was the largest measured."""
 
 GRADIENT_ERROR = 2e-5
-"""Largest difference of a gradient from the oracle's, in parts of the attribute's largest; 3.1e-6 was measured."""
+"""Largest difference of a gradient from the oracle's, in parts of the attribute's
+largest; 3.1e-6 was measured.
+"""
 
 
 def largest_error(scene: GaussianScene, view: Camera, on: str) -> float:
@@ -59,16 +69,25 @@ def largest_error(scene: GaussianScene, view: Camera, on: str) -> float:
         (300, 1, (33, 130), 3.0),
         (300, 2, (64, 64), 3.0),
         (300, 3, (97, 65), 3.0),
-        (400, 3, (61, 43), 0.4),  # inside the cloud: behind the camera, across the near plane, huge in the picture
+        # inside the cloud: behind the camera, across the near plane, huge in the
+        # picture
+        (400, 3, (61, 43), 0.4),
         (400, 2, (40, 77), 1.0),  # on the cloud
         (20, 1, (7, 3), 1.3),
         (5, 0, (1, 1), 3.0),
         (1, 0, (16, 16), 3.0),
     ],
 )
-def test_picture_is_the_oracles(count: int, degree: int, size: tuple[int, int], distance: float, on: str) -> None:
+def test_picture_is_the_oracles(
+    count: int, degree: int, size: tuple[int, int], distance: float, on: str
+) -> None:
     scene = varied_scene(count, degree=degree, seed=count + degree)
-    assert largest_error(scene, camera(*size, distance=distance, azimuth=37.0 * degree), on) <= PICTURE_ERROR
+    assert (
+        largest_error(
+            scene, camera(*size, distance=distance, azimuth=37.0 * degree), on
+        )
+        <= PICTURE_ERROR
+    )
 
 
 @pytest.mark.parametrize("angle", [0.0, 45.0, 89.0])
@@ -81,19 +100,24 @@ def test_needles_across_the_picture(angle: float) -> None:
         opacities=torch.tensor([1.0]),
         sh=torch.ones(1, 1, 3),
     )
-    assert largest_error(scene, camera(256, 192, azimuth=80.0), "llvm_ad_rgb") <= NEEDLE_ERROR
+    assert (
+        largest_error(scene, camera(256, 192, azimuth=80.0), "llvm_ad_rgb")
+        <= NEEDLE_ERROR
+    )
 
 
 def test_alpha_output_is_the_oracles() -> None:
     scene, view = varied_scene(100, degree=1, seed=9), camera(40, 30)
-    picture = Renderer(RenderSettings(background=BACKGROUND, alpha=True))(scene, view).numpy()
+    picture = Renderer(RenderSettings(background=BACKGROUND, alpha=True))(
+        scene, view
+    ).numpy()
     reference, opacity, *_ = oracle.render(scene, view, background=BACKGROUND)
     assert picture.shape == (30, 40, 4)
     np.testing.assert_allclose(picture[..., 3], opacity, rtol=0, atol=PICTURE_ERROR)
     np.testing.assert_allclose(picture[..., :3], reference, rtol=0, atol=PICTURE_ERROR)
 
 
-# --------------------------------------------------------------------------------------------------------- gradients
+# ---------------------------------------------------------------------------- gradients
 
 
 def weights(view: Camera) -> NDArray[np.float64]:
@@ -101,7 +125,9 @@ def weights(view: Camera) -> NDArray[np.float64]:
 
 
 def smooth_scene(count: int, degree: int, seed: int) -> GaussianScene:
-    """A scene without the specification's kinks: colours above 0, opacities well under 0.99, little hidden."""
+    """A scene without the specification's kinks: colours above 0, opacities well under
+    0.99, little hidden.
+    """
     scene = varied_scene(count, degree=degree, seed=seed)
     sh = scene.sh * 0.2
     sh[:, 0] += 1.0
@@ -109,7 +135,9 @@ def smooth_scene(count: int, degree: int, seed: int) -> GaussianScene:
     return scene.replace(sh=sh, opacities=0.2 + 0.6 * scene.opacities, scales=scales)
 
 
-def gradients(scene: GaussianScene, loss: Callable[[GaussianScene], Tensor]) -> dict[str, Tensor]:
+def gradients(
+    scene: GaussianScene, loss: Callable[[GaussianScene], Tensor]
+) -> dict[str, Tensor]:
     """Of a loss by each tensor of the scene."""
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
     loss(GaussianScene(*leaves)).backward()  # type: ignore[no-untyped-call]
@@ -127,22 +155,32 @@ def agree(gradients: dict[str, Tensor], wanted: oracle.Splat) -> None:
         assert error <= GRADIENT_ERROR * np.abs(reference).max(), name
 
 
-def analytic(scene: GaussianScene, view: Camera, on: str = "llvm_ad_rgb") -> dict[str, Tensor]:
+def analytic(
+    scene: GaussianScene, view: Camera, on: str = "llvm_ad_rgb"
+) -> dict[str, Tensor]:
     """Gradients of a weighted picture."""
     render = Renderer(RenderSettings(background=BACKGROUND, variant=on))
     factors = torch.from_numpy(weights(view)).float()
-    return gradients(scene.to(device_of(on)), lambda moved: (render(moved, view).cpu() * factors).sum())
+    return gradients(
+        scene.to(device_of(on)),
+        lambda moved: (render(moved, view).cpu() * factors).sum(),
+    )
 
 
 @on_each_device
 def test_gradients_are_the_oracles(on: str) -> None:
     scene, view = smooth_scene(25, 2, seed=11), camera(37, 29)
-    agree(analytic(scene, view, on), oracle.gradients(scene, view, weights(view), background=BACKGROUND))
+    agree(
+        analytic(scene, view, on),
+        oracle.gradients(scene, view, weights(view), background=BACKGROUND),
+    )
 
 
 @on_each_device
 def test_where_alpha_is_clamped_only_colours_have_a_gradient(on: str) -> None:
-    """A Gaussian so opaque and large that all of its pixels are clamped at 0.99: its shape changes nothing."""
+    """A Gaussian so opaque and large that all of its pixels are clamped at 0.99: its
+    shape changes nothing.
+    """
     scene, view = smooth_scene(2, 0, seed=3), camera(17, 13)
     middle = (scene.means.mean(0), torch.tensor([0.1, 0.2, 0.1]))
     large = scene.replace(
@@ -155,7 +193,9 @@ def test_where_alpha_is_clamped_only_colours_have_a_gradient(on: str) -> None:
     for name in ("means", "scales", "rotations", "opacities"):
         assert not found[name][0].any(), name
         assert not getattr(wanted, name)[0].any(), name
-        np.testing.assert_allclose(found[name][1], getattr(wanted, name)[1], rtol=2e-3, atol=1e-7, err_msg=name)
+        np.testing.assert_allclose(
+            found[name][1], getattr(wanted, name)[1], rtol=2e-3, atol=1e-7, err_msg=name
+        )
     np.testing.assert_allclose(found["sh"], wanted.sh, rtol=1e-3, atol=1e-6)
     assert found["sh"][0].any()
 

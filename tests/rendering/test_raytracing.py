@@ -1,4 +1,6 @@
-"""The ray tracer of splats against a float64 oracle, and its gradients against finite differences of that oracle."""
+"""The ray tracer of splats against a float64 oracle, and its gradients against finite
+differences of that oracle.
+"""
 
 import math
 from dataclasses import replace
@@ -24,7 +26,9 @@ TOLERANCE = 1e-4
 """Of a pixel; float32 rounds a needle's peak."""
 
 STEP = 1e-6
-"""Of a finite difference in float64: so short that no Gaussian crosses 1/255 or another one on the way."""
+"""Of a finite difference in float64: so short that no Gaussian crosses 1/255 or another
+one on the way.
+"""
 
 
 def camera(width: int = 45, height: int = 38, *, distance: float = 3.0) -> Camera:
@@ -37,15 +41,24 @@ def ray(**settings: object) -> Renderer:
 
 
 @pytest.mark.parametrize(
-    ("count", "degree", "size"), [(1, 0, (5, 7)), (2, 3, (16, 16)), (90, 2, (45, 38)), (700, 1, (30, 21))]
+    ("count", "degree", "size"),
+    [(1, 0, (5, 7)), (2, 3, (16, 16)), (90, 2, (45, 38)), (700, 1, (30, 21))],
 )
 @pytest.mark.parametrize("to_mean", [False, True])
-def test_picture_is_the_oracles(count: int, degree: int, size: tuple[int, int], to_mean: bool) -> None:
+def test_picture_is_the_oracles(
+    count: int, degree: int, size: tuple[int, int], to_mean: bool
+) -> None:
     scene, view = varied_scene(count, degree=degree, seed=count), camera(*size)
     background = (0.1, 0.2, 0.3)
-    rendered = ray(background=background, alpha=True, colour_to_mean=to_mean)(scene, view).numpy()
-    picture, opacity = oracle.render_rays(scene, view, background=background, to_mean=to_mean)
-    np.testing.assert_allclose(rendered, np.concatenate([picture, opacity[..., None]], -1), atol=TOLERANCE)
+    rendered = ray(background=background, alpha=True, colour_to_mean=to_mean)(
+        scene, view
+    ).numpy()
+    picture, opacity = oracle.render_rays(
+        scene, view, background=background, to_mean=to_mean
+    )
+    np.testing.assert_allclose(
+        rendered, np.concatenate([picture, opacity[..., None]], -1), atol=TOLERANCE
+    )
 
 
 def test_three_hundred_gaussians_in_one_place_are_all_blended() -> None:
@@ -61,7 +74,9 @@ def test_three_hundred_gaussians_in_one_place_are_all_blended() -> None:
     view = camera()
     picture = ray(alpha=True)(scene, view)[..., 3].double().numpy()
     origin, directions, _ = oracle.pixel_rays(view)
-    alpha = oracle.densest(scene, origin, directions)[1][0].reshape(view.height, view.width)
+    alpha = oracle.densest(scene, origin, directions)[1][0].reshape(
+        view.height, view.width
+    )
     expected = np.where(alpha >= 1 / 255, 1 - (1 - alpha) ** count, 0.0)
     assert expected.max() > 0.9
     clear = np.abs(alpha - 1 / 255) > 1e-6
@@ -71,7 +86,9 @@ def test_three_hundred_gaussians_in_one_place_are_all_blended() -> None:
 def overlapping_scene() -> GaussianScene:
     """Large Gaussians on top of each other: a ray meets dozens."""
     scene = varied_scene(70, degree=3, seed=5)
-    return replace(scene, scales=scene.scales * 2.5, opacities=scene.opacities * 0.4 + 0.02)
+    return replace(
+        scene, scales=scene.scales * 2.5, opacities=scene.opacities * 0.4 + 0.02
+    )
 
 
 @pytest.mark.parametrize("to_mean", [False, True])
@@ -79,7 +96,9 @@ def test_gradients_are_finite_differences_under_overlap(to_mean: bool) -> None:
     scene, view = overlapping_scene(), camera()
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
     settings = {"background": (0.3, 0.6, 0.1), "alpha": True, "colour_to_mean": to_mean}
-    weight = torch.randn(view.height, view.width, 4, generator=torch.Generator().manual_seed(3))
+    weight = torch.randn(
+        view.height, view.width, 4, generator=torch.Generator().manual_seed(3)
+    )
     (ray(**settings)(GaussianScene(*leaves), view) * weight).sum().backward()  # type: ignore[no-untyped-call]
 
     def loss(name: str, change: Tensor) -> float:
@@ -88,23 +107,38 @@ def test_gradients_are_finite_differences_under_overlap(to_mean: bool) -> None:
         if name == "rotations":
             values = values / values.norm(dim=1, keepdim=True)
         picture, opacity = oracle.render_rays(
-            replace(moved, **{name: values}), view, background=(0.3, 0.6, 0.1), to_mean=to_mean
+            replace(moved, **{name: values}),
+            view,
+            background=(0.3, 0.6, 0.1),
+            to_mean=to_mean,
         )
-        return float((np.concatenate([picture, opacity[..., None]], -1) * weight.double().numpy()).sum())
+        return float(
+            (
+                np.concatenate([picture, opacity[..., None]], -1)
+                * weight.double().numpy()
+            ).sum()
+        )
 
     for name, leaf in zip(ATTRIBUTES, leaves, strict=True):
         assert leaf.grad is not None
         direction = leaf.grad.double() / leaf.grad.double().norm()
-        numeric = (loss(name, STEP * direction) - loss(name, -STEP * direction)) / (2 * STEP)
-        assert numeric == pytest.approx(float(leaf.grad.double().norm()), rel=2e-3), name
-        other = torch.randn(leaf.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
+        numeric = (loss(name, STEP * direction) - loss(name, -STEP * direction)) / (
+            2 * STEP
+        )
+        assert numeric == pytest.approx(float(leaf.grad.double().norm()), rel=2e-3), (
+            name
+        )
+        other = torch.randn(
+            leaf.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64
+        )
         other /= other.norm()
         numeric = (loss(name, STEP * other) - loss(name, -STEP * other)) / (2 * STEP)
         slope = float((leaf.grad.double() * other).sum())
         assert slope == pytest.approx(numeric, abs=2e-3 * float(leaf.grad.norm())), name
 
 
-# Gradients of `splat_ray` through mirrors and shadows, against values that can be written down; what it refuses
+# Gradients of `splat_ray` through mirrors and shadows, against values that can be
+# written down; what it refuses
 
 
 def gradients(loaded: Any, channel: int = 1) -> dict[str, Any]:
@@ -114,28 +148,52 @@ def gradients(loaded: Any, channel: int = 1) -> dict[str, Any]:
     for name in names:
         dr.enable_grad(params[f"splat0.{name}"])
     dr.backward(mi.render(loaded, params, spp=64)[:, :, channel])
-    return {name: np.array(dr.grad(params[f"splat0.{name}"]), dtype=np.float64) for name in names}
+    return {
+        name: np.array(dr.grad(params[f"splat0.{name}"]), dtype=np.float64)
+        for name in names
+    }
 
 
 def test_a_gradient_through_a_mirror() -> None:
     """Light is own + (1 - o) own, own = o c: twice 1 - o by the opacity."""
-    loaded = scene_of(gaussian((0, 0, 0), opacity=0.3), mirror=wall(2.0, type="conductor", material="none"))
+    loaded = scene_of(
+        gaussian((0, 0, 0), opacity=0.3),
+        mirror=wall(2.0, type="conductor", material="none"),
+    )
     gradient = gradients(loaded)
-    assert gradient["opacities"][0] == pytest.approx(linear(GREEN)[1] * 2 * (1 - 0.3), rel=1e-4)
+    assert gradient["opacities"][0] == pytest.approx(
+        linear(GREEN)[1] * 2 * (1 - 0.3), rel=1e-4
+    )
     slope = (linear(GREEN[1] + 1e-6) - linear(GREEN[1] - 1e-6)) / 2e-6 * 0.28209479
     assert gradient["sh_coeffs"][1] == pytest.approx(slope * 0.3 * 1.7, rel=1e-3)
 
 
 def test_a_gradient_through_a_shadow() -> None:
     """Light is L (1 - o exp(-y^2 / 2 s^2)), y from the light's way to the mean."""
-    light = {"type": "directional", "direction": [1, 0, 1], "irradiance": {"type": "rgb", "value": 3.0}}
-    parts: dict[str, Any] = {"wall": wall(4.0), "light": light, "integrator": {"max_depth": 2}}
+    light = {
+        "type": "directional",
+        "direction": [1, 0, 1],
+        "irradiance": {"type": "rgb", "value": 3.0},
+    }
+    parts: dict[str, Any] = {
+        "wall": wall(4.0),
+        "light": light,
+        "integrator": {"max_depth": 2},
+    }
     bright = pixel(scene_of(**parts))[1]
-    gradient = gradients(scene_of(gaussian((-2, 0.1, 2), scale=0.25, opacity=0.8, colour=(0, 0, 0)), **parts))
+    gradient = gradients(
+        scene_of(
+            gaussian((-2, 0.1, 2), scale=0.25, opacity=0.8, colour=(0, 0, 0)), **parts
+        )
+    )
     density = math.exp(-0.5 * (0.1 / 0.25) ** 2)
     assert gradient["opacities"][0] == pytest.approx(-bright * density, rel=1e-3)
-    assert gradient["data"][1] == pytest.approx(bright * 0.8 * density * 0.1 / 0.25**2, rel=1e-3)
-    assert gradient["data"][4] == pytest.approx(-bright * 0.8 * density * 0.1**2 / 0.25**3, rel=1e-3)
+    assert gradient["data"][1] == pytest.approx(
+        bright * 0.8 * density * 0.1 / 0.25**2, rel=1e-3
+    )
+    assert gradient["data"][4] == pytest.approx(
+        -bright * 0.8 * density * 0.1**2 / 0.25**3, rel=1e-3
+    )
 
 
 def test_a_changed_colour_is_seen_in_the_same_tree() -> None:
@@ -155,20 +213,35 @@ def test_gradients_of_surfaces_are_refused() -> None:
     params = mi.traverse(loaded)
     dr.enable_grad(params["wall.bsdf.reflectance.value"])
     with pytest.raises(InvalidValueError, match=r"wall\.bsdf\.reflectance\.value"):
-        loaded.integrator().render_backward(loaded, params, mi.TensorXf(np.ones((1, 1, 3), np.float32)))
+        loaded.integrator().render_backward(
+            loaded, params, mi.TensorXf(np.ones((1, 1, 3), np.float32))
+        )
 
 
-FOG = {"type": "sphere", "id": "fog", "interior": {"type": "homogeneous"}, "bsdf": {"type": "null"}}
+FOG = {
+    "type": "sphere",
+    "id": "fog",
+    "interior": {"type": "homogeneous"},
+    "bsdf": {"type": "null"},
+}
 REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"wall": wall(2.0), "integrator": {"linear": False}}, "leave linear true"),
-    ({"sky": constant(1.0), "integrator": {"background": {"type": "rgb", "value": 0.5}}}, "remove one of them"),
+    (
+        {
+            "sky": constant(1.0),
+            "integrator": {"background": {"type": "rgb", "value": 0.5}},
+        },
+        "remove one of them",
+    ),
     ({"fog": FOG}, r"medium.*fog"),
     ({"wall": wall(2.0), "integrator": {"type": "splat_tile"}}, "splat_ray"),
 ]
 
 
 @pytest.mark.parametrize(("parts", "words"), REFUSED)
-def test_scenes_that_cannot_be_traced_are_refused(parts: dict[str, Any], words: str) -> None:
+def test_scenes_that_cannot_be_traced_are_refused(
+    parts: dict[str, Any], words: str
+) -> None:
     loaded = scene_of(gaussian((0, 0, 0)), **parts)
     with pytest.raises(InvalidValueError, match=words):
         loaded.integrator().render(loaded)

@@ -1,4 +1,6 @@
-"""What makes Dr.Jit record a stage again: new shapes do, values and the place of borrowed memory do not."""
+"""What makes Dr.Jit record a stage again: new shapes do, values and the place of
+borrowed memory do not.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -22,11 +24,24 @@ from mi_splat.rasterization import stages  # noqa: E402
 from mi_splat.rasterization.frozen import frozen  # noqa: E402
 
 STAGES = (
-    *(stages.project_gaussians, stages.allot_rows, stages.write_pairs, stages.find_lists),
-    *(stages.blend_tiles, stages.rows_by_gaussian, stages.blend_backward, stages.project_backward),
+    *(
+        stages.project_gaussians,
+        stages.allot_rows,
+        stages.write_pairs,
+        stages.find_lists,
+    ),
+    *(
+        stages.blend_tiles,
+        stages.rows_by_gaussian,
+        stages.blend_backward,
+        stages.project_backward,
+    ),
 )
 VIEW = Camera(
-    to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=10.0, elevation=20.0, distance=3.0), focal=40.0, width=37, height=29
+    to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=10.0, elevation=20.0, distance=3.0),
+    focal=40.0,
+    width=37,
+    height=29,
 )
 
 
@@ -46,7 +61,8 @@ def recordings() -> list[int]:
 
 @pytest.fixture(autouse=True)
 def _no_recordings() -> None:
-    frozen.cache_clear()  # which values Dr.Jit keeps out of a recording hangs on all calls before
+    # which values Dr.Jit keeps out of a recording hangs on all calls before
+    frozen.cache_clear()
 
 
 def test_recordings_follow_shapes_never_values() -> None:
@@ -62,8 +78,12 @@ def test_recordings_follow_shapes_never_values() -> None:
     assert recordings() == [1] * len(STAGES)
 
 
-def check_offsets(step: Callable[[int], Sequence[Any]], equal: Callable[[Any, Any], bool]) -> None:
-    """Raise unless memory at any offset gives the same values, and no kernel is recorded again for it."""
+def check_offsets(
+    step: Callable[[int], Sequence[Any]], equal: Callable[[Any, Any], bool]
+) -> None:
+    """Raise unless memory at any offset gives the same values, and no kernel is
+    recorded again for it.
+    """
     plain, before = step(0), recordings()
     assert before == [1] * len(STAGES)
     for offset in (4, 16, 32):
@@ -72,11 +92,17 @@ def check_offsets(step: Callable[[int], Sequence[Any]], equal: Callable[[Any, An
 
 
 def test_torch_tensors_need_not_be_aligned() -> None:
-    scene, render = varied_scene(50, degree=1, seed=0), Renderer(RenderSettings(alpha=True))
+    scene, render = (
+        varied_scene(50, degree=1, seed=0),
+        Renderer(RenderSettings(alpha=True)),
+    )
     weights = np.random.default_rng(0).normal(size=(29, 37, 4))
 
     def step(offset: int) -> tuple[torch.Tensor, ...]:
-        tensors = [torch.from_numpy(misaligned(t.numpy(), offset)).requires_grad_(True) for t in scene.tensors()]
+        tensors = [
+            torch.from_numpy(misaligned(t.numpy(), offset)).requires_grad_(True)
+            for t in scene.tensors()
+        ]
         picture = render(GaussianScene(*tensors), VIEW)
         picture.backward(torch.from_numpy(misaligned(weights, offset)))  # type: ignore[no-untyped-call]
         return (picture.detach(), *(t.grad for t in tensors if t.grad is not None))

@@ -19,13 +19,23 @@ from mi_splat.scene_files import read_scene
 from tests.gaussians import varied_scene
 
 VIEW = Camera(
-    to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=10.0, elevation=20.0, distance=3.0), focal=40.0, width=37, height=29
+    to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=10.0, elevation=20.0, distance=3.0),
+    focal=40.0,
+    width=37,
+    height=29,
 )
 
 
 def test_batch_is_one_picture_per_camera() -> None:
     scene = varied_scene(60, degree=1, seed=1)
-    cameras = orbit((0.0, 0.0, 0.0), count=3, elevation=30.0, distance=3.0, focal=30.0, size=(24, 18))
+    cameras = orbit(
+        (0.0, 0.0, 0.0),
+        count=3,
+        elevation=30.0,
+        distance=3.0,
+        focal=30.0,
+        size=(24, 18),
+    )
     render = Renderer()
     pictures = render.batch(scene, [*cameras, VIEW])
     assert [tuple(p.shape) for p in pictures] == [(18, 24, 3)] * 3 + [(29, 37, 3)]
@@ -36,7 +46,14 @@ def test_batch_is_one_picture_per_camera() -> None:
 
 def test_batch_gradient_is_the_sum_of_the_single_ones() -> None:
     scene = varied_scene(40, degree=0, seed=1)
-    cameras = orbit((0.0, 0.0, 0.0), count=2, elevation=30.0, distance=3.0, focal=30.0, size=(24, 18))
+    cameras = orbit(
+        (0.0, 0.0, 0.0),
+        count=2,
+        elevation=30.0,
+        distance=3.0,
+        focal=30.0,
+        size=(24, 18),
+    )
     render = Renderer()
     together = scene.sh.clone().requires_grad_(True)
     first, second = render.batch(scene.replace(sh=together), cameras)
@@ -50,7 +67,9 @@ def test_batch_gradient_is_the_sum_of_the_single_ones() -> None:
 
 
 def test_screen_gradients_are_in_half_pictures_and_know_what_is_visible() -> None:
-    """A shift of the principal point moves every centre on the screen by as many pixels."""
+    """A shift of the principal point moves every centre on the screen by as many
+    pixels.
+    """
     wide = Camera(to_world=VIEW.to_world, focal=40.0, width=64, height=16)
     scene = varied_scene(40, degree=0, seed=1)
     one = scene.select(torch.arange(40) == int(scene.opacities.argmax()))
@@ -58,7 +77,13 @@ def test_screen_gradients_are_in_half_pictures_and_know_what_is_visible() -> Non
     factors = torch.randn(16, 64, 3, generator=torch.Generator().manual_seed(0))
 
     def value(dx: float, dy: float) -> float:
-        view = Camera(to_world=VIEW.to_world, focal=40.0, width=64, height=16, principal=(32.0 + dx, 8.0 + dy))
+        view = Camera(
+            to_world=VIEW.to_world,
+            focal=40.0,
+            width=64,
+            height=16,
+            principal=(32.0 + dx, 8.0 + dy),
+        )
         return float((torch.from_numpy(oracle.render(one, view).image) * factors).sum())
 
     gradients = ScreenGradients()
@@ -67,8 +92,13 @@ def test_screen_gradients_are_in_half_pictures_and_know_what_is_visible() -> Non
     picture = Renderer(screen_gradients=gradients)(both.replace(sh=sh), wide)
     (picture * factors).sum().backward()  # type: ignore[no-untyped-call]
     step = 1e-5
-    x, y = ((value(dx, dy) - value(-dx, -dy)) / (2 * step) for dx, dy in ((step, 0.0), (0.0, step)))
-    assert gradients.lengths.tolist() == pytest.approx([math.hypot(32 * x, 8 * y), 0.0], rel=1e-4)
+    x, y = (
+        (value(dx, dy) - value(-dx, -dy)) / (2 * step)
+        for dx, dy in ((step, 0.0), (0.0, step))
+    )
+    assert gradients.lengths.tolist() == pytest.approx(
+        [math.hypot(32 * x, 8 * y), 0.0], rel=1e-4
+    )
     assert gradients.visible.tolist() == [1.0, 0.0]
 
 
@@ -83,7 +113,8 @@ def test_memory_stays_flat() -> None:
     steps(30)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     steps(150)
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 12 * 1024  # KiB
+    # KiB
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 12 * 1024
 
 
 SCENE = """<scene version="3.0.0">
@@ -94,13 +125,18 @@ SCENE = """<scene version="3.0.0">
 <shape type="gaussians" id="street"><string name="filename" value="b.ply"/></shape>
 <sensor type="perspective" id="front">
   <float name="fov" value="40"/>
-  <transform name="to_world"><lookat origin="3, 1, 1" target="0, 0, 0" up="0, 0, 1"/></transform>
-  <film type="hdrfilm"><integer name="width" value="31"/><integer name="height" value="23"/></film>
+  <transform name="to_world"><lookat origin="3, 1, 1" target="0, 0, 0" up="0, 0, 1"/>
+    </transform>
+  <film type="hdrfilm"><integer name="width" value="31"/>
+    <integer name="height" value="23"/></film>
 </sensor></scene>"""
 
 
 def test_a_scene_is_its_file(tmp_path: Path) -> None:
-    first, second = varied_scene(30, degree=2, seed=1), varied_scene(20, degree=0, seed=2)
+    first, second = (
+        varied_scene(30, degree=2, seed=1),
+        varied_scene(20, degree=0, seed=2),
+    )
     save_splat(first, tmp_path / "a.ply")
     save_splat(second, tmp_path / "b.ply")
     (tmp_path / "scene.xml").write_text(SCENE)
@@ -113,10 +149,15 @@ def test_a_scene_is_its_file(tmp_path: Path) -> None:
     assert torch.equal(loaded.scene.sh[30:, :1], second.sh)
     convention = oracle.Convention(near=0.5)
     reference = oracle.render(
-        loaded.scene, loaded.cameras["front"], background=(0.1, 0.2, 0.3), convention=convention
+        loaded.scene,
+        loaded.cameras["front"],
+        background=(0.1, 0.2, 0.3),
+        convention=convention,
     ).image
     picture = Renderer(loaded.settings)(loaded.scene, loaded.cameras["front"])
-    torch.testing.assert_close(picture.double(), torch.from_numpy(reference), atol=1e-4, rtol=0)
+    torch.testing.assert_close(
+        picture.double(), torch.from_numpy(reference), atol=1e-4, rtol=0
+    )
 
 
 def test_cameras_beyond_what_float32_bears_are_named(tmp_path: Path) -> None:
@@ -124,12 +165,25 @@ def test_cameras_beyond_what_float32_bears_are_named(tmp_path: Path) -> None:
         save_splat(varied_scene(3, degree=0, seed=1), tmp_path / name)
     lookat = '<lookat origin="3, 1, 1" target="0, 0, 0" up="0, 0, 1"/>'
     for change, says in (
-        ((lookat, '<translate x="1e30"/>'), "camera position: expected coordinates up to 1e"),
-        (('<float name="fov" value="40"/>', '<float name="fov" value="40"/><float name="principal_point_offset_x" '
-          'value="1e20"/>'), "principal: expected"),
-    ):  # fmt: skip
+        (
+            (lookat, '<translate x="1e30"/>'),
+            "camera position: expected coordinates up to 1e",
+        ),
+        (
+            (
+                '<float name="fov" value="40"/>',
+                (
+                    '<float name="fov" value="40"/><float'
+                    ' name="principal_point_offset_x" value="1e20"/>'
+                ),
+            ),
+            "principal: expected",
+        ),
+    ):
         (tmp_path / "scene.xml").write_text(SCENE.replace(*change))
-        with pytest.raises(InvalidValueError, match=rf'scene\.xml, sensor "front": {says}'):
+        with pytest.raises(
+            InvalidValueError, match=rf'scene\.xml, sensor "front": {says}'
+        ):
             read_scene(tmp_path / "scene.xml")
 
 
@@ -142,7 +196,9 @@ def test_bad_scenes_say_why(tmp_path: Path) -> None:
     (tmp_path / "scene.xml").write_text(SCENE)
     with pytest.raises(SplatFileError, match=r"[ab]\.ply"):
         read_scene(tmp_path / "scene.xml")
-    (tmp_path / "empty.xml").write_text('<scene version="3.0.0"><integrator type="splat_tile"/></scene>')
+    (tmp_path / "empty.xml").write_text(
+        '<scene version="3.0.0"><integrator type="splat_tile"/></scene>'
+    )
     with pytest.raises(InvalidValueError, match="gaussians shape"):
         read_scene(tmp_path / "empty.xml")
 
@@ -153,7 +209,9 @@ def test_a_scene_without_gaussians_has_an_empty_gradient(method: Method) -> None
     sh = empty.sh.clone().requires_grad_(True)
     settings = RenderSettings(method=method, background=(0.2, 0.4, 0.6))
     image = Renderer(settings)(empty.replace(sh=sh), VIEW)
-    torch.testing.assert_close(image.detach(), torch.tensor(settings.background).expand_as(image))
+    torch.testing.assert_close(
+        image.detach(), torch.tensor(settings.background).expand_as(image)
+    )
     (gradient,) = torch.autograd.grad(image.sum(), [sh])
     assert gradient.shape == empty.sh.shape
 
@@ -164,7 +222,10 @@ def test_what_is_not_finite_is_refused_by_name(name: str, method: Method) -> Non
     scene = varied_scene(9, degree=1, seed=0)
     values = getattr(scene, name).clone()
     values[4] = float("nan")
-    tensors = [values if own == name else old for own, old in zip(ATTRIBUTES, scene.tensors(), strict=True)]
+    tensors = [
+        values if own == name else old
+        for own, old in zip(ATTRIBUTES, scene.tensors(), strict=True)
+    ]
     broken = GaussianScene.unchecked(*tensors)
     with pytest.raises(InvalidValueError, match=f"{name}: expected finite numbers"):
         Renderer(RenderSettings(method=method))(broken, VIEW)

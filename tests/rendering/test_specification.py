@@ -1,4 +1,6 @@
-"""The numbers of the specification one by one, with scenes so small that the right value follows by hand."""
+"""The numbers of the specification one by one, with scenes so small that the right
+value follows by hand.
+"""
 
 import numpy as np
 import pytest
@@ -10,14 +12,22 @@ from mi_splat.cameras import Camera
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 
-VIEW = Camera(to_world=torch.eye(4, dtype=torch.float64), focal=8.0, width=8, height=8, principal=(4.5, 4.5))
+VIEW = Camera(
+    to_world=torch.eye(4, dtype=torch.float64),
+    focal=8.0,
+    width=8,
+    height=8,
+    principal=(4.5, 4.5),
+)
 """Looks along +z; the axis meets the centre of pixel (4, 4)."""
 
 WHITE = 0.5 / 0.28209479177387814
 """SH coefficient of degree 0 that adds 0.5 to a colour."""
 
 
-def blobs(depths: list[float], opacities: list[float], *, scale: float = 0.5) -> GaussianScene:
+def blobs(
+    depths: list[float], opacities: list[float], *, scale: float = 0.5
+) -> GaussianScene:
     """White balls on the axis of the camera."""
     count = len(depths)
     return GaussianScene(
@@ -37,12 +47,18 @@ def centre(scene: GaussianScene, *, near: float = 0.2) -> float:
 def test_what_lies_behind_the_stop_has_no_gradient() -> None:
     values = [0.98, 0.97, 0.98, 0.5]  # the third would leave 1.2e-5
     opacities = torch.tensor(values, requires_grad=True)
-    scene = blobs([1.0, 2.0, 3.0, 4.0], values, scale=100.0).replace(opacities=opacities)
-    Renderer(RenderSettings(background=(0.25, 0.25, 0.25)))(scene, VIEW).sum().backward()  # type: ignore[no-untyped-call]
+    scene = blobs([1.0, 2.0, 3.0, 4.0], values, scale=100.0).replace(
+        opacities=opacities
+    )
+    Renderer(RenderSettings(background=(0.25, 0.25, 0.25)))(
+        scene, VIEW
+    ).sum().backward()  # type: ignore[no-untyped-call]
     assert opacities.grad is not None
     # In each of 64 pixels of three channels white takes the place of what is behind it.
     first, second = 1 - (0.97 + 0.03 * 0.25), 0.02 * (1 - 0.25)
-    assert opacities.grad.tolist() == pytest.approx([192 * first, 192 * second, 0.0, 0.0], rel=2e-3)
+    assert opacities.grad.tolist() == pytest.approx(
+        [192 * first, 192 * second, 0.0, 0.0], rel=2e-3
+    )
 
 
 def test_a_gaussian_beyond_the_range_of_floats_is_left_out() -> None:
@@ -51,7 +67,9 @@ def test_a_gaussian_beyond_the_range_of_floats_is_left_out() -> None:
     scales[0] = 1e30  # its covariance is infinite
     opacities = scene.opacities.clone().requires_grad_(True)
     means, _, rotations, _, sh = scene.tensors()
-    picture = Renderer()(GaussianScene.unchecked(means, scales, rotations, opacities, sh), VIEW)
+    picture = Renderer()(
+        GaussianScene.unchecked(means, scales, rotations, opacities, sh), VIEW
+    )
     assert torch.equal(picture.detach(), Renderer()(blobs([2.0], [0.5]), VIEW))
     picture.sum().backward()  # type: ignore[no-untyped-call]
     assert opacities.grad is not None
@@ -62,7 +80,8 @@ def test_a_gaussian_beyond_the_range_of_floats_is_left_out() -> None:
 @pytest.mark.parametrize("value", [0.03, 0.04, 0.042, 0.06, 0.5])
 def test_linear_values_are_those_of_iec_61966(value: float) -> None:
     opacities = torch.tensor([value], requires_grad=True)
-    scene = blobs([1.0], [value], scale=1000.0).replace(opacities=opacities)  # every pixel has this value
+    # every pixel has this value
+    scene = blobs([1.0], [value], scale=1000.0).replace(opacities=opacities)
     picture = Renderer(RenderSettings(linear=True))(scene, VIEW)
     dark = value <= 0.04045
     linear = value / 12.92 if dark else ((value + 0.055) / 1.055) ** 2.4
@@ -94,4 +113,6 @@ def uints(values: NDArray[np.int64]) -> mi.UInt32:
 def test_pairs_are_sorted_by_tile_and_keep_their_order(tiles: int) -> None:
     keys = np.random.default_rng(tiles).integers(0, tiles, 3000)
     keys[:2] = 0, tiles - 1
-    assert np.array_equal(binning.order_below(uints(keys), tiles).numpy(), np.argsort(keys, kind="stable"))
+    assert np.array_equal(
+        binning.order_below(uints(keys), tiles).numpy(), np.argsort(keys, kind="stable")
+    )

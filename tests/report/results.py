@@ -1,4 +1,6 @@
-"""A folder of every kind of result that a page can show, written by the library's own code or copied from docs."""
+"""A folder of every kind of result that a page can show, written by the library's own
+code or copied from docs.
+"""
 
 import json
 import shutil
@@ -31,7 +33,9 @@ from tests.project.documented_commands import ROOT
 
 ARTIFACTS = ROOT / "docs" / "artifacts"
 FAILED, TWO_SEEDS = "cloak_car_layers_shadow", "cloak_car_layers_ground"
-"""Studies of CLOAK: one seed, not stealthy, and its stop sign is never reported; two seeds."""
+"""Studies of CLOAK: one seed, not stealthy, and its stop sign is never reported; two
+seeds.
+"""
 _VIEW = ("--distance", "3", "--size", "24", "--background", "white", "--force")
 
 
@@ -50,20 +54,41 @@ def rate(successes: int, total: int) -> dict[str, Any]:
     return Rate(successes=successes, total=total).as_dict()
 
 
-def write_dagger(folder: Path, *, views: int = 1, noise_draws: int = 5, **origin: Any) -> Path:
+def write_dagger(
+    folder: Path, *, views: int = 1, noise_draws: int = 5, **origin: Any
+) -> Path:
     """What an attack on a toy scene leaves behind, as if the command had written it."""
     scene, mask = toy_scene()
     cameras = [camera(offset=0.4 * i) for i in range(views)]
     config = DaggerConfig(eps=(12.0,), noise_draws=noise_draws)
-    write_report(attack(scene, mask, cameras, ColourDetector(), relabel("person"), render=blobs, config=config), folder)
-    change(folder / "result.json", **{"scene": "toy.xml", "selection": {"object": "thing"}, **origin})
+    write_report(
+        attack(
+            scene,
+            mask,
+            cameras,
+            ColourDetector(),
+            relabel("person"),
+            render=blobs,
+            config=config,
+        ),
+        folder,
+    )
+    change(
+        folder / "result.json",
+        **{"scene": "toy.xml", "selection": {"object": "thing"}, **origin},
+    )
     write_manifest(folder)
     return folder
 
 
 def write_eot(folder: Path) -> Path:
     write_report(quick(), folder)
-    change(folder / "result.json", scene="toy.xml", selection={"object": "thing"}, cameras=["front"])
+    change(
+        folder / "result.json",
+        scene="toy.xml",
+        selection={"object": "thing"},
+        cameras=["front"],
+    )
     return folder
 
 
@@ -74,10 +99,15 @@ def cloak_record(name: str = FAILED) -> dict[str, Any]:
 
 
 def write_shipped(file: str, folder: Path, most: int | None = None) -> Path:
-    """A result of docs as if it had just been written, without its rows and with so many entries of each list."""
+    """A result of docs as if it had just been written, without its rows and with so
+    many entries of each list.
+    """
     folder.mkdir()
     record = json.loads((ROOT / "docs" / file).read_text())
-    record = {key: value[:most] if isinstance(value, list) else value for key, value in record.items()}
+    record = {
+        key: value[:most] if isinstance(value, list) else value
+        for key, value in record.items()
+    }
     save_json({**record, **provenance.origin()}, folder / "result.json")
     return folder
 
@@ -86,7 +116,10 @@ def write_cloak(folder: Path, name: str = FAILED, **values: Any) -> Path:
     """A study of CLOAK without its rows, and a picture."""
     folder.mkdir(parents=True)
     save_png(np.full((20, 60, 3), 120, np.uint8), folder / "contact.png")
-    save_json({**cloak_record(name), "files": ["contact.png"], **values}, folder / "result.json")
+    save_json(
+        {**cloak_record(name), "files": ["contact.png"], **values},
+        folder / "result.json",
+    )
     return folder
 
 
@@ -96,13 +129,21 @@ def write_cloak_study(folder: Path) -> Path:
         f"layers: {value}": {"part": "layers", "value": value, **cloak_record(name)}
         for value, name in (("shadow", FAILED), ("ground", TWO_SEEDS))
     }
-    record = {"story": "cloak-study", "study": "cloak", "name": "tiny", "question": "", "points": points}
+    record = {
+        "story": "cloak-study",
+        "study": "cloak",
+        "name": "tiny",
+        "question": "",
+        "points": points,
+    }
     save_json({**record, **provenance.origin()}, folder / "result.json")
     return folder
 
 
 def _write_by_command(folder: Path, *words: str | Path) -> Path:
-    """What a command leaves behind that a detector of colours and one that is blind take part in."""
+    """What a command leaves behind that a detector of colours and one that is blind
+    take part in.
+    """
     detectors = [ColourDetector(), BlindDetector()]
     with patch("attacks.cli.options.load_detectors", lambda *_: detectors):
         assert main([*map(str, words), "--out", str(folder)]) == 0
@@ -119,7 +160,9 @@ def write_evaluation(folder: Path) -> Path:
     clean = _toy_file(folder.parent / "splats", "clean.ply")
     attacked = clean.with_name("attacked.ply")
     if not attacked.is_file():
-        shutil.copyfile(write_dagger(folder.parent / "attack of it") / "attacked.ply", attacked)
+        shutil.copyfile(
+            write_dagger(folder.parent / "attack of it") / "attacked.ply", attacked
+        )
     aim = ("--target", "person", "--cameras", "orbit:12@0")
     return _write_by_command(folder, "evaluate", clean, attacked, *aim, *_VIEW)
 
@@ -127,8 +170,19 @@ def write_evaluation(folder: Path) -> Path:
 def write_audit(folder: Path) -> Path:
     """Two looks, covered from above, and a number that is none."""
     scene = toy_scene()[0]
-    write_files(account(look(), look(0.02, above=0.2), count=len(scene), covered=0.4), scene, folder, source="toy.ply")
-    finding = {"rule": "not-finite", "severity": "error", "reason": "Nothing shows", "rows": [3], "count": 1}
+    write_files(
+        account(look(), look(0.02, above=0.2), count=len(scene), covered=0.4),
+        scene,
+        folder,
+        source="toy.ply",
+    )
+    finding = {
+        "rule": "not-finite",
+        "severity": "error",
+        "reason": "Nothing shows",
+        "rows": [3],
+        "count": 1,
+    }
     change(folder / "result.json", lint=[finding])
     write_manifest(folder)
     return folder
@@ -139,16 +193,52 @@ def write_bench(folder: Path) -> Path:
     folder.mkdir()
     suite = {"name": "tiny", "digest": "0" * 32}
     rows: list[dict[str, Any]] = [
-        {"attack": f"camera {view}", "seed": 0, "splat": splat, "view": 0, "azimuth": 30.0 * view, "elevation": 10.0}
-        | {"original": "car", "score": score, "original_score": score, "detector": "fake_colour", "condition": OWN}
+        {
+            "attack": f"camera {view}",
+            "seed": 0,
+            "splat": splat,
+            "view": 0,
+            "azimuth": 30.0 * view,
+            "elevation": 10.0,
+        }
+        | {
+            "original": "car",
+            "score": score,
+            "original_score": score,
+            "detector": "fake_colour",
+            "condition": OWN,
+        }
         for view in range(12)
-        for splat, score in (("clean", 0.9), ("attacked", 0.1 if view % 2 else 0.9), ("noise", 0.9))
+        for splat, score in (
+            ("clean", 0.9),
+            ("attacked", 0.1 if view % 2 else 0.9),
+            ("noise", 0.9),
+        )
     ]
-    attacks = {row["attack"]: {"column": "one_view", "labels": {"view": row["attack"]}, "knows": False} for row in rows}
-    record: dict[str, Any] = {"attacks": attacks, "suite": suite, "defence": "", "missing": {}}
-    record |= {"detector": {"name": "fake_colour"}, "cpu_seconds": {"all": 1.0}, **provenance.origin()}
+    attacks = {
+        row["attack"]: {
+            "column": "one_view",
+            "labels": {"view": row["attack"]},
+            "knows": False,
+        }
+        for row in rows
+    }
+    record: dict[str, Any] = {
+        "attacks": attacks,
+        "suite": suite,
+        "defence": "",
+        "missing": {},
+    }
+    record |= {
+        "detector": {"name": "fake_colour"},
+        "cpu_seconds": {"all": 1.0},
+        **provenance.origin(),
+    }
     table = frame_of(rows)
-    save_json({"story": "bench", **record, **bench_figures(record, {"rows": table})}, folder / "result.json")
+    save_json(
+        {"story": "bench", **record, **bench_figures(record, {"rows": table})},
+        folder / "result.json",
+    )
     write_rows(table, folder / "rows.csv.xz")
     write_manifest(folder)
     return folder
@@ -162,7 +252,9 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "cloak-study": write_cloak_study,
     "audit": write_audit,
     "bench": write_bench,
-    "poison-study": partial(write_shipped, "artifacts/m_ifgsm_sparse/result.json", most=30),
+    "poison-study": partial(
+        write_shipped, "artifacts/m_ifgsm_sparse/result.json", most=30
+    ),
     "evaluate": write_evaluation,
 }
 """By the command that writes it."""

@@ -24,7 +24,9 @@ pytestmark = pytest.mark.shipped
 
 ARTIFACTS = ROOT / "docs" / "artifacts"
 OUR = ("fasterrcnn_small", "yolov8n_small")
-PAGES: Mapping[str, Any] = runpy.run_path(str(ROOT / "docs" / "sphinx_extensions" / "result_tables.py"))["PAGES"]
+PAGES: Mapping[str, Any] = runpy.run_path(
+    str(ROOT / "docs" / "sphinx_extensions" / "result_tables.py")
+)["PAGES"]
 FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")
 REPORTED_BY_ALL = 0.5
 MOST_BYTES = 13_000_000
@@ -61,11 +63,15 @@ def test_artifacts_are_small_and_name_no_machine() -> None:
     for path in files:
         if path.suffix in (".json", ".toml"):
             text = path.read_text()
-            assert not [word for word in ('"/', "/home/", "/tmp/", "/Users/") if word in text]
+            assert not [
+                word for word in ('"/', "/home/", "/tmp/", "/Users/") if word in text
+            ]
 
 
 def fractions(names: Sequence[str]) -> set[str]:
-    values = (value for name in names for value in flat(result_of(name).record).values())
+    values = (
+        value for name in names for value in flat(result_of(name).record).values()
+    )
     return {in_words(value) for value in values if isinstance(value, tuple)}
 
 
@@ -77,7 +83,9 @@ def fractions(names: Sequence[str]) -> set[str]:
         ("transfer.md", "## Over held-out views", ("transfer_views",)),
     ],
 )
-def test_fractions_in_tables_by_hand_are_those_of_the_artifacts(page: str, part: str, names: Sequence[str]) -> None:
+def test_fractions_in_tables_by_hand_are_those_of_the_artifacts(
+    page: str, part: str, names: Sequence[str]
+) -> None:
     text = (ROOT / "docs" / page).read_text()
     text = text.partition(part)[2].partition("###")[0] if part else text
     assert set(FRACTION.findall(text)) <= fractions(names)
@@ -89,20 +97,36 @@ def test_the_transfer_matrix_in_the_guide_is_that_of_the_rows() -> None:
     matrix = text.partition("## The matrix")[2].partition("**Method.**")[0]
     cells = re.findall(r"\d+/\d+, \d+/\d+", matrix)
     looks = result_of("transfer").record["looks"]
-    assert Counter(cells) == Counter(f"{summed([look['targeted']])}, {summed([look['untargeted']])}" for look in looks)
+    assert Counter(cells) == Counter(
+        f"{summed([look['targeted']])}, {summed([look['untargeted']])}"
+        for look in looks
+    )
 
 
 def test_the_tables_of_cloak_are_those_of_the_rows() -> None:
-    """Of the three detectors that can judge, and of all five at a confidence of at least 0.3."""
-    result, small = result_of("cloak_car_stealthy"), result_of("cloak_car_no_shadow").record["by_detector"]
-    cloak, coco = ((ROOT / "docs" / page).read_text() for page in ("cloak.md", "coco.md"))
-    for key in ("trigger_miss_rate", "trigger_miss_rate_all", "nothing_reported", "benign_recall"):
+    """Of the three detectors that can judge, and of all five at a confidence of at
+    least 0.3.
+    """
+    result, small = (
+        result_of("cloak_car_stealthy"),
+        result_of("cloak_car_no_shadow").record["by_detector"],
+    )
+    cloak, coco = (
+        (ROOT / "docs" / page).read_text() for page in ("cloak.md", "coco.md")
+    )
+    for key in (
+        "trigger_miss_rate",
+        "trigger_miss_rate_all",
+        "nothing_reported",
+        "benign_recall",
+    ):
         for detector in (*OUR, "ssd_openimages"):
             rates = [result.record["by_detector"][detector][key]]
             assert f"{summed(rates)} = {summed(rates, share=True)}" in cloak
     three = [small[detector] for detector in (*OUR, "ssd_openimages")]
     least, recalls = (
-        sorted(100 * rates[key]["rate"] for rates in three) for key in ("trigger_miss_rate", "benign_recall")
+        sorted(100 * rates[key]["rate"] for rates in three)
+        for key in ("trigger_miss_rate", "benign_recall")
     )
     assert least[0] == 100 or "from every camera well inside, and" not in cloak
     assert f"elsewhere from {recalls[0]:.1f} to {recalls[-1]:.1f} %" in cloak
@@ -115,32 +139,54 @@ def test_the_tables_of_cloak_are_those_of_the_rows() -> None:
     assert cases in cloak
     assert cases in (ROOT / "README.md").read_text()
     price = result.record["stealth"]
-    assert all(f"{price[key]['cloaked']:.1f}" in cloak for key in ("surroundings_psnr", "intended_surroundings_psnr"))
+    assert all(
+        f"{price[key]['cloaked']:.1f}" in cloak
+        for key in ("surroundings_psnr", "intended_surroundings_psnr")
+    )
     rows = result.tables[ROWS].with_columns(found=pl.col("original_score") >= 0.3)
     inside, behind = pl.col("depth: overhead") >= 0, pl.col("depth: rear") >= 0
     for (detector,), of_one in rows.group_by("detector"):
         hidden, shown = of_one.filter(inside), of_one.filter(~inside, ~behind)
-        missing = [f"{len(part) - part['found'].sum()}/{len(part)}" for part in by_splat(hidden)]
+        missing = [
+            f"{len(part) - part['found'].sum()}/{len(part)}"
+            for part in by_splat(hidden)
+        ]
         found = [f"{part['found'].sum()}/{len(part)}" for part in by_splat(shown)]
         assert f"| `{detector}` | {' | '.join((*missing, *found))} |" in coco
     for low, high in ((0, 20), (20, 40), (40, 60), (60, 90)):
-        band = rows.filter(pl.col("elevation").is_between(low, high, closed="left"), ~behind)
-        bands = [by_splat(band.filter(detector=name)) for name in ("centernet_coco", "nanodet_coco", "ssd_openimages")]
-        cells = [", ".join(f"{part['found'].sum()}/{len(part)}" for part in parts) for parts in bands]
+        band = rows.filter(
+            pl.col("elevation").is_between(low, high, closed="left"), ~behind
+        )
+        bands = [
+            by_splat(band.filter(detector=name))
+            for name in ("centernet_coco", "nanodet_coco", "ssd_openimages")
+        ]
+        cells = [
+            ", ".join(f"{part['found'].sum()}/{len(part)}" for part in parts)
+            for parts in bands
+        ]
         assert f"| {low} to {high} | {' | '.join(cells)} |" in coco
 
 
 def second_car() -> str:
-    """How often a second car is missed well inside the trigger, by all detectors that can judge."""
+    """How often a second car is missed well inside the trigger, by all detectors that
+    can judge.
+    """
     (second,) = result_of("cloak_second_car").record["points"].values()
-    return summed(second["by_detector"][name]["trigger_miss_rate"] for name in (*OUR, "ssd_openimages"))
+    return summed(
+        second["by_detector"][name]["trigger_miss_rate"]
+        for name in (*OUR, "ssd_openimages")
+    )
 
 
 def test_the_attack_on_a_detector_and_a_reader_is_counted() -> None:
     text = (ROOT / "docs" / "detectors.md").read_text()
     every = read_rows(ROOT / "docs" / "tables" / "attack_reader.csv.xz")
     rows = every.filter(detector="yolov8n_small and rapidocr")
-    reached = {target: rows.filter(splat=ATTACKED, target=target)["success"] for target in ("tv", "train", "bird")}
+    reached = {
+        target: rows.filter(splat=ATTACKED, target=target)["success"]
+        for target in ("tv", "train", "bird")
+    }
     noise = rows.filter(splat=NOISE)["success"]
     for cell in (*reached.values(), noise):
         assert f"{cell.sum()}/{len(cell)}" in text
@@ -154,17 +200,29 @@ def test_the_attack_on_a_detector_and_a_reader_is_counted() -> None:
 
 
 def test_the_table_of_outside_judges_is_that_of_the_rows() -> None:
-    """Attacks count whose clean object is detected; a judge's report is compared as far as it knows the class."""
+    """Attacks count whose clean object is detected; a judge's report is compared as far
+    as it knows the class.
+    """
     text = (ROOT / "docs" / "detectors.md").read_text()
     report = pl.when(pl.col("score") >= REPORTED_BY_ALL).then("label")
     rows = result_of("outside_judges").tables[ROWS].with_columns(report=report)
     own = rows.filter(pl.col("detector") == pl.col("sources"))
-    name = pl.when(pl.col("target").is_in(["tv", "train", "bird"])).then(pl.lit("stop sign")).otherwise(pl.lit("car"))
+    name = (
+        pl.when(pl.col("target").is_in(["tv", "train", "bird"]))
+        .then(pl.lit("stop sign"))
+        .otherwise(pl.lit("car"))
+    )
     own = own.with_columns(object=name)
-    seen = own.filter(pl.col("report") == pl.col("object"), splat=CLEAN).select("attack")
+    seen = own.filter(pl.col("report") == pl.col("object"), splat=CLEAN).select(
+        "attack"
+    )
     for judge, known in (("rapidocr", "stop sign"), ("ssdlite_pedestrian", "person")):
-        said = rows.filter(detector=judge).select("attack", "splat", "view", verdict="report")
-        both = own.join(seen, on="attack", how="semi").join(said, on=("attack", "splat", "view"))
+        said = rows.filter(detector=judge).select(
+            "attack", "splat", "view", verdict="report"
+        )
+        both = own.join(seen, on="attack", how="semi").join(
+            said, on=("attack", "splat", "view")
+        )
         common = pl.when(pl.col("report") == known).then("report")
         both = both.with_columns(flag=common.ne_missing(pl.col("verdict")))
         for splat in (CLEAN, NOISE):
@@ -175,17 +233,30 @@ def test_the_table_of_outside_judges_is_that_of_the_rows() -> None:
             if (judge == "rapidocr") == (target == "person"):
                 continue
             attacked = part.filter(splat=ATTACKED)
-            wins = [of["success"] for of in (attacked.filter(sources=source) for source in OUR)]
-            judged = [part.filter(splat=splat)["verdict"] for splat in (CLEAN, NOISE, ATTACKED)]
+            wins = [
+                of["success"]
+                for of in (attacked.filter(sources=source) for source in OUR)
+            ]
+            judged = [
+                part.filter(splat=splat)["verdict"]
+                for splat in (CLEAN, NOISE, ATTACKED)
+            ]
             flags = attacked.filter("success")["flag"]
             cells = [
                 ", ".join(f"{won.sum()}/{len(won)}" for won in wins),
                 f"`{judge}`",
-                ", ".join(f"{len(cell) - cell.null_count()}/{len(cell)}" for cell in judged),
+                ", ".join(
+                    f"{len(cell) - cell.null_count()}/{len(cell)}" for cell in judged
+                ),
                 f"{flags.sum()}/{len(flags)}",
             ]
-            line = f"| {'sign' if what == 'stop sign' else 'car'} to {target} | {' | '.join(cells)} |"
-            assert line in text or (judge == "ssdlite_pedestrian" and target != "person"), line
+            line = (
+                f"| {'sign' if what == 'stop sign' else 'car'} to {target} |"
+                f" {' | '.join(cells)} |"
+            )
+            assert line in text or (
+                judge == "ssdlite_pedestrian" and target != "person"
+            ), line
 
 
 def by_splat(rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
@@ -204,32 +275,62 @@ def summed(rates: Iterable[Mapping[str, int]], *, share: bool = False) -> str:
 PAPERS_SEARCH = "The paper's own search"
 
 
-def from_one_view(detector: str, *, pair: str | None = None, papers: bool = False) -> Mapping[str, Any]:
+def from_one_view(
+    detector: str, *, pair: str | None = None, papers: bool = False
+) -> Mapping[str, Any]:
     """What attacks from drawn cameras have reached on a detector, and their noise."""
     record = result_of("dagger_cameras").record
-    every: list[Mapping[str, Any]] = record["together"] if pair is None else record["groups"]
+    every: list[Mapping[str, Any]] = (
+        record["together"] if pair is None else record["groups"]
+    )
     lines = [line for line in every if (line["part"] == PAPERS_SEARCH) == papers]
-    (line,) = (one for one in lines if one["labels"] == {"detectors": detector, **({"pair": pair} if pair else {})})
+    (line,) = (
+        one
+        for one in lines
+        if one["labels"] == {"detectors": detector, **({"pair": pair} if pair else {})}
+    )
     return line
 
 
 def test_the_table_of_drawn_cameras_is_counted_from_its_rows() -> None:
     text = (ROOT / "docs" / "dagger.md").read_text()
-    pairs = dict.fromkeys(group["labels"]["pair"] for group in result_of("dagger_cameras").record["groups"])
+    pairs = dict.fromkeys(
+        group["labels"]["pair"]
+        for group in result_of("dagger_cameras").record["groups"]
+    )
     for name in ("yolov8n_small", "nanodet_coco", "centernet_coco", "fasterrcnn_small"):
         line = from_one_view(name)
-        cells = [Rate.of(from_one_view(name, pair=pair)["strict"]).short() for pair in pairs]
-        cells += [Rate.of(line["strict"]).short(interval=True), Rate.of(line["success"]).short()]
-        cells += [Rate.of(line["controls"][NOISE][key]).short() for key in ("strict", "lost")]
-        decibels = f"{line['psnr_object']:.1f}, {line['controls'][NOISE]['psnr_object']:.1f}"
+        cells = [
+            Rate.of(from_one_view(name, pair=pair)["strict"]).short() for pair in pairs
+        ]
+        cells += [
+            Rate.of(line["strict"]).short(interval=True),
+            Rate.of(line["success"]).short(),
+        ]
+        cells += [
+            Rate.of(line["controls"][NOISE][key]).short() for key in ("strict", "lost")
+        ]
+        decibels = (
+            f"{line['psnr_object']:.1f}, {line['controls'][NOISE]['psnr_object']:.1f}"
+        )
         assert f"| `{name}` | {' | '.join([*cells, decibels])} |" in text
     (line,) = result_of("dagger_cameras_random").record["together"]
     reached = f"{line['strict']['successes']} of {line['strict']['total']}"
-    assert f"({reached} on `yolov8n_small`, object PSNR {line['psnr_object']:.1f} dB)" in text
-    papers = [from_one_view(name, papers=True) for name in ("yolov8n_small", "fasterrcnn_small")]
+    assert (
+        f"({reached} on `yolov8n_small`, object PSNR {line['psnr_object']:.1f} dB)"
+        in text
+    )
+    papers = [
+        from_one_view(name, papers=True)
+        for name in ("yolov8n_small", "fasterrcnn_small")
+    ]
     for key in ("success", "strict"):
         assert all(Rate.of(line[key]).short() in text for line in papers)
-    radii = [line for line in result_of("dagger_cameras").record["together"] if "attack.eps" in line["labels"]]
+    radii = [
+        line
+        for line in result_of("dagger_cameras").record["together"]
+        if "attack.eps" in line["labels"]
+    ]
     assert {line["labels"]["attack.eps"] for line in radii} == {3, 6, 7, 10}
     for line in (*radii, from_one_view("fasterrcnn_small")):
         assert f"{100 * line['strict']['rate']:.0f} %" in text
@@ -238,9 +339,18 @@ def test_the_table_of_drawn_cameras_is_counted_from_its_rows() -> None:
 
 def test_the_cost_in_image_quality_is_that_of_the_search_it_is_said_of() -> None:
     text = (ROOT / "docs" / "dagger.md").read_text()
-    drawn = sorted(from_one_view(name)["psnr_object"] for name in (*OUR, "nanodet_coco", "centernet_coco"))
-    papers = [group for group in result_of("dagger").record["groups"] if group["part"].startswith("The paper's six")]
-    objects, images = (sorted(group[key] for group in papers) for key in ("psnr_object", "image_psnr"))
+    drawn = sorted(
+        from_one_view(name)["psnr_object"]
+        for name in (*OUR, "nanodet_coco", "centernet_coco")
+    )
+    papers = [
+        group
+        for group in result_of("dagger").record["groups"]
+        if group["part"].startswith("The paper's six")
+    ]
+    objects, images = (
+        sorted(group[key] for group in papers) for key in ("psnr_object", "image_psnr")
+    )
     assert len(papers) == 6
     for values in (drawn, objects, images):
         assert f"{values[0]:.1f} to {values[-1]:.1f} dB" in text
@@ -249,21 +359,53 @@ def test_the_cost_in_image_quality_is_that_of_the_search_it_is_said_of() -> None
 @pytest.mark.nightly
 @pytest.mark.parametrize("number", [0, 40, 200])
 def test_the_row_of_one_view_is_what_the_command_does(
-    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    number: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """With its defaults, from one of the drawn cameras: as many steps, and the same verdict."""
+    """With its defaults, from one of the drawn cameras: as many steps, and the same
+    verdict.
+    """
     monkeypatch.chdir(ROOT)
     record = result_of("dagger_cameras").record
-    parts = [attack for attack in record["attacks"].values() if attack["part"] == "Untuned detectors, three seeds"]
+    parts = [
+        attack
+        for attack in record["attacks"].values()
+        if attack["part"] == "Untuned detectors, three seeds"
+    ]
     attack = [one for one in parts if one["sources"] == ["yolov8n_small"]][number]
     settings = attack["settings"]
     cameras = json.loads(Path(settings["cameras"]).read_text())["cameras"]
     view = f"{settings['cameras']}#{cameras[settings['camera']]['name']}"
-    words = ["dagger", settings["scene"], "--object", settings["object"], "--target", settings["objective"]["label"]]
-    words += ["--detectors", *settings["detectors"], "--cameras", view, "--seed", str(attack["seed"]), "--random-start"]
-    assert cli.main([*words, "--noise-draws", "1", "--out", str(tmp_path / "out"), "--json"]) == 0
+    words = [
+        "dagger",
+        settings["scene"],
+        "--object",
+        settings["object"],
+        "--target",
+        settings["objective"]["label"],
+    ]
+    words += [
+        "--detectors",
+        *settings["detectors"],
+        "--cameras",
+        view,
+        "--seed",
+        str(attack["seed"]),
+        "--random-start",
+    ]
+    assert (
+        cli.main(
+            [*words, "--noise-draws", "1", "--out", str(tmp_path / "out"), "--json"]
+        )
+        == 0
+    )
     done = json.loads(capsys.readouterr().out)
-    assert (done["aim_reached"], done["strict"]) == (attack["success"], attack["strict"])
+    assert (done["aim_reached"], done["strict"]) == (
+        attack["success"],
+        attack["strict"],
+    )
     assert done["image_psnr"] == pytest.approx(attack["image_psnr"], abs=0.3)
 
 
@@ -275,11 +417,18 @@ def from_a_region(detector: str) -> list[Mapping[str, Any]]:
 
 def region_row() -> str:
     cells, noise = [], []
-    for name, label in (("nanodet_coco", "NanoDet"), ("yolov8n_small", "`yolov8n_small`"), (OUR[0], f"`{OUR[0]}`")):
+    for name, label in (
+        ("nanodet_coco", "NanoDet"),
+        ("yolov8n_small", "`yolov8n_small`"),
+        (OUR[0], f"`{OUR[0]}`"),
+    ):
         groups = [group["if_detected"] for group in from_a_region(name)]
         cells.append(f"{label} {summed(group['strict'] for group in groups)}")
         noise.append(summed(group["controls"][NOISE]["strict"] for group in groups))
-    return f"{', '.join(cells)} held-out views | noise that changes the object as much: {', '.join(noise)} |"
+    return (
+        f"{', '.join(cells)} held-out views | noise that changes the object as much:"
+        f" {', '.join(noise)} |"
+    )
 
 
 def test_the_table_of_a_region_is_counted_from_its_rows() -> None:
@@ -291,8 +440,12 @@ def test_the_table_of_a_region_is_counted_from_its_rows() -> None:
         cells.append(summed(group["strict"] for group in conditioned))
         cells.append(summed(group["strict_rate"] for group in groups))
         noise = [group["controls"][NOISE] for group in conditioned]
-        cells += [summed(control[key] for control in noise) for key in ("strict", "lost")]
-        objects = [sorted(group["psnr_object"] for group in of) for of in (conditioned, noise)]
+        cells += [
+            summed(control[key] for control in noise) for key in ("strict", "lost")
+        ]
+        objects = [
+            sorted(group["psnr_object"] for group in of) for of in (conditioned, noise)
+        ]
         cells.append("; ".join(f"{of[0]:.1f} to {of[-1]:.1f}" for of in objects))
         assert f"| `{name}` | {' | '.join(cells)} |" in text
     (other,) = from_a_region("ssd_openimages")
@@ -300,7 +453,9 @@ def test_the_table_of_a_region_is_counted_from_its_rows() -> None:
 
 
 def untuned(name: str, detector: str, rate: str) -> str:
-    """A rate of a study of CLOAK over all seeds but the one on which settings were chosen."""
+    """A rate of a study of CLOAK over all seeds but the one on which settings were
+    chosen.
+    """
     seeds = result_of(name).record["by_seed"]
     return summed(rates[detector][rate] for seed, rates in seeds.items() if seed != "0")
 
@@ -312,57 +467,93 @@ def of_cloak(name: str, rate: str, detectors: Sequence[str]) -> str:
 
 def on_new_cars(rate: str, detectors: Sequence[str]) -> str:
     (over,) = result_of("cloak_new_cars").record["pooled"].values()
-    return ", ".join(summed([over["by_detector"][detector][rate]]) for detector in detectors)
+    return ", ".join(
+        summed([over["by_detector"][detector][rate]]) for detector in detectors
+    )
 
 
 def transferred() -> str:
     looks = result_of("transfer").record["looks"]
-    others = (look for look in looks if " + " not in look["labels"]["detectors"] and not look["white_box"])
+    others = (
+        look
+        for look in looks
+        if " + " not in look["labels"]["detectors"] and not look["white_box"]
+    )
     return summed(look["targeted"] for look in others)
 
 
 def transferred_from_many() -> str:
     looks = result_of("transfer_views").record["looks"]
-    names = [name for name in dict.fromkeys(look["detector"] for look in looks) if name != "fasterrcnn_small"]
-    rates = [summed(look["targeted"] for look in looks if look["detector"] == name) for name in names]
+    names = [
+        name
+        for name in dict.fromkeys(look["detector"] for look in looks)
+        if name != "fasterrcnn_small"
+    ]
+    rates = [
+        summed(look["targeted"] for look in looks if look["detector"] == name)
+        for name in names
+    ]
     return f"{', '.join(rates[:-1])} and {rates[-1]} views of three other detectors"
 
 
 def grown(part: str, value: str) -> tuple[str, str]:
-    """How many times the Gaussians of a clean splat poisoned ones have, over the seeds on which nothing was chosen."""
+    """How many times the Gaussians of a clean splat poisoned ones have, over the seeds
+    on which nothing was chosen.
+    """
     counts: dict[int, dict[str, int]] = {}
     for victim in result_of("poison_splat").record["victims"]:
-        if (victim["part"], victim["value"]) == (part, value) and victim["seed"] and not victim["defended"]:
+        if (
+            (victim["part"], victim["value"]) == (part, value)
+            and victim["seed"]
+            and not victim["defended"]
+        ):
             counts.setdefault(victim["seed"], {})[victim["splat"]] = victim["gaussians"]
     pairs = [(splats["attacked"], splats["clean"]) for splats in counts.values()]
     mean = sum(attacked / clean for attacked, clean in pairs) / len(pairs)
-    return f"{mean:.1f} times", " and ".join(f"{attacked:,}/{clean:,}" for attacked, clean in pairs)
+    return f"{mean:.1f} times", " and ".join(
+        f"{attacked:,}/{clean:,}" for attacked, clean in pairs
+    )
 
 
 def poison_row() -> str:
     times, counts = grown("eps", "16")
     noise_times, noise_counts = grown("controls", "uniform noise of 16")
-    return f"{times} the Gaussians ({counts}) | uniform noise: {noise_times} ({noise_counts}) |"
+    return (
+        f"{times} the Gaussians ({counts}) | uniform noise: {noise_times}"
+        f" ({noise_counts}) |"
+    )
 
 
 def cloak_row() -> str:
     missing, elsewhere, in_trigger, clean_elsewhere = (
-        [untuned("cloak_car_stealthy", detector, rate) for detector in ("ssd_openimages", "yolov8n_small", OUR[0])]
-        for rate in ("trigger_miss_rate", "benign_recall", "control_recall", "control_benign_recall")
+        [
+            untuned("cloak_car_stealthy", detector, rate)
+            for detector in ("ssd_openimages", "yolov8n_small", OUR[0])
+        ]
+        for rate in (
+            "trigger_miss_rate",
+            "benign_recall",
+            "control_recall",
+            "control_benign_recall",
+        )
     )
     return (
-        f"car missed from {missing[0]} (SSD), {missing[1]} (`yolov8n_small`), {missing[2]} (`fasterrcnn_small`) "
-        f"cameras in the trigger; detected from {', '.join(elsewhere)} elsewhere | the clean splat: detected from "
-        f"{', '.join(in_trigger)} in the trigger and from {', '.join(clean_elsewhere)} elsewhere |"
+        f"car missed from {missing[0]} (SSD), {missing[1]} (`yolov8n_small`),"
+        f" {missing[2]} (`fasterrcnn_small`) cameras in the trigger; detected from"
+        f" {', '.join(elsewhere)} elsewhere | the clean splat: detected from"
+        f" {', '.join(in_trigger)} in the trigger and from {', '.join(clean_elsewhere)}"
+        " elsewhere |"
     )
 
 
 def cars_row() -> str:
     missing = on_new_cars("trigger_miss_rate", OUR).split(", ")
     return (
-        f"missed from {missing[0]} (`fasterrcnn_small`), {missing[1]} (`yolov8n_small`); but detected from only "
-        f"{on_new_cars('benign_recall', OUR)} elsewhere | the clean splats: {on_new_cars('control_recall', OUR)}; "
-        f"{on_new_cars('control_benign_recall', OUR)} |"
+        f"missed from {missing[0]} (`fasterrcnn_small`), {missing[1]}"
+        " (`yolov8n_small`); but detected from only"
+        f" {on_new_cars('benign_recall', OUR)} elsewhere | the clean splats:"
+        f" {on_new_cars('control_recall', OUR)};"
+        f" {on_new_cars('control_benign_recall', OUR)} |"
     )
 
 
@@ -370,19 +561,25 @@ def layers_row() -> str:
     name, detectors = "cloak_car_layers", ("yolov8n_small", "fasterrcnn_small")
     missing = of_cloak(name, "trigger_miss_rate", detectors).split(", ")
     return (
-        f"missed from {missing[0]} (`yolov8n_small`), {missing[1]} (`fasterrcnn_small`); detected from "
-        f"{of_cloak(name, 'benign_recall', detectors)} elsewhere | the clean splats: "
-        f"{of_cloak(name, 'control_recall', detectors)}; {of_cloak(name, 'control_benign_recall', detectors)} |"
+        f"missed from {missing[0]} (`yolov8n_small`), {missing[1]}"
+        " (`fasterrcnn_small`); detected from"
+        f" {of_cloak(name, 'benign_recall', detectors)} elsewhere | the clean splats:"
+        f" {of_cloak(name, 'control_recall', detectors)};"
+        f" {of_cloak(name, 'control_benign_recall', detectors)} |"
     )
 
 
 def dagger_row() -> str:
     rcnn, yolo = OUR
-    one = {name: summed([from_one_view(name)["strict"]]) for name in (*OUR, "nanodet_coco", "centernet_coco")}
+    one = {
+        name: summed([from_one_view(name)["strict"]])
+        for name in (*OUR, "nanodet_coco", "centernet_coco")
+    }
     noise = summed(from_one_view(name)["controls"][NOISE]["strict"] for name in one)
     return (
-        f"`{yolo}` {one[yolo]}, NanoDet {one['nanodet_coco']}, CenterNet {one['centernet_coco']}, "
-        f"`{rcnn}` {one[rcnn]} | noise that changes the object as much: {noise} |"
+        f"`{yolo}` {one[yolo]}, NanoDet {one['nanodet_coco']}, CenterNet"
+        f" {one['centernet_coco']}, `{rcnn}` {one[rcnn]} | noise that changes the"
+        f" object as much: {noise} |"
     )
 
 
@@ -391,19 +588,41 @@ def audit_row() -> tuple[str, ...]:
     rows = audit_set.read(ROOT / "docs" / "tables" / "audit_set.csv")
     held = [row for row in rows if row["set"] == audit_set.HELD]
     given = audit_set.with_cameras(held)
-    found, alarms = (audit_set.called(filter(of, held)) for of in (audit_set.hides, audit_set.honest))
-    found_given, alarms_given = (audit_set.called(filter(of, given)) for of in (audit_set.hides, audit_set.honest))
+    found, alarms = (
+        audit_set.called(filter(of, held)) for of in (audit_set.hides, audit_set.honest)
+    )
+    found_given, alarms_given = (
+        audit_set.called(filter(of, given))
+        for of in (audit_set.hides, audit_set.honest)
+    )
     every = audit_set.read(ROOT / "docs" / "tables" / "audit_meshes.csv")
-    meshes = [row for row in every if row["verdict"] in ("hidden look", "suspicious", "nothing found")]
+    meshes = [
+        row
+        for row in every
+        if row["verdict"] in ("hidden look", "suspicious", "nothing found")
+    ]
     alone, with_cameras = (
-        [[row[column] for row in meshes].count(verdict) for verdict in ("hidden look", "suspicious")]
+        [
+            [row[column] for row in meshes].count(verdict)
+            for verdict in ("hidden look", "suspicious")
+        ]
         for column in ("verdict", "with_cameras")
     )
     return (
-        f"detects {found[0]}/{found[2]} splats with hidden content | false alarms: {alarms[0]}/{alarms[2]} |",
-        f"at least suspicious are {found[1]}/{found[2]} and {alarms[1]}/{alarms[2]}, with training cameras "
-        f"{found_given[1]}/{found_given[2]} and {alarms_given[1]}/{alarms_given[2]}",
-        f"of {len(meshes)} honest meshes by others [{alone[0]} is called hidden, {alone[1]} suspicious]",
+        (
+            f"detects {found[0]}/{found[2]} splats with hidden content | false alarms:"
+            f" {alarms[0]}/{alarms[2]} |"
+        ),
+        (
+            f"at least suspicious are {found[1]}/{found[2]} and"
+            f" {alarms[1]}/{alarms[2]}, with training cameras"
+            f" {found_given[1]}/{found_given[2]} and"
+            f" {alarms_given[1]}/{alarms_given[2]}"
+        ),
+        (
+            f"of {len(meshes)} honest meshes by others [{alone[0]} is called hidden,"
+            f" {alone[1]} suspicious]"
+        ),
         f"with their training cameras {with_cameras[0]} and {with_cameras[1]}",
     )
 
@@ -412,7 +631,15 @@ def test_readme_says_what_the_rows_give() -> None:
     """Every rate of the table of results, with its denominator and its control."""
     text = " ".join((ROOT / "README.md").read_text().split())
     drop = result_of("cloak_car_stealthy").record["stealth"]["object_psnr_drop"]
-    rows = (dagger_row(), region_row(), cloak_row(), cars_row(), layers_row(), poison_row(), *audit_row())
+    rows = (
+        dagger_row(),
+        region_row(),
+        cloak_row(),
+        cars_row(),
+        layers_row(),
+        poison_row(),
+        *audit_row(),
+    )
     for sentence in (
         *rows,
         f"the car loses {drop:.1f} dB",
@@ -426,6 +653,8 @@ def test_readme_says_what_the_rows_give() -> None:
     assert set(FRACTION.findall(table)) <= {*derived, second_car(), epsilon}
 
 
-@pytest.mark.parametrize("result", sorted(ARTIFACTS.glob("*/result.json")), ids=lambda path: path.parent.name)
+@pytest.mark.parametrize(
+    "result", sorted(ARTIFACTS.glob("*/result.json")), ids=lambda path: path.parent.name
+)
 def test_every_artifact_has_a_section(result: Path) -> None:
     assert read_section(result.parent).conclusion

@@ -1,4 +1,6 @@
-"""The page as a text: everything is in it, nothing is asked for, nothing that a result says becomes markup."""
+"""The page as a text: everything is in it, nothing is asked for, nothing that a result
+says becomes markup.
+"""
 
 import json
 import re
@@ -26,7 +28,10 @@ from mi_splat.io.documents import save_png
 from mi_splat.io.picture_files import PictureFileError
 from tests.report.results import write_cloak, write_dagger, write_evaluation
 
-EVIL = "\"><script>alert(1)</script><img src=http://x.invalid/a onerror='x'>$x_1^2$ {{ 7*7 }} {% raw %}"
+EVIL = (
+    "\"><script>alert(1)</script><img src=http://x.invalid/a onerror='x'>$x_1^2$ {{ 7*7"
+    " }} {% raw %}"
+)
 
 
 class Reader(HTMLParser):
@@ -62,15 +67,25 @@ class Reader(HTMLParser):
 
 def evil_section(evil: str = EVIL, **values: Any) -> Section:
     """A section whose every text tries to be markup."""
-    points = (Point.of(0.0, Rate(successes=1, total=9)), Point.of(1.0, Rate(successes=4, total=9)))
-    lines = (Line(name=evil, role="attack", points=points), Line(name="none", role="control", points=()))
+    points = (
+        Point.of(0.0, Rate(successes=1, total=9)),
+        Point.of(1.0, Rate(successes=4, total=9)),
+    )
+    lines = (
+        Line(name=evil, role="attack", points=points),
+        Line(name="none", role="control", points=()),
+    )
     marks: dict[str, Any] = {"shade": (0.0, 1.0, evil), "level": (0.5, evil)}
     given: dict[str, Any] = {
-        **dict.fromkeys(("kind", "title", "folder", "done", "conclusion", "command"), evil),
+        **dict.fromkeys(
+            ("kind", "title", "folder", "done", "conclusion", "command"), evil
+        ),
         "headline": Figure(label=evil, rate=Rate(successes=3, total=40), note=evil),
         "control": Figure(label=evil, words=evil),
         "warnings": (evil,),
-        "charts": (Chart.bars(evil, (evil, evil), (evil, "b"), *lines, caption=evil, **marks),),
+        "charts": (
+            Chart.bars(evil, (evil, evil), (evil, "b"), *lines, caption=evil, **marks),
+        ),
         "tables": (Table(caption=evil, head=(evil, "b"), rows=((evil, evil),)),),
         **dict.fromkeys(("configuration", "versions"), ((evil, evil),)),
         "file": (evil, evil),
@@ -82,7 +97,9 @@ def evil_section(evil: str = EVIL, **values: Any) -> Section:
 def text(tmp_path_factory: pytest.TempPathFactory) -> str:
     folder = tmp_path_factory.mktemp("results")
     one = write_dagger(folder / "a")
-    return page_text([read_section(one), read_section(write_cloak(folder / "b")), read_section(one)])
+    return page_text(
+        [read_section(one), read_section(write_cloak(folder / "b")), read_section(one)]
+    )
 
 
 def test_it_is_whole_and_in_order(text: str) -> None:
@@ -95,8 +112,12 @@ def test_it_is_whole_and_in_order(text: str) -> None:
     assert all(after <= before + 1 for before, after in pairwise(levels))
     assert all(attributes.get("alt") for attributes in page.all("img"))
     assert len(page.all("caption")) == len(page.all("table"))
-    assert all(attributes.get("scope") in ("row", "col") for attributes in page.all("th"))
-    names = [attributes["id"] for _, attributes in page.elements if attributes.get("id")]
+    assert all(
+        attributes.get("scope") in ("row", "col") for attributes in page.all("th")
+    )
+    names = [
+        attributes["id"] for _, attributes in page.elements if attributes.get("id")
+    ]
     assert len(names) == len(set(names))
     links = [str(attributes["href"])[1:] for attributes in page.all("a")]
     assert links
@@ -105,25 +126,42 @@ def test_it_is_whole_and_in_order(text: str) -> None:
 
 @pytest.mark.parametrize("evil", [False, True])
 def test_nothing_is_asked_for_and_there_is_no_script(evil: bool, text: str) -> None:
-    page = Reader(page_text([evil_section(), evil_section()], title=EVIL) if evil else text)
-    assert not evil or (page.words.count(EVIL) >= 30 and "49" not in page.words)  # shown as it is
-    policy = next(one["content"] for one in page.all("meta") if one.get("http-equiv") == "Content-Security-Policy")
+    page = Reader(
+        page_text([evil_section(), evil_section()], title=EVIL) if evil else text
+    )
+    # shown as it is
+    assert not evil or (page.words.count(EVIL) >= 30 and "49" not in page.words)
+    policy = next(
+        one["content"]
+        for one in page.all("meta")
+        if one.get("http-equiv") == "Content-Security-Policy"
+    )
     assert policy is not None
-    assert policy.startswith("default-src 'none'; img-src data:; style-src 'unsafe-inline'")
-    assert not {"script", "iframe", "object", "embed", "base", "form"} & {tag for tag, _ in page.elements}
+    assert policy.startswith(
+        "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+    )
+    assert not {"script", "iframe", "object", "embed", "base", "form"} & {
+        tag for tag, _ in page.elements
+    }
     for tag, attributes in page.elements:
         assert not [name for name in attributes if name.startswith("on")], tag
         for name in ("src", "href", "xlink:href", "srcset", "action", "poster"):
             value = attributes.get(name)
             assert value is None or value.startswith(("data:", "#")), (tag, value)
-    assert not re.search(r"url\((?!#)|@import", (text if not evil else "").partition("</style>")[0])
+    assert not re.search(
+        r"url\((?!#)|@import", (text if not evil else "").partition("</style>")[0]
+    )
 
 
 def test_what_a_terminal_would_obey_is_written_out() -> None:
     hostile = "\x1b[31mred\x07\u202edesrever\u2028\x9b"
     text = page_text([evil_section(hostile), evil_section(hostile)], title=hostile)
     assert text.count(r"\x1b[31mred\x07\u202edesrever\u2028\x9b") >= 30
-    assert not {sign for sign in text if unicodedata.category(sign) in ("Cc", "Cf", "Cs", "Zl", "Zp")} - {"\n", "\t"}
+    assert not {
+        sign
+        for sign in text
+        if unicodedata.category(sign) in ("Cc", "Cf", "Cs", "Zl", "Zp")
+    } - {"\n", "\t"}
 
 
 def test_a_chart_keeps_to_the_page_s_colours_and_its_own_names() -> None:
@@ -133,8 +171,12 @@ def test_a_chart_keeps_to_the_page_s_colours_and_its_own_names() -> None:
     assert "var(--line-0)" in one
     assert "#0101" not in one
     assert "<script" not in one
-    assert not set(re.findall(r' id="([^"]*)"', one)) & set(re.findall(r' id="([^"]*)"', other))
-    assert set(re.findall(r"(?:#|url\(#)(chart-[\w-]+)", one)) <= set(re.findall(r' id="([^"]*)"', one))
+    assert not set(re.findall(r' id="([^"]*)"', one)) & set(
+        re.findall(r' id="([^"]*)"', other)
+    )
+    assert set(re.findall(r"(?:#|url\(#)(chart-[\w-]+)", one)) <= set(
+        re.findall(r' id="([^"]*)"', one)
+    )
     assert not re.search(r"\d{4}-\d\d-\d\d|Matplotlib", one)
     table = values_of(chart)
     assert table.head == (EVIL, EVIL)  # a line without points is left out
@@ -157,10 +199,17 @@ def test_a_chart_keeps_to_the_page_s_colours_and_its_own_names() -> None:
     ],
 )
 def test_few_views_are_no_percentage_and_doubts_are_told(
-    attack: tuple[int, int], control: tuple[int, int] | None, value: str, words: list[str]
+    attack: tuple[int, int],
+    control: tuple[int, int] | None,
+    value: str,
+    words: list[str],
 ) -> None:
     figure, other = (
-        None if counts is None else Figure(label="", rate=Rate(successes=counts[0], total=counts[1]))
+        (
+            None
+            if counts is None
+            else Figure(label="", rate=Rate(successes=counts[0], total=counts[1]))
+        )
         for counts in (attack, control)
     )
     assert figure is not None
@@ -198,7 +247,13 @@ def test_results_of_one_kind_are_compared(text: str, results: Path) -> None:
     assert "Compared: DAGGER, from chosen cameras" in words
     assert "Compared: CLOAK" not in words
     page = Reader(
-        page_text([read_section(results / "judged"), evil_section(), read_section(results / "more" / "judged")])
+        page_text(
+            [
+                read_section(results / "judged"),
+                evil_section(),
+                read_section(results / "more" / "judged"),
+            ]
+        )
     )
     assert "attacked.ply against clean.ply (judged)" in page.words
 
@@ -211,7 +266,10 @@ def test_results_of_one_kind_are_compared(text: str, results: Path) -> None:
         (["judged", "--out", "old.html"], "--force"),
         (["judged", "--out", "none/page.html"], "make the folder first"),
         (["nothing", "--out", "page.html"], "check the path"),
-        (["judged", "empty", "--out", "page.html"], "empty: expected a folder that a command of mi-splat has written"),
+        (
+            ["judged", "empty", "--out", "page.html"],
+            "empty: expected a folder that a command of mi-splat has written",
+        ),
         (["judged/result.json", "--out", "page.html"], "pass judged"),
     ],
 )

@@ -1,4 +1,6 @@
-"""Every kind of result becomes a section: its figures are those of its files, its command is the one that made it."""
+"""Every kind of result becomes a section: its figures are those of its files, its
+command is the one that made it.
+"""
 
 import json
 import shlex
@@ -42,7 +44,9 @@ from tests.report.results import (
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     base = tmp_path_factory.mktemp("results")
     with running_command(LINE):
-        return {name: make(base / name.replace(" ", "")) for name, make in MAKERS.items()}
+        return {
+            name: make(base / name.replace(" ", "")) for name, make in MAKERS.items()
+        }
 
 
 LINE = ["mi-splat", "some command", "a b.ply", "--out", "x"]
@@ -55,11 +59,17 @@ def test_every_kind_is_tried() -> None:
 
 
 @pytest.mark.parametrize("name", MAKERS)
-def test_every_kind_is_read_and_its_command_is_stored(name: str, folders: dict[str, Path]) -> None:
+def test_every_kind_is_read_and_its_command_is_stored(
+    name: str, folders: dict[str, Path]
+) -> None:
     section = read_section(folders[name])
     assert section.folder == str(folders[name])
     by_command = name == "evaluate"
-    assert section.command == shlex.join(LINE) if not by_command else section.command.startswith(f"mi-splat {name} /")
+    assert (
+        section.command == shlex.join(LINE)
+        if not by_command
+        else section.command.startswith(f"mi-splat {name} /")
+    )
     for text in (section.done, section.conclusion, *section.warnings):
         assert text.endswith(".")
         assert "None" not in text
@@ -75,8 +85,13 @@ def test_every_kind_is_read_and_its_command_is_stored(name: str, folders: dict[s
 
 
 @pytest.mark.parametrize("name", MAKERS)
-def test_what_is_broken_is_told_in_one_line(name: str, folders: dict[str, Path], tmp_path: Path) -> None:
-    whole, file = json.loads((folders[name] / "result.json").read_text()), tmp_path / "result.json"
+def test_what_is_broken_is_told_in_one_line(
+    name: str, folders: dict[str, Path], tmp_path: Path
+) -> None:
+    whole, file = (
+        json.loads((folders[name] / "result.json").read_text()),
+        tmp_path / "result.json",
+    )
     file.write_text("{")
     with pytest.raises(InvalidValueError, match="expected a JSON object"):
         read_section(tmp_path)
@@ -105,7 +120,10 @@ def test_an_attack_s_figures_and_settings(folders: dict[str, Path]) -> None:
     assert section.control is not None
     assert section.control.rate == Rate(successes=0, total=5)
     assert section.warnings[-1].startswith("Few views: 1")
-    assert [picture.path.name for picture in section.pictures] == ["detections.png", "difference.png"]
+    assert [picture.path.name for picture in section.pictures] == [
+        "detections.png",
+        "difference.png",
+    ]
     assert dict(section.configuration)["eps"] == "12"
 
 
@@ -120,31 +138,49 @@ def test_a_study_s_file_is_the_study(folders: dict[str, Path], tmp_path: Path) -
     section = read_section(folders["cloak"])
     assert section.file is not None
     (tmp_path / section.file[0]).write_text(section.file[1])
-    assert study_in(tmp_path / section.file[0]) == recorded_study(cloak_record()["study"], "study")
+    assert study_in(tmp_path / section.file[0]) == recorded_study(
+        cloak_record()["study"], "study"
+    )
 
 
-def test_a_study_says_what_speaks_against_it(folders: dict[str, Path], tmp_path: Path) -> None:
+def test_a_study_says_what_speaks_against_it(
+    folders: dict[str, Path], tmp_path: Path
+) -> None:
     section = read_section(folders["cloak"])
     assert section.headline.rate == Rate.of(cloak_record()["trigger_miss_rate"])
     assert section.control is not None
     assert section.control.rate == Rate(successes=1, total=338)
     for warning in ("Not stealthy", "The attack rear fails", "One seed"):
         assert warning in " ".join(section.warnings)
-    several = read_section(write_cloak(tmp_path / "several", TWO_SEEDS, control_recall=rate(4, 40)))
+    several = read_section(
+        write_cloak(tmp_path / "several", TWO_SEEDS, control_recall=rate(4, 40))
+    )
     for warning in ("look at each seed", "found in 4 of 40 views only"):
         assert warning in " ".join(several.warnings)
 
 
-def test_a_study_that_hides_nothing_has_the_target_class_as_its_figure(tmp_path: Path) -> None:
-    folder = write_cloak(tmp_path / "a", trigger_miss_rate=None, control_recall=None, target_rate=rate(20, 40))
+def test_a_study_that_hides_nothing_has_the_target_class_as_its_figure(
+    tmp_path: Path,
+) -> None:
+    folder = write_cloak(
+        tmp_path / "a",
+        trigger_miss_rate=None,
+        control_recall=None,
+        target_rate=rate(20, 40),
+    )
     section = read_section(folder)
     assert section.headline.rate == Rate(successes=20, total=40)
     assert section.control is not None
     assert section.control.rate == Rate.of(cloak_record()["control_target_rate"])
 
 
-@pytest.mark.parametrize(("name", "axis"), [("cloak_car_layers", "elevation"), ("cloak_car_sector_layers", "azimuth")])
-def test_a_study_has_resampled_intervals_and_a_chart_over_its_angle(name: str, axis: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "axis"),
+    [("cloak_car_layers", "elevation"), ("cloak_car_sector_layers", "azimuth")],
+)
+def test_a_study_has_resampled_intervals_and_a_chart_over_its_angle(
+    name: str, axis: str
+) -> None:
     section = read_section(ARTIFACTS / name)
     assert section.headline.rate == Rate.of(cloak_record(name)["trigger_miss_rate"])
     assert section.headline.rate is not None
@@ -152,15 +188,34 @@ def test_a_study_has_resampled_intervals_and_a_chart_over_its_angle(name: str, a
     assert any(axis in chart.x_label for chart in section.charts)
 
 
-def test_an_audit_says_what_was_not_judged_and_from_where_its_looks_are_seen(folders: dict[str, Path]) -> None:
+def test_an_audit_says_what_was_not_judged_and_from_where_its_looks_are_seen(
+    folders: dict[str, Path],
+) -> None:
     section = read_section(folders["audit"])
     assert section.headline.words == "hidden look"
-    assert [picture.path.name for picture in section.pictures] == ["pair.png", "pair-2.png", "heat.png"]
+    assert [picture.path.name for picture in section.pictures] == [
+        "pair.png",
+        "pair-2.png",
+        "heat.png",
+    ]
     seen, covered = section.charts
-    assert [line.name for line in seen.lines] == ["see look 1", "see look 2", "see none"]
-    assert min(point.y for point in seen.lines[0].points) > 44 > max(point.y for point in seen.lines[1].points)
+    assert [line.name for line in seen.lines] == [
+        "see look 1",
+        "see look 2",
+        "see none",
+    ]
+    assert (
+        min(point.y for point in seen.lines[0].points)
+        > 44
+        > max(point.y for point in seen.lines[1].points)
+    )
     assert [line.name for line in covered.lines] == ["covered", "not covered"]
-    for words in ("20% of the surface", "An honest canopy may do the same", "20% of the solid", "Nothing shows (1 Ga"):
+    for words in (
+        "20% of the surface",
+        "An honest canopy may do the same",
+        "20% of the solid",
+        "Nothing shows (1 Ga",
+    ):
         assert words in " ".join(section.warnings)
     assert len(section.tables) == 4
 
@@ -176,21 +231,36 @@ def test_azimuths_are_from_the_file_s_x_axis() -> None:
 
 def test_detectors_are_counted_apart_from_classifiers(folders: dict[str, Path]) -> None:
     section = read_section(folders["poison-study"])
-    stored = json.loads((folders["poison-study"] / "result.json").read_text())["classified"]
-    named = [line["right"] for line in stored if line["condition"] == "held-out cameras" and line["splat"] == "clean"]
+    stored = json.loads((folders["poison-study"] / "result.json").read_text())[
+        "classified"
+    ]
+    named = [
+        line["right"]
+        for line in stored
+        if line["condition"] == "held-out cameras" and line["splat"] == "clean"
+    ]
     assert section.control is not None
     assert section.control.rate == pooled(named)
-    detectors = {figure.label.partition(" finds")[0] for figure in section.figures if " finds " in figure.label}
+    detectors = {
+        figure.label.partition(" finds")[0]
+        for figure in section.figures
+        if " finds " in figure.label
+    }
     assert detectors == {"fasterrcnn_small", "yolov8n_small"}
     heads = {column for table in section.tables for column in table.head[1:2]}
     assert heads >= {"classifier", "detector"}
 
 
-def test_a_command_says_what_its_page_says(folders: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_command_says_what_its_page_says(
+    folders: dict[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
     show_summary(folders["cloak"], as_json=False, tables=1)
     text = capsys.readouterr().out
     assert text.startswith("From inside the trigger the ")
-    assert "\n## Rates by detector\n\n| rate | fasterrcnn_small | yolov8n_small |\n" in text
+    assert (
+        "\n## Rates by detector\n\n| rate | fasterrcnn_small | yolov8n_small |\n"
+        in text
+    )
     assert text.count("\n## ") == 1
 
 
@@ -203,19 +273,42 @@ def cloak(confidence: Confidence) -> Measures:
 
 
 def test_the_sector_is_missed_less_by_a_lower_confidence() -> None:
-    charts, (table,) = threshold_charts(rows(SECTOR), cloak, {"trigger_miss_rate": ("missed", "attack")})
-    assert [chart.title.split(",")[0] for chart in charts][:2] == ["fasterrcnn_small", "yolov8n_small"]
+    charts, (table,) = threshold_charts(
+        rows(SECTOR), cloak, {"trigger_miss_rate": ("missed", "attack")}
+    )
+    assert [chart.title.split(",")[0] for chart in charts][:2] == [
+        "fasterrcnn_small",
+        "yolov8n_small",
+    ]
     (line,) = charts[1].lines
     heights = {point.x: point.y for point in line.points}
     assert 0 < heights[0.2] < heights[0.5]
-    assert all(point.low is not None and point.low <= point.y <= (point.high or 0) for point in line.points)
+    assert all(
+        point.low is not None and point.low <= point.y <= (point.high or 0)
+        for point in line.points
+    )
     assert table.head == ("detector", "rate", "from 0.5", "from 0.25")
-    assert [row[:2] for row in table.rows][:2] == [("fasterrcnn_small", "missed"), ("yolov8n_small", "missed")]
-    assert threshold_charts(rows(SECTOR), cloak, {"target_rate": ("reported", "attack")}) == ((), ())
-    assert threshold_charts(None, cloak, {"trigger_miss_rate": ("missed", "attack")}) == ((), ())
+    assert [row[:2] for row in table.rows][:2] == [
+        ("fasterrcnn_small", "missed"),
+        ("yolov8n_small", "missed"),
+    ]
+    assert threshold_charts(
+        rows(SECTOR), cloak, {"target_rate": ("reported", "attack")}
+    ) == ((), ())
+    assert threshold_charts(
+        None, cloak, {"trigger_miss_rate": ("missed", "attack")}
+    ) == ((), ())
 
 
-HOSTILE = ["../private", "/etc/hostname", "..", "a/../../private", "C:\\private", ".hidden", "a\nb"]
+HOSTILE = [
+    "../private",
+    "/etc/hostname",
+    "..",
+    "a/../../private",
+    "C:\\private",
+    ".hidden",
+    "a\nb",
+]
 
 
 def own(folders: dict[str, Path], name: str, tmp_path: Path) -> Path:
@@ -226,7 +319,9 @@ def own(folders: dict[str, Path], name: str, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_names_in_a_record_are_names(name: str, folders: dict[str, Path], tmp_path: Path) -> None:
+def test_names_in_a_record_are_names(
+    name: str, folders: dict[str, Path], tmp_path: Path
+) -> None:
     folder = own(folders, "evaluate", tmp_path)
     values = next(iter(read_json(folder / "result.json")["detectors"].values()))
     change(folder / "result.json", detectors={name: values})
@@ -235,7 +330,9 @@ def test_names_in_a_record_are_names(name: str, folders: dict[str, Path], tmp_pa
 
 
 @pytest.mark.parametrize("name", ["../private.png", "/etc/hostname", 3])
-def test_names_of_images_in_an_audit_are_names(name: object, folders: dict[str, Path], tmp_path: Path) -> None:
+def test_names_of_images_in_an_audit_are_names(
+    name: object, folders: dict[str, Path], tmp_path: Path
+) -> None:
     folder = own(folders, "audit", tmp_path)
     pictures = read_json(folder / "result.json")["pictures"]
     change(folder / "result.json", pictures=[{**pictures[0], "file": name}])
@@ -243,13 +340,17 @@ def test_names_of_images_in_an_audit_are_names(name: object, folders: dict[str, 
         read_section(folder)
 
 
-def test_links_in_a_result_are_not_followed_out_of_it(folders: dict[str, Path], tmp_path: Path) -> None:
+def test_links_in_a_result_are_not_followed_out_of_it(
+    folders: dict[str, Path], tmp_path: Path
+) -> None:
     for number, kind in enumerate(folders):
         (tmp_path / str(number)).mkdir()
         folder = own(folders, kind, tmp_path / str(number))
         (folder / "link").symlink_to("../private.png")
         for read in (read_section, open_content):
-            with pytest.raises(MiSplatError, match="a link that leads out of the folder"):
+            with pytest.raises(
+                MiSplatError, match="a link that leads out of the folder"
+            ):
                 read(folder)
         (folder / "link").unlink()
         (folder / "same.json").symlink_to("result.json")

@@ -1,4 +1,6 @@
-"""A splat without parts, as a trainer writes it: two shipped objects on a ground, rows shuffled."""
+"""A splat without parts, as a trainer writes it: two shipped objects on a ground, rows
+shuffled.
+"""
 
 import torch
 from torch import Tensor
@@ -12,11 +14,15 @@ CAR, SIGN, GROUND = 0, 1, 2
 
 
 def ground(count: int, *, half: float, seed: int = 0) -> GaussianScene:
-    """Flat grey discs on z = 0, a little rough, over a square of so many world units to each side."""
+    """Flat grey discs on z = 0, a little rough, over a square of so many world units to
+    each side.
+    """
     generator = torch.Generator().manual_seed(seed)
     positions = half * (2 * torch.rand(count, 2, generator=generator) - 1)
     heights = 0.01 * torch.randn(count, 1, generator=generator)
-    greys = 0.35 + 0.04 * torch.randn(count, 1, 1, generator=generator).expand(count, 1, 3)
+    greys = 0.35 + 0.04 * torch.randn(count, 1, 1, generator=generator).expand(
+        count, 1, 3
+    )
     size = half / count**0.5
     return GaussianScene(
         means=torch.cat([positions, heights], 1),
@@ -28,15 +34,22 @@ def ground(count: int, *, half: float, seed: int = 0) -> GaussianScene:
 
 
 def bare_scene() -> tuple[GaussianScene, Tensor]:
-    """A car and a stop sign that stands a little over the ground, and the owner of each Gaussian.
+    """A car and a stop sign that stands a little over the ground, and the owner of each
+    Gaussian.
 
-    Every third Gaussian of the shipped files, to be quick: 3,359 of the car, 2,056 of the sign, 3,000 of the ground.
+    Every third Gaussian of the shipped files, to be quick: 3,359 of the car, 2,056 of
+    the sign, 3,000 of the ground.
     """
-    files = [ROOT / "scenes" / name for name in ("car_street_car.ply", "stop_sign_stop_sign.ply")]
+    files = [
+        ROOT / "scenes" / name
+        for name in ("car_street_car.ply", "stop_sign_stop_sign.ply")
+    ]
     car, sign = (load_splat(file).select(slice(None, None, 3)) for file in files)
     shift = Similarity(torch.eye(3), torch.tensor([0.3, 2.6, -1.5]))
     parts = (car, sign.transform(shift), ground(3000, half=6.0))
-    owner = torch.cat([torch.full((len(part),), number) for number, part in enumerate(parts)])
+    owner = torch.cat(
+        [torch.full((len(part),), number) for number, part in enumerate(parts)]
+    )
     order = torch.randperm(len(owner), generator=torch.Generator().manual_seed(1))
     return merge(*parts).select(order), owner[order]
 

@@ -1,4 +1,6 @@
-"""Jobs of attacks and looks: everything that a result depends on is in its key, and nothing else is."""
+"""Jobs of attacks and looks: everything that a result depends on is in its key, and
+nothing else is.
+"""
 
 import dataclasses
 from pathlib import Path
@@ -29,10 +31,14 @@ def nudged(by: float) -> Camera:
 
 
 CHANGES: dict[str, dict[str, Any]] = {
-    "a camera that moved by less than is printed": {"cameras": {**SCENE.cameras, "front": nudged(4e-5)}},
+    "a camera that moved by less than is printed": {
+        "cameras": {**SCENE.cameras, "front": nudged(4e-5)}
+    },
     "a camera less": {"cameras": {"front": camera()}},
     "another near plane": {"settings": dataclasses.replace(SCENE.settings, near=0.5)},
-    "other Gaussians": {"scene": SCENE.scene.replace(opacities=SCENE.scene.opacities * 0.99)},
+    "other Gaussians": {
+        "scene": SCENE.scene.replace(opacities=SCENE.scene.opacities * 0.99)
+    },
 }
 
 
@@ -43,11 +49,14 @@ def the_job(folder: Path, **changes: Any) -> Job:
 
 @pytest.mark.parametrize("change", CHANGES)
 @pytest.mark.parametrize("study", ["dagger", "dagger-eot"])
-def test_a_result_belongs_to_all_that_the_attack_saw(change: str, study: str, tmp_path: Path) -> None:
+def test_a_result_belongs_to_all_that_the_attack_saw(
+    change: str, study: str, tmp_path: Path
+) -> None:
     for name, changes in {"before": {}, "same": {}, "after": CHANGES[change]}.items():
         write_toy(tmp_path / name, **changes)
     before, same, after = (
-        key_of(the_job(tmp_path / name, study=study), tmp_path / "store") for name in ("before", "same", "after")
+        key_of(the_job(tmp_path / name, study=study), tmp_path / "store")
+        for name in ("before", "same", "after")
     )
     assert before == same != after
 
@@ -69,15 +78,21 @@ def attacked(tmp_path_factory: pytest.TempPathFactory, toys: None) -> Path:
 
 def looks_of(folder: Path, **attack: Any) -> list[str]:
     """Keys of the looks at the splat of an attack."""
-    table = settings(folder, attack={"eps": 12.0, "steps": 4, "noise_draws": 0, **attack})
+    table = settings(
+        folder, attack={"eps": 12.0, "steps": 4, "noise_draws": 0, **attack}
+    )
     results = done(work_of({**table, "judge": {"condition": ".spz"}}), folder / "store")
     return [
-        result.key for result in results.values() if isinstance(result, Done) and result.record["kind"].endswith("look")
+        result.key
+        for result in results.values()
+        if isinstance(result, Done) and result.record["kind"].endswith("look")
     ]
 
 
 def test_a_splat_that_is_made_anew_is_judged_anew(attacked: Path) -> None:
-    """A look belongs to the bytes of the splat, not to the name or the settings of the attack."""
+    """A look belongs to the bytes of the splat, not to the name or the settings of the
+    attack.
+    """
     first = looks_of(attacked)
     assert looks_of(attacked, step_factor=1.5) != first
     assert looks_of(attacked, noise_draws=1) == first  # the same splat
@@ -86,7 +101,11 @@ def test_a_splat_that_is_made_anew_is_judged_anew(attacked: Path) -> None:
 REGION: dict[str, Any] = {
     "study": "dagger-eot",
     "attack": {"steps": 1, "batch": 1, "pool": 1, "validation": 1, "held_out": 2},
-    "cameras": {"azimuths": [-120.0, -60.0], "elevations": [0.0, 10.0], "distances": [0.9, 1.1]},
+    "cameras": {
+        "azimuths": [-120.0, -60.0],
+        "elevations": [0.0, 10.0],
+        "distances": [0.9, 1.1],
+    },
 }
 
 
@@ -108,13 +127,22 @@ def test_a_splat_is_looked_at_from_further_away_and_the_box_is_where_it_shows(
     assert widths[1] < widths[0]
 
 
-def test_an_attack_that_two_parts_have_counts_in_both(attacked: Path, tmp_path: Path) -> None:
-    table = settings(attacked, case=[{"name": "one"}, {"name": "same"}], judge={"condition": ".spz"})
+def test_an_attack_that_two_parts_have_counts_in_both(
+    attacked: Path, tmp_path: Path
+) -> None:
+    table = settings(
+        attacked, case=[{"name": "one"}, {"name": "same"}], judge={"condition": ".spz"}
+    )
     work = work_of(table)
     work.write(done(work, attacked / "store"), tmp_path)
     record = read_json(tmp_path / RECORD)
-    assert [(group["part"], group["success"]["total"]) for group in record["groups"]] == [("one", 1), ("same", 1)]
-    assert [(look["part"], look["targeted"]["total"]) for look in record["looks"]] == [("one", 1), ("same", 1)]
+    assert [
+        (group["part"], group["success"]["total"]) for group in record["groups"]
+    ] == [("one", 1), ("same", 1)]
+    assert [(look["part"], look["targeted"]["total"]) for look in record["looks"]] == [
+        ("one", 1),
+        ("same", 1),
+    ]
     assert len(record["attacks"]) == 2
 
 
@@ -128,34 +156,59 @@ def test_a_seed_moves_the_camera_and_the_start(tmp_path: Path) -> None:
         the_job(tmp_path, attack={"seed": 1})
 
 
-def test_attacks_from_cameras_of_a_file_are_counted_over_those_that_show_the_clean_object(tmp_path: Path) -> None:
+def test_attacks_from_cameras_of_a_file_count_those_that_show_the_object(
+    tmp_path: Path,
+) -> None:
     write_toy(tmp_path)
-    cameras = [camera(), camera(offset=0.3), camera(offset=9.0)]  # too small in the last
+    # too small in the last
+    cameras = [camera(), camera(offset=0.3), camera(offset=9.0)]
     file = str(tmp_path / "cameras.json")
-    save_json({"cameras": [describe(str(n), one) for n, one in enumerate(cameras)]}, Path(file))
-    table = settings(tmp_path, cameras=file, objective={"strict": True, "confidence": 0.5})
+    save_json(
+        {"cameras": [describe(str(n), one) for n, one in enumerate(cameras)]},
+        Path(file),
+    )
+    table = settings(
+        tmp_path, cameras=file, objective={"strict": True, "confidence": 0.5}
+    )
     work = work_of({**table, "matrix": {"camera": [0, 1, 2], "seed": [1, 2]}})
     work.write(done(work, tmp_path / "store"), tmp_path)
     (group,), seen = read_json(tmp_path / RECORD)["groups"], rows(tmp_path)
-    assert sorted(set(seen["x"])) == pytest.approx([0.0, 0.3, 9.0])  # the seed moves none of them
-    assert group["found"] == {"successes": 4, "total": 6, **{key: group["found"][key] for key in ("rate", "interval")}}
+    # the seed moves none of them
+    assert sorted(set(seen["x"])) == pytest.approx([0.0, 0.3, 9.0])
+    assert group["found"] == {
+        "successes": 4,
+        "total": 6,
+        **{key: group["found"][key] for key in ("rate", "interval")},
+    }
     near = seen.filter(pl.col("x") < 1)
     for name, counts in (("attacked", group), ("noise", group["controls"]["noise"])):
-        wanted, gone = (near.filter(splat=name)[f"{column}_score"] for column in ("target", "original"))
+        wanted, gone = (
+            near.filter(splat=name)[f"{column}_score"]
+            for column in ("target", "original")
+        )
         assert counts["strict"]["successes"] == ((wanted >= 0.5) & (gone < 0.5)).sum()
         assert (counts["success"]["successes"], counts["lost"]["successes"]) == (
             (wanted >= 0.5).sum(),
             (gone < 0.5).sum(),
         )
         assert counts["strict"]["total"] == 4
-    assert group["strict"]["successes"] > group["controls"]["noise"]["strict"]["successes"]
-    assert group["psnr_object"] == pytest.approx(group["controls"]["noise"]["psnr_object"], abs=1.0)
-    for wrong, expected in (({"camera": 3}, "expected 0 to 2, got 3"), ({"cameras": "no.json"}, "a JSON file")):
+    assert (
+        group["strict"]["successes"] > group["controls"]["noise"]["strict"]["successes"]
+    )
+    assert group["psnr_object"] == pytest.approx(
+        group["controls"]["noise"]["psnr_object"], abs=1.0
+    )
+    for wrong, expected in (
+        ({"camera": 3}, "expected 0 to 2, got 3"),
+        ({"cameras": "no.json"}, "a JSON file"),
+    ):
         with pytest.raises(InvalidValueError, match=expected):
             the_job(tmp_path, **{"cameras": file, **wrong})
 
 
-def test_a_look_has_noise_that_changes_the_object_as_much_as_the_attack(attacked: Path) -> None:
+def test_a_look_has_noise_that_changes_the_object_as_much_as_the_attack(
+    attacked: Path,
+) -> None:
     work = work_of(settings(attacked, judge={"controls": ["noise", "norm-noise"]}))
     look = done(work, attacked / "store")[next(iter(work.attempts[0].looks))]
     assert isinstance(look, Done)

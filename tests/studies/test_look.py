@@ -1,4 +1,6 @@
-"""Scenes, renderers and conditions of studies: what the attacker sees, and what those who judge see."""
+"""Scenes, renderers and conditions of studies: what the attacker sees, and what those
+who judge see.
+"""
 
 import dataclasses
 import math
@@ -58,11 +60,15 @@ def test_a_scene_is_read_anew_when_its_files_change(tmp_path: Path) -> None:
     path = write_toy(tmp_path)
     first = attack_scene(path)
     assert attack_scene(path) is first
-    write_toy(tmp_path, scene=SCENE.scene.replace(opacities=SCENE.scene.opacities * 0.5))
+    write_toy(
+        tmp_path, scene=SCENE.scene.replace(opacities=SCENE.scene.opacities * 0.5)
+    )
     assert not torch.equal(attack_scene(path).scene.opacities, first.scene.opacities)
 
 
-def viewing(scene: AttackScene, name: str = "car", sun: SunTable | None = None) -> Viewing:
+def viewing(
+    scene: AttackScene, name: str = "car", sun: SunTable | None = None
+) -> Viewing:
     rows = scene.objects[name]
     return Viewing(
         settings=scene.settings,
@@ -76,16 +82,25 @@ def viewing(scene: AttackScene, name: str = "car", sun: SunTable | None = None) 
 def test_the_car_stands_in_the_street_by_the_hour() -> None:
     scene = attack_scene(ROOT / "scenes" / "car_street.xml")
     sun = SunTable(scene=str(ROOT / STREET), samples=1)
-    shown, street = condition_of("08:00", viewing(scene, sun=sun)).show(scene.scene.with_degree(3))  # the file has 1
+    # the file has 1
+    shown, street = condition_of("08:00", viewing(scene, sun=sun)).show(
+        scene.scene.with_degree(3)
+    )
     assert isinstance(street, MixedScene)
     assert shown.sh.shape == (len(street.splats.scene), 16, 3)
     assert torch.equal(shown.means, street.splats.scene.means)
-    with pytest.raises(InvalidValueError, match="the Gaussians of the object and no others"):
+    with pytest.raises(
+        InvalidValueError, match="the Gaussians of the object and no others"
+    ):
         condition_of("08:00", viewing(scene, "street", sun))
     moved = viewing(scene, sun=sun)
     assert moved.clean is not None
-    moved = dataclasses.replace(moved, clean=moved.clean.replace(means=moved.clean.means + 1e-3))
-    with pytest.raises(InvalidValueError, match="the Gaussians of the object and no others"):
+    moved = dataclasses.replace(
+        moved, clean=moved.clean.replace(means=moved.clean.means + 1e-3)
+    )
+    with pytest.raises(
+        InvalidValueError, match="the Gaussians of the object and no others"
+    ):
         condition_of("08:00", moved)
 
 
@@ -111,5 +126,7 @@ def test_jitter_keeps_the_object_in_the_middle() -> None:
         pixel, depth = project_points(centre[None].double(), view)
         assert pixel[0].tolist() == pytest.approx([16.0, 16.0], abs=1e-6)
         assert 3 * 0.95 - 1e-6 <= float(depth[0]) <= 3 * 1.05 + 1e-6
-        turn = math.degrees(math.acos(min(1.0, float(view.to_world[:3, 2] @ camera().to_world[:3, 2]))))
+        turn = math.degrees(
+            math.acos(min(1.0, float(view.to_world[:3, 2] @ camera().to_world[:3, 2])))
+        )
         assert turn <= 6.0 + 1e-6

@@ -1,4 +1,6 @@
-"""What no study can be is refused before its first job, by a message that names what was meant."""
+"""What no study can be is refused before its first job, by a message that names what
+was meant.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -22,10 +24,19 @@ pytestmark = pytest.mark.usefixtures("toys")
         ("", "study in s: expected dagger or dagger-eot, got 'None'|got None"),
         ('study = "daggr"', "did you mean dagger"),
         ('study = "dagger"\nmatrix = 3', "matrix in s: expected a table, got 3"),
-        ('study = "dagger"\n[matrix]\nseed = 3', "seed in s: expected a list of one or more values, got 3"),
-        ('study = "dagger"\n[matrix]\nseed = []', "seed in s: expected a list of one or more values"),
+        (
+            'study = "dagger"\n[matrix]\nseed = 3',
+            "seed in s: expected a list of one or more values, got 3",
+        ),
+        (
+            'study = "dagger"\n[matrix]\nseed = []',
+            "seed in s: expected a list of one or more values",
+        ),
         ('study = "dagger"\n[matrix]\nseed = [1, 1]', "values with different names"),
-        ('study = "dagger"\n[[case]]\nmatrix = { seed = [1] }', "case in s: expected names"),
+        (
+            'study = "dagger"\n[[case]]\nmatrix = { seed = [1] }',
+            "case in s: expected names",
+        ),
         ('study = "dagger"\n[case]\nname = "a"', r"write \[\[case\]\]"),
         ('study = "dagger"\n[bisect]\nfield = "a"', "bisect in s"),
         ('study = "dagger"\n[bisect]\nfield = "a"\nvalues = [2, 1]', "rising numbers"),
@@ -54,7 +65,10 @@ def test_files(text: str, match: str, tmp_path: Path) -> None:
         ({"gradient": "rey"}, "did you mean ray"),
         ({"judge": {"condition": "rey"}}, "did you mean ray"),
         ({"judge": {"condition": "09:30"}}, "need the street"),
-        ({"judge": {"matrix": {"condition": ["", "as attacked"]}}}, "got 2: fake_colour, own renderer"),
+        (
+            {"judge": {"matrix": {"condition": ["", "as attacked"]}}},
+            "got 2: fake_colour, own renderer",
+        ),
     ],
 )
 def test_studies_of_dagger(changes: dict[str, Any], match: str, tmp_path: Path) -> None:
@@ -73,30 +87,81 @@ MISREAD = {"kind": "m-ifgsm"}
 @pytest.mark.parametrize(
     ("table", "match"),
     [
-        ({"study": "cloak", "base": "nowhere.toml"}, "base of toy: expected a TOML file, got no file nowhere.toml"),
+        (
+            {"study": "cloak", "base": "nowhere.toml"},
+            "base of toy: expected a TOML file, got no file nowhere.toml",
+        ),
         ({**CLOAK, "colour": 1}, "colour"),
-        ({**CLOAK, "bisect": {"field": "cameras.train", "values": [8, 9]}}, "expected no bisect"),
+        (
+            {**CLOAK, "bisect": {"field": "cameras.train", "values": [8, 9]}},
+            "expected no bisect",
+        ),
         ({**CLOAK, "judge": {"matrix": {"condition": [".spx"]}}}, "did you mean .spz"),
-        ({**CLOAK, "judge": {"condition": "ray", "matrix": {"every": [4, 9]}}}, "got 2: .* seed 0, ray"),
-        ({**CLOAK, "judge": {"sun": {"scene": STREET}, "matrix": {"condition": ["09:30"]}}}, "expected layers"),
-        ({**CLOAK, "attack": [{"name": "a", "elevation": [89.99, 90]}]}, "expected at least one camera"),
-        ({**POISON, "poison": {"kind": "poison"}}, "kind of toy, poison: expected .*poison-splat.*got poison"),
+        (
+            {**CLOAK, "judge": {"condition": "ray", "matrix": {"every": [4, 9]}}},
+            "got 2: .* seed 0, ray",
+        ),
+        (
+            {
+                **CLOAK,
+                "judge": {"sun": {"scene": STREET}, "matrix": {"condition": ["09:30"]}},
+            },
+            "expected layers",
+        ),
+        (
+            {**CLOAK, "attack": [{"name": "a", "elevation": [89.99, 90]}]},
+            "expected at least one camera",
+        ),
+        (
+            {**POISON, "poison": {"kind": "poison"}},
+            "kind of toy, poison: expected .*poison-splat.*got poison",
+        ),
         ({**POISON, "poison": "splat"}, "toy, poison: expected a table, got 'splat'"),
-        ({**POISON, "poison": {"kind": "uniform-noise", "steps": 3}}, "key in toy, poison: expected .*eps"),
-        ({**POISON, "poison": {"kind": "poison-splat", "eps": 300}}, "eps: expected .*255"),
-        ({**POISON, "defence": {}}, "defence.*one of filter, limit and prune, got none"),
-        ({**POISON, "defence": {"limit": 1.0, "filter": {"name": "blur"}}}, "one of filter, limit and prune"),
+        (
+            {**POISON, "poison": {"kind": "uniform-noise", "steps": 3}},
+            "key in toy, poison: expected .*eps",
+        ),
+        (
+            {**POISON, "poison": {"kind": "poison-splat", "eps": 300}},
+            "eps: expected .*255",
+        ),
+        (
+            {**POISON, "defence": {}},
+            "defence.*one of filter, limit and prune, got none",
+        ),
+        (
+            {**POISON, "defence": {"limit": 1.0, "filter": {"name": "blur"}}},
+            "one of filter, limit and prune",
+        ),
         ({**POISON, "defense": {"limit": 1.0}}, "key in toy.*defence"),
         ({**POISON, "judge": {"matrix": {"condition": ["ray"]}}}, "no judge"),
-        ({**POISON, "detectors": ["redness"]}, "class for redness: expected one of car, stop sign, got tv"),
+        (
+            {**POISON, "detectors": ["redness"]},
+            "class for redness: expected one of car, stop sign, got tv",
+        ),
         ({**POISON, "poison": MISREAD}, "a classifier that M-IFGSM deceives, got none"),
-        ({"study": "poison", "scene": {"object": "bird"}, "poison": MISREAD, "deceive": "toy"}, "tv, car, got bird"),
-        ({**POISON, "poison": {**MISREAD, "target": "tv"}, "deceive": "toy"}, "target for toy: .* car, got tv"),
+        (
+            {
+                "study": "poison",
+                "scene": {"object": "bird"},
+                "poison": MISREAD,
+                "deceive": "toy",
+            },
+            "tv, car, got bird",
+        ),
+        (
+            {**POISON, "poison": {**MISREAD, "target": "tv"}, "deceive": "toy"},
+            "target for toy: .* car, got tv",
+        ),
         ({**POISON, "classifiers": ["toys"]}, "classifier: expected .*toy"),
     ],
 )
-def test_studies_of_other_kinds(table: dict[str, Any], match: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: Toy(), origin="", licence="")
+def test_studies_of_other_kinds(
+    table: dict[str, Any], match: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = ClassifierSpec(
+        name="toy", load=lambda network, weights, classes: Toy(), origin="", licence=""
+    )
     monkeypatch.setitem(CLASSIFIERS, "toy", spec)
     monkeypatch.setattr(registry.DETECTORS, "own", {**registry.DETECTORS.own, **KNOWN})
     with pytest.raises(Exception, match=match):

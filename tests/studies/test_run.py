@@ -1,4 +1,6 @@
-"""`mi-splat study` on a toy scene: what it writes, what its tables count, and what it does with what it keeps."""
+"""`mi-splat study` on a toy scene: what it writes, what its tables count, and what it
+does with what it keeps.
+"""
 
 import json
 from pathlib import Path
@@ -43,7 +45,9 @@ scene = "{scene}"
 object = "car"
 target = "person"
 detectors = ["fake_colour"]
-cameras = {{ azimuths = [-120.0, -60.0], elevations = [0.0, 10.0], distances = [0.9, 1.1] }}
+cameras.azimuths = [-120.0, -60.0]
+cameras.elevations = [0.0, 10.0]
+cameras.distances = [0.9, 1.1]
 [attack]
 steps = 4
 batch = 1
@@ -72,7 +76,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def study(folder: Path, action: str, name: str = "toy", *words: str) -> int:
-    line = ["study", action, str(folder / f"{name}.toml"), "--store", str(folder / "store"), "--workers", "0"]
+    line = [
+        "study",
+        action,
+        str(folder / f"{name}.toml"),
+        "--store",
+        str(folder / "store"),
+        "--workers",
+        "0",
+    ]
     return cli.main([*line, "--out", str(folder / name), *words])
 
 
@@ -86,15 +98,36 @@ def run(folder: Path, toys: None) -> dict[str, Any]:
 
 def test_the_result_says_what_was_done(folder: Path, run: dict[str, Any]) -> None:
     names = {"manifest.json", "result.json", "rows.csv.xz", "study.toml", "table.md"}
-    assert {path.name for path in (folder / "toy").iterdir() if not path.name.startswith(".")} == names
-    assert (folder / "toy" / "study.toml").read_text() == (folder / "toy.toml").read_text()
-    assert (run["story"], run["study"], run["question"]) == ("study", "dagger", "Does it hold?")
+    assert {
+        path.name
+        for path in (folder / "toy").iterdir()
+        if not path.name.startswith(".")
+    } == names
+    assert (folder / "toy" / "study.toml").read_text() == (
+        folder / "toy.toml"
+    ).read_text()
+    assert (run["story"], run["study"], run["question"]) == (
+        "study",
+        "dagger",
+        "Does it hold?",
+    )
     assert len(run["attacks"]) == 8
-    strong = [one for one in run["attacks"].values() if one["labels"]["attack.eps"] == 12.0]
+    strong = [
+        one for one in run["attacks"].values() if one["labels"]["attack.eps"] == 12.0
+    ]
     assert all(one["success"] for one in strong)
     assert {one["part"] for one in strong} == {"seen as a person", "hidden"}
     for one in run["attacks"].values():
-        assert len(load_splat(Store(folder / "store").folder_of(one["key"]) / "files" / "object.ply")) == 30
+        assert (
+            len(
+                load_splat(
+                    Store(folder / "store").folder_of(one["key"])
+                    / "files"
+                    / "object.ply"
+                )
+            )
+            == 30
+        )
 
 
 def test_every_figure_follows_from_the_rows(folder: Path, run: dict[str, Any]) -> None:
@@ -104,7 +137,11 @@ def test_every_figure_follows_from_the_rows(folder: Path, run: dict[str, Any]) -
         assert json.loads(json.dumps(derived[part])) == run[part]
     for name, one in derived["attacks"].items():
         assert one.items() <= run["attacks"][name].items()
-    record = Store(folder / "store").folder_of(next(iter(run["attacks"].values()))["key"]) / "files" / "result.json"
+    record = (
+        Store(folder / "store").folder_of(next(iter(run["attacks"].values()))["key"])
+        / "files"
+        / "result.json"
+    )
     stated = json.loads(record.read_text())
     for key in ("success", "strict", "unambiguous", "score"):
         assert next(iter(run["attacks"].values()))[key] == stated[key]
@@ -112,19 +149,33 @@ def test_every_figure_follows_from_the_rows(folder: Path, run: dict[str, Any]) -
 
 def test_looks_count_runs_whose_clean_object_is_found(run: dict[str, Any]) -> None:
     looks = {
-        (one["part"], one["labels"].get("attack.eps"), one["condition"], one["detector"]): one for one in run["looks"]
+        (
+            one["part"],
+            one["labels"].get("attack.eps"),
+            one["condition"],
+            one["detector"],
+        ): one
+        for one in run["looks"]
     }
     own = looks["seen as a person", 12.0, ".ply", "fake_colour"]
-    assert (own["targeted"]["successes"], own["targeted"]["total"], own["white_box"]) == (2, 2, True)
+    assert (
+        own["targeted"]["successes"],
+        own["targeted"]["total"],
+        own["white_box"],
+    ) == (2, 2, True)
     assert own["noise_targeted"]["successes"] == 0
     assert not looks["seen as a person", 12.0, ".ply", "fake_coarse"]["white_box"]
     hidden = looks["hidden", 12.0, ".ply", "fake_colour"]
-    assert not {"targeted", "untargeted"} & {*hidden}  # its objective is that nothing at all is reported
+    # its objective is that nothing at all is reported
+    assert not {"targeted", "untargeted"} & {*hidden}
     assert hidden["reached"]["successes"] == 2
 
 
 def test_nothing_is_done_twice_and_nothing_lost(
-    folder: Path, run: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    folder: Path,
+    run: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(attack_kind, "run", None)
     assert study(folder, "run") == 0
@@ -136,7 +187,14 @@ def test_nothing_is_done_twice_and_nothing_lost(
     assert planned["jobs"] == planned["done"] == 8 + 8 * 4
     assert study(folder, "status", "toy", "--json") == 0
     assert json.loads(capsys.readouterr().out) == {
-        **{"waiting": 0, "ready": 0, "running": 0, "done": 40, "failed": 0, "failures": {}}
+        **{
+            "waiting": 0,
+            "ready": 0,
+            "running": 0,
+            "done": 40,
+            "failed": 0,
+            "failures": {},
+        }
     }
 
 
@@ -150,11 +208,19 @@ def test_a_script_runs_a_study_as_the_command_does(
     again = json.loads((out / "result.json").read_text())
     assert {**again, "command": None} == {**run, "command": None}
     with pytest.raises(TypeError):  # of a job that is done in this process, as it is
-        run_study(folder / "toy.toml", store=folder / "other", out=folder / "failed", parts=["hidden"])
+        run_study(
+            folder / "toy.toml",
+            store=folder / "other",
+            out=folder / "failed",
+            parts=["hidden"],
+        )
     failed = running_study.Run(jobs=2, failed={"hidden": "no memory\n"}, files=())
     monkeypatch.setattr(running_study, "run_with", lambda *_, **__: failed)
     with pytest.raises(
-        InvalidValueError, match="expected 2 jobs that are done, got 1 that failed; hidden: no memory; mend"
+        InvalidValueError,
+        match=(
+            "expected 2 jobs that are done, got 1 that failed; hidden: no memory; mend"
+        ),
     ):
         run_study(folder / "toy.toml", store=folder / "store", out=folder / "failed")
 
@@ -162,7 +228,9 @@ def test_a_script_runs_a_study_as_the_command_does(
 def test_a_plan_forecasts_from_measured_seconds(
     folder: Path, run: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    text = (folder / "toy.toml").read_text().replace("seed = [0, 1]", "seed = [0, 1, 2]")
+    text = (
+        (folder / "toy.toml").read_text().replace("seed = [0, 1]", "seed = [0, 1, 2]")
+    )
     (folder / "longer.toml").write_text(text)
     capsys.readouterr()
     assert study(folder, "plan", "longer", "--json") == 0
@@ -177,7 +245,11 @@ def test_a_search_over_views_of_a_region(folder: Path, toys: None) -> None:
     assert study(folder, "run", "eot") == 0
     record = json.loads((folder / "eot" / "result.json").read_text())
     (smallest,) = record["smallest"]
-    assert (smallest["field"], smallest["smallest"], smallest["not_enough"]) == ("attack.eps", 2.0, 0.01)
+    assert (smallest["field"], smallest["smallest"], smallest["not_enough"]) == (
+        "attack.eps",
+        2.0,
+        0.01,
+    )
     assert len(record["attacks"]) == 2  # 0.001 was never looked at
     group = record["groups"][-1]
     assert (group["rate"]["successes"], group["rate"]["total"]) == (4, 4)
@@ -193,7 +265,9 @@ def test_failed_jobs_are_named_and_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = write_toy(tmp_path)
-    (tmp_path / "toy.toml").write_text(STUDY.format(scene=scene).replace("[0.01, 12.0]", "[12.0]"))
+    (tmp_path / "toy.toml").write_text(
+        STUDY.format(scene=scene).replace("[0.01, 12.0]", "[12.0]")
+    )
     words = ("--parts", "hidden", "--json")
     store = Store(tmp_path / "store")
     assert study(tmp_path, "plan", "toy", *words) == 0
@@ -209,7 +283,9 @@ def test_failed_jobs_are_named_and_tried_again(
     with monkeypatch.context() as patch:
         patch.setattr("mi_splat.ledger.store.TRIES", 1)
         assert study(tmp_path, "status", "toy", "--json") == 0
-    assert "poisoned" in next(iter(json.loads(capsys.readouterr().out)["failures"].values()))
+    assert "poisoned" in next(
+        iter(json.loads(capsys.readouterr().out)["failures"].values())
+    )
     assert study(tmp_path, "run", "toy", *words) == 0
     assert len(store.keys()) == 2 + 8
     assert study(tmp_path, "clean", "toy") == 0

@@ -63,7 +63,9 @@ LONG = ("cloak", "cloak_design", "cloak_controls", "cloak_new_cars", "cloak_seco
 
 
 @pytest.mark.parametrize("name", LONG)
-def test_the_points_of_a_long_study_have_settings_that_can_be(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_points_of_a_long_study_have_settings_that_can_be(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(ROOT)
     study = read_study(STUDIES / f"{name}.toml")
     assert len(study.points) == COUNTS[name][0]
@@ -74,47 +76,84 @@ def test_the_points_of_a_long_study_have_settings_that_can_be(name: str, monkeyp
 @pytest.mark.parametrize(
     "path",
     [
-        pytest.param(path, id=path.stem, marks=[pytest.mark.nightly] if path.stem in LONG else [])
+        pytest.param(
+            path, id=path.stem, marks=[pytest.mark.nightly] if path.stem in LONG else []
+        )
         for path in sorted(STUDIES.glob("*.toml"))
     ],
 )
-def test_a_shipped_study_is_so_many_jobs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_shipped_study_is_so_many_jobs(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(ROOT)
     if path.stem == "outside_judges":
-        pytest.importorskip("rapidocr_onnxruntime", reason="the extra ocr is not installed")
-    monkeypatch.setattr(dagger, "weights", lambda detectors: {})  # that were not fetched are not missed
+        pytest.importorskip(
+            "rapidocr_onnxruntime", reason="the extra ocr is not installed"
+        )
+    # that were not fetched are not missed
+    monkeypatch.setattr(dagger, "weights", lambda detectors: {})
     monkeypatch.setattr(FrozenModel, "fingerprint", "0" * 16)  # takes seconds
     monkeypatch.setattr(cloak, "detectors_of", lambda config, weights: [Redness()])
-    checked = (lambda config, detectors: check_study(config, [])) if path.stem in LONG else lambda *_: None
-    monkeypatch.setattr(cloak, "check_study", checked)  # the cameras of long studies are checked, too
+    checked = (
+        (lambda config, detectors: check_study(config, []))
+        if path.stem in LONG
+        else lambda *_: None
+    )
+    # the cameras of long studies are checked, too
+    monkeypatch.setattr(cloak, "check_study", checked)
     monkeypatch.setattr(poison, "classifier_of", lambda name: Toy(*ASSETS))
     study = read_study(path)
     work = work_of(study)
     looks = sum(len(getattr(one, "looks", ())) for one in work.attempts)
-    trained = {job.identity for job in work.jobs().values() if job.kind.endswith(".trained")}
-    assert (len(trained) if study.kind == "poison" else len(work.attempts), looks) == COUNTS[path.stem]
+    trained = {
+        job.identity for job in work.jobs().values() if job.kind.endswith(".trained")
+    }
+    assert (
+        len(trained) if study.kind == "poison" else len(work.attempts),
+        looks,
+    ) == COUNTS[path.stem]
     assert study.question.endswith("?")
     if study.kind.startswith("dagger"):
         assert len({one.title for one in work.attempts}) == len(work.attempts)
 
 
-# The tables of the rendering studies in the documentation are counted from their rows, one for each look at each attack
+# The tables of the rendering studies in the documentation are counted from their rows,
+# one for each look at each attack
 
 
 TABLES = ROOT / "docs" / "tables"
-STUDY_TABLES = runpy.run_path(str(ROOT / "docs" / "sphinx_extensions" / "study_tables.py"))
+STUDY_TABLES = runpy.run_path(
+    str(ROOT / "docs" / "sphinx_extensions" / "study_tables.py")
+)
 
 
 @pytest.mark.parametrize(
     ("name", "attacks", "line"),
     [
-        ("between_renderers", 54, "| tile | 8/9 (0.57 to 0.98) | 1/9 (0.02 to 0.43) | 0/9 (0.00 to 0.30) |"),
-        ("gradients", 66, "| tile | 6/6 (0.61 to 1.00) | 5/6 (0.44 to 0.97) | 3/6 (0.19 to 0.81) |"),
-        ("files", 48, "| .splat | 0/12 (0.00 to 0.24) | 0/12 (0.00 to 0.24) | 0/12 (0.00 to 0.24) |"),
+        (
+            "between_renderers",
+            54,
+            "| tile | 8/9 (0.57 to 0.98) | 1/9 (0.02 to 0.43) | 0/9 (0.00 to 0.30) |",
+        ),
+        (
+            "gradients",
+            66,
+            "| tile | 6/6 (0.61 to 1.00) | 5/6 (0.44 to 0.97) | 3/6 (0.19 to 0.81) |",
+        ),
+        (
+            "files",
+            48,
+            (
+                "| .splat | 0/12 (0.00 to 0.24) | 0/12 (0.00 to 0.24) | 0/12 (0.00 to"
+                " 0.24) |"
+            ),
+        ),
         ("sun", 12, "| 07:00 | 3/5 (0.23 to 0.88) | 0/5 |"),
     ],
 )
-def test_tables_of_the_rendering_studies_are_counted_from_their_rows(name: str, attacks: int, line: str) -> None:
+def test_tables_of_the_rendering_studies_are_counted_from_their_rows(
+    name: str, attacks: int, line: str
+) -> None:
     text = STUDY_TABLES["page"](name, TABLES)
     assert f"{attacks} attacks: " in text
     assert line in text
@@ -127,5 +166,9 @@ def test_figures_of_compared_renderers_are_those_of_their_rows() -> None:
     table = lzma.decompress((TABLES / "comparing_renderers.csv.xz").read_bytes())
     rows = pl.read_csv(table, infer_schema_length=None).rows()
     for distance in ("8.0", "2.0", "1.0", "0.1"):
-        cells = [f"{row[4]:.1f}" for row in rows if row[1] == distance and row[3] == "psnr" and "ray" in row[2]]
+        cells = [
+            f"{row[4]:.1f}"
+            for row in rows
+            if row[1] == distance and row[3] == "psnr" and "ray" in row[2]
+        ]
         assert all(f" {cell} |" in page for cell in cells), distance

@@ -16,29 +16,49 @@ def points(**table: Any) -> list[Point]:
 
 def test_an_axis_sets_one_field_or_several_and_the_first_is_the_slowest() -> None:
     pairs = [{"name": "a", "object": "car", "target": "tv"}, {"object": "sign"}]
-    made = points(attack={"norm": "l2"}, matrix={"seed": [0, 1], "attack.eps": [1.0], "pair": pairs})
+    made = points(
+        attack={"norm": "l2"},
+        matrix={"seed": [0, 1], "attack.eps": [1.0], "pair": pairs},
+    )
     assert [(point.labels["seed"], point.labels["pair"]) for point in made] == [
         (0, "a"),
         (0, "object sign"),
         (1, "a"),
         (1, "object sign"),
     ]
-    assert made[0].settings == {"attack": {"norm": "l2", "eps": 1.0}, "seed": 0, "object": "car", "target": "tv"}
+    assert made[0].settings == {
+        "attack": {"norm": "l2", "eps": 1.0},
+        "seed": 0,
+        "object": "car",
+        "target": "tv",
+    }
     assert points(matrix={"attack": {"eps": [1.0]}})[0].labels == {"attack.eps": 1.0}
 
 
 def test_cases_have_settings_and_axes_of_their_own() -> None:
     cases = [
         {"name": "all"},
-        {"name": "linf", "attack": {"norm": "linf"}, "matrix": {"attack.eps": [0.1, 0.2], "camera": [1]}},
+        {
+            "name": "linf",
+            "attack": {"norm": "linf"},
+            "matrix": {"attack.eps": [0.1, 0.2], "camera": [1]},
+        },
     ]
-    made = points(attack={"norm": "l2", "steps": 3}, matrix={"attack.eps": [5.0], "seed": [0]}, case=cases)
+    made = points(
+        attack={"norm": "l2", "steps": 3},
+        matrix={"attack.eps": [5.0], "seed": [0]},
+        case=cases,
+    )
     assert [(point.part, *point.labels.values()) for point in made] == [
         ("all", 5.0, 0),
         ("linf", 0.1, 0, 1),
         ("linf", 0.2, 0, 1),
     ]
-    assert made[2].settings == {"attack": {"norm": "linf", "steps": 3, "eps": 0.2}, "seed": 0, "camera": 1}
+    assert made[2].settings == {
+        "attack": {"norm": "linf", "steps": 3, "eps": 0.2},
+        "seed": 0,
+        "camera": 1,
+    }
 
 
 def test_an_entry_of_a_list_is_changed_by_its_name() -> None:
@@ -73,13 +93,25 @@ def test_a_bisection_finds_the_smallest_in_few_looks(needed: float) -> None:
 
     looks = list(bisection([attempt(point) for point in searched], suffices))
     assert len(looks) == len(known) <= 4
-    assert min((value for value, enough in known.items() if enough), default=math.inf) == needed
+    assert (
+        min((value for value, enough in known.items() if enough), default=math.inf)
+        == needed
+    )
     assert {point.settings["seed"] for point in searched} == {1}
 
 
 def test_a_bisection_ends_at_an_attempt_that_failed() -> None:
     searched = points(bisect={"field": "attack.eps", "values": list(VALUES)})
-    assert len(list(bisection([attempt(point) for point in searched], lambda tried, results: None))) == 1
+    assert (
+        len(
+            list(
+                bisection(
+                    [attempt(point) for point in searched], lambda tried, results: None
+                )
+            )
+        )
+        == 1
+    )
 
 
 def test_the_file_of_one_study_of_cloak_is_a_study() -> None:
@@ -94,12 +126,17 @@ def test_judges_are_every_combination() -> None:
     assert [point.settings["detector"] for point in judges] == ["a", "b"]
     assert {point.settings["views"] for point in judges} == {3}
     assert study_of({"study": "dagger"}, "toy").judges == ()
-    assert len(study_of({"study": "dagger", "judge": {"condition": "ray"}}, "toy").judges) == 1
+    assert (
+        len(study_of({"study": "dagger", "judge": {"condition": "ray"}}, "toy").judges)
+        == 1
+    )
 
 
 def test_some_parts_of_a_study() -> None:
     study = study_of({"study": "dagger", "case": [{"name": "a"}, {"name": "b"}]}, "toy")
     assert list(study.of(["b"]).parts) == ["b"]
     assert study.of(()) is study
-    with pytest.raises(InvalidValueError, match="part of toy: expected a or b, got bb; did you mean b"):
+    with pytest.raises(
+        InvalidValueError, match="part of toy: expected a or b, got bb; did you mean b"
+    ):
         study.of(["bb"])

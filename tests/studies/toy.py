@@ -21,7 +21,9 @@ from mi_splat.rendering import RenderSettings
 from mi_splat.scene_files import SplatScene, write_scene
 from tests.fakes import CoarseDetector, ColourDetector, camera, register, toy_scene
 
-DETECTORS: dict[str, Detector] = {one.name: one for one in (ColourDetector(), CoarseDetector())}
+DETECTORS: dict[str, Detector] = {
+    one.name: one for one in (ColourDetector(), CoarseDetector())
+}
 SCENE = SplatScene(
     scene=toy_scene()[0],
     objects={"rest": slice(0, 10), "car": slice(10, 40)},
@@ -61,11 +63,15 @@ def key_of(job: Job, store: Path) -> str:
     return task_for(job, Store(store), {}).key
 
 
-def done(work: Work[Any], store: Path, events: list[Event] | None = None) -> dict[str, Result]:
+def done(
+    work: Work[Any], store: Path, events: list[Event] | None = None
+) -> dict[str, Result]:
     """Results of all jobs, done in this process."""
     heard = [] if events is None else events
     engine = InProcess(store, on_event=heard.append)
-    return Driver(store, engine, name=work.study.name, on_event=heard.append).run(work.plans())
+    return Driver(store, engine, name=work.study.name, on_event=heard.append).run(
+        work.plans()
+    )
 
 
 def running(events: list[Event]) -> int:
@@ -75,7 +81,9 @@ def running(events: list[Event]) -> int:
 
 @pytest.fixture(scope="module")
 def toys() -> Iterator[None]:
-    """The fake detectors, known by name like the project's own, with classes, and no file of weights."""
+    """The fake detectors, known by name like the project's own, with classes, and no
+    file of weights.
+    """
     with pytest.MonkeyPatch.context() as patch:
         register(patch, DETECTORS)
         yield

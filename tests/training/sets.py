@@ -37,14 +37,20 @@ def scene_and_views(count: int = 60) -> tuple[GaussianScene, list[View], Gaussia
     truth = varied_scene(count, degree=1, seed=9)
     render = Renderer()
     cameras = [
-        Camera(to_world=look_at((4 * x, 4 * y, 1.0), (0, 0, 0)), focal=40.0, width=36, height=32)
+        Camera(
+            to_world=look_at((4 * x, 4 * y, 1.0), (0, 0, 0)),
+            focal=40.0,
+            width=36,
+            height=32,
+        )
         for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1), (0.7, 0.7))
     ]
     with torch.no_grad():
         views = [View(camera, render(truth, camera).clamp(0, 1)) for camera in cameras]
     generator = torch.Generator().manual_seed(1)
     start = truth.replace(
-        means=truth.means + 0.05 * torch.randn(truth.means.shape, generator=generator), sh=torch.zeros_like(truth.sh)
+        means=truth.means + 0.05 * torch.randn(truth.means.shape, generator=generator),
+        sh=torch.zeros_like(truth.sh),
     )
     return truth, views, start
 
@@ -55,16 +61,36 @@ def watching() -> Renderer:
 
 def views_of(count: int = 6) -> tuple[GaussianScene, list[View]]:
     truth = varied_scene(50, degree=1, seed=9)
-    cameras: list[Camera] = orbit((0.0, 0.0, 0.0), count=count, elevation=20.0, distance=4.0, focal=36.0, size=(32, 32))
+    cameras: list[Camera] = orbit(
+        (0.0, 0.0, 0.0),
+        count=count,
+        elevation=20.0,
+        distance=4.0,
+        focal=36.0,
+        size=(32, 32),
+    )
     with torch.no_grad():
-        return truth, [View(camera, Renderer()(truth, camera).clamp(0, 1)) for camera in cameras]
+        return truth, [
+            View(camera, Renderer()(truth, camera).clamp(0, 1)) for camera in cameras
+        ]
 
 
 def write_set(folder: Path, factor: float = 1.0) -> Path:
-    """Pictures of `views_of` on the disk, the first one as a test picture too, with a grey cloud, and scaled."""
+    """Pictures of `views_of` on the disk, the first one as a test picture too, with a
+    grey cloud, and scaled.
+    """
     truth, views = views_of()
-    cameras = orbit((0.0, 0.0, 0.0), count=6, elevation=20.0, distance=4.0 * factor, focal=36.0, size=(32, 32))
-    views = [View(camera, view.image) for camera, view in zip(cameras, views, strict=True)]
+    cameras = orbit(
+        (0.0, 0.0, 0.0),
+        count=6,
+        elevation=20.0,
+        distance=4.0 * factor,
+        focal=36.0,
+        size=(32, 32),
+    )
+    views = [
+        View(camera, view.image) for camera, view in zip(cameras, views, strict=True)
+    ]
     cloud = PointCloud(factor * truth.means, torch.full((50, 3), 0.5))
     write_transforms(folder, views, test=views[:1], points=cloud)
     return folder
@@ -88,7 +114,9 @@ def small(count: int = 3) -> dict[str, Tensor]:
     }
 
 
-def step_of(values: dict[str, Tensor], iteration: int, iterations: int, seen: Seen) -> Step:
+def step_of(
+    values: dict[str, Tensor], iteration: int, iterations: int, seen: Seen
+) -> Step:
     generator = torch.Generator().manual_seed(0)
     return Step(
         parameters=values,

@@ -21,12 +21,16 @@ from tests.training.sets import SHORT, scene_and_views, watching
     "strategy",
     [
         SHORT.strategy,
-        MCMCConfig(densify_from=10, densify_interval=20, max_gaussians=80, dead_opacity=0.05),
+        MCMCConfig(
+            densify_from=10, densify_interval=20, max_gaussians=80, dead_opacity=0.05
+        ),
         FixedConfig(),
     ],
     ids=["classic", "mcmc", "fixed"],
 )
-def test_a_resumed_run_makes_the_same_bits(strategy: StrategyConfig, tmp_path: Path) -> None:
+def test_a_resumed_run_makes_the_same_bits(
+    strategy: StrategyConfig, tmp_path: Path
+) -> None:
     _, views, start = scene_and_views()
     config = dataclasses.replace(SHORT, strategy=strategy)
     state = TrainState(start, config, scene_extent=scene_extent(views), seed=5)
@@ -42,13 +46,22 @@ def test_a_resumed_run_makes_the_same_bits(strategy: StrategyConfig, tmp_path: P
         assert threads == torch.get_num_threads()
         assert again.iteration == at
         assert scene_hash(advance(again, views, render=watching()).scene) == whole
-    assert scene_hash(fit(views, start, render=watching(), config=config, seed=6).scene) != whole
+    assert (
+        scene_hash(fit(views, start, render=watching(), config=config, seed=6).scene)
+        != whole
+    )
 
 
 def test_files_that_are_no_checkpoints_say_why(tmp_path: Path) -> None:
     path = tmp_path / "state.safetensors"
-    old = save({"gradient": torch.zeros(1)}, metadata={"notes": json.dumps({"extent": 1.0})})
-    contents = {None: "nothing there", b"\x05" * 100: "a checkpoint of this version", old: "got format 1; end it with"}
+    old = save(
+        {"gradient": torch.zeros(1)}, metadata={"notes": json.dumps({"extent": 1.0})}
+    )
+    contents = {
+        None: "nothing there",
+        b"\x05" * 100: "a checkpoint of this version",
+        old: "got format 1; end it with",
+    }
     for content, words in contents.items():
         if content is not None:
             path.write_bytes(content)
@@ -73,23 +86,61 @@ def begun(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 BROKEN: dict[str, tuple[Change, str]] = {
-    "a parameter of NaN": (lambda n, t: t["parameters/means"][1].fill_(torch.nan), "finite numbers in parameters/mea"),
-    "a parameter of one row": (lambda n, t: t.update({"parameters/scales": torch.zeros(1, 3)}), "parameters, scales"),
-    "no means": (lambda n, t: t.pop("parameters/means"), "means: expected at least one row"),
-    "a moment of another shape": (lambda n, t: t.update({"exp_avg/sh0": torch.zeros(2)}), "exp_avg: expected"),
-    "a strategy of other rows": (lambda n, t: t.update({"strategy/grad2d": torch.zeros(3)}), "strategy, grad2d"),
-    "no generator": (lambda n, t: t.pop("generator"), "the state of a generator, got none"),
-    "a negative view": (lambda n, t: n.update(view_queue=[-1]), "view_queue: expected whole numbers from 0"),
-    "steps after the last": (lambda n, t: n.update(iteration=4), "iteration: expected a whole number from 0 to 3"),
-    "a history of something else": (lambda n, t: n["history"][0].update(loss="low"), "loss: expected a number"),
-    "an extent of zero": (lambda n, t: n.update(scene_extent=0), "scene_extent: expected a number above 0"),
-    "a strategy in words": (lambda n, t: n["config"].update(strategy="classic"), "a checkpoint of this version"),
-    "another setting": (lambda n, t: n["config"].update(more=1), "settings: expected settings that this version"),
+    "a parameter of NaN": (
+        lambda n, t: t["parameters/means"][1].fill_(torch.nan),
+        "finite numbers in parameters/mea",
+    ),
+    "a parameter of one row": (
+        lambda n, t: t.update({"parameters/scales": torch.zeros(1, 3)}),
+        "parameters, scales",
+    ),
+    "no means": (
+        lambda n, t: t.pop("parameters/means"),
+        "means: expected at least one row",
+    ),
+    "a moment of another shape": (
+        lambda n, t: t.update({"exp_avg/sh0": torch.zeros(2)}),
+        "exp_avg: expected",
+    ),
+    "a strategy of other rows": (
+        lambda n, t: t.update({"strategy/grad2d": torch.zeros(3)}),
+        "strategy, grad2d",
+    ),
+    "no generator": (
+        lambda n, t: t.pop("generator"),
+        "the state of a generator, got none",
+    ),
+    "a negative view": (
+        lambda n, t: n.update(view_queue=[-1]),
+        "view_queue: expected whole numbers from 0",
+    ),
+    "steps after the last": (
+        lambda n, t: n.update(iteration=4),
+        "iteration: expected a whole number from 0 to 3",
+    ),
+    "a history of something else": (
+        lambda n, t: n["history"][0].update(loss="low"),
+        "loss: expected a number",
+    ),
+    "an extent of zero": (
+        lambda n, t: n.update(scene_extent=0),
+        "scene_extent: expected a number above 0",
+    ),
+    "a strategy in words": (
+        lambda n, t: n["config"].update(strategy="classic"),
+        "a checkpoint of this version",
+    ),
+    "another setting": (
+        lambda n, t: n["config"].update(more=1),
+        "settings: expected settings that this version",
+    ),
 }
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_checkpoints_whose_parts_do_not_fit_are_refused(begun: Path, name: str, tmp_path: Path) -> None:
+def test_checkpoints_whose_parts_do_not_fit_are_refused(
+    begun: Path, name: str, tmp_path: Path
+) -> None:
     change, words = BROKEN[name]
     path = tmp_path / "state.safetensors"
     shutil.copy(begun, path)

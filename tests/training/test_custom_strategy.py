@@ -1,4 +1,6 @@
-"""A strategy that the library has never heard of: trained with, taken up again, and named on the command line."""
+"""A strategy that the library has never heard of: trained with, taken up again, and
+named on the command line.
+"""
 
 import json
 from dataclasses import dataclass, replace
@@ -14,13 +16,20 @@ from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.loop import Progress, TrainState, advance, fit, scene_extent
 from mi_splat.training.resume import load_state, save_state
-from mi_splat.training.strategies import STRATEGIES, Edit, Step, Strategy, StrategyConfig
+from mi_splat.training.strategies import (
+    STRATEGIES,
+    Edit,
+    Step,
+    Strategy,
+    StrategyConfig,
+)
 from tests.training.sets import SHORT, scene_and_views, write_set
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LotteryConfig(StrategyConfig):
-    """Every so often one Gaussian, drawn by lot, is copied, and the faintest is left out.
+    """Every so often one Gaussian, drawn by lot, is copied, and the faintest is left
+    out.
 
     Attributes:
         every: Steps between two draws.
@@ -48,7 +57,8 @@ class Lottery(Strategy):
         count = len(state["drawn"])
         if step.iteration % self.options.every:
             return Edit(parameters={"sh0": 0.999 * step.parameters["sh0"].detach()})
-        chances = 1 / (1 + state["drawn"])  # who was drawn before is less likely to be drawn again
+        # who was drawn before is less likely to be drawn again
+        chances = 1 / (1 + state["drawn"])
         winner = torch.multinomial(chances, 1, generator=step.generator)
         state["drawn"][winner] += 1
         faintest = int(step.parameters["opacities"].argmin())
@@ -68,7 +78,10 @@ def _registered(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_it_trains_and_goes_on_to_the_bit(tmp_path: Path) -> None:
     _, views, start = scene_and_views()
     settings = replace(SHORT, iterations=24, strategy=LotteryConfig())
-    path, state = tmp_path / "state.safetensors", TrainState(start, settings, scene_extent=scene_extent(views), seed=3)
+    path, state = (
+        tmp_path / "state.safetensors",
+        TrainState(start, settings, scene_extent=scene_extent(views), seed=3),
+    )
 
     def keep(line: Progress) -> None:
         if line.iteration == 15:
@@ -76,23 +89,44 @@ def test_it_trains_and_goes_on_to_the_bit(tmp_path: Path) -> None:
 
     whole = advance(state, views, render=Renderer(), on_step=keep).scene
     assert len(whole) == len(start)
-    assert len({tuple(row) for row in whole.means.tolist()}) == len(start)  # copies have moved since
-    assert scene_hash(whole) != scene_hash(fit(views, start, render=Renderer(), config=settings, seed=4).scene)
+    # copies have moved since
+    assert len({tuple(row) for row in whole.means.tolist()}) == len(start)
+    assert scene_hash(whole) != scene_hash(
+        fit(views, start, render=Renderer(), config=settings, seed=4).scene
+    )
     again, _ = load_state(path)
     assert float(again.strategy_state["drawn"].sum()) > 0
     assert again.config == settings
-    assert scene_hash(advance(again, views, render=Renderer()).scene) == scene_hash(whole)
+    assert scene_hash(advance(again, views, render=Renderer()).scene) == scene_hash(
+        whole
+    )
 
 
-def test_the_command_line_knows_its_name_and_its_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_knows_its_name_and_its_options(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder, out = write_set(tmp_path / "set"), tmp_path / "out"
-    words = ["train", str(folder), "--out", str(out), "--iterations", "9", "--sh-degree", "1"]
+    words = [
+        "train",
+        str(folder),
+        "--out",
+        str(out),
+        "--iterations",
+        "9",
+        "--sh-degree",
+        "1",
+    ]
     words += ["--strategy", "lottery", "--every", "4"]
     assert cli.main([*words, "--help"]) == 0
     assert "Steps between two draws" in capsys.readouterr().out
     assert cli.main(words) == 0
     settings = json.loads((out / "config.json").read_text())["config"]
-    assert settings["strategy"] == {"kind": "lottery", "every": 4, "reward": 0.001, "max_gaussians": 100_000}
+    assert settings["strategy"] == {
+        "kind": "lottery",
+        "every": 4,
+        "reward": 0.001,
+        "max_gaussians": 100_000,
+    }
     first = load_splat(out / "splat.ply")
     assert cli.main(words) == 0  # read from the checkpoint
     assert scene_hash(load_splat(out / "splat.ply")) == scene_hash(first)

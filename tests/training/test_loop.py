@@ -9,7 +9,14 @@ from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
-from mi_splat.training.loop import FitConfig, TrainingError, TrainState, advance, fit, targets_of
+from mi_splat.training.loop import (
+    FitConfig,
+    TrainingError,
+    TrainState,
+    advance,
+    fit,
+    targets_of,
+)
 from mi_splat.training.state import MOMENTS, Adam
 from mi_splat.training.strategies import ClassicConfig, Edit, FixedConfig
 from tests.training.sets import SHORT, scene_and_views, watching
@@ -17,10 +24,21 @@ from tests.training.sets import SHORT, scene_and_views, watching
 
 def test_training_comes_nearer() -> None:
     _, views, start = scene_and_views()
-    config = dataclasses.replace(SHORT, iterations=250, sh_degree_interval=0, strategy=FixedConfig(), eval_interval=0)
+    config = dataclasses.replace(
+        SHORT,
+        iterations=250,
+        sh_degree_interval=0,
+        strategy=FixedConfig(),
+        eval_interval=0,
+    )
     losses: list[float] = []
     trained = fit(
-        views, start, render=Renderer(), config=config, held_out=views, on_step=lambda p: losses.append(p.loss)
+        views,
+        start,
+        render=Renderer(),
+        config=config,
+        held_out=views,
+        on_step=lambda p: losses.append(p.loss),
     )
     assert sum(losses[-10:]) < 0.5 * sum(losses[:10])
     (last,) = trained.history
@@ -43,7 +61,13 @@ def test_the_last_step_is_no_reset() -> None:
     )
     config = FitConfig(iterations=4, sh_degree=1, strategy=adding)
     counts: list[int] = []
-    trained = fit(views, start, render=watching(), config=config, on_step=lambda line: counts.append(line.count))
+    trained = fit(
+        views,
+        start,
+        render=watching(),
+        config=config,
+        on_step=lambda line: counts.append(line.count),
+    )
     assert float(trained.scene.opacities.max()) > 0.05
     assert counts[1] > counts[0]
     assert counts[3] == counts[2]
@@ -51,12 +75,16 @@ def test_the_last_step_is_no_reset() -> None:
 
 def test_texture_training_freezes_geometry() -> None:
     _, views, start = scene_and_views()
-    config = dataclasses.replace(SHORT, trainable=("sh",), strategy=FixedConfig(), iterations=8)
+    config = dataclasses.replace(
+        SHORT, trainable=("sh",), strategy=FixedConfig(), iterations=8
+    )
     trained = fit(views, start, render=Renderer(), config=config)
     for name in ("means", "rotations"):
         assert torch.equal(getattr(trained.scene, name), getattr(start, name))
     for name in ("scales", "opacities"):
-        assert torch.allclose(getattr(trained.scene, name), getattr(start, name), rtol=1e-6)
+        assert torch.allclose(
+            getattr(trained.scene, name), getattr(start, name), rtol=1e-6
+        )
     assert not torch.equal(trained.scene.sh, start.sh)
 
 
@@ -69,25 +97,41 @@ def test_nan_stops_with_the_cause() -> None:
 
 def test_a_plain_renderer_cannot_densify() -> None:
     _, views, start = scene_and_views()
-    with pytest.raises(InvalidValueError, match="a renderer that keeps screen gradients"):
-        fit(views, start, render=lambda scene, camera: Renderer()(scene, camera), config=SHORT)
+    with pytest.raises(
+        InvalidValueError, match="a renderer that keeps screen gradients"
+    ):
+        fit(
+            views,
+            start,
+            render=lambda scene, camera: Renderer()(scene, camera),
+            config=SHORT,
+        )
     with pytest.raises(InvalidValueError, match="views: expected at least one"):
         fit([], start, render=watching(), config=SHORT)
-    with pytest.raises(InvalidValueError, match="start: expected at least one Gaussian"):
+    with pytest.raises(
+        InvalidValueError, match="start: expected at least one Gaussian"
+    ):
         fit(views, start.select(slice(0, 0)), render=watching(), config=SHORT)
 
 
-# What a run is made of: the order of its views, the degree that is trained, and what Adam keeps for each row
+# What a run is made of: the order of its views, the degree that is trained, and what
+# Adam keeps for each row
 
 
-def state_of(config: FitConfig, *, start: GaussianScene | None = None, seed: int = 0) -> TrainState:
-    return TrainState(start or scene_and_views(8)[2], config, scene_extent=1.0, seed=seed)
+def state_of(
+    config: FitConfig, *, start: GaussianScene | None = None, seed: int = 0
+) -> TrainState:
+    return TrainState(
+        start or scene_and_views(8)[2], config, scene_extent=1.0, seed=seed
+    )
 
 
 def test_the_degree_rises_by_one_each_interval() -> None:
     for interval, iterations in ((10, 7000), (None, 300)):  # a thirtieth of the steps
         state = state_of(FitConfig(iterations=iterations, sh_degree_interval=interval))
-        degrees = [state.scene().degree for state.iteration in (0, 9, 10, 19, 20, 30, 99)]
+        degrees = [
+            state.scene().degree for state.iteration in (0, 9, 10, 19, 20, 30, 99)
+        ]
         assert degrees == [0, 0, 1, 1, 2, 3, 3]
     for config in (FitConfig(sh_degree_interval=0), FitConfig(iterations=29)):
         assert state_of(config).scene().degree == 3
@@ -108,7 +152,12 @@ def test_a_gpu_keeps_images(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def trained() -> TrainState:
     _, views, start = scene_and_views(8)
-    state = state_of(FitConfig(iterations=5, sh_degree=1, sh_degree_interval=1, strategy=FixedConfig()), start=start)
+    state = state_of(
+        FitConfig(
+            iterations=5, sh_degree=1, sh_degree_interval=1, strategy=FixedConfig()
+        ),
+        start=start,
+    )
     advance(state, views, render=Renderer())
     return state
 
@@ -116,26 +165,38 @@ def trained() -> TrainState:
 def test_rows_keep_what_adam_knows_of_them_unless_they_are_fresh() -> None:
     state = trained()
     old = {
-        name: {key: value.clone() for key, value in state.optimiser.state[state.parameters[name]].items()}
+        name: {
+            key: value.clone()
+            for key, value in state.optimiser.state[state.parameters[name]].items()
+        }
         for name in state.trained
     }
     values = {name: value.detach().clone() for name, value in state.parameters.items()}
     source, fresh = torch.tensor([6, 1, 1]), torch.tensor([False, False, True])
-    state.apply(Edit(parameters={"scales": values["scales"][source] + 1}, source=source, fresh=fresh))
+    state.apply(
+        Edit(
+            parameters={"scales": values["scales"][source] + 1},
+            source=source,
+            fresh=fresh,
+        )
+    )
     assert len(state.result()) == 3
     for name in state.trained:
         tensor = state.parameters[name]
         assert tensor.requires_grad
-        assert torch.equal(tensor.detach(), values[name][source] + (1 if name == "scales" else 0))
+        assert torch.equal(
+            tensor.detach(), values[name][source] + (1 if name == "scales" else 0)
+        )
         for key in ("exp_avg", "exp_avg_sq"):
             kept = state.optimiser.state[tensor][key]
             assert torch.equal(kept[:2], old[name][key][[6, 1]])
             assert kept[:2].any()
             assert not kept[2].any()
         assert float(state.optimiser.state[tensor]["step"]) == 5
-    assert [group["params"][0] is state.parameters[group["name"]] for group in state.optimiser.param_groups] == [
-        True
-    ] * len(state.trained)
+    assert [
+        group["params"][0] is state.parameters[group["name"]]
+        for group in state.optimiser.param_groups
+    ] == [True] * len(state.trained)
 
 
 @pytest.mark.parametrize("fused", [False, True])
@@ -149,4 +210,6 @@ def test_adam_has_the_bits_of_torch(fused: bool) -> None:
             optimiser.step()
             optimiser.zero_grad()
     assert torch.equal(ours, theirs)
-    assert all(torch.equal(mine.state[ours][key], other.state[theirs][key]) for key in MOMENTS)
+    assert all(
+        torch.equal(mine.state[ours][key], other.state[theirs][key]) for key in MOMENTS
+    )

@@ -1,4 +1,6 @@
-"""What the papers fix: settings of 3DGS (Kerbl et al. 2023) and of MCMC (Kheradmand et al. 2024), and what they do."""
+"""What the papers fix: settings of 3DGS (Kerbl et al. 2023) and of MCMC (Kheradmand et
+al. 2024), and what they do.
+"""
 
 import pytest
 import torch
@@ -8,7 +10,11 @@ from mi_splat.rendering import Renderer
 from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import TrainState, advance, scene_extent
 from mi_splat.training.strategies import ClassicConfig, Edit, FixedConfig, MCMCConfig
-from mi_splat.training.strategies.classic import ClassicStrategy, densify_and_prune, reset_opacities
+from mi_splat.training.strategies.classic import (
+    ClassicStrategy,
+    densify_and_prune,
+    reset_opacities,
+)
 from mi_splat.training.strategies.mcmc import explore
 from tests.training.sets import Seen, scene_and_views, small, step_of, watching
 
@@ -19,7 +25,13 @@ def state_of(config: FitConfig, *, extent: float = 1.0) -> TrainState:
 
 def test_learning_rates_at_both_ends_and_in_the_middle() -> None:
     state = state_of(FitConfig(iterations=1000, lr_sh_divisor=20), extent=3.0)
-    others = {"scales": 5e-3, "rotations": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 2.5e-3 / 20}
+    others = {
+        "scales": 5e-3,
+        "rotations": 1e-3,
+        "opacities": 5e-2,
+        "sh0": 2.5e-3,
+        "shN": 2.5e-3 / 20,
+    }
     for iteration, rate in ((0, 1.6e-4), (500, 1.6e-5), (1000, 1.6e-6)):
         state.iteration = iteration
         rates = state.learning_rates()
@@ -38,7 +50,9 @@ def test_adam_steps_with_these_rates() -> None:
         pass
 
     def look(_: object) -> None:
-        used.update({group["name"]: group["lr"] for group in state.optimiser.param_groups})
+        used.update(
+            {group["name"]: group["lr"] for group in state.optimiser.param_groups}
+        )
         raise Stop
 
     with pytest.raises(Stop):
@@ -47,14 +61,17 @@ def test_adam_steps_with_these_rates() -> None:
     assert used == state.learning_rates()
     for group in state.optimiser.param_groups:
         moved = (state.parameters[group["name"]].detach() - before[group["name"]]).abs()
-        # The first step of Adam is as long as the rate wherever there is a gradient, however small: eps is smaller yet.
+        # The first step of Adam is as long as the rate wherever there is a gradient,
+        # however small: eps is smaller yet.
         if group["name"] != "shN":  # of no use before its degree is trained
             # What is lost in adding it to a number of this size is not counted.
             assert float(moved.max()) == pytest.approx(group["lr"], rel=1e-2)
 
 
 def schedule(config: ClassicConfig, iterations: int) -> tuple[list[int], list[int]]:
-    """The steps at which a training adds and removes Gaussians, and those at which it resets opacities."""
+    """The steps at which a training adds and removes Gaussians, and those at which it
+    resets opacities.
+    """
     strategy, values = ClassicStrategy(config), small(1)
     state, seen = strategy.initial_state(1), Seen(torch.zeros(1), torch.ones(1))
     rounds, resets = [], []
@@ -68,16 +85,22 @@ def schedule(config: ClassicConfig, iterations: int) -> tuple[list[int], list[in
 
 
 def test_rounds_and_resets_come_when_the_paper_has_them() -> None:
-    """Every 100 steps after the 500th, resets every 3,000, both in the first half of the training."""
+    """Every 100 steps after the 500th, resets every 3,000, both in the first half of
+    the training.
+    """
     assert schedule(ClassicConfig(), 7000) == (list(range(600, 3501, 100)), [3000])
-    assert schedule(ClassicConfig(densify_until=1000, opacity_reset_interval=0), 2000) == (
+    assert schedule(
+        ClassicConfig(densify_until=1000, opacity_reset_interval=0), 2000
+    ) == (
         list(range(600, 1001, 100)),
         [],
     )
     assert schedule(ClassicConfig(densify_until=1300), 2000)[0][-1] == 1300
 
 
-def one_round(values: dict[str, Tensor], grad2d: Tensor, *, prune_large: bool = False) -> list[int]:
+def one_round(
+    values: dict[str, Tensor], grad2d: Tensor, *, prune_large: bool = False
+) -> list[int]:
     edit = densify_and_prune(
         values,
         grad2d,
@@ -93,8 +116,10 @@ def one_round(values: dict[str, Tensor], grad2d: Tensor, *, prune_large: bool = 
 def test_thresholds_of_the_classic_strategy() -> None:
     assert one_round(small(), torch.tensor([1.99e-4, 2.01e-4, 0.0])) == [0, 1, 2, 1]
     values = small()
-    values["scales"] = torch.tensor([[0.0199], [0.0201], [1e-3]]).log().repeat(1, 3)  # 1 % of the extent is 0.02
-    assert one_round(values, torch.tensor([1.0, 1.0, 0.0])) == [0, 2, 0, 1, 1]  # 0 is cloned, 1 is split
+    # 1 % of the extent is 0.02
+    values["scales"] = torch.tensor([[0.0199], [0.0201], [1e-3]]).log().repeat(1, 3)
+    # 0 is cloned, 1 is split
+    assert one_round(values, torch.tensor([1.0, 1.0, 0.0])) == [0, 2, 0, 1, 1]
     values = small()
     values["opacities"] = torch.tensor([0.00499, 0.00501, 0.5]).logit()
     assert one_round(values, torch.zeros(3)) == [1, 2]
@@ -105,14 +130,20 @@ def test_thresholds_of_the_classic_strategy() -> None:
 
 
 def test_a_reset_comes_after_its_round_and_large_ones_go_from_then_on() -> None:
-    config = ClassicConfig(densify_from=0, densify_interval=2, opacity_reset_interval=2, densify_until=100)
+    config = ClassicConfig(
+        densify_from=0, densify_interval=2, opacity_reset_interval=2, densify_until=100
+    )
     strategy, values = ClassicStrategy(config), small(3)
     values["scales"][1] = 0.0
-    state, seen = strategy.initial_state(3), Seen(torch.tensor([1.0, 0.0, 0.0]), torch.ones(3))
+    state, seen = (
+        strategy.initial_state(3),
+        Seen(torch.tensor([1.0, 0.0, 0.0]), torch.ones(3)),
+    )
     edit = strategy.after_step(step_of(values, 2, 100, seen), state)
     assert edit is not None
     assert edit.source is not None
-    assert edit.source.tolist() == [0, 1, 2, 0]  # none is pruned by the opacity that it is now reset to
+    # none is pruned by the opacity that it is now reset to
+    assert edit.source.tolist() == [0, 1, 2, 0]
     assert edit.forget == ("opacities",)
     assert edit.parameters["opacities"].sigmoid().tolist() == pytest.approx([0.01] * 4)
     assert torch.equal(edit.parameters["means"], values["means"][edit.source])
@@ -128,7 +159,10 @@ def test_a_reset_makes_adam_forget() -> None:
     config = FitConfig(iterations=6, sh_degree=1, strategy=FixedConfig())
     state = TrainState(start, config, scene_extent=1.0, seed=0)
     advance(state, views, render=watching())
-    moments = {name: state.optimiser.state[state.parameters[name]] for name in ("opacities", "scales")}
+    moments = {
+        name: state.optimiser.state[state.parameters[name]]
+        for name in ("opacities", "scales")
+    }
     lowered = reset_opacities(state.parameters["opacities"])
     state.apply(Edit(parameters={"opacities": lowered}, forget=("opacities",)))
     assert torch.equal(state.parameters["opacities"], lowered)
@@ -142,7 +176,9 @@ def test_a_reset_makes_adam_forget() -> None:
 
 
 def test_mcmc_rounds_come_in_their_time_and_noise_at_every_step() -> None:
-    config = MCMCConfig(densify_from=4, densify_until=8, densify_interval=2, max_gaussians=None)
+    config = MCMCConfig(
+        densify_from=4, densify_until=8, densify_interval=2, max_gaussians=None
+    )
     strategy = config.build()
     values = small(20)
     values["opacities"][:] = 0.005  # of little opacity, so that the noise moves them
@@ -152,7 +188,12 @@ def test_mcmc_rounds_come_in_their_time_and_noise_at_every_step() -> None:
         edit = strategy.after_step(step, {})
         assert edit is not None
         if edit.source is None:
-            expected = explore(values, lr_means=1e-4, config=MCMCConfig(), generator=torch.Generator().manual_seed(0))
+            expected = explore(
+                values,
+                lr_means=1e-4,
+                config=MCMCConfig(),
+                generator=torch.Generator().manual_seed(0),
+            )
             assert torch.equal(edit.parameters["means"], expected)
         else:
             rounds.append(iteration)
@@ -160,12 +201,19 @@ def test_mcmc_rounds_come_in_their_time_and_noise_at_every_step() -> None:
 
 
 def test_mcmc_noise_has_the_size_of_the_paper() -> None:
-    """Noise of 5e5 times the rate, through the covariance, gated by a sigmoid of slope 100 around 0.005."""
+    """Noise of 5e5 times the rate, through the covariance, gated by a sigmoid of slope
+    100 around 0.005.
+    """
     values = small(2)
     values["scales"][:] = torch.tensor([0.1, 0.2, 0.3]).log()
     values["opacities"] = torch.tensor([0.005, 0.045]).logit()
     draws = torch.randn(2, 3, generator=torch.Generator().manual_seed(1))
-    moved = explore(values, lr_means=1e-4, config=MCMCConfig(), generator=torch.Generator().manual_seed(1))
+    moved = explore(
+        values,
+        lr_means=1e-4,
+        config=MCMCConfig(),
+        generator=torch.Generator().manual_seed(1),
+    )
     gate = torch.tensor([[0.5], [1 / (1 + 2.718281828**4)]])
     expected = 5e5 * 1e-4 * gate * draws * torch.tensor([0.01, 0.04, 0.09])
     torch.testing.assert_close(moved, expected, rtol=1e-4, atol=1e-7)

@@ -38,7 +38,15 @@ CONFIG = FitConfig(
 def test_a_folder_that_was_interrupted_goes_on(tmp_path: Path) -> None:
     truth, views = views_of()
     start = from_points(truth.means, torch.full((50, 3), 0.5))
-    whole = train(views, start, tmp_path / "whole", render=watching(), config=CONFIG, held_out=views[:2], every=15)
+    whole = train(
+        views,
+        start,
+        tmp_path / "whole",
+        render=watching(),
+        config=CONFIG,
+        held_out=views[:2],
+        every=15,
+    )
 
     def press(line: Progress) -> None:
         if line.iteration == 31:
@@ -46,7 +54,15 @@ def test_a_folder_that_was_interrupted_goes_on(tmp_path: Path) -> None:
 
     broken = tmp_path / "broken"
     with pytest.raises(KeyboardInterrupt), sigterm_as_interrupt():
-        train(views, start, broken, render=watching(), config=CONFIG, held_out=views[:2], on_step=press)
+        train(
+            views,
+            start,
+            broken,
+            render=watching(),
+            config=CONFIG,
+            held_out=views[:2],
+            on_step=press,
+        )
     assert (broken / "checkpoint.safetensors").is_file()
     assert not (broken / "splat.ply").exists()
     seen: list[int] = []
@@ -61,12 +77,16 @@ def test_a_folder_that_was_interrupted_goes_on(tmp_path: Path) -> None:
     )
     assert seen == list(range(32, 41))
     assert scene_hash(again.scene) == scene_hash(whole.scene)
-    assert (broken / "splat.ply").read_bytes() == (tmp_path / "whole" / "splat.ply").read_bytes()
+    assert (broken / "splat.ply").read_bytes() == (
+        tmp_path / "whole" / "splat.ply"
+    ).read_bytes()
     figures = json.loads((broken / "metrics.json").read_text())
     assert [line["iteration"] for line in figures["history"]] == [20, 40]
     assert figures["psnr"] > 15
     assert figures["threads"] == torch.get_num_threads()
-    assert json.loads((broken / "config.json").read_text())["config"]["iterations"] == 40
+    assert (
+        json.loads((broken / "config.json").read_text())["config"]["iterations"] == 40
+    )
 
 
 def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
@@ -76,9 +96,23 @@ def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
     train(views, start, tmp_path, render=watching(), config=short)
     before = (tmp_path / "splat.ply").read_bytes()
     with pytest.raises(CheckpointError, match="a run with iterations 3 and not 2"):
-        train(views, start, tmp_path, render=watching(), config=dataclasses.replace(CONFIG, iterations=2))
-    with pytest.raises(CheckpointError, match=r"a run with lambda_dssim 0\.2 and not 0\.5"):
-        train(views, start, tmp_path, render=watching(), config=dataclasses.replace(short, lambda_dssim=0.5))
+        train(
+            views,
+            start,
+            tmp_path,
+            render=watching(),
+            config=dataclasses.replace(CONFIG, iterations=2),
+        )
+    with pytest.raises(
+        CheckpointError, match=r"a run with lambda_dssim 0\.2 and not 0\.5"
+    ):
+        train(
+            views,
+            start,
+            tmp_path,
+            render=watching(),
+            config=dataclasses.replace(short, lambda_dssim=0.5),
+        )
     others = views_of(4)[1]
     darker = [View(view.camera, 0.5 * view.image) for view in views]
     moved = from_points(truth.means + 0.1, torch.full((50, 3), 0.5))

@@ -48,22 +48,35 @@ def test_classic_round_keeps_clones_and_splits() -> None:
         prune_large=False,
         generator=torch.Generator().manual_seed(0),
     )
-    assert rows(edit).tolist() == [1, 3, 4, 3, 0, 0, 2, 2]  # 5 is pruned, 0 and 2 are split, 3 is cloned
+    # 5 is pruned, 0 and 2 are split, 3 is cloned
+    assert rows(edit).tolist() == [1, 3, 4, 3, 0, 0, 2, 2]
     assert fresh(edit).tolist() == [False] * 3 + [True] * 5
     after = edit.parameters
     for name, tensor in after.items():
         assert torch.equal(tensor[:4], before[name][[1, 3, 4, 3]])
-    assert torch.allclose(after["scales"][4:], before["scales"][[0, 0, 2, 2]] - torch.tensor(1.6).log(), atol=1e-6)
+    assert torch.allclose(
+        after["scales"][4:],
+        before["scales"][[0, 0, 2, 2]] - torch.tensor(1.6).log(),
+        atol=1e-6,
+    )
     assert (after["means"][4] - after["means"][5]).norm() > 0
-    assert ((after["means"][4:] - before["means"][[0, 0, 2, 2]]).norm(dim=1) < 4 * 0.37).all()
+    assert (
+        (after["means"][4:] - before["means"][[0, 0, 2, 2]]).norm(dim=1) < 4 * 0.37
+    ).all()
 
 
 def test_relocated_gaussians_look_like_the_one_they_came_from() -> None:
-    """The line integral of opacity through n coinciding Gaussians is that of the one they replace."""
+    """The line integral of opacity through n coinciding Gaussians is that of the one
+    they replace.
+    """
     before = values(5, seed=4)
     before["opacities"][:] = 2.0
     before["opacities"][4] = -9.0
-    edit = relocate(before, config=MCMCConfig(growth=0.0), generator=torch.Generator().manual_seed(1))
+    edit = relocate(
+        before,
+        config=MCMCConfig(growth=0.0),
+        generator=torch.Generator().manual_seed(1),
+    )
     assert len(rows(edit)) == 5
     (parent,) = set(rows(edit).tolist()) & {int(rows(edit)[4])}
     assert fresh(edit).nonzero().flatten().tolist() == sorted({parent, 4})
@@ -72,7 +85,9 @@ def test_relocated_gaussians_look_like_the_one_they_came_from() -> None:
     x = torch.linspace(-6, 6, 4001, dtype=torch.float64)
 
     def line(logit: Tensor, log_scale: Tensor, count: int) -> float:
-        alpha = logit.double().sigmoid() * torch.exp(-0.5 * (x / log_scale.double().exp()) ** 2)
+        alpha = logit.double().sigmoid() * torch.exp(
+            -0.5 * (x / log_scale.double().exp()) ** 2
+        )
         return float(torch.trapezoid(1 - (1 - alpha) ** count, x))
 
     old = line(before["opacities"][parent], before["scales"][parent, 0] * 0, 1)

@@ -1,4 +1,6 @@
-"""Cameras of a region: every number in its interval, drawn by seed, nothing else changed."""
+"""Cameras of a region: every number in its interval, drawn by seed, nothing else
+changed.
+"""
 
 import dataclasses
 import io
@@ -12,18 +14,31 @@ from PIL import Image
 from torch import Tensor
 
 from attacks.transformations.config import CameraRegion, PictureChanges
-from attacks.transformations.draws import PictureChange, change_picture, draw_camera, draw_change
+from attacks.transformations.draws import (
+    PictureChange,
+    change_picture,
+    draw_camera,
+    draw_change,
+)
 from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
 
 CENTRE = (1.0, -2.0, 0.5)
-REFERENCE = Camera(to_world=look_at((4.0, -2.0, 0.5), CENTRE), focal=(50.0, 60.0), width=64, height=48)
+REFERENCE = Camera(
+    to_world=look_at((4.0, -2.0, 0.5), CENTRE), focal=(50.0, 60.0), width=64, height=48
+)
 
 
 def draws(region: CameraRegion, count: int = 50, *, seed: int = 0) -> list[Camera]:
     return [
-        draw_camera(region, np.random.default_rng((seed, index)), centre=CENTRE, radius=0.5, reference=REFERENCE)
+        draw_camera(
+            region,
+            np.random.default_rng((seed, index)),
+            centre=CENTRE,
+            radius=0.5,
+            reference=REFERENCE,
+        )
         for index in range(count)
     ]
 
@@ -44,18 +59,28 @@ def test_every_number_is_in_its_interval_and_fills_it() -> None:
     assert 5.1 < max(lengths) <= 6.0
 
 
-def test_cameras_look_at_the_centre_with_the_reference_s_lens_and_without_roll() -> None:
+def test_cameras_look_at_the_centre_with_the_reference_s_lens_and_without_roll() -> (
+    None
+):
     for camera in draws(CameraRegion(), 5):
         pixels, _ = project_points(torch.tensor([CENTRE], dtype=torch.float64), camera)
         assert pixels[0].tolist() == pytest.approx([camera.cx, camera.cy])
-        assert (camera.fx, camera.fy, camera.width, camera.height) == (50.0, 60.0, 64, 48)
-        assert float(camera.to_world[2, 0]) == pytest.approx(0.0, abs=1e-9)  # the picture's rows are level
+        assert (camera.fx, camera.fy, camera.width, camera.height) == (
+            50.0,
+            60.0,
+            64,
+            48,
+        )
+        # the picture's rows are level
+        assert float(camera.to_world[2, 0]) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_aim_moves_the_point_looked_at_within_the_ball() -> None:
     moved = [
         (after.position - before.position).norm().item()
-        for before, after in zip(draws(CameraRegion()), draws(CameraRegion(aim=0.4)), strict=True)
+        for before, after in zip(
+            draws(CameraRegion()), draws(CameraRegion(aim=0.4)), strict=True
+        )
     ]
     assert 0.1 < max(moved) <= 0.4 * 0.5 + 1e-9
 
@@ -71,7 +96,9 @@ def test_aim_moves_the_point_looked_at_within_the_ball() -> None:
         (PictureChanges, {"resize": 0.0}),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(configuration: Any, settings: dict[str, Any]) -> None:
+def test_settings_that_make_no_sense_are_refused(
+    configuration: Any, settings: dict[str, Any]
+) -> None:
     (name,) = settings
     with pytest.raises(InvalidValueError, match=f"^{name}: expected"):
         configuration(**settings)
@@ -80,13 +107,21 @@ def test_settings_that_make_no_sense_are_refused(configuration: Any, settings: d
 def test_a_reference_in_the_middle_of_the_object_is_refused() -> None:
     inside = dataclasses.replace(REFERENCE, to_world=look_at(CENTRE, (5, 5, 5)))
     with pytest.raises(InvalidValueError, match="reference"):
-        draw_camera(CameraRegion(), np.random.default_rng(0), centre=CENTRE, radius=1.0, reference=inside)
+        draw_camera(
+            CameraRegion(),
+            np.random.default_rng(0),
+            centre=CENTRE,
+            radius=1.0,
+            reference=inside,
+        )
 
 
 # Changes of pictures: each against what it means, derivatives, and draws by seed
 
 
-CHANGES = PictureChanges(exposure=1.0, white_balance=0.2, gamma=0.3, blur=2.0, resize=0.5, noise=0.1, jpeg=30)
+CHANGES = PictureChanges(
+    exposure=1.0, white_balance=0.2, gamma=0.3, blur=2.0, resize=0.5, noise=0.1, jpeg=30
+)
 
 
 def picture(*, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -109,9 +144,14 @@ def test_a_stop_doubles_the_light() -> None:
 
 def test_white_balance_and_gamma() -> None:
     after = change_picture(picture(), PictureChange(gains=(1.1, 1.0, 0.9)))
-    assert bool((after[..., 0] > picture()[..., 0]).all() and (after[..., 2] < picture()[..., 2]).all())
+    assert bool(
+        (after[..., 0] > picture()[..., 0]).all()
+        and (after[..., 2] < picture()[..., 2]).all()
+    )
     torch.testing.assert_close(after[..., 1], picture()[..., 1], atol=1e-5, rtol=0)
-    torch.testing.assert_close(change_picture(picture(), PictureChange(gamma=2.0)), picture() ** 2)
+    torch.testing.assert_close(
+        change_picture(picture(), PictureChange(gamma=2.0)), picture() ** 2
+    )
 
 
 def test_blur_spreads_a_point_as_a_gaussian() -> None:
@@ -133,7 +173,10 @@ def test_resizing_keeps_the_size_and_loses_detail() -> None:
 
 def test_noise_has_its_size_and_is_the_seed_s() -> None:
     grey = torch.full((64, 64, 3), 0.5)
-    first, again, other = (change_picture(grey, PictureChange(noise=0.1, noise_seed=seed)) for seed in (1, 1, 2))
+    first, again, other = (
+        change_picture(grey, PictureChange(noise=0.1, noise_seed=seed))
+        for seed in (1, 1, 2)
+    )
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
     assert float((first - grey).std()) == pytest.approx(0.1, rel=0.05)
@@ -143,7 +186,9 @@ def test_jpeg_is_the_real_one_and_passes_the_gradient() -> None:
     leaf = picture().requires_grad_(True)
     after = change_picture(leaf, PictureChange(jpeg=40))
     buffer = io.BytesIO()
-    Image.fromarray((picture() * 255).round().to(torch.uint8).numpy()).save(buffer, format="JPEG", quality=40)
+    Image.fromarray((picture() * 255).round().to(torch.uint8).numpy()).save(
+        buffer, format="JPEG", quality=40
+    )
     expected = np.asarray(Image.open(buffer).convert("RGB"), dtype=np.float32) / 255
     assert torch.equal(after.detach(), torch.from_numpy(expected))
     assert not torch.equal(after.detach(), picture())
@@ -153,18 +198,35 @@ def test_jpeg_is_the_real_one_and_passes_the_gradient() -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"gains": (1.2, 1.1, 0.9)}, {"gamma": 1.3}, {"blur": 1.0}, {"resize": 0.6}, {"noise": 0.02}],
+    [
+        {"gains": (1.2, 1.1, 0.9)},
+        {"gamma": 1.3},
+        {"blur": 1.0},
+        {"resize": 0.6},
+        {"noise": 0.02},
+    ],
     ids=lambda change: next(iter(change)),
 )
 def test_derivatives_are_those_of_finite_differences(change: dict[str, Any]) -> None:
     leaf = picture(dtype=torch.float64)[:5, :6].clone().requires_grad_(True)
-    assert torch.autograd.gradcheck(lambda x: change_picture(x, PictureChange(**change)), (leaf,), atol=1e-6)
+    assert torch.autograd.gradcheck(
+        lambda x: change_picture(x, PictureChange(**change)), (leaf,), atol=1e-6
+    )
 
 
 def test_draws_are_in_their_intervals_and_pure() -> None:
-    drawn = [draw_change(CHANGES, np.random.default_rng((7, index))) for index in range(200)]
-    assert drawn == [draw_change(CHANGES, np.random.default_rng((7, index))) for index in range(200)]
-    for name, low, high in (("blur", 0, 2), ("resize", 0.5, 1), ("noise", 0, 0.1), ("jpeg", 30, 95)):
+    drawn = [
+        draw_change(CHANGES, np.random.default_rng((7, index))) for index in range(200)
+    ]
+    assert drawn == [
+        draw_change(CHANGES, np.random.default_rng((7, index))) for index in range(200)
+    ]
+    for name, low, high in (
+        ("blur", 0, 2),
+        ("resize", 0.5, 1),
+        ("noise", 0, 0.1),
+        ("jpeg", 30, 95),
+    ):
         values = [getattr(change, name) for change in drawn]
         assert low <= min(values) < low + 0.1 * (high - low)
         assert high - 0.1 * (high - low) < max(values) <= high

@@ -19,8 +19,12 @@ from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
 from tests.fakes import blobs
 
-START = Orbit(target=(0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=5.0, fov=45.0)
-ABOVE = Orbit(target=(0.0, 0.0, 0.0), azimuth=30.0, elevation=80.0, distance=5.0, fov=45.0)
+START = Orbit(
+    target=(0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=5.0, fov=45.0
+)
+ABOVE = Orbit(
+    target=(0.0, 0.0, 0.0), azimuth=30.0, elevation=80.0, distance=5.0, fov=45.0
+)
 
 
 def ball(colour: tuple[float, float, float], count: int = 20) -> GaussianScene:
@@ -57,7 +61,9 @@ def save_study(folder: Path, study: StudyConfig) -> None:
     """Write the files of a study of CLOAK that are shown."""
     for name, colour in (("clean", (0.8, 0.1, 0.1)), ("cloaked", (0.1, 0.8, 0.1))):
         save_splat(ball(colour), folder / f"{name}.ply")
-    (folder / SUMMARY).write_text(json.dumps({"story": "cloak", "study": asdict(study)}))
+    (folder / SUMMARY).write_text(
+        json.dumps({"story": "cloak", "study": asdict(study)})
+    )
 
 
 @dataclass(frozen=True)

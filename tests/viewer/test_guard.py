@@ -27,7 +27,15 @@ TUNNEL = {"Host": "localhost:9000", "Cookie": f"{COOKIE}-9000=crumb"}
         ("/", {"Host": "localhost", "Cookie": f"{COOKIE}-80=crumb"}),
         # What others on this host have left in the browser is in the same header.
         ("/", {**HERE, "Cookie": f'a={{"b": [1, 2]}}; {COOKIES["Cookie"]}'}),
-        ("/", {**HERE, "Cookie": f"{COOKIE}-8080=theirs; {COOKIE}-8080=crumb; {COOKIE}-8080=theirs"}),
+        (
+            "/",
+            {
+                **HERE,
+                "Cookie": (
+                    f"{COOKIE}-8080=theirs; {COOKIE}-8080=crumb; {COOKIE}-8080=theirs"
+                ),
+            },
+        ),
     ],
 )
 def test_who_knows_the_token_may_pass(path: str, headers: dict[str, str]) -> None:
@@ -40,12 +48,16 @@ def test_who_knows_the_token_may_pass(path: str, headers: dict[str, str]) -> Non
         ("/", HERE, "token"),
         ("/?token=wrong", HERE, "token"),
         ("/?token=", HERE, "token"),
-        *((f"/?token=secret{rest}", HERE, "token") for rest in ("", "-of-this-pagf", "-of-this-page-")),
+        *(
+            (f"/?token=secret{rest}", HERE, "token")
+            for rest in ("", "-of-this-pagf", "-of-this-page-")
+        ),
         ("/?token=s\u00e9cret", HERE, "token"),
         ("/?token=s%ED%A0%80cret", HERE, "token"),
         ("//[x", HERE, "no address"),
         ("/", {**HERE, "Cookie": f"{COOKIE}-8080=wrong"}, "token"),
-        ("/", {**HERE, "Cookie": f"{COOKIE}-8080=secret"}, "token"),  # it is for the address alone
+        # it is for the address alone
+        ("/", {**HERE, "Cookie": f"{COOKIE}-8080=secret"}, "token"),
         ("/", {**HERE, "Cookie": f"{COOKIE}-8080=cr\u00fcmb"}, "token"),
         ("/", {**HERE, "Cookie": f"{COOKIE}-9000=crumb"}, "token"),
         ("/?token=crumb", HERE, "token"),
@@ -61,7 +73,9 @@ def test_who_knows_the_token_may_pass(path: str, headers: dict[str, str]) -> Non
         ("/", {**HERE, **COOKIES, "Origin": "null"}, "another page"),
     ],
 )
-def test_all_others_are_refused(path: str, headers: dict[str, str], reason: str) -> None:
+def test_all_others_are_refused(
+    path: str, headers: dict[str, str], reason: str
+) -> None:
     assert reason in str(GUARD.objection(path, headers))
 
 
@@ -73,34 +87,61 @@ def test_secrets_are_long_and_never_the_same() -> None:
 
 def test_the_page_connects_to_nobody_else_and_runs_no_other_script() -> None:
     headers = GUARD.headers("127.0.0.1:8080", "random")
-    policy = dict(part.split(" ", 1) for part in headers["Content-Security-Policy"].split("; "))
+    policy = dict(
+        part.split(" ", 1) for part in headers["Content-Security-Policy"].split("; ")
+    )
     assert policy["script-src"] == "'nonce-random' 'strict-dynamic' 'wasm-unsafe-eval'"
     assert policy["connect-src"] == "'self' ws://127.0.0.1:8080 data:"
-    shut = {"default-src", "frame-src", "object-src", "base-uri", "form-action", "frame-ancestors"}
+    shut = {
+        "default-src",
+        "frame-src",
+        "object-src",
+        "base-uri",
+        "form-action",
+        "frame-ancestors",
+    }
     assert {name for name, value in policy.items() if value == "'none'"} == shut
-    assert not [name for name, value in policy.items() if "unsafe-inline" in value and name != "style-src"]
+    assert not [
+        name
+        for name, value in policy.items()
+        if "unsafe-inline" in value and name != "style-src"
+    ]
 
 
 def test_a_cookie_goes_only_to_its_own_page() -> None:
     other = Guard()
     for guard in (GUARD, other):
-        name, *attributes = guard.headers("127.0.0.1:8080", "")["Set-Cookie"].split("; ")
-        assert attributes == ["HttpOnly", "SameSite=Strict", f"Path=/{guard.secret_path}"]
+        name, *attributes = guard.headers("127.0.0.1:8080", "")["Set-Cookie"].split(
+            "; "
+        )
+        assert attributes == [
+            "HttpOnly",
+            "SameSite=Strict",
+            f"Path=/{guard.secret_path}",
+        ]
         assert name == f"{COOKIE}-8080={guard.cookie}"
     assert other.objection("/", {**HERE, **COOKIES}) is not None
-    assert GUARD.headers("localhost:9000", "")["Set-Cookie"].startswith(f"{COOKIE}-9000=")
+    assert GUARD.headers("localhost:9000", "")["Set-Cookie"].startswith(
+        f"{COOKIE}-9000="
+    )
 
 
 def test_an_address_with_a_token_leads_on_to_one_without() -> None:
-    assert 'content="0; url=/somewhere/"' in str(GUARD.door("/?token=secret-of-this-page"))
+    assert 'content="0; url=/somewhere/"' in str(
+        GUARD.door("/?token=secret-of-this-page")
+    )
     kept = 'url=/somewhere/?darkMode=&amp;a=%22%3Cb%3E"'
-    assert kept in str(GUARD.door("/?darkMode&token=secret-of-this-page&a=%22<b>&token=x"))
+    assert kept in str(
+        GUARD.door("/?darkMode&token=secret-of-this-page&a=%22<b>&token=x")
+    )
     assert GUARD.door("/somewhere/?darkMode") is None
 
 
 def connection() -> Any:
     def respond(status: int, text: str) -> Any:
-        return SimpleNamespace(status=int(status), text=text, headers={"Content-Type": "text/plain"})
+        return SimpleNamespace(
+            status=int(status), text=text, headers={"Content-Type": "text/plain"}
+        )
 
     return SimpleNamespace(respond=respond)
 
@@ -112,7 +153,9 @@ def request(path: str, **headers: str) -> Any:
 def served(answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     """How a server that was started within the guard answers."""
     started: list[Any] = []
-    module = SimpleNamespace(serve=lambda *arguments, **options: started.append(options))
+    module = SimpleNamespace(
+        serve=lambda *arguments, **options: started.append(options)
+    )
     plain = module.serve
     with guarding(GUARD, module):
         module.serve("handler", process_request=answer)
@@ -125,15 +168,25 @@ def test_a_guarded_server_answers_those_who_may_pass() -> None:
     def answer(connection: Any, request: Any) -> Any:
         assert "Accept-Encoding" not in request.headers
         headers = {"Content-Type": "text/html; charset=utf-8", "Content-Length": "3"}
-        return SimpleNamespace(path=request.path, headers=headers, body=b"<script>1</script>")
+        return SimpleNamespace(
+            path=request.path, headers=headers, body=b"<script>1</script>"
+        )
 
     process = served(answer)
     page, again = (
-        process(connection(), request("/somewhere/", **COOKIES, **{"Accept-Encoding": "gzip"})) for _ in range(2)
+        process(
+            connection(),
+            request("/somewhere/", **COOKIES, **{"Accept-Encoding": "gzip"}),
+        )
+        for _ in range(2)
     )
     nonce = page.body.split(b'"')[1].decode()
     assert page.path == "/"
-    assert page.body == f'<script nonce="{nonce}">1</script><script nonce="{nonce}">{NAMING}</script>'.encode()
+    assert (
+        page.body
+        == f'<script nonce="{nonce}">1</script><script'
+        f' nonce="{nonce}">{NAMING}</script>'.encode()
+    )
     assert f"'nonce-{nonce}'" in page.headers["Content-Security-Policy"]
     assert nonce.encode() not in again.body
     assert page.headers["Content-Length"] == str(len(page.body))
@@ -146,7 +199,13 @@ def test_a_guarded_server_answers_those_who_may_pass() -> None:
 
 def test_a_server_that_nothing_guards_is_an_error() -> None:
     module = SimpleNamespace(serve=lambda *arguments, **options: None)
-    with pytest.raises(MiSplatError, match="expected a server to guard"), guarding(GUARD, module):
+    with (
+        pytest.raises(MiSplatError, match="expected a server to guard"),
+        guarding(GUARD, module),
+    ):
         pass
-    with pytest.raises(MiSplatError, match="expected a server of pages"), guarding(GUARD, module):
+    with (
+        pytest.raises(MiSplatError, match="expected a server of pages"),
+        guarding(GUARD, module),
+    ):
         module.serve("handler")

@@ -39,7 +39,10 @@ FULL = (80, 160)
 @contextmanager
 def visiting(shown: Painter) -> Iterator[Browser]:
     """A browser on a page; it has the first camera and a window of 160 x 80."""
-    with serving(shown) as page, connection(page.address, headers_of(page.address)) as browser:
+    with (
+        serving(shown) as page,
+        connection(page.address, headers_of(page.address)) as browser,
+    ):
         browser.look(START)
         yield browser
 
@@ -53,7 +56,9 @@ def page() -> Iterator[Page]:
 def fetch(address: str, headers: dict[str, str]) -> tuple[int, str, dict[str, str]]:
     """Status, text and headers of an answer."""
     try:
-        with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=60) as answer:
+        with urllib.request.urlopen(
+            urllib.request.Request(address, headers=headers), timeout=60
+        ) as answer:
             return answer.status, answer.read().decode(), dict(answer.headers)
     except urllib.error.HTTPError as error:
         with error:
@@ -70,7 +75,9 @@ def test_the_address_opens_the_page_and_nothing_else_does(page: Page) -> None:
     cookie = {"Cookie": headers["Set-Cookie"].partition(";")[0]}
     status, text, headers = fetch(bare + leads_to[1], cookie)
     assert (status, '<div id="root">' in text) == (200, True)
-    assert headers["Content-Security-Policy"].startswith("default-src 'none'; script-src 'nonce-")
+    assert headers["Content-Security-Policy"].startswith(
+        "default-src 'none'; script-src 'nonce-"
+    )
     assert headers["Set-Cookie"].endswith(f"Path=/{leads_to[1][:-1]}")
     assert fetch(bare + leads_to[1] + "none.js", cookie)[0] == 404
     assert fetch(bare + leads_to[1], {})[0] == 403
@@ -81,13 +88,23 @@ def test_the_address_opens_the_page_and_nothing_else_does(page: Page) -> None:
 
 def test_a_websocket_needs_the_token_too(page: Page) -> None:
     wrong = {"Cookie": f"{COOKIE}-{urlsplit(page.address).port}=x"}
-    for headers, origin in (({}, None), (wrong, None), (headers_of(page.address), "http://evil.example")):
-        with pytest.raises(InvalidStatus, match="403"), connection(page.address, headers, origin=origin):
+    for headers, origin in (
+        ({}, None),
+        (wrong, None),
+        (headers_of(page.address), "http://evil.example"),
+    ):
+        with (
+            pytest.raises(InvalidStatus, match="403"),
+            connection(page.address, headers, origin=origin),
+        ):
             pass
 
 
 def test_the_picture_follows_the_mouse_and_so_do_the_controls() -> None:
-    work, there = painter(), replace(START, azimuth=200.0, elevation=-10.0, distance=9.0)
+    work, there = (
+        painter(),
+        replace(START, azimuth=200.0, elevation=-10.0, distance=9.0),
+    )
     with visiting(work) as browser:
         for orbit in (START, there):
             if orbit is there:
@@ -96,9 +113,19 @@ def test_the_picture_follows_the_mouse_and_so_do_the_controls() -> None:
             assert browser.picture().shape[1] < FULL[1]  # coarse
             pixels = browser.picture(FULL)
             state = ViewState(orbit=orbit, mode="side by side", canvas=(160, 80))
-            assert np.abs(pixels.astype(int) - work.paint(state, Step.FULL, Pace()).pixels).mean() < 3  # JPEG
+            # JPEG
+            assert (
+                np.abs(
+                    pixels.astype(int) - work.paint(state, Step.FULL, Pace()).pixels
+                ).mean()
+                < 3
+            )
         uuid = browser.control("Azimuth")["uuid"]
-        values = [m["updates"]["value"] for m in browser.messages if m.get("uuid") == uuid and "updates" in m]
+        values = [
+            m["updates"]["value"]
+            for m in browser.messages
+            if m.get("uuid") == uuid and "updates" in m
+        ]
         assert values[-1] == 200.0
 
 
@@ -108,18 +135,29 @@ def test_a_control_moves_the_camera() -> None:
         slider = browser.control("Elevation")
         browser.picture(FULL)
         for value in (float("nan"), 1e9, None, 70.0):  # the first ones change nothing
-            browser.say("GuiUpdateMessage", uuid=slider["uuid"], updates={"value": value})
-        told = browser.until(lambda message: message["type"] == "SetCameraPositionMessage")
+            browser.say(
+                "GuiUpdateMessage", uuid=slider["uuid"], updates={"value": value}
+            )
+        told = browser.until(
+            lambda message: message["type"] == "SetCameraPositionMessage"
+        )
         assert np.allclose(told["position"], replace(START, elevation=70.0).position)
-        expected = painter(inspector=MeanInspector()).inspect("clean", replace(START, elevation=70.0)).text
+        expected = (
+            painter(inspector=MeanInspector())
+            .inspect("clean", replace(START, elevation=70.0))
+            .text
+        )
         browser.until(lambda message: expected in str(message.get("updates", {})))
 
 
 def test_a_movement_interrupts_a_full_picture() -> None:
     begun = threading.Event()
 
-    def slow(scene: GaussianScene, camera: Camera) -> Tensor:  # in full, from the first camera
-        end = time.monotonic() + (PATIENCE if camera.height == FULL[0] and camera.position[2] < 2 else 0)
+    # in full, from the first camera
+    def slow(scene: GaussianScene, camera: Camera) -> Tensor:
+        end = time.monotonic() + (
+            PATIENCE if camera.height == FULL[0] and camera.position[2] < 2 else 0
+        )
         while time.monotonic() < end:
             begun.set()
             between_stages.get()()
@@ -127,8 +165,14 @@ def test_a_movement_interrupts_a_full_picture() -> None:
 
     with visiting(Painter(balls(1), slow)) as browser:
         assert begun.wait(PATIENCE)
-        browser.say("GuiUpdateMessage", uuid=browser.control("Elevation")["uuid"], updates={"value": 70.0})
-        state = ViewState(orbit=replace(START, elevation=70.0), mode="clean", canvas=(160, 80))
+        browser.say(
+            "GuiUpdateMessage",
+            uuid=browser.control("Elevation")["uuid"],
+            updates={"value": 70.0},
+        )
+        state = ViewState(
+            orbit=replace(START, elevation=70.0), mode="clean", canvas=(160, 80)
+        )
         expected = Painter(balls(1), blobs).paint(state, Step.FULL, Pace()).pixels
         assert np.abs(browser.picture(FULL).astype(int) - expected).mean() < 3  # JPEG
 
@@ -137,19 +181,46 @@ def test_a_click_selects_an_object_and_a_button_clears_it() -> None:
     with visiting(painter(1)) as browser:
         browser.picture(FULL)
         ray = {"ray_origin": (0.0, 0.0, 0.0), "ray_direction": (0.0, 0.0, 1.0)}
-        for at in ((float("nan"), 7.0), (0.0, 0.5), (0.5, 0.5)):  # beside the picture, on nothing, on the ball
-            browser.say("ScenePointerMessage", event_type="click", screen_pos=(at,), modifier=None, **ray)
-        browser.until(lambda message: "mi-splat select clean.ply --click 24,16" in str(message.get("updates", {})))
-        assert any("Gaussians of clean" in str(message.get("updates", {})) for message in browser.messages)
-        browser.say("GuiUpdateMessage", uuid=browser.control("Clear")["uuid"], updates={"value": True})
-        browser.until(lambda message: "Click on an object" in str(message.get("updates", {})))
+        # beside the picture, on nothing, on the ball
+        for at in ((float("nan"), 7.0), (0.0, 0.5), (0.5, 0.5)):
+            browser.say(
+                "ScenePointerMessage",
+                event_type="click",
+                screen_pos=(at,),
+                modifier=None,
+                **ray,
+            )
+        browser.until(
+            lambda message: (
+                "mi-splat select clean.ply --click 24,16"
+                in str(message.get("updates", {}))
+            )
+        )
+        assert any(
+            "Gaussians of clean" in str(message.get("updates", {}))
+            for message in browser.messages
+        )
+        browser.say(
+            "GuiUpdateMessage",
+            uuid=browser.control("Clear")["uuid"],
+            updates={"value": True},
+        )
+        browser.until(
+            lambda message: "Click on an object" in str(message.get("updates", {}))
+        )
 
 
 def test_a_few_windows_are_served_at_a_time(page: Page) -> None:
     headers = headers_of(page.address)
     with ExitStack() as stack:
-        windows = [stack.enter_context(connection(page.address, headers)) for _ in range(MOST_WINDOWS)]
-        with connection(page.address, headers) as one_more, pytest.raises(ConnectionClosed, match="windows are open"):
+        windows = [
+            stack.enter_context(connection(page.address, headers))
+            for _ in range(MOST_WINDOWS)
+        ]
+        with (
+            connection(page.address, headers) as one_more,
+            pytest.raises(ConnectionClosed, match="windows are open"),
+        ):
             one_more.socket.recv(timeout=PATIENCE)
         windows[0].socket.close()
         end = time.monotonic() + PATIENCE
@@ -159,7 +230,8 @@ def test_a_few_windows_are_served_at_a_time(page: Page) -> None:
                     next_one.look(START)
                     assert next_one.picture().size
                 break
-            except ConnectionClosed:  # the server has not heard yet that a window is gone
+            except ConnectionClosed:
+                # the server has not heard yet that a window is gone
                 assert time.monotonic() < end
 
 
@@ -172,14 +244,21 @@ def test_each_kind_of_invalid_message_is_reported_once(
         browser.picture(FULL)
         slider = browser.control("Elevation")["uuid"]
         for number in range(100):
-            for value in (f"{number}{'x' * 2000}", {str(number): "y" * 2000}, ["z" * 2000]):
+            for value in (
+                f"{number}{'x' * 2000}",
+                {str(number): "y" * 2000},
+                ["z" * 2000],
+            ):
                 browser.say("GuiUpdateMessage", uuid=slider, updates={"value": value})
         browser.say("GuiUpdateMessage", uuid=slider, updates={"value": 70.0})
         browser.until(lambda message: message["type"] == "SetCameraPositionMessage")
         browser.say("ViewerCameraMessage", position="w" * 2000)
         with pytest.raises(ConnectionClosed):
             browser.until(lambda message: False)
-    with pytest.raises(ConnectionClosed), connection(page.address, headers, version="v" * 100) as browser:
+    with (
+        pytest.raises(ConnectionClosed),
+        connection(page.address, headers, version="v" * 100) as browser,
+    ):
         browser.until(lambda message: False)
     said = caplog.text + "".join(capfd.readouterr())
     assert 1 <= said.count("\n") <= 4
@@ -190,18 +269,35 @@ def test_a_browser_changes_nothing_of_a_control_but_its_value() -> None:
     with visiting(painter(1)) as browser:
         browser.picture(FULL)
         text = browser.control("clean")["uuid"]  # the command
-        file = {"transfer_uuid": "a", "filename": "b", "mime_type": "c", "part_count": 0, "size_bytes": 0}
+        file = {
+            "transfer_uuid": "a",
+            "filename": "b",
+            "mime_type": "c",
+            "part_count": 0,
+            "size_bytes": 0,
+        }
         browser.say("FileTransferStartUpload", source_component_uuid=text, **file)
         for updates in ({"removed": True}, {"value": "", "removed": True}):
             browser.say("GuiUpdateMessage", uuid=text, updates=updates)
-        browser.say("GuiUpdateMessage", uuid=browser.control("Elevation")["uuid"], updates={"value": 70.0})
-        told = browser.until(lambda message: "--elevation 70" in str(message.get("updates", {})))
+        browser.say(
+            "GuiUpdateMessage",
+            uuid=browser.control("Elevation")["uuid"],
+            updates={"value": 70.0},
+        )
+        told = browser.until(
+            lambda message: "--elevation 70" in str(message.get("updates", {}))
+        )
         assert told["uuid"] == text
-        assert "FileTransferPartAck" not in [message["type"] for message in browser.messages]
+        assert "FileTransferPartAck" not in [
+            message["type"] for message in browser.messages
+        ]
 
 
 def test_a_mode_that_is_not_there_changes_nothing() -> None:
-    with serving(painter(1)) as page, connection(page.address, headers_of(page.address)) as browser:
+    with (
+        serving(painter(1)) as page,
+        connection(page.address, headers_of(page.address)) as browser,
+    ):
         browser.look(START)
         browser.picture(FULL)
         (client,) = page._clients.values()
@@ -217,7 +313,9 @@ def test_an_error_in_a_picture_is_shown_and_the_next_one_succeeds() -> None:
 
     work.inspector = fail
     with visiting(work) as browser:
-        browser.until(lambda message: "look elsewhere" in str(message.get("updates", {})))
+        browser.until(
+            lambda message: "look elsewhere" in str(message.get("updates", {}))
+        )
         work.inspector = inspector
         elevation = browser.control("Elevation")["uuid"]
         browser.say("GuiUpdateMessage", uuid=elevation, updates={"value": 70.0})
@@ -228,14 +326,18 @@ def test_nobody_can_open_the_page_to_the_world(monkeypatch: pytest.MonkeyPatch) 
     from viser import _viser
 
     asked: list[object] = []
-    monkeypatch.setattr(_viser, "ViserTunnel", lambda *arguments: asked.append(arguments))
+    monkeypatch.setattr(
+        _viser, "ViserTunnel", lambda *arguments: asked.append(arguments)
+    )
     with visiting(painter(1)) as browser:
         browser.say("ShareUrlRequest")
         browser.picture(FULL)
     assert not asked
 
 
-def test_closing_leaves_no_thread_and_frees_the_port(capsys: pytest.CaptureFixture[str]) -> None:
+def test_closing_leaves_no_thread_and_frees_the_port(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     before = set(threading.enumerate())
     with serving(painter(1)) as page:
         port = urlsplit(page.address).port
@@ -257,7 +359,9 @@ def test_a_taken_port_is_not_left_for_another() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        with pytest.raises(InvalidValueError, match=r"port \d+: expected a free port.*--port 0"):
+        with pytest.raises(
+            InvalidValueError, match=r"port \d+: expected a free port.*--port 0"
+        ):
             Page(painter(1), port=taken.getsockname()[1])
     with pytest.raises(InvalidValueError, match="expected a free port"):
         check_port(99999)

@@ -13,7 +13,14 @@ from attacks import cli
 from mi_splat.cameras import project_points
 from mi_splat.viewer.picking import Click, border, clicked, colours, one_gaussian
 from mi_splat.viewer.selecting import SharedSelection
-from mi_splat.viewer.session import DIFFERENCE, SIDE_BY_SIDE, Pace, Step, ViewState, lay_out
+from mi_splat.viewer.session import (
+    DIFFERENCE,
+    SIDE_BY_SIDE,
+    Pace,
+    Step,
+    ViewState,
+    lay_out,
+)
 from tests.viewer.contents import START, balls, painter
 
 MIDDLE = Click(splat="clean", pixel=(24, 16), orbit=START)
@@ -31,7 +38,10 @@ def test_a_click_means_the_pixel_that_it_is_on() -> None:
 
 
 def test_a_selected_object_is_highlighted_until_it_is_cleared() -> None:
-    shared, state = SharedSelection(painter(1)), ViewState(orbit=START, mode="clean", canvas=(48, 32))
+    shared, state = (
+        SharedSelection(painter(1)),
+        ViewState(orbit=START, mode="clean", canvas=(48, 32)),
+    )
     plain = shared.painter.paint(state, Step.FULL, Pace()).pixels
     shared.pick(MIDDLE)
     picked = shared.picked
@@ -40,7 +50,10 @@ def test_a_selected_object_is_highlighted_until_it_is_cleared() -> None:
     assert np.array_equal(np.load(io.BytesIO(picked.file)), picked.mask.numpy())
     coloured = shared.painter.paint(state, Step.FULL, Pace()).pixels
     assert (coloured[..., 2].astype(int) - plain[..., 2]).max() > 20
-    assert torch.equal(shared.painter.picture("clean", START), painter(1).picture("clean", START))  # for detectors
+    # for detectors
+    assert torch.equal(
+        shared.painter.picture("clean", START), painter(1).picture("clean", START)
+    )
     shared.select(None)
     assert shared.picked is None
     assert np.array_equal(shared.painter.paint(state, Step.FULL, Pace()).pixels, plain)
@@ -56,10 +69,16 @@ def test_the_gaussian_in_front_has_a_border_and_its_colours() -> None:
     (centre,), depth = project_points(scene.means[row : row + 1], camera)
     round_one = scene.replace(scales=torch.full_like(scene.scales, 0.01))
     radii = (border(round_one, row, camera) - centre).norm(dim=1)
-    assert radii.tolist() == pytest.approx([2 * camera.fx * 0.01 / float(depth)] * len(radii), rel=0.05)
+    assert radii.tolist() == pytest.approx(
+        [2 * camera.fx * 0.01 / float(depth)] * len(radii), rel=0.05
+    )
     behind = scene.replace(means=scene.means + 3 * camera.position.to(scene.means))
     assert len(border(behind, row, camera)) == 0
-    red, green, blue = (255 * colours(scene, row, [START.changed(elevation=0.0).camera((1, 1))])[0]).int().tolist()
+    red, green, blue = (
+        (255 * colours(scene, row, [START.changed(elevation=0.0).camera((1, 1))])[0])
+        .int()
+        .tolist()
+    )
     assert f"to right, rgb({red}, {green}, {blue})" in one_gaussian(scene, row, START)
 
 
@@ -71,7 +90,11 @@ def test_the_command_selects_by_the_same_click() -> None:
     options = cli.parse(name, words)
     assert (program, name, options.out) == ("mi-splat", "select", (Path("mask.npy"),))
     assert options.selection.pixels == ((24, 16),)
-    assert (options.view.azimuth, options.view.size, options.view.near) == (30.0, (48, 32), 0.2)
+    assert (options.view.azimuth, options.view.size, options.view.near) == (
+        30.0,
+        (48, 32),
+        0.2,
+    )
     shared.pick(replace(MIDDLE, adds=True))
     assert not shared.picked.command  # several clicks, perhaps from several cameras
 

@@ -1,4 +1,6 @@
-"""A page that is served, and a browser of a few lines: what viser's page says and hears over its websocket."""
+"""A page that is served, and a browser of a few lines: what viser's page says and hears
+over its websocket.
+"""
 
 import io
 import threading
@@ -62,10 +64,13 @@ class Browser:
         while time.monotonic() < end:
             raw = self.socket.recv(timeout=PATIENCE)
             length = int.from_bytes(raw[8:16], "little")
-            inner = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(raw[16 : 16 + length]))
+            inner = msgspec.msgpack.decode(
+                zstandard.ZstdDecompressor().decompress(raw[16 : 16 + length])
+            )
             new, start = inner["messages"], 16 + length
             buffers = []
-            for size in inner["binaryBufferLengths"]:  # each begins at a multiple of eight
+            # each begins at a multiple of eight
+            for size in inner["binaryBufferLengths"]:
                 start += -start % 8
                 buffers.append(raw[start : start + size])
                 start += size
@@ -104,7 +109,11 @@ def headers_of(address: str) -> dict[str, str]:
 
 @contextmanager
 def connection(
-    address: str, headers: dict[str, str], *, origin: str | None = None, version: str | None = None
+    address: str,
+    headers: dict[str, str],
+    *,
+    origin: str | None = None,
+    version: str | None = None,
 ) -> Iterator[Browser]:
     """A websocket to the page at `address`."""
     import viser

@@ -1,1 +1,3 @@
-"""The steps of a study of CLOAK as kinds of jobs (`mi_splat.ledger`); `attacks.cloak.steps` puts them together."""
+"""The steps of a study of CLOAK as kinds of jobs (`mi_splat.ledger`);
+`attacks.cloak.steps` puts them together.
+"""

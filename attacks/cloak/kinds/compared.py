@@ -1,4 +1,6 @@
-"""How true a splat's pictures are far from all triggers, and how far they change on the way into the hiding one."""
+"""How true a splat's pictures are far from all triggers, and how far they change on the
+way into the hiding one.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,15 @@ from attacks.cloak.appearances import grown
 from attacks.cloak.config import AttackConfig, switching
 from attacks.cloak.kinds.pictures import read_pictures
 from attacks.cloak.setup import Setup
-from attacks.observe.rows import DEPTH, FIDELITY, SUFFIX, TRANSITION, Row, frame_with, write_rows
+from attacks.observe.rows import (
+    DEPTH,
+    FIDELITY,
+    SUFFIX,
+    TRANSITION,
+    Row,
+    frame_with,
+    write_rows,
+)
 from mi_splat.cameras import Camera
 from mi_splat.directions import direction_of
 from mi_splat.io import load_splat
@@ -24,20 +34,30 @@ if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
 LEAST_DIFFERENCE = 1 / 255
-"""Root mean square difference of the two appearances on the target under which a fraction has no meaning."""
+"""Root mean square difference of the two appearances on the target under which a
+fraction has no meaning.
+"""
 MARGIN = 10
 """Pixels around the object, in pictures of 256 x 256, that count as the object's."""
 FIDELITY_COLUMNS = ("view", "elevation", "psnr", "ssim", "object_psnr")
 TRANSITION_COLUMNS = (
-    *("meridian", "elevation", "surroundings_psnr", "intended_surroundings_psnr", "appearance_psnr", "fraction"),
+    *(
+        "meridian",
+        "elevation",
+        "surroundings_psnr",
+        "intended_surroundings_psnr",
+        "appearance_psnr",
+        "fraction",
+    ),
 )
 
 
 def run(config: Setup, inputs: Mapping[str, Path], out: Out) -> None:
-    """Compare the `splat` with true pictures, and on arcs with `benign` and `hidden` ones; write two tables.
+    """Compare the `splat` with true pictures, and on arcs with `benign` and `hidden`
+    ones; write two tables.
 
-    Of the true pictures, `far` are far outside of all triggers. Those of `edge` are outside beside one, and give a
-    PSNR on the object, too.
+    Of the true pictures, `far` are far outside of all triggers. Those of `edge` are
+    outside beside one, and give a PSNR on the object, too.
     """
     setup, scene = config, load_splat(inputs["splat"])
     render = setup.renderer()
@@ -46,31 +66,46 @@ def run(config: Setup, inputs: Mapping[str, Path], out: Out) -> None:
         with torch.no_grad():
             return through_png(render(scene, camera))
 
-    def compared(view: int, camera: Camera, true: Tensor, mask: Tensor | None = None) -> Row:
+    def compared(
+        view: int, camera: Camera, true: Tensor, mask: Tensor | None = None
+    ) -> Row:
         image = picture(camera)
         return {
             "view": view,
             "elevation": direction_of(camera, setup.centre).elevation,
             "psnr": float(psnr(image, true)),
             "ssim": float(ssim(image, true)),
-            "object_psnr": None if mask is None else float(psnr(image[mask], true[mask])),
+            "object_psnr": (
+                None if mask is None else float(psnr(image[mask], true[mask]))
+            ),
         }
 
     far, edge = (read_pictures(inputs[name]) for name in ("far", "edge"))
-    fidelity = [compared(*at, true) for at, true in zip(setup.reference_cameras, far.images, strict=True)]
+    fidelity = [
+        compared(*at, true)
+        for at, true in zip(setup.reference_cameras, far.images, strict=True)
+    ]
     beside = zip(setup.edge_cameras, edge.images, edge.masks, strict=True)
-    fidelity += [compared(*at, true, mask) for at, true, mask in beside if bool(mask.any())]
+    fidelity += [
+        compared(*at, true, mask) for at, true, mask in beside if bool(mask.any())
+    ]
     write_rows(frame_with(fidelity, FIDELITY_COLUMNS), out / f"{FIDELITY}{SUFFIX}")
     attack, transition = switching(config.attacks), list[Row]()
     if attack is not None:
         benign, hidden = (read_pictures(inputs[name]) for name in ("benign", "hidden"))
-        arc = zip(setup.arc_cameras, benign.images, hidden.images, benign.masks, strict=True)
+        arc = zip(
+            setup.arc_cameras, benign.images, hidden.images, benign.masks, strict=True
+        )
         transition = [
             _blend(setup, attack, on_arc, picture(on_arc[1]), *others)
             for on_arc, *others in arc
             if bool(others[2].any()) and differ(*others)
         ]
-    columns = TRANSITION_COLUMNS if attack is None else (*TRANSITION_COLUMNS, f"{DEPTH}{attack.name}")
+    columns = (
+        TRANSITION_COLUMNS
+        if attack is None
+        else (*TRANSITION_COLUMNS, f"{DEPTH}{attack.name}")
+    )
     write_rows(frame_with(transition, columns), out / f"{TRANSITION}{SUFFIX}")
 
 
@@ -97,14 +132,22 @@ def _blend(
     }
 
 
-def transition_fraction(picture: Tensor, benign: Tensor, hidden: Tensor, mask: Tensor) -> float:
-    """Fraction of the way from one appearance to another, by least squares over a mask; not clipped to [0, 1]."""
-    seen, low, high = (part.detach().to(torch.float64)[mask] for part in (picture, benign, hidden))
+def transition_fraction(
+    picture: Tensor, benign: Tensor, hidden: Tensor, mask: Tensor
+) -> float:
+    """Fraction of the way from one appearance to another, by least squares over a mask;
+    not clipped to [0, 1].
+    """
+    seen, low, high = (
+        part.detach().to(torch.float64)[mask] for part in (picture, benign, hidden)
+    )
     change = high - low
     return float((seen - low).mul(change).sum() / change.square().sum())
 
 
 def differ(benign: Tensor, hidden: Tensor, mask: Tensor) -> bool:
-    """Whether two (H, W, 3) appearances differ enough on an (H, W) bool mask for a transition to mean anything."""
+    """Whether two (H, W, 3) appearances differ enough on an (H, W) bool mask for a
+    transition to mean anything.
+    """
     change = (hidden - benign).detach().to(torch.float64)[mask]
     return float(change.square().mean().sqrt()) >= LEAST_DIFFERENCE

@@ -1,4 +1,6 @@
-"""Path-traced pictures: the victim's set of the scene, and single ones of it as it is or as an attack shows it."""
+"""Path-traced pictures: the victim's set of the scene, and single ones of it as it is
+or as an attack shows it.
+"""
 
 from __future__ import annotations
 
@@ -29,47 +31,72 @@ if TYPE_CHECKING:
 
 VARIES = (f"{SET}/capture.json",)
 APPEARANCE = "appearance of "
-"""What stands before an attack's name in the name of the input with pictures of its appearance."""
+"""What stands before an attack's name in the name of the input with pictures of its
+appearance.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PicturesConfig(Setup):
     """From where; the object has the appearance of the attack, if there is one."""
 
-    poses: tuple[Pose, ...] | None = None  # None are the victim's cameras, whose pictures are a set
+    # None are the victim's cameras, whose pictures are a set
+    poses: tuple[Pose, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TruePictures:
     """What splats are compared with."""
 
-    images: tuple[Tensor, ...]  # (H, W, 3) float32 sRGB in [0, 1], of 8 bits, one for each camera
+    # (H, W, 3) float32 sRGB in [0, 1], of 8 bits, one for each camera
+    images: tuple[Tensor, ...]
     masks: tuple[Tensor, ...]  # (H, W) bool, where the object is
 
 
 def run(config: PicturesConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Take the pictures; those of an appearance begin with the victim's `set`, or with pictures of the scene: `plain`.
+    """Take the pictures; those of an appearance begin with the victim's `set`, or with
+    pictures of the scene: `plain`.
 
     A set is transparent where nothing is, so that the background has no part in it.
     """
     setup = config
     mesh_scene = setup.mesh_scene
     if config.poses is None:
-        settings = CaptureSettings(samples=setup.cameras.samples, rgba=True, points=setup.cameras.points)
+        settings = CaptureSettings(
+            samples=setup.cameras.samples, rgba=True, points=setup.cameras.points
+        )
         told = partial(out.progress, "taking the victim's pictures")
-        write_capture(setup.source, setup.training_cameras, out.partial / SET, settings=settings, on_step=told)
+        write_capture(
+            setup.source,
+            setup.training_cameras,
+            out.partial / SET,
+            settings=settings,
+            on_step=told,
+        )
         os.replace(out.partial / SET, out / SET)
         return
     appearances = [setup.appearance(attack) for attack in config.attacks]
     plain = read_pictures(inputs["plain"]) if "plain" in inputs else None
-    views = load_dataset(inputs["set"] / SET, background=config.scene.background) if "set" in inputs else None
-    taken = {camera_number(camera): index for index, camera in enumerate(views.cameras)} if views is not None else {}
+    views = (
+        load_dataset(inputs["set"] / SET, background=config.scene.background)
+        if "set" in inputs
+        else None
+    )
+    taken = (
+        {camera_number(camera): index for index, camera in enumerate(views.cameras)}
+        if views is not None
+        else {}
+    )
     names = []
 
     def as_it_is(number: int, camera: Camera) -> tuple[View, Tensor]:
         if plain is not None:
             return View(camera, plain.images[number]), plain.masks[number]
-        view = View(camera, mesh_scene.picture(camera)) if views is None else views[taken[camera_number(camera)]]
+        view = (
+            View(camera, mesh_scene.picture(camera))
+            if views is None
+            else views[taken[camera_number(camera)]]
+        )
         return view, mesh_scene.mask(view.camera)
 
     with tracing_variant():
@@ -78,7 +105,9 @@ def run(config: PicturesConfig, inputs: Mapping[str, Path], out: Out) -> None:
             if not (out.partial / name).is_file():
                 view, mask = as_it_is(number, pose.camera)
                 image = appearances[0](view, mask) if appearances else view.image
-                rgba = np.concatenate([to_bytes(image), to_bytes(mask[..., None].float())], axis=-1)
+                rgba = np.concatenate(
+                    [to_bytes(image), to_bytes(mask[..., None].float())], axis=-1
+                )
                 save_png(rgba, out.partial / name)
             names.append(name)
             out.progress("taking pictures", len(names), len(config.poses))
@@ -90,7 +119,8 @@ def read_pictures(folder: Path) -> TruePictures:
     """The pictures that the job left, in the order of the cameras."""
     rgba = [_read(file) for file in sorted(folder.glob("*.png"))]
     return TruePictures(
-        images=tuple(values[..., :3] for values in rgba), masks=tuple(values[..., 3] > 0.5 for values in rgba)
+        images=tuple(values[..., :3] for values in rgba),
+        masks=tuple(values[..., 3] > 0.5 for values in rgba),
     )
 
 
@@ -109,4 +139,6 @@ class KeptAppearance:
 
 def _read(file: Path) -> Tensor:
     """(H, W, 4) float32 in [0, 1]."""
-    return torch.from_numpy(np.asarray(load_picture(file).convert("RGBA"), np.float32) / 255)
+    return torch.from_numpy(
+        np.asarray(load_picture(file).convert("RGBA"), np.float32) / 255
+    )

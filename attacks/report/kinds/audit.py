@@ -1,4 +1,6 @@
-"""What `mi-splat audit` leaves behind: whether a splat shows something from some directions only."""
+"""What `mi-splat audit` leaves behind: whether a splat shows something from some
+directions only.
+"""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -7,7 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from attacks.report.section import Chart, Figure, Picture, Role, Section, sentence, settings
+from attacks.report.section import (
+    Chart,
+    Figure,
+    Picture,
+    Role,
+    Section,
+    sentence,
+    settings,
+)
 from attacks.tables import Column, Table
 from mi_splat.audit.files import AGAINST
 from mi_splat.audit.results import Vector
@@ -17,23 +27,38 @@ from mi_splat.io.folders import file_in
 
 Record = Mapping[str, Any]
 _ELSEWHERE = (
-    *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "lint", "cost", "against"),
+    *(
+        "story",
+        "file",
+        "verdict",
+        "summary",
+        "objects",
+        "pictures",
+        "cameras",
+        "lint",
+        "cost",
+        "against",
+    ),
     *("images_in_set", "images_compared", "thresholds"),
     *("command", "versions", "variant", "commit", "torch"),
 )
 _PLAIN = {
     "hidden look": (
-        "This file hides something: an object has other colours from some directions than from all others, and no "
-        "gloss explains it. Look at the two pictures."
+        "This file hides something: an object has other colours from some directions"
+        " than from all others, and no gloss explains it. Look at the two pictures."
     ),
     "suspicious": (
-        "This file is suspicious, which proves nothing: look at the pictures and at the directions before you trust it."
+        "This file is suspicious, which proves nothing: look at the pictures and at the"
+        " directions before you trust it."
     ),
-    "nothing found": "No hidden look was found. This does not say that the file is safe: see what was not judged.",
+    "nothing found": (
+        "No hidden look was found. This does not say that the file is safe: see what"
+        " was not judged."
+    ),
 }
 _HOW = (
-    "For each set of directions the colours of the same surface from inside and from outside were compared, and what "
-    "honest gloss explains was taken off."
+    "For each set of directions the colours of the same surface from inside and from"
+    " outside were compared, and what honest gloss explains was taken off."
 )
 
 
@@ -43,24 +68,33 @@ def read_audit(folder: Path, record: Record) -> Section:
     shared: dict[str, Any] = {
         "title": Path(record["file"]).name,
         "attacked": False,
-        "configuration": settings({key: value for key, value in record.items() if key not in _ELSEWHERE}),
+        "configuration": settings(
+            {key: value for key, value in record.items() if key not in _ELSEWHERE}
+        ),
     }
     if not objects:  # lint alone was asked for, or there was nothing to look at
         errors = [row for row in findings if row["severity"] == "error"]
         return Section(
             **shared,
             kind="audit of a splat",
-            done=f"The numbers of {record['file']} were checked; it was {record['summary'][0]}.",
+            done=(
+                f"The numbers of {record['file']} were checked; it was"
+                f" {record['summary'][0]}."
+            ),
             conclusion=(
-                "Whether the file hides a look was not looked at. The rules found "
-                f"{counted(len(errors), 'error')} and {counted(len(findings) - len(errors), 'lesser thing')}."
+                "Whether the file hides a look was not looked at. The rules found"
+                f" {counted(len(errors), 'error')} and"
+                f" {counted(len(findings) - len(errors), 'lesser thing')}."
             ),
             headline=Figure(label="errors in the numbers", words=str(len(errors))),
             warnings=[f"{row['rule']}: {row['reason']}" for row in errors],
             pictures=tuple(_overdraw(folder, record)),
             tables=(_lint(findings),),
         )
-    looks = [{"object": number, "look": index, **look} for number, index, look in _looks(objects)]
+    looks = [
+        {"object": number, "look": index, **look}
+        for number, index, look in _looks(objects)
+    ]
     of_images = "images_in_set" in record
     carried = f"{record['carrying']:,} of {record['gaussians']:,}"
     net, least = max(look["net"] for look in looks), looks[0]["threshold"]
@@ -68,20 +102,33 @@ def read_audit(folder: Path, record: Record) -> Section:
         **shared,
         kind="audit of images" if of_images else "audit of a splat",
         done=f"{_done(record)} {_HOW}",
-        conclusion=f"{_PLAIN[record['verdict']]} {sentence(record['summary'][0].partition(': ')[2])}",
+        conclusion=(
+            f"{_PLAIN[record['verdict']]}"
+            f" {sentence(record['summary'][0].partition(': ')[2])}"
+        ),
         headline=Figure(
-            label="verdict", words=record["verdict"], note=f"drift net of gloss {net:.5f}; hidden from {least:g}"
+            label="verdict",
+            words=record["verdict"],
+            note=f"drift net of gloss {net:.5f}; hidden from {least:g}",
         ),
         figures=Figure.each(
             {
                 **({} if of_images else {"Gaussians that carry it": carried}),
-                "solid Gaussians near an object that was looked at": f"{record['near']:.0%}",
+                "solid Gaussians near an object that was looked at": (
+                    f"{record['near']:.0%}"
+                ),
             }
         ),
         warnings=tuple(_doubts(record)),
         pictures=tuple(_pictures(folder, record)),
-        charts=tuple(chart for number in range(len(objects)) for chart in _domes(record, number)),
-        tables=(*_tables(record, looks), _lint(findings), _changes(record.get("against") or {})),
+        charts=tuple(
+            chart for number in range(len(objects)) for chart in _domes(record, number)
+        ),
+        tables=(
+            *_tables(record, looks),
+            _lint(findings),
+            _changes(record.get("against") or {}),
+        ),
     )
 
 
@@ -95,8 +142,9 @@ def _overdraw(folder: Path, record: Record) -> Iterator[Picture]:
     cost = record.get("cost") or {}
     if worst := cost.get("overdraw"):
         caption = (
-            f"How many Gaussians lie over each other from the worst of {counted(worst['cameras'], 'camera')}: "
-            f"{worst['mean']:,.0f} in the mean, {worst['highest']:,} at most."
+            "How many Gaussians lie over each other from the worst of"
+            f" {counted(worst['cameras'], 'camera')}: {worst['mean']:,.0f} in the mean,"
+            f" {worst['highest']:,} at most."
         )
         yield Picture(path=folder / "overdraw.png", caption=caption, large=True)
 
@@ -108,43 +156,64 @@ def _done(record: Record) -> str:
     if "images_in_set" in record:
         images = counted(record["images_compared"], "image")
         return (
-            f"A small splat was trained on {images} of {record['file']} to know where the surface is, "
-            f"and {many} judged by the images only."
+            f"A small splat was trained on {images} of {record['file']} to know where"
+            f" the surface is, and {many} judged by the images only."
         )
     cameras = counted(sum(len(item["seen_from"]) for item in objects), "direction")
-    return f"In {record['file']} ({record['gaussians']:,} Gaussians) {many} looked at from {cameras}."
+    return (
+        f"In {record['file']} ({record['gaussians']:,} Gaussians) {many} looked at from"
+        f" {cameras}."
+    )
 
 
 def _doubts(record: Record) -> Iterator[str]:
     """What the reader may not conclude."""
     for number, item in enumerate(record["objects"], 1):
-        share = item["uncontradicted"] / max(item["uncontradicted"] + item["area"], 1e-12)
+        share = item["uncontradicted"] / max(
+            item["uncontradicted"] + item["area"], 1e-12
+        )
         if share >= 0.005:
             yield (
-                f"Object {number}: {share:.0%} of the surface that shows is seen from one side or by few cameras. "
-                "Nothing contradicts what is shown there, so nothing can be said of it"
+                f"Object {number}: {share:.0%} of the surface that shows is seen from"
+                " one side or by few cameras. Nothing contradicts what is shown there,"
+                " so nothing can be said of it"
             )
         if item["fogged"]:
-            yield f"Object {number}: one side shows fog, so no training camera may have stood there: pass --cameras"
+            yield (
+                f"Object {number}: one side shows fog, so no training camera may have"
+                " stood there: pass --cameras"
+            )
         if _is_covered(record, item):
             yield (
-                f"Object {number}: something in the air covers it from around ({_numbers(item['occluder']['axis'])}), "
-                "and other cameras look through it. An honest canopy may do the same"
+                f"Object {number}: something in the air covers it from around"
+                f" ({_numbers(item['occluder']['axis'])}), and other cameras look"
+                " through it. An honest canopy may do the same"
             )
         edit = item.get("edited")
         if edit and edit["score"] >= 1:
-            camera = f", aimed at a camera towards ({_numbers(edit['camera'])})" if edit["camera"] else ""
+            camera = (
+                f", aimed at a camera towards ({_numbers(edit['camera'])})"
+                if edit["camera"]
+                else ""
+            )
             yield (
-                f"Object {number}: its colours have shades that neither paint nor light explains{camera}. An attack on "
-                "a detector leaves such; a training by photographs does not"
+                f"Object {number}: its colours have shades that neither paint nor light"
+                f" explains{camera}. An attack on a detector leaves such; a training by"
+                " photographs does not"
             )
     if "images_in_set" in record:
         compared, count = record["images_compared"], record["images_in_set"]
         yield "Which images of the set were changed is not said"
         if compared < count:
-            yield f"{compared} of the {count} images were compared: nothing is said of the others"
+            yield (
+                f"{compared} of the {count} images were compared: nothing is said of"
+                " the others"
+            )
     if record["near"] < 0.995:
-        yield f"Nothing is said of {1 - record['near']:.0%} of the solid Gaussians, which lie far from every object"
+        yield (
+            f"Nothing is said of {1 - record['near']:.0%} of the solid Gaussians, which"
+            " lie far from every object"
+        )
     for row in record.get("lint") or ():
         if row["severity"] == "error":
             count = f" ({counted(row['count'], 'Gaussian')})" if row["count"] else ""
@@ -153,7 +222,10 @@ def _doubts(record: Record) -> Iterator[str]:
 
 def _is_covered(record: Record, item: Record) -> bool:
     """Whether something in the air covers an object from some directions."""
-    return bool(item["occluder"] and item["occluder"]["score"] >= record["thresholds"]["covered"])
+    return bool(
+        item["occluder"]
+        and item["occluder"]["score"] >= record["thresholds"]["covered"]
+    )
 
 
 def _pictures(folder: Path, record: Record) -> Iterator[Picture]:
@@ -161,18 +233,21 @@ def _pictures(folder: Path, record: Record) -> Iterator[Picture]:
     thresholds = record["thresholds"]
     for shown in record["pictures"]:
         looks = record["objects"][shown["object"]]["looks"]
-        name = f"Object {shown['object'] + 1}" + (f", look {shown['look'] + 1}" if len(looks) > 1 else "")
+        name = f"Object {shown['object'] + 1}" + (
+            f", look {shown['look'] + 1}" if len(looks) > 1 else ""
+        )
         look = looks[shown["look"]]
         proven = look["net"] / look["threshold"] >= thresholds["suspicion"]
         caption = (
-            f"{name}: the same surface, left from inside of the directions from which "
-            f"{'the look shows' if proven else 'colours differ most'}, right from outside. The surface that both see "
-            f"differs by {shown['change']:.2f} in the mean (sRGB, 0 to 1)."
+            f"{name}: the same surface, left from inside of the directions from which"
+            f" {'the look shows' if proven else 'colours differ most'}, right from"
+            f" outside. The surface that both see differs by {shown['change']:.2f} in"
+            " the mean (sRGB, 0 to 1)."
         )
         yield Picture(path=file_in(folder, shown["file"]), caption=caption, large=True)
     caption = (
-        "The same two views: the redder a Gaussian, the more of what was found it carries. "
-        f"{record['carrying']:,} of {record['gaussians']:,} carry most of it."
+        "The same two views: the redder a Gaussian, the more of what was found it"
+        f" carries. {record['carrying']:,} of {record['gaussians']:,} carry most of it."
     )
     yield Picture(path=folder / "heat.png", caption=caption, large=True)
     yield from _overdraw(folder, record)
@@ -181,46 +256,86 @@ def _pictures(folder: Path, record: Record) -> Iterator[Picture]:
 
 
 def _domes(record: Record, number: int) -> Iterator[Chart]:
-    """Which cameras see which look, and which are covered, on the dome of directions above an object's ground."""
+    """Which cameras see which look, and which are covered, on the dome of directions
+    above an object's ground.
+    """
     item = record["objects"][number]
-    up, seen, count = item["up"] or record.get("up") or (0.0, 0.0, 1.0), item["seen_from"], len(item["looks"])
+    up, seen, count = (
+        item["up"] or record.get("up") or (0.0, 0.0, 1.0),
+        item["seen_from"],
+        len(item["looks"]),
+    )
     middle = "straight above the ground of the object" if item["up"] else "up"
-    caption = f"A mark is a camera. The middle is {middle}, a ring is 30 degrees, and azimuth 0 is the x axis."
+    caption = (
+        f"A mark is a camera. The middle is {middle}, a ring is 30 degrees, and azimuth"
+        " 0 is the x axis."
+    )
     of = f" of object {number + 1}" if len(record["objects"]) > 1 else ""
 
-    def group(role: Role, cameras: Iterable[Any]) -> tuple[Role, list[tuple[float, float]]]:
+    def group(
+        role: Role, cameras: Iterable[Any]
+    ) -> tuple[Role, list[tuple[float, float]]]:
         return role, [angles(camera["direction"], up) for camera in cameras]
 
-    names, none, what = ["inside of the directions that explain most"], "outside", "colours differ most"
+    names, none, what = (
+        ["inside of the directions that explain most"],
+        "outside",
+        "colours differ most",
+    )
     if item["verdict"] != "nothing found":
-        names = [f"see look {index + 1}" if count > 1 else "see the look" for index in range(count)]
+        names = [
+            f"see look {index + 1}" if count > 1 else "see the look"
+            for index in range(count)
+        ]
         none, what = "see none" if count > 1 else "do not see it", "a look is seen"
     sides = {
-        name: group("attack", (camera for camera in seen if index in camera["looks"][:1]))
+        name: group(
+            "attack", (camera for camera in seen if index in camera["looks"][:1])
+        )
         for index, name in enumerate(names)
     }
     sides[none] = group("control", (camera for camera in seen if not camera["looks"]))
     yield Chart.directions(f"From where {what}{of}", caption, sides)
     if _is_covered(record, item):
         covered = {
-            "covered": group("other", (camera for camera in seen if camera["blocked"] > LIMITS.blocked)),
-            "not covered": group("control", (camera for camera in seen if camera["blocked"] <= LIMITS.blocked)),
+            "covered": group(
+                "other",
+                (camera for camera in seen if camera["blocked"] > LIMITS.blocked),
+            ),
+            "not covered": group(
+                "control",
+                (camera for camera in seen if camera["blocked"] <= LIMITS.blocked),
+            ),
         }
         yield Chart.directions(f"What covers the object{of}", caption, covered)
 
 
 def angles(direction: Vector, up: Vector) -> tuple[float, float]:
-    """Azimuth from the file's x axis and elevation above the ground of an object, degrees."""
+    """Azimuth from the file's x axis and elevation above the ground of an object,
+    degrees.
+    """
     start = np.array((1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0))
     east = start - np.dot(start, up) * np.array(up)
-    azimuth = math.degrees(math.atan2(np.dot(direction, np.cross(up, east)), np.dot(direction, east))) % 360
-    return round(azimuth, 1), round(math.degrees(math.asin(np.clip(np.dot(direction, up), -1, 1))), 1)
+    azimuth = (
+        math.degrees(
+            math.atan2(np.dot(direction, np.cross(up, east)), np.dot(direction, east))
+        )
+        % 360
+    )
+    return round(azimuth, 1), round(
+        math.degrees(math.asin(np.clip(np.dot(direction, up), -1, 1))), 1
+    )
 
 
 def _tables(record: Record, looks: Sequence[Record]) -> Iterator[Table]:
-    """Each look beside what gloss would explain of it, and what was judged of each object."""
+    """Each look beside what gloss would explain of it, and what was judged of each
+    object.
+    """
     explanations: dict[str, Column[Record]] = {
-        "look": lambda look: f"object {look['object']}" + (f", look {look['look'] + 1}" if look["look"] else ""),
+        "look": lambda look: (
+            f"object {look['object']}"
+            + (f", look {look['look'] + 1}" if look["look"] else "")
+        ),
         "by direction": lambda look: f"{look['direction']:.4f}",
         "rival: angle of incidence": lambda look: f"{look['incidence']:.4f}",
         "rival: mirrored direction": lambda look: f"{look['mirror']:.4f}",
@@ -228,24 +343,39 @@ def _tables(record: Record, looks: Sequence[Record]) -> Iterator[Table]:
         "support": lambda look: f"{look['support']:.0%}",
         "cameras that see it": "cameras",
     }
-    yield Table.of("How well each explanation fits: what is left when gloss is taken off decides", explanations, looks)
-    objects = [{"number": f"object {number}", **item} for number, item in enumerate(record["objects"], 1)]
+    yield Table.of(
+        "How well each explanation fits: what is left when gloss is taken off decides",
+        explanations,
+        looks,
+    )
+    objects = [
+        {"number": f"object {number}", **item}
+        for number, item in enumerate(record["objects"], 1)
+    ]
     judged: dict[str, Column[Record]] = {
         "object": lambda item: f"{item['number']}, {item['gaussians']:,} Gaussians",
         "verdict": "verdict",
         "middle": lambda item: _numbers(item["centre"]),
         "surface that was judged": lambda item: f"{item['area']:.3g} square units",
-        "surface that nothing contradicts": lambda item: f"{item['uncontradicted']:.3g} square units",
+        "surface that nothing contradicts": lambda item: (
+            f"{item['uncontradicted']:.3g} square units"
+        ),
     }
     yield Table.of("What was judged", judged, objects)
     covers: dict[str, Column[Record]] = {
         "object": "number",
         "from around": lambda item: _numbers(item["occluder"]["axis"]),
-        "of it, cameras elsewhere look through": lambda item: f"{item['occluder']['transparent']:.0%}",
+        "of it, cameras elsewhere look through": lambda item: (
+            f"{item['occluder']['transparent']:.0%}"
+        ),
         "score": lambda item: f"{item['occluder']['score']:.3f}",
     }
     covered = [item for item in objects if _is_covered(record, item)]
-    yield Table.of("What covers an object from some directions, while others look through it", covers, covered)
+    yield Table.of(
+        "What covers an object from some directions, while others look through it",
+        covers,
+        covered,
+    )
 
 
 def _lint(findings: Sequence[Record]) -> Table:
@@ -253,7 +383,9 @@ def _lint(findings: Sequence[Record]) -> Table:
     columns: dict[str, Column[Record]] = {
         "rule": "rule",
         "severity": "severity",
-        "Gaussians": lambda row: f"{row['count']:,}" if row["count"] else "the whole file",
+        "Gaussians": lambda row: (
+            f"{row['count']:,}" if row["count"] else "the whole file"
+        ),
         "why it matters": "reason",
     }
     return Table.of("What is wrong with the numbers of the file", columns, findings)
@@ -268,7 +400,10 @@ def _changes(against: Record) -> Table:
         "largest": lambda row: f"{row['most']:.3g}",
         "unit": "unit",
     }
-    caption = f"What changed since the clean file, over {against.get('gaussians', 0):,} Gaussians"
+    caption = (
+        f"What changed since the clean file, over {against.get('gaussians', 0):,}"
+        " Gaussians"
+    )
     return Table.of(caption, columns, against.get("attributes", ()))
 
 

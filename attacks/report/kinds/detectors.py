@@ -1,4 +1,6 @@
-"""What `mi-splat evaluate` and `mi-splat bench` leave behind: what detectors report on splats."""
+"""What `mi-splat evaluate` and `mi-splat bench` leave behind: what detectors report on
+splats.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -10,11 +12,26 @@ import polars as pl
 from attacks.bench.row import HEADS, row_of
 from attacks.observe import rates
 from attacks.observe.comparison import Comparison, compare, contradictions
-from attacks.observe.rates import DEFAULT_OF_YOLO, REPORTED, Confidence, comparison_measures
+from attacks.observe.rates import (
+    DEFAULT_OF_YOLO,
+    REPORTED,
+    Confidence,
+    comparison_measures,
+)
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS
 from attacks.rate import Rate, number, pooled
 from attacks.report.checking import Tables, read_tables
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, listed, settings
+from attacks.report.section import (
+    Chart,
+    Figure,
+    Line,
+    Picture,
+    Point,
+    Role,
+    Section,
+    listed,
+    settings,
+)
 from attacks.tables import Column, Table, cell
 from mi_splat.errors import counted
 from mi_splat.io.folders import file_in
@@ -24,7 +41,15 @@ Record = Mapping[str, Any]
 # A clean and an attacked splat
 
 _CONDITIONS = (
-    *("clean", "attacked", "clean_hash", "attacked_hash", "selection", "object_gaussians", "original"),
+    *(
+        "clean",
+        "attacked",
+        "clean_hash",
+        "attacked_hash",
+        "selection",
+        "object_gaussians",
+        "original",
+    ),
     *("min_confidence", "background", "near"),
 )
 _RATES = {
@@ -45,26 +70,43 @@ _SIDES = "clean on the left, attacked on the right."
 
 def read_evaluation(folder: Path, record: Record) -> Section:
     """The section of an evaluation."""
-    judged = [Comparison.of(name, values) for name, values in record["detectors"].items()]
+    judged = [
+        Comparison.of(name, values) for name, values in record["detectors"].items()
+    ]
     headline, control = _headline(judged[0])
     measured = partial(comparison_measures, targeted=judged[0].target is not None)
-    charts, tables = threshold_charts(read_tables(folder, (ROWS,)).get(ROWS), measured, _CURVES)
+    charts, tables = threshold_charts(
+        read_tables(folder, (ROWS,)).get(ROWS), measured, _CURVES
+    )
     return Section(
         kind="a clean and an attacked splat, judged",
         title=f"{Path(record['attacked']).name} against {Path(record['clean']).name}",
         done=(
-            f"{listed([one.detector for one in judged])} looked at the clean splat {record['clean']} and at the "
-            f"attacked one {record['attacked']} from {counted(len(record['cameras']), 'camera')}, in 8-bit pictures. "
-            f"A detection counts from {record['min_confidence']:g}. Views count in which the object shows "
-            f"({record['object_gaussians']:,} Gaussians)."
+            f"{listed([one.detector for one in judged])} looked at the clean splat"
+            f" {record['clean']} and at the attacked one {record['attacked']} from"
+            f" {counted(len(record['cameras']), 'camera')}, in 8-bit pictures. A"
+            f" detection counts from {record['min_confidence']:g}. Views count in which"
+            f" the object shows ({record['object_gaussians']:,} Gaussians)."
         ),
-        conclusion=" ".join([*map(_conclusion, judged), "This says nothing of other cameras or detectors."]),
+        conclusion=" ".join(
+            [
+                *map(_conclusion, judged),
+                "This says nothing of other cameras or detectors.",
+            ]
+        ),
         headline=headline,
         control=control,
-        figures=tuple([figure for one in judged for figure in _figures(one)] + list(_contradictions(record))),
+        figures=tuple(
+            [figure for one in judged for figure in _figures(one)]
+            + list(_contradictions(record))
+        ),
         warnings=record["warnings"],
         pictures=tuple(
-            Picture(path=file_in(folder, f"{one.detector}.png"), caption=f"{one.detector}: {_SIDES}", wide=True)
+            Picture(
+                path=file_in(folder, f"{one.detector}.png"),
+                caption=f"{one.detector}: {_SIDES}",
+                wide=True,
+            )
             for one in judged
         ),
         charts=charts,
@@ -82,11 +124,18 @@ def read_evaluation(folder: Path, record: Record) -> Section:
 def evaluation_figures(record: Record, tables: Tables) -> Record:
     """Every rate of an evaluation, of its rows."""
     rows, confidence = tables[ROWS], record["min_confidence"]
-    figures = {"detectors": {judged.detector: judged.as_dict() for judged in compare(rows, confidence=confidence)}}
+    figures = {
+        "detectors": {
+            judged.detector: judged.as_dict()
+            for judged in compare(rows, confidence=confidence)
+        }
+    }
     if "judges" not in record:
         return figures
     cameras = [camera["name"] for camera in record["cameras"]]
-    contradicted = contradictions(rows, record["judges"], cameras, confidence=confidence)
+    contradicted = contradictions(
+        rows, record["judges"], cameras, confidence=confidence
+    )
     return {**figures, "contradictions": contradicted}
 
 
@@ -108,7 +157,9 @@ def _contradicted(record: Record) -> Iterator[Table]:
             detector: "report",
             judge: "verdict",
         }
-        yield Table.of(f"Views in which {judge} contradicts {detector}", columns, pair["views"])
+        yield Table.of(
+            f"Views in which {judge} contradicts {detector}", columns, pair["views"]
+        )
 
 
 def _headline(judged: Comparison) -> tuple[Figure, Figure]:
@@ -138,9 +189,13 @@ def _figures(judged: Comparison) -> Iterator[Figure]:
     yield Figure(label=label, words=number(judged.psnr, unit="dB"))
 
 
-# Rates over the confidence from which a detection counts, of any result whose folder holds rows
+# Rates over the confidence from which a detection counts, of any result whose folder
+# holds rows
 
-_CURVE, _AT = tuple(round(0.05 * step, 2) for step in range(1, 20)), (REPORTED, DEFAULT_OF_YOLO)
+_CURVE, _AT = (
+    tuple(round(0.05 * step, 2) for step in range(1, 20)),
+    (REPORTED, DEFAULT_OF_YOLO),
+)
 """Confidences of the charts, and those of them that the table has."""
 
 
@@ -149,7 +204,9 @@ def threshold_charts(
     measures: Callable[[Confidence], rates.Measures],
     names: Mapping[str, tuple[str, Role]],
 ) -> tuple[tuple[Chart, ...], tuple[Table, ...]]:
-    """A chart for each detector with some rates over the confidence, and a table of them at two confidences."""
+    """A chart for each detector with some rates over the confidence, and a table of
+    them at two confidences.
+    """
     drawn = {name: names[name] for name in measures(REPORTED) if name in names}
     paired = rates.with_control(rows) if rows is not None and drawn else pl.DataFrame()
     if paired.is_empty():
@@ -157,22 +214,37 @@ def threshold_charts(
     clusters = rates.CLUSTERS if set(rates.CLUSTERS) <= set(paired.columns) else None
 
     def wanted(confidence: Confidence) -> rates.Measures:
-        return {name: measure for name, measure in measures(confidence).items() if name in drawn}
+        return {
+            name: measure
+            for name, measure in measures(confidence).items()
+            if name in drawn
+        }
 
-    curve = rates.rates_at(paired, wanted, dict(zip(_CURVE, _CURVE, strict=True)), ("detector",), clusters=clusters)
+    curve = rates.rates_at(
+        paired,
+        wanted,
+        dict(zip(_CURVE, _CURVE, strict=True)),
+        ("detector",),
+        clusters=clusters,
+    )
     detectors = [detector for (detector,) in curve[REPORTED]]
 
     def line(name: str, detector: str) -> Line:
         words, role = drawn[name]
         points = (
-            Point.of(at, counts[detector,][name]) for at, counts in curve.items() if counts[detector,][name].total
+            Point.of(at, counts[detector,][name])
+            for at, counts in curve.items()
+            if counts[detector,][name].total
         )
         return Line(name=words, role=role, points=tuple(points))
 
     charts = tuple(
         Chart(
             title=f"{detector}, by the confidence that counts",
-            caption=f"Figures of this page count from {REPORTED:g}. Bands are 95 % intervals.",
+            caption=(
+                f"Figures of this page count from {REPORTED:g}. Bands are 95 %"
+                " intervals."
+            ),
             x_label="confidence from which a detection counts",
             y_label="views",
             lines=tuple(line(name, detector) for name in drawn),
@@ -180,7 +252,11 @@ def threshold_charts(
         for detector in detectors
     )
     lines = tuple(
-        (detector, words, *(cell(curve[confidence][detector,][name]) for confidence in _AT))
+        (
+            detector,
+            words,
+            *(cell(curve[confidence][detector,][name]) for confidence in _AT),
+        )
         for detector in detectors
         for name, (words, _) in drawn.items()
     )
@@ -194,22 +270,46 @@ def threshold_charts(
 
 def read_bench(folder: Path, record: Record) -> Section:
     """The section of a row, column by column."""
-    columns, score, name = record["columns"], record["score"], record["detector"]["name"]
-    filled = {head: columns[column] for column, head in HEADS.items() if columns[column]["robust"] is not None}
-    words = "no score: a column cannot be filled" if score is None else f"{score['mean']:.3f}"
+    columns, score, name = (
+        record["columns"],
+        record["score"],
+        record["detector"]["name"],
+    )
+    filled = {
+        head: columns[column]
+        for column, head in HEADS.items()
+        if columns[column]["robust"] is not None
+    }
+    words = (
+        "no score: a column cannot be filled"
+        if score is None
+        else f"{score['mean']:.3f}"
+    )
     return Section(
         kind="Scoreboard",
         title=f"{name}, suite {record['suite']['name']}",
-        done=f"The attacks of the suite were made for {name}. Rates are of views in which it names the clean object.",
-        conclusion=f"Score: {words}. Higher is more robust. It holds for the attacks and scenes of this suite.",
+        done=(
+            f"The attacks of the suite were made for {name}. Rates are of views in"
+            " which it names the clean object."
+        ),
+        conclusion=(
+            f"Score: {words}. Higher is more robust. It holds for the attacks and"
+            " scenes of this suite."
+        ),
         headline=Figure(label="score", words=words),
-        control=Figure(label="clean object named", rate=pooled(column["named_clean"] for column in columns.values())),
+        control=Figure(
+            label="clean object named",
+            rate=pooled(column["named_clean"] for column in columns.values()),
+        ),
         attacked=False,
         warnings=record["warnings"],
         figures=[
-            Figure(label=f"still named, {head}", rate=Rate.of(column["robust"])) for head, column in filled.items()
+            Figure(label=f"still named, {head}", rate=Rate.of(column["robust"]))
+            for head, column in filled.items()
         ],
         configuration=tuple(
-            (key, str(value)) for key, value in row_of(record).items() if key not in ("columns", "score")
+            (key, str(value))
+            for key, value in row_of(record).items()
+            if key not in ("columns", "score")
         ),
     )

@@ -1,4 +1,6 @@
-"""What studies of poisoned training pictures leave behind: what a victim pays, and what it sees."""
+"""What studies of poisoned training pictures leave behind: what a victim pays, and what
+it sees.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -6,7 +8,15 @@ from typing import Any
 
 from attacks.observe.rows import ATTACKED, CLEAN
 from attacks.rate import Rate, pooled
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, settings
+from attacks.report.section import (
+    Chart,
+    Figure,
+    Line,
+    Picture,
+    Point,
+    Section,
+    settings,
+)
 from attacks.studies.poison import HELD_OUT, PICTURES
 from attacks.studies.poison_figures import summary_tables
 
@@ -15,7 +25,9 @@ Record = Mapping[str, Any]
 _MOST_PICTURES = 12
 _LARGER = "most Gaussians of a poisoned splat, times the clean one's"
 _NAMED = "the object is named rightly on the poisoned splat, from held-out cameras"
-_FOUND = "the object is found as what it is on the poisoned splat, from held-out cameras"
+_FOUND = (
+    "the object is found as what it is on the poisoned splat, from held-out cameras"
+)
 _SHOWN = {CLEAN: "clean splat", ATTACKED: "poisoned splat"}
 
 
@@ -23,62 +35,105 @@ def read_study(folder: Path, record: Record) -> Section:
     """The section of a study of poisoned training pictures."""
     attacked = [value for value in record["values"] if ATTACKED in value["splats"]]
     named, detected = (
-        [line for line in record.get(key, ()) if line["condition"] == HELD_OUT] for key in ("classified", "detected")
+        [line for line in record.get(key, ()) if line["condition"] == HELD_OUT]
+        for key in ("classified", "detected")
     )
     label, seen = (_NAMED, named) if named else (_FOUND, detected)
-    rates = {splat: _rate(line for line in seen if line["splat"] == splat) for splat in _SHOWN}
-    most = max(attacked, key=lambda value: (_times(value) or {"mean": 0.0})["mean"], default=None)
-    larger = Figure(label=_LARGER, words="-") if most is None else _figure(most, label=_LARGER)
+    rates = {
+        splat: _rate(line for line in seen if line["splat"] == splat)
+        for splat in _SHOWN
+    }
+    most = max(
+        attacked,
+        key=lambda value: (_times(value) or {"mean": 0.0})["mean"],
+        default=None,
+    )
+    larger = (
+        Figure(label=_LARGER, words="-")
+        if most is None
+        else _figure(most, label=_LARGER)
+    )
     return Section(
         kind="Poisoned training pictures",
         title=str(record["name"]),
         done=(
-            f"{len(record['victims'])} splats were trained, each pair on a clean set of pictures and on the poisoned "
-            "one. Nothing else differs."
+            f"{len(record['victims'])} splats were trained, each pair on a clean set of"
+            " pictures and on the poisoned one. Nothing else differs."
         ),
         conclusion=(
-            "A poison of photographs counts only if the splat keeps it: compare the poisoned splat with the clean "
-            "splat, and not with the photographs."
+            "A poison of photographs counts only if the splat keeps it: compare the"
+            " poisoned splat with the clean splat, and not with the photographs."
             if seen
-            else "Look at the times of the clean splat first, and at the PSNR beside them: a victim sees the cost, not "
-            "the attack. A defence counts only with what it takes from clean pictures."
+            else (
+                "Look at the times of the clean splat first, and at the PSNR beside"
+                " them: a victim sees the cost, not the attack. A defence counts only"
+                " with what it takes from clean pictures."
+            )
         ),
         headline=Figure(label=label, rate=rates[ATTACKED]) if seen else larger,
-        control=Figure(label="the same on the clean splat", rate=rates[CLEAN]) if seen else None,
+        control=(
+            Figure(label="the same on the clean splat", rate=rates[CLEAN])
+            if seen
+            else None
+        ),
         counting="pictures" if seen else "splats",
-        figures=[*([larger] if seen else ()), *map(_figure, attacked), *_finds(detected)],
+        figures=[
+            *([larger] if seen else ()),
+            *map(_figure, attacked),
+            *_finds(detected),
+        ],
         pictures=[
-            Picture(path=path, caption=_caption(path), large=path.stem.endswith("poisoned"))
+            Picture(
+                path=path, caption=_caption(path), large=path.stem.endswith("poisoned")
+            )
             for path in sorted((folder / PICTURES).glob("*.png"))[:_MOST_PICTURES]
         ],
         charts=[_chart(attacked)],
         tables=tuple(summary_tables(record)),
         configuration=settings(
-            {"question": record["question"], "device": sorted({victim["device"] for victim in record["victims"]})}
+            {
+                "question": record["question"],
+                "device": sorted({victim["device"] for victim in record["victims"]}),
+            }
         ),
     )
 
 
 def _rate(lines: Iterable[Record]) -> Rate:
-    """How often the object is named rightly, or found, over all values and all who look."""
+    """How often the object is named rightly, or found, over all values and all who
+    look.
+    """
     return pooled(line["right"] for line in lines)
 
 
 def _finds(lines: Sequence[Record]) -> Iterator[Figure]:
     """What each detector finds, over all values."""
-    for name, splat in dict.fromkeys((line["detector"], line["splat"]) for line in lines):
-        rate = _rate(line for line in lines if (line["detector"], line["splat"]) == (name, splat))
-        yield Figure(label=f"{name} finds the object on the {_SHOWN[splat]}, from held-out cameras", rate=rate)
+    for name, splat in dict.fromkeys(
+        (line["detector"], line["splat"]) for line in lines
+    ):
+        rate = _rate(
+            line for line in lines if (line["detector"], line["splat"]) == (name, splat)
+        )
+        yield Figure(
+            label=(
+                f"{name} finds the object on the {_SHOWN[splat]}, from held-out cameras"
+            ),
+            rate=rate,
+        )
 
 
 def _times(value: Record) -> Record | None:
-    """How many times the Gaussians of the clean splat the poisoned one has, over seeds."""
+    """How many times the Gaussians of the clean splat the poisoned one has, over
+    seeds.
+    """
     times: Record | None = value["splats"][ATTACKED]["times"]["gaussians"]
     return times
 
 
 def _figure(value: Record, label: str = "") -> Figure:
-    psnr, control = (value["splats"].get(splat, {}).get("psnr") for splat in (ATTACKED, CLEAN))
+    psnr, control = (
+        value["splats"].get(splat, {}).get("psnr") for splat in (ATTACKED, CLEAN)
+    )
     times, name = _times(value), f"{value['part']}: {value['value']}"
     notes = [name] if label else []
     if times is not None and times["count"] > 1:
@@ -91,7 +146,9 @@ def _figure(value: Record, label: str = "") -> Figure:
 
 def _caption(path: Path) -> str:
     if path.stem.endswith("poisoned"):
-        return f"{path.stem}: clean above poisoned, and ten times the difference on grey."
+        return (
+            f"{path.stem}: clean above poisoned, and ten times the difference on grey."
+        )
     return f"{path.stem}: a dot where each Gaussian has its middle."
 
 

@@ -1,6 +1,8 @@
-"""Splats in other axes than those of the 3DGS PLY (x right, y down, z forward), and placed by transforms.
+"""Splats in other axes than those of the 3DGS PLY (x right, y down, z forward), and
+placed by transforms.
 
-Between the axes of the formats lie signs of coordinates, which are changed without any rounding.
+Between the axes of the formats lie signs of coordinates, which are changed without any
+rounding.
 """
 
 from __future__ import annotations
@@ -22,22 +24,27 @@ X, Z = (1.0, -1.0, -1.0), (-1.0, -1.0, 1.0)
 """Signs of the coordinates after half a turn about an axis."""
 
 Y_UP = (0.0, -1.0, 0.0)
-"""In the axes of the PLY, what is up in a format that defines y as up, after half a turn about x or z."""
+"""In the axes of the PLY, what is up in a format that defines y as up, after half a
+turn about x or z.
+"""
 _PROBE = (0.36, 0.48, 0.8)
 
 
 def flipped(arrays: Arrays, signs: Signs) -> Arrays:
-    """The Gaussians with other signs of their coordinates; the same signs again give the same bits again.
+    """The Gaussians with other signs of their coordinates; the same signs again give
+    the same bits again.
 
-    With D = diag(signs), a covariance R S^2 R^T becomes (D R D) S^2 (D R D)^T, whose quaternion is the old one with
-    signs on its vector part. Every basis function of SH is even or odd in each coordinate, so that its coefficient
-    keeps its size too.
+    With D = diag(signs), a covariance R S^2 R^T becomes (D R D) S^2 (D R D)^T, whose
+    quaternion is the old one with signs on its vector part. Every basis function of SH
+    is even or odd in each coordinate, so that its coefficient keeps its size too.
     """
     turned = (_PROBE[0] * signs[0], _PROBE[1] * signs[1], _PROBE[2] * signs[2])
     parity = [
         round(after / before)
         for degree in range(degree_of(arrays["sh"].shape[1]) + 1)
-        for before, after in zip(band(_PROBE, degree), band(turned, degree), strict=True)
+        for before, after in zip(
+            band(_PROBE, degree), band(turned, degree), strict=True
+        )
     ]
     vector = np.prod(signs) * np.array(signs)
     return {
@@ -57,11 +64,20 @@ def transformed(part: Loaded, matrix: NDArray[np.floating], path: str) -> Loaded
     from mi_splat.scene import Similarity
 
     if len(part.invalid):
-        raise SplatFileError.of(path, "valid Gaussians where they are turned or moved", part.reason, "repair it")
+        raise SplatFileError.of(
+            path,
+            "valid Gaussians where they are turned or moved",
+            part.reason,
+            "repair it",
+        )
     try:
-        scene = part.scene.transform(Similarity.from_matrix(torch.from_numpy(matrix), "transform"))
+        scene = part.scene.transform(
+            Similarity.from_matrix(torch.from_numpy(matrix), "transform")
+        )
     except InvalidValueError as error:
-        raise SplatFileError.of(path, "transforms that turn, move and resize", error, "export it again") from None
+        raise SplatFileError.of(
+            path, "transforms that turn, move and resize", error, "export it again"
+        ) from None
     return dataclasses.replace(part, arrays=arrays_of(scene))
 
 
@@ -73,7 +89,13 @@ def concatenated(parts: Sequence[Loaded]) -> Loaded:
     for name in parts[0].arrays:
         columns = [part.arrays[name] for part in parts]
         if name == "sh":
-            columns = [np.pad(sh, ((0, 0), (0, most - sh.shape[1]), (0, 0))) for sh in columns]
+            columns = [
+                np.pad(sh, ((0, 0), (0, most - sh.shape[1]), (0, 0))) for sh in columns
+            ]
         arrays[name] = np.concatenate(columns) if len(columns) > 1 else columns[0]
-    invalid = np.concatenate([part.invalid + start for part, start in zip(parts, starts, strict=True)])
-    return Loaded(arrays, invalid, next((part.reason for part in parts if part.reason), ""))
+    invalid = np.concatenate(
+        [part.invalid + start for part, start in zip(parts, starts, strict=True)]
+    )
+    return Loaded(
+        arrays, invalid, next((part.reason for part in parts if part.reason), "")
+    )

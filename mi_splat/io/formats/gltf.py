@@ -1,9 +1,10 @@
 """Binary glTF with KHR_gaussian_splatting, the extension that Khronos ratified.
 
-Source: extensions/2.0/Khronos/KHR_gaussian_splatting/README.md of github.com/KhronosGroup/glTF. A splat is a mesh of
-points with the attributes POSITION, ROTATION (quaternion x, y, z, w), SCALE (standard deviations), OPACITY and
-SH_DEGREE_l_COEF_n. The basis of SH is that of 3DGS. glTF's y points up where the PLY's points down: the scene is turned
-by half a turn about z, as splat-transform does.
+Source: extensions/2.0/Khronos/KHR_gaussian_splatting/README.md of
+github.com/KhronosGroup/glTF. A splat is a mesh of points with the attributes POSITION,
+ROTATION (quaternion x, y, z, w), SCALE (standard deviations), OPACITY and
+SH_DEGREE_l_COEF_n. The basis of SH is that of 3DGS. glTF's y points up where the PLY's
+points down: the scene is turned by half a turn about z, as splat-transform does.
 """
 
 from __future__ import annotations
@@ -20,7 +21,17 @@ from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats import axes
-from mi_splat.io.loaded import Array, Arrays, Encoded, Loaded, Values, bytes_of, check_count, read_whole, validated
+from mi_splat.io.loaded import (
+    Array,
+    Arrays,
+    Encoded,
+    Loaded,
+    Values,
+    bytes_of,
+    check_count,
+    read_whole,
+    validated,
+)
 from mi_splat.io.parsing import Fields, parse
 from mi_splat.srgb import to_linear
 
@@ -53,10 +64,14 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
     """Read the splats of a binary glTF, each placed by its node."""
     data = read_whole(file)
     document = open_glb(data, path)
-    needed = [name for name in document.root.texts("extensionsRequired") if name not in _KNOWN]
+    needed = [
+        name for name in document.root.texts("extensionsRequired") if name not in _KNOWN
+    ]
     if needed:
         do = "export the splat without it"
-        raise document.root.bad("extensionsRequired", f"only {', '.join(_KNOWN)}", needed, do)
+        raise document.root.bad(
+            "extensionsRequired", f"only {', '.join(_KNOWN)}", needed, do
+        )
     meshes = document.root.objects("meshes")
     parts: list[Loaded] = []
     total = others = 0
@@ -69,18 +84,34 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
             total += document.count(primitive.object("attributes"), "POSITION")
             check_count(total, len(data) // _LEAST_BYTES, path)
             if len(parts) == _MOST_PARTS:
-                raise SplatFileError.of(path, f"at most {_MOST_PARTS} splats", "more", "merge them")
-            parts.append(axes.transformed(_primitive(document, primitive, extensions.object(EXTENSION)), matrix, path))
+                raise SplatFileError.of(
+                    path, f"at most {_MOST_PARTS} splats", "more", "merge them"
+                )
+            parts.append(
+                axes.transformed(
+                    _primitive(document, primitive, extensions.object(EXTENSION)),
+                    matrix,
+                    path,
+                )
+            )
     if not parts:
         got = f"none, but {others} other primitives" if others else "none"
-        raise SplatFileError.of(path, f"a primitive with {EXTENSION}", got, "export the splat again")
+        raise SplatFileError.of(
+            path, f"a primitive with {EXTENSION}", got, "export the splat again"
+        )
     loaded = axes.concatenated(parts)
-    notices = (("splats only", f"{others} other primitives", "they were left out"),) if others else ()
+    notices = (
+        (("splats only", f"{others} other primitives", "they were left out"),)
+        if others
+        else ()
+    )
     arrays = axes.flipped(loaded.arrays, axes.Z)
     # What this program wrote has the axes of its own scenes.
     is_own = document.root.object("asset", {}).values.get("generator") == GENERATOR
     up = None if is_own else axes.Y_UP
-    return dataclasses.replace(loaded, arrays=arrays, notices=notices, document=document, format_up=up)
+    return dataclasses.replace(
+        loaded, arrays=arrays, notices=notices, document=document, format_up=up
+    )
 
 
 def _primitive(document: Glb, primitive: Fields, extension: Fields) -> Loaded:
@@ -88,28 +119,48 @@ def _primitive(document: Glb, primitive: Fields, extension: Fields) -> Loaded:
         raise primitive.bad("mode", "0 (points)", primitive.values.get("mode", 4))
     for name, known in (("kernel", "ellipse"), ("colorSpace", COLOUR_SPACE)):
         if extension.text(name) != known:
-            raise extension.bad(name, repr(known), extension.text(name), f"export the splat with {known}")
+            raise extension.bad(
+                name,
+                repr(known),
+                extension.text(name),
+                f"export the splat with {known}",
+            )
     if extension.object("extensions", {}).values:
         got = ", ".join(extension.object("extensions").values)[:60]
-        raise extension.bad("extensions", "none", got, "export the splat without compression")
+        raise extension.bad(
+            "extensions", "none", got, "export the splat without compression"
+        )
     attributes = primitive.object("attributes")
     count = document.count(attributes, "POSITION")
 
     def read(name: str, width: int, kinds: tuple[str, ...]) -> Array:
         return document.values(attributes, name, width, count, kinds)
 
-    values = {name: read(f"{EXTENSION}:{name}", width, _KINDS[name])
-              for name, width in (("SCALE", 3), ("ROTATION", 4), ("OPACITY", 1))}  # fmt: skip
-    names = [_sh_name(degree, order) for degree in range(4) for order in range(2 * degree + 1)]
+    values = {
+        name: read(f"{EXTENSION}:{name}", width, _KINDS[name])
+        for name, width in (("SCALE", 3), ("ROTATION", 4), ("OPACITY", 1))
+    }
+    names = [
+        _sh_name(degree, order)
+        for degree in range(4)
+        for order in range(2 * degree + 1)
+    ]
     present = [name in attributes.values for name in names]
     coefficients = next((n for n in (16, 9, 4) if all(present[:n])), 1)
     if any(present[coefficients:]):
         expected = "whole degrees of SH, and all lower ones"
-        raise attributes.bad(EXTENSION, expected, names[max(i for i, is_there in enumerate(present) if is_there)])
+        raise attributes.bad(
+            EXTENSION,
+            expected,
+            names[max(i for i, is_there in enumerate(present) if is_there)],
+        )
     sh = np.empty((count, coefficients, 3), np.float32)
     for column, name in enumerate(names[:coefficients]):
         sh[:, column] = read(name, 3, ("f4",))
-    means, quaternions = read("POSITION", 3, _KINDS["POSITION"]), values["ROTATION"][:, [3, 0, 1, 2]]
+    means, quaternions = (
+        read("POSITION", 3, _KINDS["POSITION"]),
+        values["ROTATION"][:, [3, 0, 1, 2]],
+    )
     return validated(means, values["SCALE"], quaternions, values["OPACITY"][:, 0], sh)
 
 
@@ -120,11 +171,14 @@ def _sh_name(degree: int, order: int) -> str:
 def write_glb(arrays: Arrays) -> Encoded:
     """A scene as a binary glTF; nothing is rounded.
 
-    COLOR_0 is there for programs that draw points: linear light of the first SH coefficient, and the opacity.
+    COLOR_0 is there for programs that draw points: linear light of the first SH
+    coefficient, and the opacity.
     """
     values = Values.of(arrays)
     means, scales, rotations, opacities, sh = axes.flipped(arrays, axes.Z).values()
-    shown = np.concatenate([to_linear(np.clip(values.colours, 0, 1)), values.opacities[:, None]], axis=1)
+    shown = np.concatenate(
+        [to_linear(np.clip(values.colours, 0, 1)), values.opacities[:, None]], axis=1
+    )
     columns: dict[str, NDArray[np.generic]] = {
         "POSITION": means,
         "COLOR_0": bytes_of(shown * 255),
@@ -139,7 +193,9 @@ def write_glb(arrays: Arrays) -> Encoded:
 
 
 def placements(root: Fields, meshes: int) -> Iterator[tuple[int, Array]]:
-    """Index of a mesh and its (4, 4) matrix to the world, for each node of the first scene that has one."""
+    """Index of a mesh and its (4, 4) matrix to the world, for each node of the first
+    scene that has one.
+    """
     nodes, scenes = root.objects("nodes"), root.objects("scenes")
     if not nodes or not scenes:
         return
@@ -155,14 +211,19 @@ def placements(root: Fields, meshes: int) -> Iterator[tuple[int, Array]]:
             yield node.whole("mesh", 0, meshes - 1), matrix
         children = node.indices("children", len(nodes))
         if seen & set(children):
-            raise node.bad("children", "nodes that have no parent yet", sorted(seen & set(children)))
+            raise node.bad(
+                "children",
+                "nodes that have no parent yet",
+                sorted(seen & set(children)),
+            )
         seen |= set(children)
         waiting += [(child, matrix) for child in children]
 
 
 def _matrix(node: Fields) -> Array | None:
     if "matrix" in node.values:
-        return np.array(node.numbers("matrix", 16, 16)).reshape(4, 4).T  # columns come first
+        # columns come first
+        return np.array(node.numbers("matrix", 16, 16)).reshape(4, 4).T
     if not {"translation", "rotation", "scale"} & set(node.values):
         return None
     x, y, z, w = node.numbers("rotation", 4, 4, (0, 0, 0, 1))
@@ -179,12 +240,15 @@ def _matrix(node: Fields) -> Array | None:
     return matrix
 
 
-# The container: a JSON document, a buffer, and typed arrays in it (glTF 2.0, sections 3.6 and 4.4).
+# The container: a JSON document, a buffer, and typed arrays in it (glTF 2.0, sections
+# 3.6 and 4.4).
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Glb:
-    """A binary glTF in memory: its document, two lists of it, and the bytes of its one buffer."""
+    """A binary glTF in memory: its document, two lists of it, and the bytes of its one
+    buffer.
+    """
 
     root: Fields
     accessors: Sequence[Fields]
@@ -195,14 +259,25 @@ class Glb:
         """Number of elements of an attribute."""
         return self._accessor(attributes, name).whole("count", 1, 1 << 31)
 
-    def values(self, attributes: Fields, name: str, width: int, count: int, kinds: tuple[str, ...]) -> Array:
-        """(count, width) values of an attribute, as float64; integers that say so are scaled to -1..1 or 0..1."""
+    def values(
+        self,
+        attributes: Fields,
+        name: str,
+        width: int,
+        count: int,
+        kinds: tuple[str, ...],
+    ) -> Array:
+        """(count, width) values of an attribute, as float64; integers that say so are
+        scaled to -1..1 or 0..1.
+        """
         accessor = self._accessor(attributes, name)
         kind = COMPONENTS.get(accessor.whole("componentType", 0, 1 << 16), "")
         elements, form = accessor.whole("count", 1, 1 << 31), accessor.text("type")
         if form != _TYPES[width] or kind not in kinds or elements != count:
             got = f"{elements} {form} of {kind or 'another kind'}"
-            raise accessor.bad(name, f"{count} {_TYPES[width]} of {' or '.join(kinds)}", got)
+            raise accessor.bad(
+                name, f"{count} {_TYPES[width]} of {' or '.join(kinds)}", got
+            )
         if "sparse" in accessor.values:
             raise accessor.bad("sparse", "a plain accessor", "a sparse one")
         view = self.views[accessor.whole("bufferView", 0, len(self.views) - 1)]
@@ -212,9 +287,20 @@ class Glb:
         inside = accessor.whole("byteOffset", 0, length, 0)
         record = np.dtype("<" + kind)
         step = view.whole("byteStride", 1, 252, record.itemsize * width)
-        if step < record.itemsize * width or inside + (count - 1) * step + record.itemsize * width > length:
-            raise accessor.bad("count", f"elements inside of the {length} bytes of their view", count)
-        layout = (count, width), record, self.buffer, start + inside, (step, record.itemsize)
+        if (
+            step < record.itemsize * width
+            or inside + (count - 1) * step + record.itemsize * width > length
+        ):
+            raise accessor.bad(
+                "count", f"elements inside of the {length} bytes of their view", count
+            )
+        layout = (
+            (count, width),
+            record,
+            self.buffer,
+            start + inside,
+            (step, record.itemsize),
+        )
         values = np.ndarray(*layout).astype(np.float64)
         if accessor.values.get("normalized") is True and kind[0] in "iu":
             values = np.maximum(values / np.iinfo(kind).max, -1.0)
@@ -229,35 +315,55 @@ class Glb:
 def open_glb(data: bytes, path: str) -> Glb:
     """The document and the buffer of a binary glTF."""
     if len(data) < _HEADER.size + _CHUNK.size or not data.startswith(b"glTF"):
-        raise SplatFileError.of(path, "a binary glTF", f"{len(data)} bytes, {data[:4]!r}", _AGAIN)
+        raise SplatFileError.of(
+            path, "a binary glTF", f"{len(data)} bytes, {data[:4]!r}", _AGAIN
+        )
     _, version, length = _HEADER.unpack_from(data)
     if version != 2 or length != len(data):
         got = f"version {version} and {length} bytes"
-        raise SplatFileError.of(path, f"glTF of version 2 and {len(data)} bytes", got, _AGAIN)
+        raise SplatFileError.of(
+            path, f"glTF of version 2 and {len(data)} bytes", got, _AGAIN
+        )
     offset, chunks = _HEADER.size, list[tuple[bytes, int, int]]()
     while offset < len(data) and len(chunks) < 16:
-        size, kind = _CHUNK.unpack_from(data, offset) if len(data) - offset >= _CHUNK.size else (len(data), b"")
+        size, kind = (
+            _CHUNK.unpack_from(data, offset)
+            if len(data) - offset >= _CHUNK.size
+            else (len(data), b"")
+        )
         offset += _CHUNK.size
         if size > len(data) - offset:
-            raise SplatFileError.of(path, "chunks inside of the file", f"one of {size} bytes", _AGAIN)
+            raise SplatFileError.of(
+                path, "chunks inside of the file", f"one of {size} bytes", _AGAIN
+            )
         chunks.append((kind, offset, size))
         offset += size
     if not chunks or chunks[0][0] != b"JSON":
-        raise SplatFileError.of(path, "a JSON chunk first", chunks[0][0] if chunks else "none", _AGAIN)
+        raise SplatFileError.of(
+            path, "a JSON chunk first", chunks[0][0] if chunks else "none", _AGAIN
+        )
     _, start, size = chunks[0]
     root = parse(data[start : start + size], path, limit=_JSON_LIMIT)
     buffers = root.objects("buffers")
     if len(buffers) != 1 or "uri" in buffers[0].values:
         got = f"{len(buffers)}, or another file"
-        raise root.bad("buffers", "one buffer inside of the file", got, "pack it into one .glb")
-    binary = next(((start, size) for kind, start, size in chunks[1:2] if kind == b"BIN\0"), (0, 0))
+        raise root.bad(
+            "buffers", "one buffer inside of the file", got, "pack it into one .glb"
+        )
+    binary = next(
+        ((start, size) for kind, start, size in chunks[1:2] if kind == b"BIN\0"), (0, 0)
+    )
     used = buffers[0].whole("byteLength", 1, binary[1])
     values = memoryview(data)[binary[0] : binary[0] + used]
     return Glb(root, root.objects("accessors"), root.objects("bufferViews"), values)
 
 
 def _glb_bytes(columns: Mapping[str, NDArray[np.generic]]) -> bytes:
-    views, accessors, parts = list[dict[str, object]](), list[dict[str, object]](), list[bytes]()
+    views, accessors, parts = (
+        list[dict[str, object]](),
+        list[dict[str, object]](),
+        list[bytes](),
+    )
     offset = 0
     for name, values in columns.items():
         kind = values.dtype.str[1:]
@@ -272,8 +378,18 @@ def _glb_bytes(columns: Mapping[str, NDArray[np.generic]]) -> bytes:
         if kind != "f4":
             accessor["normalized"] = True
         if name == "POSITION":
-            accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
-        views.append({"buffer": 0, "byteOffset": offset, "byteLength": values.nbytes, "target": 34962})
+            accessor |= {
+                "min": values.min(axis=0).tolist(),
+                "max": values.max(axis=0).tolist(),
+            }
+        views.append(
+            {
+                "buffer": 0,
+                "byteOffset": offset,
+                "byteLength": values.nbytes,
+                "target": 34962,
+            }
+        )
         accessors.append(accessor)
         parts.append(part)
         offset += len(part)
@@ -295,5 +411,10 @@ def _glb_bytes(columns: Mapping[str, NDArray[np.generic]]) -> bytes:
     }
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    body = _CHUNK.pack(len(text), b"JSON") + text + _CHUNK.pack(offset, b"BIN\0") + b"".join(parts)
+    body = (
+        _CHUNK.pack(len(text), b"JSON")
+        + text
+        + _CHUNK.pack(offset, b"BIN\0")
+        + b"".join(parts)
+    )
     return _HEADER.pack(b"glTF", 2, _HEADER.size + len(body)) + body

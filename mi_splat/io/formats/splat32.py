@@ -1,7 +1,8 @@
 """The `.splat` file: 32 bytes a Gaussian, no header.
 
-Source: convert.py and main.js of github.com/antimatter15/splat (three float32 of the mean, three of the standard
-deviations, four bytes of colour and opacity, four bytes of the quaternion w, x, y, z as 128 q + 128).
+Source: convert.py and main.js of github.com/antimatter15/splat (three float32 of the
+mean, three of the standard deviations, four bytes of colour and opacity, four bytes of
+the quaternion w, x, y, z as 128 q + 128).
 """
 
 import io
@@ -25,7 +26,14 @@ from mi_splat.io.loaded import (
 )
 from mi_splat.sh import colour_to_dc
 
-RECORD = np.dtype([("means", "<f4", (3,)), ("scales", "<f4", (3,)), ("colours", "u1", (4,)), ("rotations", "u1", (4,))])
+RECORD = np.dtype(
+    [
+        ("means", "<f4", (3,)),
+        ("scales", "<f4", (3,)),
+        ("colours", "u1", (4,)),
+        ("rotations", "u1", (4,)),
+    ]
+)
 """One Gaussian."""
 
 _LENGTHS = (1.0, *(1 + sign * step / 256 for step in range(1, 7) for sign in (1, -1)))
@@ -37,7 +45,9 @@ def read_splat(file: io.FileIO, path: str) -> Loaded:
     data = read_whole(file)
     if not data or len(data) % RECORD.itemsize:
         expected = f"whole records of {RECORD.itemsize} bytes"
-        raise SplatFileError.of(path, expected, f"{len(data)} bytes", "write or download it again")
+        raise SplatFileError.of(
+            path, expected, f"{len(data)} bytes", "write or download it again"
+        )
     rows = np.frombuffer(data, RECORD)
     return validated(
         rows["means"],
@@ -65,15 +75,25 @@ def write_splat(arrays: Arrays) -> Encoded:
 
 
 def _pack_rotations(rotations: Array) -> NDArray[np.uint8]:
-    """(N, 4) bytes 128 q + 128, of the length near one that best keeps the direction, so that bytes read come back."""
-    largest = np.take_along_axis(rotations, np.abs(rotations).argmax(axis=1)[:, None], 1)
-    turned = rotations * np.where(largest > 0, -1.0, 1.0)  # -1 fits into a byte and +1 does not
-    best, packed = np.full(len(rotations), -np.inf), np.zeros((len(rotations), 4), np.uint8)
+    """(N, 4) bytes 128 q + 128, of the length near one that best keeps the direction,
+    so that bytes read come back.
+    """
+    largest = np.take_along_axis(
+        rotations, np.abs(rotations).argmax(axis=1)[:, None], 1
+    )
+    # -1 fits into a byte and +1 does not
+    turned = rotations * np.where(largest > 0, -1.0, 1.0)
+    best, packed = (
+        np.full(len(rotations), -np.inf),
+        np.zeros((len(rotations), 4), np.uint8),
+    )
     for length in _LENGTHS:
         tried = bytes_of(128 * length * turned + 128)
         vectors = tried.astype(np.float64) - 128
         lengths = np.linalg.norm(vectors, axis=1)
         cosines = (vectors * turned).sum(axis=1) / lengths
-        better = (cosines > best + 1e-12) & ((np.abs(lengths / 128 - 1) <= _LONGEST) | (length == 1))
+        better = (cosines > best + 1e-12) & (
+            (np.abs(lengths / 128 - 1) <= _LONGEST) | (length == 1)
+        )
         best[better], packed[better] = cosines[better], tried[better]
     return packed

@@ -1,9 +1,12 @@
-"""OpenUSD with prims of the schema `ParticleField3DGaussianSplat` (OpenUSD 26.03); needs the extra `usd`.
+"""OpenUSD with prims of the schema `ParticleField3DGaussianSplat` (OpenUSD 26.03);
+needs the extra `usd`.
 
-Source: pxr/usd/usdVol/schema.usda of github.com/PixarAnimationStudios/OpenUSD. Scales are standard deviations,
-opacities are in 0..1, and SH stand Gaussian by Gaussian, coefficient by coefficient, in the basis of 3DGS. Floats come
-before halves (`positions`, `positionsh`). Where y points up, the scene is turned by half a turn about z, as for glTF;
-where z points up, y is made to before. Where a stage says how many metres a unit has, the splat comes in metres.
+Source: pxr/usd/usdVol/schema.usda of github.com/PixarAnimationStudios/OpenUSD. Scales
+are standard deviations, opacities are in 0..1, and SH stand Gaussian by Gaussian,
+coefficient by coefficient, in the basis of 3DGS. Floats come before halves
+(`positions`, `positionsh`). Where y points up, the scene is turned by half a turn about
+z, as for glTF; where z points up, y is made to before. Where a stage says how many
+metres a unit has, the splat comes in metres.
 """
 
 import dataclasses
@@ -21,15 +24,32 @@ import numpy as np
 
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats import axes, usd_child
-from mi_splat.io.loaded import FREE_GAUSSIANS, HIGHER_BANDS, Array, Arrays, Encoded, Loaded, Notice, validated
+from mi_splat.io.loaded import (
+    FREE_GAUSSIANS,
+    HIGHER_BANDS,
+    Array,
+    Arrays,
+    Encoded,
+    Loaded,
+    Notice,
+    validated,
+)
 from mi_splat.io.parsing import Fields, parse
 from mi_splat.sh import degree_of
 
 _WRITER = "mi-splat"
 _ANSWER_LIMIT = 1 << 22
 _SHOWN = 4096  # bytes of what the process said last
-_Y_UP = {"Y": np.eye(4), "Z": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])}
-_THREADS = ("PXR_WORK_THREAD_LIMIT", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MALLOC_ARENA_MAX")
+_Y_UP = {
+    "Y": np.eye(4),
+    "Z": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]),
+}
+_THREADS = (
+    "PXR_WORK_THREAD_LIMIT",
+    "OPENBLAS_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "MALLOC_ARENA_MAX",
+)
 _ONE_THREAD = dict.fromkeys(_THREADS, "1")
 """Threads take address space, which the child has little of."""
 
@@ -37,35 +57,58 @@ _ONE_THREAD = dict.fromkeys(_THREADS, "1")
 def read_usd(file: io.FileIO, path: str) -> Loaded:
     """Read the splats of an OpenUSD file, each placed by the transforms above it.
 
-    The file is read by a process of its own, which has limits (`usd_child`). No other file is opened: whatever asks for
-    one is refused, and so are references, variants and inherited prims inside of the file.
+    The file is read by a process of its own, which has limits (`usd_child`). No other
+    file is opened: whatever asks for one is refused, and so are references, variants
+    and inherited prims inside of the file.
     """
     file.seek(0)
     head = file.read(4)
     ending = {b"#usd": ".usda", b"PK\x03\x04": ".usdz"}.get(head, ".usdc")
     most = FREE_GAUSSIANS + os.fstat(file.fileno()).st_size
     with TemporaryDirectory() as folder:
-        link = Path(folder, f"splat{ending}")  # usd-core reads more into a name than that of a file
+        # usd-core reads more into a name than that of a file
+        link = Path(folder, f"splat{ending}")
         link.symlink_to(os.path.abspath(path))
         answer = _ask(path, link, most)
         if "refused" in answer.values:
             expected, got, do = answer.texts("refused", 3)
             raise SplatFileError.of(path, expected, got, do)
         values = np.fromfile(Path(folder, "values"), np.float32)
-    parts, up, metres = answer.objects("parts"), answer.text("up"), answer.number("metres")
+    parts, up, metres = (
+        answer.objects("parts"),
+        answer.text("up"),
+        answer.number("metres"),
+    )
     others = answer.whole("others", 0, 1 << 31)
     if not parts and answer.values.get("nurec"):
-        do = "export it as ParticleField3DGaussianSplat or PLY, with 3dgrut's exporter (3DGRUT, Isaac Sim 6.0 or newer)"
-        raise SplatFileError.of(path, f"a visible prim of type {usd_child.SPLAT}", "a NuRec volume", do)
+        do = (
+            "export it as ParticleField3DGaussianSplat or PLY, with 3dgrut's exporter"
+            " (3DGRUT, Isaac Sim 6.0 or newer)"
+        )
+        raise SplatFileError.of(
+            path, f"a visible prim of type {usd_child.SPLAT}", "a NuRec volume", do
+        )
     if not parts:
         got = f"none, but {others} other prims" if others else "none"
-        raise SplatFileError.of(path, f"a visible prim of type {usd_child.SPLAT}", got, "export the splat again")
+        raise SplatFileError.of(
+            path,
+            f"a visible prim of type {usd_child.SPLAT}",
+            got,
+            "export the splat again",
+        )
     if up not in _Y_UP or not 0 < metres < math.inf:
-        raise SplatFileError.of(path, "y or z up, and a positive size of units", f"{up}, {metres:g}", "repair it")
+        raise SplatFileError.of(
+            path,
+            "y or z up, and a positive size of units",
+            f"{up}, {metres:g}",
+            "repair it",
+        )
     frame = np.diag([metres, metres, metres, 1.0]) @ _Y_UP[up]
     notices: list[Notice] = []
     if others:
-        notices.append(("visible splats only", f"{others} other prims", "they were left out"))
+        notices.append(
+            ("visible splats only", f"{others} other prims", "they were left out")
+        )
     if any(part.whole("degree", 0, 99) > 3 for part in parts):
         notices.append(HIGHER_BANDS)
     loaded: list[Loaded] = []
@@ -77,20 +120,32 @@ def read_usd(file: io.FileIO, path: str) -> Loaded:
     arrays = axes.flipped(whole.arrays, axes.Z)
     # What this program wrote has the axes of its own scenes.
     up_axis = None if answer.values.get("comment") == _WRITER else axes.Y_UP
-    return dataclasses.replace(whole, arrays=arrays, notices=tuple(notices), format_up=up_axis)
+    return dataclasses.replace(
+        whole, arrays=arrays, notices=tuple(notices), format_up=up_axis
+    )
 
 
 def _ask(path: str, link: Path, most: int) -> Fields:
-    """What the child process says of a file; the values of its Gaussians lie beside the link then."""
-    command = [sys.executable, str(Path(usd_child.__file__).resolve()), str(link), str(link.parent), str(most)]
+    """What the child process says of a file; the values of its Gaussians lie beside the
+    link then.
+    """
+    command = [
+        sys.executable,
+        str(Path(usd_child.__file__).resolve()),
+        str(link),
+        str(link.parent),
+        str(most),
+    ]
     said = Path(link.parent, "said")
-    with said.open("wb") as output:  # and not a pipe: the limit of files holds for what it says, too
+    # and not a pipe: the limit of files holds for what it says, too
+    with said.open("wb") as output:
         done = subprocess.run(
             command,
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
-            # Where usd-core crashes it writes a stack trace into the folder of temporary files.
+            # Where usd-core crashes it writes a stack trace into the folder of
+            # temporary files.
             env={**os.environ, **_ONE_THREAD, "TMPDIR": str(link.parent)},
         )
     try:
@@ -100,31 +155,52 @@ def _ask(path: str, link: Path, most: int) -> Fields:
         with said.open("rb") as file:
             file.seek(max(0, said.stat().st_size - _SHOWN))
             message = file.read().decode(errors="replace").strip().splitlines()
-        why = f"signal {-done.returncode}" if done.returncode < 0 else (message or ["no answer"])[-1][:160]
-        got = f"one that usd-core does not get through within its memory and time ({why})"
-        raise SplatFileError.of(path, "an OpenUSD file that is intact", got, "export it again") from None
+        why = (
+            f"signal {-done.returncode}"
+            if done.returncode < 0
+            else (message or ["no answer"])[-1][:160]
+        )
+        got = (
+            f"one that usd-core does not get through within its memory and time ({why})"
+        )
+        raise SplatFileError.of(
+            path, "an OpenUSD file that is intact", got, "export it again"
+        ) from None
     return parse(answer, path, limit=_ANSWER_LIMIT)
 
 
 def _gaussians(part: Fields, values: Array) -> tuple[Loaded, Array]:
     """The Gaussians of a prim, and the values of those that follow."""
     count, degree = part.whole("count", 0, len(values)), part.whole("degree", 0, 99)
-    shapes = [(count, 3), (count, 3), (count, 4), (count,), (count, (degree + 1) ** 2, 3)]
+    shapes = [
+        (count, 3),
+        (count, 3),
+        (count, 4),
+        (count,),
+        (count, (degree + 1) ** 2, 3),
+    ]
     arrays: list[Array] = []
     for shape in shapes:
         size = math.prod(shape)
         arrays.append(values[:size].reshape(shape))
         values = values[size:]
     means, scales, quaternions, opacities, sh = arrays
-    return validated(means, scales, quaternions[:, [3, 0, 1, 2]], opacities, sh[:, :16]), values
+    return (
+        validated(means, scales, quaternions[:, [3, 0, 1, 2]], opacities, sh[:, :16]),
+        values,
+    )
 
 
 def write_usd(arrays: Arrays, ending: str) -> Encoded:
-    """A scene as an OpenUSD file with one prim, y up, one metre a unit; nothing is rounded."""
+    """A scene as an OpenUSD file with one prim, y up, one metre a unit; nothing is
+    rounded.
+    """
     from pxr import Sdf, Usd, UsdGeom, UsdVol, Vt
 
     turned = axes.flipped(arrays, axes.Z)
-    means, scales, rotations, opacities, sh = (np.ascontiguousarray(value) for value in turned.values())
+    means, scales, rotations, opacities, sh = (
+        np.ascontiguousarray(value) for value in turned.values()
+    )
     layer = Sdf.Layer.CreateAnonymous(".usdc" if ending == ".usdz" else ending)
     layer.comment = _WRITER
     stage = Usd.Stage.Open(layer)
@@ -135,9 +211,13 @@ def write_usd(arrays: Arrays, ending: str) -> Encoded:
     columns = {
         "positions": Vt.Vec3fArray.FromNumpy(means),
         "scales": Vt.Vec3fArray.FromNumpy(scales),
-        "orientations": Vt.QuatfArray.FromNumpy(np.ascontiguousarray(rotations[:, [1, 2, 3, 0]])),
+        "orientations": Vt.QuatfArray.FromNumpy(
+            np.ascontiguousarray(rotations[:, [1, 2, 3, 0]])
+        ),
         "opacities": Vt.FloatArray.FromNumpy(opacities),
-        "radiance:sphericalHarmonicsCoefficients": Vt.Vec3fArray.FromNumpy(sh.reshape(-1, 3)),
+        "radiance:sphericalHarmonicsCoefficients": Vt.Vec3fArray.FromNumpy(
+            sh.reshape(-1, 3)
+        ),
         "radiance:sphericalHarmonicsDegree": degree_of(sh.shape[1]),
     }
     if len(means):
@@ -154,8 +234,11 @@ def write_usd(arrays: Arrays, ending: str) -> Encoded:
 
 
 def _package(layer: bytes) -> bytes:
-    """A .usdz of one binary layer: a zip without compression, whose member begins at byte 64."""
-    member = zipfile.ZipInfo("splat.usdc")  # of 1980, so that equal splats have equal files
+    """A .usdz of one binary layer: a zip without compression, whose member begins at
+    byte 64.
+    """
+    # of 1980, so that equal splats have equal files
+    member = zipfile.ZipInfo("splat.usdc")
     member.extra = struct.pack("<HH20x", 0x1986, 20)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:

@@ -1,7 +1,9 @@
-"""The program that reads an OpenUSD file for `mi_splat.io.formats.usd`, in a process of its own.
+"""The program that reads an OpenUSD file for `mi_splat.io.formats.usd`, in a process of
+its own.
 
-usd-core takes the memory that a file asks for, and may end the process over a damaged one. Here that ends a process
-that had a limit of memory and of time, and no other. This file imports nothing of mi_splat, so that it starts fast.
+usd-core takes the memory that a file asks for, and may end the process over a damaged
+one. Here that ends a process that had a limit of memory and of time, and no other. This
+file imports nothing of mi_splat, so that it starts fast.
 """
 
 import contextlib
@@ -23,7 +25,14 @@ NUREC = "omni:nurec:isNuRecVolume"
 """An attribute of the volumes that NVIDIA's NuRec wrote before the schema of splats."""
 MOST_PARTS = 1000
 _LONGEST_COMMENT = 80
-ARCS = ("references", "payload", "inheritPaths", "specializes", "variantSetNames", "clips")
+ARCS = (
+    "references",
+    "payload",
+    "inheritPaths",
+    "specializes",
+    "variantSetNames",
+    "clips",
+)
 """What a prim may say to be made of other prims or files."""
 
 _MEMORY, _MEMORY_A_BYTE = 2 << 30, 32
@@ -31,7 +40,12 @@ _SECONDS, _BYTES_A_SECOND = 30, 1 << 20
 _SMALLEST_FILE, _BYTES_A_GAUSSIAN = 1 << 22, 4 * (3 + 3 + 4 + 1 + 3 * 25)
 _SET_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
 _HIGHEST_DEGREE = 4
-_COLUMNS = {"positions": ("Vec3", 3), "scales": ("Vec3", 3), "orientations": ("Quat", 4), "opacities": ("", 1)}
+_COLUMNS = {
+    "positions": ("Vec3", 3),
+    "scales": ("Vec3", 3),
+    "orientations": ("Quat", 4),
+    "opacities": ("", 1),
+}
 _SH = "radiance:sphericalHarmonics"
 
 
@@ -40,7 +54,9 @@ class RefusedError(Exception):
 
 
 def _limit(size: int, most: int) -> None:
-    """Limit this process to what a file of `size` bytes, with `most` Gaussians, may need: memory, time and files."""
+    """Limit this process to what a file of `size` bytes, with `most` Gaussians, may
+    need: memory, time and files.
+    """
     limits = {
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_FSIZE: _SMALLEST_FILE + _BYTES_A_GAUSSIAN * most,
@@ -57,7 +73,9 @@ def _limit(size: int, most: int) -> None:
 
 
 def _end_with_parent() -> None:
-    """Let the system end this process when the one that started it ends, however that happens; only Linux can."""
+    """Let the system end this process when the one that started it ends, however that
+    happens; only Linux can.
+    """
     parent = os.getppid()
     with contextlib.suppress(AttributeError):
         ctypes.CDLL(None).prctl(_SET_DEATH_SIGNAL, signal.SIGKILL)
@@ -71,7 +89,9 @@ def read(path: str, out: BinaryIO, most: int) -> dict[str, Any]:
 
     if not Usd.SchemaRegistry().FindConcretePrimDefinition(SPLAT):
         version = ".".join(map(str, Usd.GetVersion()[1:]))
-        raise RefusedError("usd-core 26.3 or newer", version, "pip install --upgrade usd-core")
+        raise RefusedError(
+            "usd-core 26.3 or newer", version, "pip install --upgrade usd-core"
+        )
     layer = Sdf.Layer.OpenAsAnonymous(path)
     if layer is None:
         raise RefusedError("an OpenUSD file", "another one", "export it again")
@@ -83,7 +103,10 @@ def read(path: str, out: BinaryIO, most: int) -> dict[str, Any]:
     nurec = False
     for prim in _shapes(stage, Usd, UsdGeom):
         shown = UsdGeom.Imageable(prim)
-        hidden = shown.ComputeVisibility() == "invisible" or shown.ComputePurpose() in ("guide", "proxy")
+        hidden = shown.ComputeVisibility() == "invisible" or shown.ComputePurpose() in (
+            "guide",
+            "proxy",
+        )
         if prim.GetTypeName() != SPLAT or hidden:
             others += 1
             nurec = nurec or bool(prim.HasAttribute(NUREC))
@@ -93,7 +116,14 @@ def read(path: str, out: BinaryIO, most: int) -> dict[str, Any]:
         _check_still(prim, UsdGeom)
         part = _splat(prim, Usd.TimeCode.EarliestTime(), out, most - total)
         total += part["count"]
-        parts.append({**part, "matrix": np.array(cache.GetLocalToWorldTransform(prim)).T.ravel().tolist()})
+        parts.append(
+            {
+                **part,
+                "matrix": (
+                    np.array(cache.GetLocalToWorldTransform(prim)).T.ravel().tolist()
+                ),
+            }
+        )
     has_unit = stage.HasAuthoredMetadata("metersPerUnit")
     metres = UsdGeom.GetStageMetersPerUnit(stage) if has_unit else 1.0
     about = {"comment": str(layer.comment)[:_LONGEST_COMMENT], "nurec": nurec}
@@ -102,7 +132,9 @@ def read(path: str, out: BinaryIO, most: int) -> dict[str, Any]:
 
 
 def _check_alone(layer: Any, sdf: Any) -> None:
-    """Refuse references: other files are never opened, and a few inside of the file ask for any number of prims."""
+    """Refuse references: other files are never opened, and a few inside of the file ask
+    for any number of prims.
+    """
     references = [f"sublayer {name}" for name in layer.subLayerPaths[:1]]
 
     def look(path: Any) -> None:
@@ -113,8 +145,15 @@ def _check_alone(layer: Any, sdf: Any) -> None:
     layer.Traverse("/", look)
     references += map(str, layer.GetCompositionAssetDependencies())
     if references:
-        do = "put it into one layer with `usdcat --flatten IN.usd -o OUT.usdc`, where you trust the other files"
-        raise RefusedError("a layer that is made of no other prims, variants or files", references[0], do)
+        do = (
+            "put it into one layer with `usdcat --flatten IN.usd -o OUT.usdc`, where"
+            " you trust the other files"
+        )
+        raise RefusedError(
+            "a layer that is made of no other prims, variants or files",
+            references[0],
+            do,
+        )
 
 
 def _shapes(stage: Any, usd: Any, geom: Any) -> Iterator[Any]:
@@ -132,43 +171,74 @@ def _check_still(prim: Any, geom: Any) -> None:
     """Raise if a prim, or one above it, moves or changes with time."""
     above = prim
     while above:
-        names = [attribute.GetName() for attribute in above.GetAttributes() if attribute.ValueMightBeTimeVarying()]
-        moving = [name for name in names if above == prim or name.startswith("xformOp:")]
+        names = [
+            attribute.GetName()
+            for attribute in above.GetAttributes()
+            if attribute.ValueMightBeTimeVarying()
+        ]
+        moving = [
+            name for name in names if above == prim or name.startswith("xformOp:")
+        ]
         if moving:
             got = f"{moving[0]} of {above.GetPath()}"
-            raise RefusedError("a splat that stands still", got, "export one moment of it")
+            raise RefusedError(
+                "a splat that stands still", got, "export one moment of it"
+            )
         above = above.GetParent()
 
 
 def _splat(prim: Any, moment: Any, out: BinaryIO, most: int) -> dict[str, Any]:
-    """Write the Gaussians of a prim; their number and SH degree. What is not there is as the schema says."""
+    """Write the Gaussians of a prim; their number and SH degree.
+
+    What is not there is as the schema says.
+    """
     positions = _values(prim, "positions", moment, *_COLUMNS["positions"])
     if positions is None:
         raise RefusedError("positions", f"none in {prim.GetPath()}", "export it again")
     count = len(positions)
     if count > most:
-        raise RefusedError(f"at most {most} Gaussians", f"{count}: this may be a decompression bomb", "ask for a PLY")
-    columns = {name: _values(prim, name, moment, *shape) for name, shape in _COLUMNS.items()}
+        raise RefusedError(
+            f"at most {most} Gaussians",
+            f"{count}: this may be a decompression bomb",
+            "ask for a PLY",
+        )
+    columns = {
+        name: _values(prim, name, moment, *shape) for name, shape in _COLUMNS.items()
+    }
     sh = _values(prim, f"{_SH}Coefficients", moment, "Vec3", 3)
     degree = 0 if sh is None else prim.GetAttribute(f"{_SH}Degree").Get(moment)
     if not isinstance(degree, int) or not 0 <= degree <= _HIGHEST_DEGREE:
-        raise RefusedError(f"an SH degree of 0 to {_HIGHEST_DEGREE}", repr(degree)[:40], "export it again")
+        raise RefusedError(
+            f"an SH degree of 0 to {_HIGHEST_DEGREE}",
+            repr(degree)[:40],
+            "export it again",
+        )
     coefficients = (degree + 1) ** 2
     default = {"scales": [1, 1, 1], "orientations": [0, 0, 0, 1], "opacities": [1]}
     for name, values in columns.items():
         out.write(_rows(name, values, count, default.get(name, [])).tobytes())
-    out.write(_rows(f"{_SH}Coefficients", sh, count * coefficients, [0, 0, 0]).tobytes())
+    out.write(
+        _rows(f"{_SH}Coefficients", sh, count * coefficients, [0, 0, 0]).tobytes()
+    )
     return {"count": count, "degree": degree}
 
 
-def _values(prim: Any, name: str, moment: Any, kind: str, width: int) -> NDArray[np.generic] | None:
-    """(N, width) values of an attribute, in floats if there are, else in halves; None if it has none."""
+def _values(
+    prim: Any, name: str, moment: Any, kind: str, width: int
+) -> NDArray[np.generic] | None:
+    """(N, width) values of an attribute, in floats if there are, else in halves; None
+    if it has none.
+    """
     for full, ending in ((name, "f"), (f"{name}h", "h")):
         attribute = prim.GetAttribute(full)
         if not attribute or not attribute.HasAuthoredValue():
             continue
         value = attribute.Get(moment)
-        wanted = f"{kind}{ending}Array" if kind else {"f": "FloatArray", "h": "HalfArray"}[ending]
+        wanted = (
+            f"{kind}{ending}Array"
+            if kind
+            else {"f": "FloatArray", "h": "HalfArray"}[ending]
+        )
         if type(value).__name__ != wanted:
             got = f"{type(value).__name__} in {prim.GetPath()}"
             raise RefusedError(f"{full} as {wanted}", got, "export it again")
@@ -176,11 +246,15 @@ def _values(prim: Any, name: str, moment: Any, kind: str, width: int) -> NDArray
     return None
 
 
-def _rows(name: str, values: NDArray[np.generic] | None, count: int, default: list[int]) -> NDArray[np.float32]:
+def _rows(
+    name: str, values: NDArray[np.generic] | None, count: int, default: list[int]
+) -> NDArray[np.float32]:
     if values is None:
         return np.tile(np.array(default, np.float32), (count, 1))
     if len(values) != count:
-        raise RefusedError(f"{count} values of {name}", str(len(values)), "export it again")
+        raise RefusedError(
+            f"{count} values of {name}", str(len(values)), "export it again"
+        )
     return values.astype(np.float32)
 
 
@@ -194,13 +268,21 @@ def main(path: str, folder: str, most: str) -> None:
     except RefusedError as refused:
         answer = {"refused": [word[:160] for word in refused.args]}
     except (RuntimeError, MemoryError, ValueError, OSError) as error:
-        answer = {"refused": ["an OpenUSD file that is intact", _words(error).replace(path, "it"), "export it again"]}
+        answer = {
+            "refused": [
+                "an OpenUSD file that is intact",
+                _words(error).replace(path, "it"),
+                "export it again",
+            ]
+        }
     with open(os.path.join(folder, "answer.json"), "w") as file:
         json.dump(answer, file)
 
 
 def _words(error: Exception) -> str:
-    """What usd-core says, without where in its code it was said; or the kind of error."""
+    """What usd-core says, without where in its code it was said; or the kind of
+    error.
+    """
     try:
         text = " ".join(str(error).split())
     except UnicodeDecodeError:

@@ -1,4 +1,6 @@
-"""The strategy of 3D Gaussian Splatting: clone, split and prune (Kerbl et al. 2023, section 5.2)."""
+"""The strategy of 3D Gaussian Splatting: clone, split and prune (Kerbl et al. 2023,
+section 5.2).
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,9 @@ RESET_OPACITY = 0.01
 class ClassicStrategy(Strategy):
     """Rounds of clone, split and prune, and resets of the opacities.
 
-    Its state: `grad2d` (N,), sums of the length of the centres' gradients since the last round; `visible_count` (N,),
-    in how many pictures each Gaussian was visible since then; `opacities_were_reset`, one bool.
+    Its state: `grad2d` (N,), sums of the length of the centres' gradients since the
+    last round; `visible_count` (N,), in how many pictures each Gaussian was visible
+    since then; `opacities_were_reset`, one bool.
     """
 
     def __init__(self, config: ClassicConfig) -> None:
@@ -35,17 +38,26 @@ class ClassicStrategy(Strategy):
 
     def initial_state(self, count: int) -> State:
         """Nothing is counted yet."""
-        return {**_counters(count), "opacities_were_reset": torch.zeros(1, dtype=torch.bool)}
+        return {
+            **_counters(count),
+            "opacities_were_reset": torch.zeros(1, dtype=torch.bool),
+        }
 
     def after_step(self, step: Step, state: State) -> Edit | None:
         """Count; densify and prune, and reset opacities, where it is time."""
         config, at = self.config, step.iteration
         if step.screen_gradients is None:
             do = "use Renderer(screen_gradients=ScreenGradients())"
-            raise InvalidValueError.of("render", "a renderer that keeps screen gradients", "none kept", do)
+            raise InvalidValueError.of(
+                "render", "a renderer that keeps screen gradients", "none kept", do
+            )
         state["grad2d"] += step.screen_gradients.lengths
         state["visible_count"] += step.screen_gradients.visible
-        until = step.iterations // 2 if config.densify_until is None else config.densify_until
+        until = (
+            step.iterations // 2
+            if config.densify_until is None
+            else config.densify_until
+        )
         edit = None
         if config.densify_from < at <= until and at % config.densify_interval == 0:
             edit = densify_and_prune(
@@ -56,18 +68,30 @@ class ClassicStrategy(Strategy):
                 prune_large=bool(state["opacities_were_reset"]),
                 generator=step.generator,
             )
-            state |= _counters(len(edit.parameters["means"]), edit.parameters["means"].device)
-        if config.opacity_reset_interval and at % config.opacity_reset_interval == 0 and at <= until:
+            state |= _counters(
+                len(edit.parameters["means"]), edit.parameters["means"].device
+            )
+        if (
+            config.opacity_reset_interval
+            and at % config.opacity_reset_interval == 0
+            and at <= until
+        ):
             values = step.parameters if edit is None else edit.parameters
             lowered = {"opacities": reset_opacities(values["opacities"])}
-            edit = Edit(parameters=lowered) if edit is None else replace(edit, parameters=values | lowered)
+            edit = (
+                Edit(parameters=lowered)
+                if edit is None
+                else replace(edit, parameters=values | lowered)
+            )
             edit = replace(edit, forget=("opacities",))
             state["opacities_were_reset"][:] = True
         return edit
 
 
 def _counters(count: int, device: torch.device | None = None) -> State:
-    return {name: torch.zeros(count, device=device) for name in ("grad2d", "visible_count")}
+    return {
+        name: torch.zeros(count, device=device) for name in ("grad2d", "visible_count")
+    }
 
 
 def densify_and_prune(
@@ -82,7 +106,9 @@ def densify_and_prune(
     """One round of clone, split and prune."""
     count = len(grad2d)
     largest = parameters["scales"].detach().amax(1).exp()
-    room = count if config.max_gaussians is None else max(config.max_gaussians - count, 0)
+    room = (
+        count if config.max_gaussians is None else max(config.max_gaussians - count, 0)
+    )
     chosen = grad2d >= config.densify_grad_threshold
     if int(chosen.sum()) > room:  # those that need it most come first
         order = torch.argsort(grad2d, descending=True, stable=True)[:room]

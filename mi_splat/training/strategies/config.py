@@ -1,11 +1,21 @@
-"""The options of each strategy; light, so that a command line can be parsed without torch."""
+"""The options of each strategy; light, so that a command line can be parsed without
+torch.
+"""
 
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Checked, Fraction, Metavar, Steps, above, at_least, check_choice
+from mi_splat.fields import (
+    Checked,
+    Fraction,
+    Metavar,
+    Steps,
+    above,
+    at_least,
+    check_choice,
+)
 from mi_splat.training.strategies.base import FixedStrategy, Strategy
 
 Interval = Annotated[int, at_least(0, "steps")]
@@ -15,16 +25,18 @@ Weight = Annotated[float, at_least(0), Metavar("WEIGHT")]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StrategyConfig(Checked):
-    """The options that all strategies have; each derives a frozen dataclass with its own.
+    """The options that all strategies have; each derives a frozen dataclass with its
+    own.
 
-    Fields are the options in Python, the flags of `mi-splat train`, and what a checkpoint holds: numbers, strings,
-    booleans, or None.
+    Fields are the options in Python, the flags of `mi-splat train`, and what a
+    checkpoint holds: numbers, strings, booleans, or None.
 
     Attributes:
         max_gaussians: No Gaussians are added beyond this number; None sets no limit.
 
     Raises:
-        InvalidValueError: A number is not finite, or not whole where it is an int; of derived dataclasses, too.
+        InvalidValueError: A number is not finite, or not whole where it is an int; of
+            derived dataclasses, too.
     """
 
     needs_screen_gradients: ClassVar[bool] = False
@@ -34,7 +46,9 @@ class StrategyConfig(Checked):
     adds_gaussians: ClassVar[bool] = True
     """Whether Gaussians are added, so that `max_gaussians` matters."""
 
-    max_gaussians: Annotated[int, at_least(1, "Gaussians", "leave it out for no limit")] | None = 100_000
+    max_gaussians: (
+        Annotated[int, at_least(1, "Gaussians", "leave it out for no limit")] | None
+    ) = 100_000
 
     def build(self) -> Strategy:
         """The strategy with these options; each derived class makes its own."""
@@ -43,19 +57,23 @@ class StrategyConfig(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassicConfig(StrategyConfig):
-    """Clone, split and prune by the gradient of the mean on the screen (Kerbl et al. 2023, section 5.2).
+    """Clone, split and prune by the gradient of the mean on the screen (Kerbl et al.
+    2023, section 5.2).
 
     Attributes:
         densify_from: First iteration at which Gaussians may be added.
-        densify_until: Last iteration at which Gaussians are added or opacities reset; None is half of the training, as
-            15,000 of 30,000 in the paper.
+        densify_until: Last iteration at which Gaussians are added or opacities reset;
+            None is half of the training, as 15,000 of 30,000 in the paper.
         densify_interval: Iterations between two rounds.
-        densify_grad_threshold: Mean gradient of the centre, in half pictures (normalised device coordinates), from
-            which a Gaussian is cloned or split.
-        percent_dense: Gaussians larger than this share of the scene's extent are split, smaller ones cloned.
+        densify_grad_threshold: Mean gradient of the centre, in half pictures
+            (normalised device coordinates), from which a Gaussian is cloned or split.
+        percent_dense: Gaussians larger than this share of the scene's extent are split,
+            smaller ones cloned.
         prune_opacity: Gaussians below it are removed.
-        prune_scale: Gaussians larger than this share of the extent are removed once opacities have been reset.
-        opacity_reset_interval: Iterations between two resets of the opacities to at most 0.01; 0 never does it.
+        prune_scale: Gaussians larger than this share of the extent are removed once
+            opacities have been reset.
+        opacity_reset_interval: Iterations between two resets of the opacities to at
+            most 0.01; 0 never does it.
     """
 
     needs_screen_gradients: ClassVar[bool] = True
@@ -64,9 +82,13 @@ class ClassicConfig(StrategyConfig):
     densify_until: Interval | None = None
     densify_interval: Steps = 100
     densify_grad_threshold: Annotated[float, at_least(0), Metavar("GRADIENT")] = 2e-4
-    percent_dense: Annotated[float, at_least(0, "shares of the scene's extent"), Metavar("SHARE")] = 0.01
+    percent_dense: Annotated[
+        float, at_least(0, "shares of the scene's extent"), Metavar("SHARE")
+    ] = 0.01
     prune_opacity: Opacity = 0.005
-    prune_scale: Annotated[float, above(0, "shares of the scene's extent"), Metavar("SHARE")] = 0.1
+    prune_scale: Annotated[
+        float, above(0, "shares of the scene's extent"), Metavar("SHARE")
+    ] = 0.1
     opacity_reset_interval: Interval = 3000
 
     def build(self) -> Strategy:
@@ -119,12 +141,20 @@ class FixedConfig(StrategyConfig):
         return FixedStrategy()
 
 
-STRATEGIES: dict[str, type[StrategyConfig]] = {"classic": ClassicConfig, "mcmc": MCMCConfig, "fixed": FixedConfig}
-"""The options of each strategy by its name; add yours, so that commands, studies and checkpoints can name it."""
+STRATEGIES: dict[str, type[StrategyConfig]] = {
+    "classic": ClassicConfig,
+    "mcmc": MCMCConfig,
+    "fixed": FixedConfig,
+}
+"""The options of each strategy by its name; add yours, so that commands, studies and
+checkpoints can name it.
+"""
 
 
 def strategy_config(name: str, **options: Any) -> StrategyConfig:
-    """The options of the strategy with a name; those that are not given have their defaults."""
+    """The options of the strategy with a name; those that are not given have their
+    defaults.
+    """
     check_choice("strategy", name, STRATEGIES)
     return STRATEGIES[name](**options)
 
@@ -134,5 +164,10 @@ def strategy_name(config: StrategyConfig) -> str:
     for name, kind in STRATEGIES.items():
         if type(config) is kind:
             return name
-    do = "add it to mi_splat.training.strategies.STRATEGIES, so that a checkpoint can name it"
-    raise InvalidValueError.of("strategy", "one of STRATEGIES", type(config).__name__, do)
+    do = (
+        "add it to mi_splat.training.strategies.STRATEGIES, so that a checkpoint can"
+        " name it"
+    )
+    raise InvalidValueError.of(
+        "strategy", "one of STRATEGIES", type(config).__name__, do
+    )

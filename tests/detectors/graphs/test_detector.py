@@ -1,4 +1,6 @@
-"""The adapters of the detectors that others trained on photographs; those that need the weights run where these are."""
+"""The adapters of the detectors that others trained on photographs; those that need the
+weights run where these are.
+"""
 
 import importlib.util
 from dataclasses import replace
@@ -10,7 +12,14 @@ from torch import Tensor
 
 from attacks.detectors import load_detector
 from attacks.detectors.catalogue import COCO_CLASSES, DetectorError, weights_of
-from attacks.detectors.graphs.detector import DEVIATION, FAMILIES, MEAN, GraphDetector, GraphNetwork, load
+from attacks.detectors.graphs.detector import (
+    DEVIATION,
+    FAMILIES,
+    MEAN,
+    GraphDetector,
+    GraphNetwork,
+    load,
+)
 from attacks.detectors.graphs.graph import GraphModel, Node
 from attacks.testing import check_detector
 from mi_splat.datasets.frames import read_picture
@@ -24,7 +33,9 @@ pytestmark = pytest.mark.shipped
 SCENES = Path(__file__).resolve().parents[3] / "scenes"
 CENTERNET, NANODET = FAMILIES["centernet_coco"], FAMILIES["nanodet_coco"]
 there = {
-    name: pytest.mark.skipif(not weights_of(name).is_file(), reason=f"mi-splat detectors --get {name}")
+    name: pytest.mark.skipif(
+        not weights_of(name).is_file(), reason=f"mi-splat detectors --get {name}"
+    )
     for name in FAMILIES
 }
 FINGERPRINTS = {
@@ -47,7 +58,11 @@ def test_centernet_boxes_lie_about_their_cells() -> None:
 
 def test_centernet_reports_peaks_of_each_class() -> None:
     scores = torch.zeros(128 * 128, 80)
-    scores[10 * 128 + 20, 2], scores[10 * 128 + 21, 2], scores[11 * 128 + 21, 5] = 0.7, 0.6, 0.8
+    scores[10 * 128 + 20, 2], scores[10 * 128 + 21, 2], scores[11 * 128 + 21, 5] = (
+        0.7,
+        0.6,
+        0.8,
+    )
     scores[40 * 128, 2] = 0.04
     rows, columns = CENTERNET.keep(torch.zeros(len(scores), 4), scores, 0.05)
     assert rows.tolist() == [11 * 128 + 21, 10 * 128 + 20]
@@ -67,13 +82,17 @@ def test_nanodet_distance_is_the_mean_of_its_bins() -> None:
     boxes, scores = NANODET.decode(tuple(outputs))
     row = 52 * 52 + cell
     x, y = 16 * 4.5, 16 * 3.5
-    torch.testing.assert_close(boxes[row], torch.tensor([x - 16, y - 32, x + 48, y + 80]))
+    torch.testing.assert_close(
+        boxes[row], torch.tensor([x - 16, y - 32, x + 48, y + 80])
+    )
     assert scores[row, 7] == pytest.approx(0.9)
     assert boxes.shape == (52 * 52 + 26 * 26 + 13 * 13, 4)
 
 
 def test_nanodet_drops_weaker_boxes_of_the_same_class_only() -> None:
-    boxes = torch.tensor([[0.0, 0, 10, 10], [0, 0, 10, 9], [0, 0, 10, 10], [50, 50, 60, 60]])
+    boxes = torch.tensor(
+        [[0.0, 0, 10, 10], [0, 0, 10, 9], [0, 0, 10, 10], [50, 50, 60, 60]]
+    )
     scores = torch.zeros(4, 3)
     scores[0, 0], scores[1, 0], scores[2, 1], scores[3, 0] = 0.5, 0.6, 0.4, 0.04
     rows, columns = NANODET.keep(boxes, scores, 0.05)
@@ -82,13 +101,19 @@ def test_nanodet_drops_weaker_boxes_of_the_same_class_only() -> None:
 
 def test_pictures_are_prepared_as_the_networks_want_them() -> None:
     colour = torch.tensor([0.2, 0.4, 0.6]).reshape(1, 3, 1, 1).expand(1, 3, 2, 2)
-    torch.testing.assert_close(CENTERNET.prepare(colour)[0, 0, 0], torch.tensor([51.0, 102, 153]))
-    blue_green_red = (torch.tensor([153.0, 102, 51]) - torch.tensor(MEAN)) / torch.tensor(DEVIATION)
+    torch.testing.assert_close(
+        CENTERNET.prepare(colour)[0, 0, 0], torch.tensor([51.0, 102, 153])
+    )
+    blue_green_red = (
+        torch.tensor([153.0, 102, 51]) - torch.tensor(MEAN)
+    ) / torch.tensor(DEVIATION)
     torch.testing.assert_close(NANODET.prepare(colour)[0, :, 0, 0], blue_green_red)
 
 
 def _tiny() -> GraphDetector:
-    """Scores are the sigmoid of the mean colour over quarters of the picture; the box of each is the quarter's."""
+    """Scores are the sigmoid of the mean colour over quarters of the picture; the box
+    of each is the quarter's.
+    """
     numbers = {"split": [2, 4, 2, 4, 3], "axes": [1, 3], "shape": [1, 4, 3]}
     constants = {name: torch.tensor(values) for name, values in numbers.items()}
     nodes = {
@@ -105,9 +130,18 @@ def _tiny() -> GraphDetector:
         return boxes, outputs[0][0]
 
     family = replace(
-        NANODET, side=8, prepare=lambda picture: picture.permute(0, 2, 3, 1) * 4 - 2, decode=decode, min_confidence=0.5
+        NANODET,
+        side=8,
+        prepare=lambda picture: picture.permute(0, 2, 3, 1) * 4 - 2,
+        decode=decode,
+        min_confidence=0.5,
     )
-    return GraphDetector("tiny", GraphNetwork(GraphModel(nodes, constants), ["scores"]), family, COCO_CLASSES[:3])
+    return GraphDetector(
+        "tiny",
+        GraphNetwork(GraphModel(nodes, constants), ["scores"]),
+        family,
+        COCO_CLASSES[:3],
+    )
 
 
 def test_boxes_are_in_pixels_of_the_picture_whatever_its_size() -> None:
@@ -127,21 +161,36 @@ def test_the_contract_is_kept() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "known"), [pytest.param(name, known, marks=there[name]) for name, known in FINGERPRINTS.items()]
+    ("name", "known"),
+    [
+        pytest.param(name, known, marks=there[name])
+        for name, known in FINGERPRINTS.items()
+    ],
 )
-def test_the_fingerprint_of_the_published_is_that_of_results(name: str, known: str) -> None:
+def test_the_fingerprint_of_the_published_is_that_of_results(
+    name: str, known: str
+) -> None:
     assert load(name).fingerprint == known
 
 
-def test_weights_that_are_not_there_or_are_others_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_weights_that_are_not_there_or_are_others_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    with pytest.raises(DetectorError, match=r"weights of nanodet_coco: .* get it: mi-splat detectors --get"):
+    with pytest.raises(
+        DetectorError,
+        match=r"weights of nanodet_coco: .* get it: mi-splat detectors --get",
+    ):
         load_detector("nanodet_coco")
     for file in ("nanodet.json", "nanodet.bin", "other.bin"):
         (tmp_path / file).write_bytes(b"{}")
-    with pytest.raises(DetectorError, match=r"nanodet\.json: expected sha256 4495eb.*get it"):
+    with pytest.raises(
+        DetectorError, match=r"nanodet\.json: expected sha256 4495eb.*get it"
+    ):
         load_detector("nanodet_coco", weights=tmp_path / "nanodet.bin")
-    with pytest.raises(DetectorError, match=r"expected a file nanodet\.bin, got other\.bin"):
+    with pytest.raises(
+        DetectorError, match=r"expected a file nanodet\.bin, got other\.bin"
+    ):
         load_detector("nanodet_coco", weights=tmp_path / "other.bin")
 
 
@@ -155,13 +204,21 @@ def test_people_are_found_in_a_photograph() -> None:
     (detections,) = load_detector("ssdlite_pedestrian").detect(picture[None])
     assert detections.labels[:2] == ("person",) * 2
     assert float(detections.scores[1]) > 0.99
-    torch.testing.assert_close(detections.boxes[0], torch.tensor([44.0, 410.0, 219.0, 916.0]), rtol=0, atol=2)
+    torch.testing.assert_close(
+        detections.boxes[0], torch.tensor([44.0, 410.0, 219.0, 916.0]), rtol=0, atol=2
+    )
 
 
-@pytest.mark.parametrize("name", [case for case in each if "ssdlite_pedestrian" not in case.values])
+@pytest.mark.parametrize(
+    "name", [case for case in each if "ssdlite_pedestrian" not in case.values]
+)
 def test_it_finds_what_is_to_be_seen(name: str, variant: str) -> None:
     detector = load_detector(name)
-    what, scene, number = ("car", "car_street", 0) if name == "ssd_openimages" else ("stop sign", "stop_sign", 4)
+    what, scene, number = (
+        ("car", "car_street", 0)
+        if name == "ssd_openimages"
+        else ("stop sign", "stop_sign", 4)
+    )
     loaded = read_scene(SCENES / f"{scene}.xml")
     camera = list(loaded.cameras.values())[number]
     picture = quantise(Renderer(loaded.settings)(loaded.scene, camera).clamp(0, 1))
@@ -177,7 +234,9 @@ def test_gradient_of_the_whole_chain_is_that_of_differences(name: str) -> None:
     detector = load(name)
     detector.model.double()
     generator = torch.Generator().manual_seed(0)
-    image = torch.rand(1, 64, 80, 3, generator=generator, dtype=torch.float64) * 0.6 + 0.2
+    image = (
+        torch.rand(1, 64, 80, 3, generator=generator, dtype=torch.float64) * 0.6 + 0.2
+    )
 
     def value(picture: Tensor) -> Tensor:
         (candidates,) = detector.candidates(picture)

@@ -17,7 +17,9 @@ def text(value: str) -> dict[str, str]:
 
 
 def two_convolutions() -> tuple[bytes, bytes]:
-    """A graph as converters from PyTorch make it: channels first, with transpositions about each convolution."""
+    """A graph as converters from PyTorch make it: channels first, with transpositions
+    about each convolution.
+    """
     constants: dict[str, np.ndarray[tuple[int, ...], np.dtype[np.generic]]] = {
         "k": KERNEL,
         "l": KERNEL.transpose(0, 1, 3, 2).copy(),
@@ -25,7 +27,11 @@ def two_convolutions() -> tuple[bytes, bytes]:
         "in": np.array([0, 3, 1, 2], np.int32),
         "bias": np.array([1, 2, 3], np.float16).reshape(1, 3, 1, 1),
     }
-    settings = {"strides": {"list": {"i": ["1", "1", "1", "1"]}}, "padding": text("VALID"), "explicit_paddings": {}}
+    settings = {
+        "strides": {"list": {"i": ["1", "1", "1", "1"]}},
+        "padding": text("VALID"),
+        "explicit_paddings": {},
+    }
     operations = [
         ("z", "Add", ["b2", "bias"], {}),
         ("a", "Transpose", ["x", "out"], {}),
@@ -37,17 +43,24 @@ def two_convolutions() -> tuple[bytes, bytes]:
         ("b2", "Transpose", ["c", "in"], {}),
     ]
     nodes: list[dict[str, object]] = [
-        {"name": name, "op": op, "input": taken, "attr": attr} for name, op, taken, attr in operations
+        {"name": name, "op": op, "input": taken, "attr": attr}
+        for name, op, taken, attr in operations
     ]
     nodes += [{"name": name, "op": "Const"} for name in constants]
     shape = {"shape": {"dim": [{"size": str(size)} for size in (1, 3, 4, 5)]}}
     nodes.append({"name": "x", "op": "Placeholder", "attr": {"shape": shape}})
     manifest: list[dict[str, object]] = [
-        {"name": k, "shape": v.shape, "dtype": str(v.dtype)} for k, v in constants.items()
+        {"name": k, "shape": v.shape, "dtype": str(v.dtype)}
+        for k, v in constants.items()
     ]
     manifest[-1] |= {"dtype": "float32", "quantization": {"dtype": "float16"}}
-    document = {"modelTopology": {"node": nodes}, "weightsManifest": [{"weights": manifest}]}
-    return json.dumps(document).encode(), b"".join(value.tobytes() for value in constants.values())
+    document = {
+        "modelTopology": {"node": nodes},
+        "weightsManifest": [{"weights": manifest}],
+    }
+    return json.dumps(document).encode(), b"".join(
+        value.tobytes() for value in constants.values()
+    )
 
 
 def test_a_channels_first_graph_is_computed_in_either_precision() -> None:
@@ -56,13 +69,21 @@ def test_a_channels_first_graph_is_computed_in_either_precision() -> None:
     network = GraphNetwork(model, ["z"])
     x, k = torch.randn(1, 3, 4, 5), torch.from_numpy(KERNEL[0, 0])
     hidden = torch.relu(torch.einsum("bchw,co->bohw", x, k))
-    wanted = torch.einsum("bohw,co->bchw", hidden, k) + torch.tensor([1.0, 2, 3]).reshape(1, 3, 1, 1)
+    wanted = torch.einsum("bohw,co->bchw", hidden, k) + torch.tensor(
+        [1.0, 2, 3]
+    ).reshape(1, 3, 1, 1)
     torch.testing.assert_close(network(x)[0], wanted)
     assert network.double()(x.double())[0].dtype == torch.float64
 
 
 def test_what_depends_on_constants_alone_is_worked_out_once() -> None:
-    numbers = {"where": [[1]], "shape": [3], "values": [6], "rest": 1, "plus": [0, 0, -2]}
+    numbers = {
+        "where": [[1]],
+        "shape": [3],
+        "values": [6],
+        "rest": 1,
+        "plus": [0, 0, -2],
+    }
     constants = {name: torch.tensor(value) for name, value in numbers.items()}
     nodes = {
         **dict.fromkeys(constants, Node("Const")),
@@ -75,4 +96,8 @@ def test_what_depends_on_constants_alone_is_worked_out_once() -> None:
     network = GraphNetwork(GraphModel(nodes, constants), ["y", "rest", "x"])
     assert len(network._calls) == 1
     y, rest, x = network(torch.arange(6.0))
-    assert (tuple(y.shape), float(rest), x.tolist()) == ((1, 6, 1), 1.0, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    assert (tuple(y.shape), float(rest), x.tolist()) == (
+        (1, 6, 1),
+        1.0,
+        [0.0, 1.0, 2.0, 3.0, 4.0, 5.0],
+    )

@@ -1,4 +1,6 @@
-"""A small TFLite file with all operations that are read, written by the schema package."""
+"""A small TFLite file with all operations that are read, written by the schema
+package.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -39,20 +41,42 @@ def tiny() -> bytes:
     builder = flatbuffers.Builder(0)
     buffers = [_table(builder, "Buffer")]
     buffers += [
-        _table(builder, "Buffer", Data=builder.CreateNumpyVector(v.view(np.uint8).ravel())) for v in data.values()
+        _table(
+            builder, "Buffer", Data=builder.CreateNumpyVector(v.view(np.uint8).ravel())
+        )
+        for v in data.values()
     ]
     tensors = []
     for key, shape in SHAPES.items():
         number = list(data).index(key) + 1 if key in data else 0
-        parts = {"Name": builder.CreateString(key), "Shape": builder.CreateNumpyVector(np.array(shape, np.int32))}
-        tensors.append(_table(builder, "Tensor", Buffer=number, Type=types.get(key, 0), **parts))
+        parts = {
+            "Name": builder.CreateString(key),
+            "Shape": builder.CreateNumpyVector(np.array(shape, np.int32)),
+        }
+        tensors.append(
+            _table(builder, "Tensor", Buffer=number, Type=types.get(key, 0), **parts)
+        )
     operators = [
         _operator(builder, 0, [1], [2]),
-        _operator(builder, 1, [0, 2, 3], [4], _convolution(builder, "DepthwiseConv2DOptions", 2, DepthMultiplier=2)),
-        _operator(builder, 2, [4, 5, 6], [7], _convolution(builder, "Conv2DOptions", 1)),
+        _operator(
+            builder,
+            1,
+            [0, 2, 3],
+            [4],
+            _convolution(builder, "DepthwiseConv2DOptions", 2, DepthMultiplier=2),
+        ),
+        _operator(
+            builder, 2, [4, 5, 6], [7], _convolution(builder, "Conv2DOptions", 1)
+        ),
         _operator(builder, 3, [7, 7], [8], _options(builder, "AddOptions")),
         _operator(builder, 4, [8, 9], [10]),
-        _operator(builder, 5, [10, 10], [11], _options(builder, "ConcatenationOptions", Axis=1)),
+        _operator(
+            builder,
+            5,
+            [10, 10],
+            [11],
+            _options(builder, "ConcatenationOptions", Axis=1),
+        ),
     ]
     known = tflite.BuiltinOperator
     kinds = [known.DEQUANTIZE, known.DEPTHWISE_CONV_2D, known.CONV_2D]
@@ -76,7 +100,12 @@ def tiny() -> bytes:
         Operators=_vector(builder, operators),
     )
     vectors = {"OperatorCodes": codes, "Subgraphs": [graph], "Buffers": buffers}
-    model = _table(builder, "Model", Version=3, **{key: _vector(builder, value) for key, value in vectors.items()})
+    model = _table(
+        builder,
+        "Model",
+        Version=3,
+        **{key: _vector(builder, value) for key, value in vectors.items()},
+    )
     builder.Finish(model, file_identifier=b"TFL3")
     return bytes(builder.Output())
 
@@ -94,20 +123,46 @@ def _options(builder: Any, kind: str, **values: int) -> tuple[int, int]:
     return getattr(tflite.BuiltinOptions, kind), _table(builder, kind, **values)
 
 
-def _convolution(builder: Any, kind: str, stride: int, **values: int) -> tuple[int, int]:
-    fused = tflite.ActivationFunctionType.RELU6 if stride > 1 else tflite.ActivationFunctionType.NONE
-    steps = {"StrideH": stride, "StrideW": stride, "DilationHFactor": 1, "DilationWFactor": 1}
-    return _options(builder, kind, Padding=tflite.Padding.SAME, FusedActivationFunction=fused, **steps, **values)
+def _convolution(
+    builder: Any, kind: str, stride: int, **values: int
+) -> tuple[int, int]:
+    fused = (
+        tflite.ActivationFunctionType.RELU6
+        if stride > 1
+        else tflite.ActivationFunctionType.NONE
+    )
+    steps = {
+        "StrideH": stride,
+        "StrideW": stride,
+        "DilationHFactor": 1,
+        "DilationWFactor": 1,
+    }
+    return _options(
+        builder,
+        kind,
+        Padding=tflite.Padding.SAME,
+        FusedActivationFunction=fused,
+        **steps,
+        **values,
+    )
 
 
 def _operator(
-    builder: Any, number: int, inputs: Sequence[int], outputs: Sequence[int], options: tuple[int, int] = (0, 0)
+    builder: Any,
+    number: int,
+    inputs: Sequence[int],
+    outputs: Sequence[int],
+    options: tuple[int, int] = (0, 0),
 ) -> int:
     lists = {
         "Inputs": builder.CreateNumpyVector(np.array(inputs, np.int32)),
         "Outputs": builder.CreateNumpyVector(np.array(outputs, np.int32)),
     }
-    more = {"BuiltinOptionsType": options[0], "BuiltinOptions": options[1]} if options[0] else {}
+    more = (
+        {"BuiltinOptionsType": options[0], "BuiltinOptions": options[1]}
+        if options[0]
+        else {}
+    )
     return _table(builder, "Operator", OpcodeIndex=number, **lists, **more)
 
 

@@ -14,11 +14,15 @@ if TYPE_CHECKING:
 VARIES = ("log/*",)
 
 
-def run(config: NumbersConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, float]]:
+def run(
+    config: NumbersConfig, inputs: Mapping[str, Path], out: Out
+) -> list[dict[str, float]]:
     """The sum of the values, of the shift and of what the inputs say."""
     total = sum(config.values) + config.shift.by
     for path in inputs.values():
-        total += float(path.read_text() if path.is_file() else (path / "sum.txt").read_text())
+        total += float(
+            path.read_text() if path.is_file() else (path / "sum.txt").read_text()
+        )
     out.progress("adding", 1, 1)
     (out / "sum.txt").write_text(repr(total))
     return [{"sum": total}]

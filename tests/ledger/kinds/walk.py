@@ -1,4 +1,6 @@
-"""Goes some steps, remembers how far it has come, may do what a job should not, and leaves its name in the store."""
+"""Goes some steps, remembers how far it has come, may do what a job should not, and
+leaves its name in the store.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
 
-def run(config: WalkConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, int]]:
+def run(
+    config: WalkConfig, inputs: Mapping[str, Path], out: Out
+) -> list[dict[str, int]]:
     """A chain of numbers, which is the same however often it was interrupted."""
     try:
         return _walked(config, inputs, out)
@@ -24,11 +28,15 @@ def run(config: WalkConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[s
         raise
 
 
-def _walked(config: WalkConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, int]]:
+def _walked(
+    config: WalkConfig, inputs: Mapping[str, Path], out: Out
+) -> list[dict[str, int]]:
     kept = out.partial / "kept"
     with (out.kept.parents[1] / "runs").open("a") as runs:
         runs.write(f"{out.kept.name}\n")
-    step, number = map(int, kept.read_text().split()) if kept.is_file() else (0, config.start)
+    step, number = (
+        map(int, kept.read_text().split()) if kept.is_file() else (0, config.start)
+    )
     while step < config.steps:
         if config.trouble == "raise":
             raise ValueError("no way")
