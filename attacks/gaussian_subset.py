@@ -67,7 +67,8 @@ class GaussianSubset:
 
     def complete(self, parameters: Parameters) -> Parameters:
         """The parameters with those SH coefficients, too, that may not change."""
-        sh, clean = parameters.get("sh"), self.clean["sh"]
+        sh = parameters.get("sh")
+        clean = self.clean["sh"]
         if sh is None or sh.shape[1] == clean.shape[1]:
             return parameters
         return {**parameters, "sh": torch.cat([sh, clean[:, sh.shape[1] :]], 1)}
@@ -92,9 +93,11 @@ class GaussianSubset:
         it had.
         """
         parameters = self.complete(parameters)
-        attacked, tensors = self.scene_with(parameters).detach(), {}
+        attacked = self.scene_with(parameters).detach()
+        tensors = {}
         for name, value in parameters.items():
-            before, after = getattr(self.scene, name).detach(), getattr(attacked, name)
+            before = getattr(self.scene, name).detach()
+            after = getattr(attacked, name)
             still = value.detach() == self.clean[name]
             if name == "rotations":  # normalisation mixes the four numbers of a row
                 still = still.all(-1, keepdim=True).expand_as(still)
@@ -110,7 +113,8 @@ class GaussianSubset:
             len(self.scene.means), dtype=torch.bool, device=self.scene.means.device
         )
         for name in ATTRIBUTES:
-            before, after = getattr(self.scene, name), getattr(attacked, name)
+            before = getattr(self.scene, name)
+            after = getattr(attacked, name)
             differs |= (before != after).reshape(len(before), -1).any(-1)
         return int(differs.sum())
 

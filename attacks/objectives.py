@@ -150,11 +150,10 @@ def check_objective(value: object) -> None:
     if not callable(value) or not all(
         hasattr(value, name) for name in ("name", "label", "verdict")
     ):
-        do = (
-            f"pass relabel({value!r})"
-            if isinstance(value, str)
-            else "pass for instance hide()"
-        )
+        if isinstance(value, str):
+            do = f"pass relabel({value!r})"
+        else:
+            do = "pass for instance hide()"
         raise InvalidValueError.of(
             "objective", "an Objective", type(value).__name__, do
         )
@@ -312,17 +311,18 @@ class Relabel:
         """
         column = _column(target, self.label)
         with torch.no_grad():
-            scores, overlaps = (
-                candidates.scores[:, column],
-                overlap(candidates.boxes[:, column], target.box),
-            )
-            highest = (
-                float(torch.where(overlaps >= self.iou - _SLACK, scores, 0.0).max())
-                if len(scores)
-                else 0.0
-            )
+            scores = candidates.scores[:, column]
+            overlaps = overlap(candidates.boxes[:, column], target.box)
+            if len(scores):
+                highest = float(
+                    torch.where(overlaps >= self.iou - _SLACK, scores, 0.0).max()
+                )
+            else:
+                highest = 0.0
         far = highest < self.confidence / 2
-        return Verdict(success=False, score=highest, unambiguous=False) if far else None
+        if far:
+            return Verdict(success=False, score=highest, unambiguous=False)
+        return None
 
     def verdict(self, detections: Detections, target: Target) -> Verdict:
         """The label is reported on the object with enough confidence; unambiguous if no
@@ -339,7 +339,8 @@ class Relabel:
             left = confidence(
                 detections, target.box, labels=[str(target.original)], iou=self.iou
             )
-            score, success = min(score, 1.0 - left), success and left < LEFT
+            score = min(score, 1.0 - left)
+            success = success and left < LEFT
         return Verdict(success=success, score=score, unambiguous=success and not beaten)
 
 
@@ -427,7 +428,8 @@ class Untargeted(Suppression):
         return self._judge(detections, target, [target.original])
 
 
-STRICT_NEAR, STRICT_SPREAD = 0.8, 1.0
+STRICT_NEAR = 0.8
+STRICT_SPREAD = 1.0
 """How a strict search weighs candidates; chosen on single views of the sign on
 `fasterrcnn_small`.
 """
@@ -518,11 +520,10 @@ class FunctionObjective:
         """Scalar loss, lower is better for the attacker."""
         value = self.loss(candidates, target)
         if not isinstance(value, Tensor) or value.ndim:
-            got = (
-                f"a tensor of shape {tuple(value.shape)}"
-                if isinstance(value, Tensor)
-                else type(value).__name__
-            )
+            if isinstance(value, Tensor):
+                got = f"a tensor of shape {tuple(value.shape)}"
+            else:
+                got = type(value).__name__
             do = "end the loss with .sum() or .mean()"
             raise InvalidValueError.of(
                 f"loss of {self.name}", "a tensor without axes", got, do

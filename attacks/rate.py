@@ -21,7 +21,9 @@ def wilson(fraction: float, total: float) -> tuple[float, float]:
     """
     if not total:
         return 0.0, 1.0
-    z, n, p = _Z, total, fraction
+    z = _Z
+    n = total
+    p = fraction
     centre = (p + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     return max(0.0, centre - half), min(1.0, centre + half)
@@ -57,23 +59,25 @@ class Rate:
                 f"a rate of {rate.successes} of {rate.total}, {low} to {high}"
             )
         is_wilson = abs(low - rate.interval[0]) + abs(high - rate.interval[1]) < 1e-9
-        return rate if is_wilson else replace(rate, resampled=(low, high))
+        if is_wilson:
+            return rate
+        return replace(rate, resampled=(low, high))
 
     @property
     def fraction(self) -> float:
         """Successes over total."""
-        return self.successes / self.total if self.total else 0.0
+        if self.total:
+            return self.successes / self.total
+        return 0.0
 
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval: the resampled one, or Wilson's; (0, 1) when nothing was
         counted.
         """
-        return (
-            wilson(self.fraction, self.total)
-            if self.resampled is None
-            else self.resampled
-        )
+        if self.resampled is None:
+            return wilson(self.fraction, self.total)
+        return self.resampled
 
     @property
     def failures(self) -> Rate:
@@ -94,18 +98,16 @@ class Rate:
     @property
     def words(self) -> str:
         """Counts, fraction and interval for people; a dash if nothing was counted."""
-        return (
-            f"{self.counts} = {percent(self.fraction)} ({self.ends})"
-            if self.total
-            else "-"
-        )
+        if self.total:
+            return f"{self.counts} = {percent(self.fraction)} ({self.ends})"
+        return "-"
 
     def short(self, *, interval: bool = False) -> str:
         """The counts in a cell of a wide table, with the 95 % interval if so asked."""
         count, (low, high) = f"{self.successes}/{self.total}", self.interval
-        return (
-            f"{count} ({low:.2f} to {high:.2f})" if interval and self.total else count
-        )
+        if interval and self.total:
+            return f"{count} ({low:.2f} to {high:.2f})"
+        return count
 
     def as_dict(self) -> dict[str, Any]:
         """Rate (None when nothing was counted), successes, total and interval, as JSON
@@ -121,7 +123,9 @@ class Rate:
 
 def rate_of(value: Mapping[str, Any] | None) -> Rate | None:
     """A rate as JSON has it; None where there is none."""
-    return None if value is None else Rate.of(value)
+    if value is None:
+        return None
+    return Rate.of(value)
 
 
 def pooled(rates: Iterable[Rate | Mapping[str, Any] | None]) -> Rate:
@@ -155,8 +159,6 @@ def spread(rates: Iterable[Rate], *, intervals: bool = True) -> str:
 
 def number(value: float | None, form: str = ".1f", unit: str = "") -> str:
     """A number in a format, or a dash for none."""
-    return (
-        "-"
-        if value is None
-        else format(value, form) + (f"{FIXED}{unit}" if unit else "")
-    )
+    if value is None:
+        return "-"
+    return format(value, form) + (f"{FIXED}{unit}" if unit else "")

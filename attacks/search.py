@@ -177,9 +177,13 @@ def pgd(
             "steps", "a number >= 0", steps, "ask for at least one step"
         )
     hooks = hooks or Hooks()
-    best, best_line, trace, stopped = reference, None, list[Step](), False
+    best = reference
+    best_line = None
+    trace = list[Step]()
+    stopped = False
     for restart, start in enumerate([reference] if starts is None else starts):
-        memory, point = Memory(restart=restart), start
+        memory = Memory(restart=restart)
+        point = start
         for index in range(steps + 1):
             point = ball.project(
                 {name: value.detach().clone() for name, value in point.items()},
@@ -188,7 +192,8 @@ def pgd(
             here = _checked(evaluate(point))
             memory.index = index
             following = None if index == steps else optimiser(point, here, memory)
-            judged, verdict = point, here.verdict if hooks.judge is None else None
+            judged = point
+            verdict = here.verdict if hooks.judge is None else None
             if hooks.judge is not None and (
                 following is None or (index and not index % hooks.every)
             ):
@@ -199,7 +204,8 @@ def pgd(
             if verdict is not None and (
                 best_line is None or rank(line, smallest) > rank(best_line, smallest)
             ):
-                best_line, best = line, judged
+                best_line = line
+                best = judged
             if (
                 following is None
                 or (early_stop and _ended(line))
@@ -314,7 +320,9 @@ class Linf:
         """Size of the perturbation, compared with the radius: the largest absolute
         value.
         """
-        return float(delta.abs().max()) if delta.numel() else 0.0
+        if delta.numel():
+            return float(delta.abs().max())
+        return 0.0
 
     def shrink(self, delta: Tensor, radius: float) -> Tensor:
         """The nearest perturbation in the ball; no element grows or changes sign."""
@@ -349,7 +357,9 @@ class L2:
 
     def measure(self, delta: Tensor) -> float:
         """Size of the perturbation: that of the fullest ball."""
-        return float(self.sizes(delta).max()) if delta.numel() else 0.0
+        if delta.numel():
+            return float(self.sizes(delta).max())
+        return 0.0
 
     def shrink(self, delta: Tensor, radius: float) -> Tensor:
         """Scale down what is too long."""
@@ -483,10 +493,8 @@ class Budget:
         """
         for name, size in self.measure(parameters, reference).items():
             if not size <= self.radius[name]:
-                expected, do = (
-                    f"<= {self.radius[name]}",
-                    "report this: the attack is wrong",
-                )
+                expected = f"<= {self.radius[name]}"
+                do = "report this: the attack is wrong"
                 raise BudgetError.of(f"{self.norm} of {name}", expected, size, do)
 
     def steepest(self, gradients: Parameters) -> Parameters:
@@ -541,7 +549,8 @@ class Budget:
         Returns:
             New parameters by attribute, inside the budget.
         """
-        norm, moved = NORMS[self.norm], {}
+        norm = NORMS[self.norm]
+        moved = {}
         for name, value in parameters.items():
             noise = norm.noise(_difference(value, reference[name]), generator)
             moved[name] = (reference[name].double() + noise).to(value.dtype)

@@ -29,8 +29,12 @@ def cell(value: Any) -> str:
     if isinstance(value, Rate):
         return value.words
     if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+        if value:
+            return "yes"
+        return "no"
+    if isinstance(value, float):
+        return f"{value:g}"
+    return str(value)
 
 
 def number_at(*path: str, form: str = ".2f") -> Column[Any]:

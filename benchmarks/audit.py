@@ -104,7 +104,8 @@ def spent(command: list[str], root: Path) -> tuple[float, float, float]:
     child = subprocess.Popen(
         [sys.executable, *command], cwd=root, env=environment, stdout=subprocess.DEVNULL
     )
-    ended, most = 0, 0.0
+    ended = 0
+    most = 0.0
     while not ended:
         time.sleep(0.005)
         most = max(most, anonymous(child.pid))

@@ -19,7 +19,8 @@ from mi_splat.capture.path_tracer import (
 )
 from mi_splat.capture.sources import open_source
 
-SIZE, SAMPLES = 256, 32
+SIZE = 256
+SAMPLES = 32
 SCENES = ("car:900004", "car_street")
 ANGLES = (0.0, 60.0, 120.0)
 """Azimuths of the pictures, of which each run takes the next one."""

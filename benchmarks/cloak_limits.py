@@ -104,7 +104,8 @@ def _overhead(study: StudyConfig) -> AttackConfig:
 
 
 def _one_layer(study: StudyConfig, degree: int) -> dict[str, Any]:
-    attack, centre = _overhead(study), study.centre
+    attack = _overhead(study)
+    centre = study.centre
     cameras = Setup.of(study).training_cameras
     middle = torch.tensor(centre, dtype=torch.float64)
     directions = torch.stack([middle - camera.position.double() for camera in cameras])
@@ -136,22 +137,19 @@ def _layers(study: StudyConfig, making: LayerConfig) -> dict[str, Any]:
     """Of a picture that shows a share b of the benign look and h of the hidden one, the
     way is (1 - b + h) / 2.
     """
-    attack, centre = _overhead(study), study.centre
+    attack = _overhead(study)
+    centre = study.centre
     cameras = hemisphere(centre, count=DIRECTIONS, **Setup.of(study).lens)
-    middle, white, weights = (
-        torch.tensor([centre]),
-        colour_to_dc(torch.ones(1, 1, 3)),
-        torch.ones(1, len(cameras)),
-    )
+    middle = torch.tensor([centre])
+    white = colour_to_dc(torch.ones(1, 1, 3))
+    weights = torch.ones(1, len(cameras))
     parts = shares([attack.cone], cameras, centre=centre, config=making)
     columns = [
         switched(middle, cameras, share, white, weights, making)[0, :, 0].double()
         for share in parts
     ]
-    layers, hidden = (
-        torch.stack(columns, 1),
-        torch.tensor([share.look == 1 for share in parts]),
-    )
+    layers = torch.stack(columns, 1)
+    hidden = torch.tensor([share.look == 1 for share in parts])
     curve = []
     for elevation in ELEVATIONS:
         shown = (
@@ -170,7 +168,8 @@ def _basis(directions: Tensor, degree: int) -> Tensor:
 
 def _around(elevation: float) -> Tensor:
     """Directions from cameras at one elevation to the centre."""
-    up, out = math.sin(math.radians(elevation)), math.cos(math.radians(elevation))
+    up = math.sin(math.radians(elevation))
+    out = math.cos(math.radians(elevation))
     turns = [math.radians(azimuth) for azimuth in AZIMUTHS]
     return -torch.tensor(
         [[out * math.cos(a), out * math.sin(a), up] for a in turns], dtype=torch.float64

@@ -56,15 +56,11 @@ def views(
     the attack itself fails.
     """
     name, object_name, target = pair
-    loaded, detector = (
-        read_scene(SCENES / f"{name}.xml"),
-        load_detector("fasterrcnn_small"),
-    )
-    scene, rows, render = (
-        loaded.scene.with_degree(degree),
-        loaded.objects[object_name],
-        Renderer(loaded.settings),
-    )
+    loaded = read_scene(SCENES / f"{name}.xml")
+    detector = load_detector("fasterrcnn_small")
+    scene = loaded.scene.with_degree(degree)
+    rows = loaded.objects[object_name]
+    render = Renderer(loaded.settings)
     camera = jittered(
         next(iter(loaded.cameras.values())), scene.means[rows].mean(0), seed=seed
     )
@@ -74,7 +70,8 @@ def views(
     )
     if not result.success:
         return None
-    boxes, seen = object_boxes(scene, rows, [camera], render=render), {}
+    boxes = object_boxes(scene, rows, [camera], render=render)
+    seen = {}
     for suffix in SUFFIXES:
         write_splat_file(result.scene, folder / f"attacked{suffix}")
         again = load_splat(folder / f"attacked{suffix}")

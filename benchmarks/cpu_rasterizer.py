@@ -40,19 +40,22 @@ from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import sh_to_colour
 
-IMAGE_ERROR, GRADIENT_ERROR = 1e-4, 5e-3
+IMAGE_ERROR = 1e-4
+GRADIENT_ERROR = 5e-3
 """Largest length of a difference from ours, relative to the length of ours: rounding
 moves some alphas over 1/255.
 """
 
 Floats = NDArray[np.float32]
-NUMBERS, SPLAT = 9, 13
+NUMBERS = 9
+SPLAT = 13
 """Floats of a `Gradient`, and 32-bit words of a `Splat`."""
 
 
 def compiled(folder: Path) -> ctypes.CDLL:
     """The peer as a library."""
-    source, library = Path(__file__).with_suffix(".c"), folder / "cpu_rasterizer.so"
+    source = Path(__file__).with_suffix(".c")
+    library = folder / "cpu_rasterizer.so"
     flags = ["-O3", "-march=native", "-shared", "-fPIC", "-lm"]
     subprocess.run(["cc", str(source), "-o", str(library), *flags], check=True)
     return ctypes.CDLL(str(library))
@@ -65,18 +68,21 @@ def project(
     pixels (M, 4).
     """
     pose = camera.to_camera.float()
-    rotation, position = pose[:3, :3], camera.position.float()
+    rotation = pose[:3, :3]
+    position = camera.position.float()
     local = scene.means @ rotation.T + pose[:3, 3]
     rows = local[:, 2].argsort(stable=True)
     rows = rows[local[rows, 2] >= 0.2]
-    local, q = local[rows], torch.nn.functional.normalize(scene.rotations[rows], dim=1)
+    local = local[rows]
+    q = torch.nn.functional.normalize(scene.rotations[rows], dim=1)
     w, x, y, z = q.unbind(1)
     axes = torch.stack(
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
          2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
          2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], dim=1
     ).reshape(-1, 3, 3)  # fmt: skip
-    depth, focal = local[:, 2], torch.tensor([camera.fx, camera.fy])
+    depth = local[:, 2]
+    focal = torch.tensor([camera.fx, camera.fy])
     tangent = local[:, :2] / depth[:, None]
     guard = (
         1.3 * 0.5 * torch.tensor([camera.width / camera.fx, camera.height / camera.fy])
@@ -142,7 +148,8 @@ class Peer:
         self.last = np.empty(self.image.shape[:2], np.int32)
         self.grad_image, self.background = grad_image.numpy(), np.zeros(3, np.float32)
         self.gradients = np.zeros((len(box), NUMBERS), np.float32)
-        self.library, self.size = library, (camera.width, camera.height)
+        self.library = library
+        self.size = (camera.width, camera.height)
 
     def forward(self) -> None:
         """Make the image."""
@@ -199,7 +206,8 @@ def _pointer(array: NDArray[Any]) -> ctypes.c_void_p:
 
 def measure(library: ctypes.CDLL, count: int, size: int, rounds: int) -> dict[str, Any]:
     """Differences, median times in ms, and how many times as long the peer takes."""
-    scene, camera = shell(count), camera_of(size)
+    scene = shell(count)
+    camera = camera_of(size)
     grad_image = torch.randn(size, size, 3, generator=torch.Generator().manual_seed(1))
     square, tight = (
         Peer(library, scene, camera, grad_image, tight=which) for which in (False, True)

@@ -53,7 +53,9 @@ def clock(cpu: bool) -> Clock:
     """
     if cpu:
         one_thread()
-    return time.process_time if cpu else time.perf_counter
+    if cpu:
+        return time.process_time
+    return time.perf_counter
 
 
 def one_thread() -> None:

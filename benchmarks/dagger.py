@@ -29,14 +29,13 @@ PAIRS = {
 
 def runs() -> dict[str, Callable[[], object]]:
     """What is timed."""
-    config, detectors, made = (
-        DaggerConfig(),
-        as_detectors("fasterrcnn_small"),
-        dict[str, Callable[[], object]](),
-    )
+    config = DaggerConfig()
+    detectors = as_detectors("fasterrcnn_small")
+    made = dict[str, Callable[[], object]]()
     for name, (scene, object_name, target) in PAIRS.items():
         loaded = read_scene(SCENES / f"{scene}.xml")
-        camera, render = next(iter(loaded.cameras.values())), Renderer(loaded.settings)
+        camera = next(iter(loaded.cameras.values()))
+        render = Renderer(loaded.settings)
         views = FixedViews(
             loaded.scene, loaded.objects[object_name], camera, render=render
         )

@@ -93,7 +93,8 @@ def once(detector: Detector, image: torch.Tensor) -> tuple[float, float, float]:
     begun = time.perf_counter()
     detector.detect(image)
     forward = time.perf_counter() - begun
-    begun, busy = time.perf_counter(), time.process_time()
+    begun = time.perf_counter()
+    busy = time.process_time()
     leaf = image.clone().requires_grad_(True)
     (candidates,) = detector.candidates(leaf)
     torch.autograd.grad(candidates.scores.sum() + candidates.boxes.mean(), leaf)

@@ -48,7 +48,8 @@ from mi_splat.training.strategies import FixedConfig
 
 SCENE = Path(__file__).resolve().parent.parent / "scenes" / "car_street.xml"
 LAYERS = ((20_000, 0.4), (20_000, 1.0))
-SIZE, CAMERAS = 256, 60
+SIZE = 256
+CAMERAS = 60
 
 
 class MeanColour:
@@ -56,7 +57,9 @@ class MeanColour:
     pictures.
     """
 
-    name, fingerprint, min_confidence = "mean_colour", "0" * 16, 0.05
+    name = "mean_colour"
+    fingerprint = "0" * 16
+    min_confidence = 0.05
     classes = ("car", "person")
 
     def candidates(self, images: Tensor) -> list[Candidates]:
@@ -90,11 +93,9 @@ def compare(without: Run, frozen: Run, rounds: int, now: Clock) -> dict[str, Any
 def dagger(detector: Detector, rounds: int, now: Clock) -> dict[str, Any]:
     """One step: a picture, what the detector makes of it, and the gradient of SH."""
     loaded = read_scene(SCENE)
-    camera, config, runs = (
-        next(iter(loaded.cameras.values())),
-        DaggerConfig(sh_degree=None),
-        [],
-    )
+    camera = next(iter(loaded.cameras.values()))
+    config = DaggerConfig(sh_degree=None)
+    runs = []
     for render in (other(Renderer(loaded.settings)), Renderer(loaded.settings)):
         views = FixedViews(loaded.scene, loaded.objects["car"], camera, render=render)
         problem = problem_of(views, (detector,), untargeted(), config)
@@ -112,7 +113,8 @@ def layers(count: int, share: float, rounds: int, now: Clock) -> dict[str, Any]:
 
     `make`: the first, seconds.
     """
-    scene, render = shell(count), Renderer()
+    scene = shell(count)
+    render = Renderer()
     poses = [
         orbit_pose((0.0, 0.0, 0.0), azimuth=222.5 * k, elevation=5.0 + k, distance=3.0)
         for k in range(CAMERAS)

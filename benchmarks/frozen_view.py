@@ -58,7 +58,8 @@ def step(
 
 def seconds(run: Callable[[], object]) -> tuple[float, float]:
     """Wall time and processor time of one run."""
-    wall, processor = time.perf_counter(), time.process_time()
+    wall = time.perf_counter()
+    processor = time.process_time()
     run()
     return time.perf_counter() - wall, time.process_time() - processor
 
@@ -70,11 +71,10 @@ def measure(count: int, size: int, share: float, rounds: int) -> dict[str, Any]:
     scene = shell(count)
     pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=3.0)
     camera = Camera(to_world=pose, focal=float(size), width=size, height=size)
-    rows = (
-        None
-        if share == 1
-        else scene.means[:, 2] >= scene.means[:, 2].quantile(1 - share)
-    )
+    if share == 1:
+        rows = None
+    else:
+        rows = scene.means[:, 2] >= scene.means[:, 2].quantile(1 - share)
     render = Renderer()
     view = FrozenView(scene, camera, rows=rows)
     fixed = scene.tensors()[:4]

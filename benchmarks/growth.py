@@ -42,7 +42,8 @@ def points_of(count: int) -> Any:
     from torch.nn import functional
 
     generator = torch.Generator().manual_seed(0)
-    ground, same = count // 2, count // 10
+    ground = count // 2
+    same = count // 10
     flat = torch.rand(ground, 3, generator=generator) * torch.tensor([8.0, 8.0, 0.02])
     rest = count - ground - same
     balls = functional.normalize(torch.randn(rest, 3, generator=generator), dim=1)
@@ -151,7 +152,8 @@ def _relocate(count: int) -> Callable[[], object]:
 def _render(count: int) -> Callable[[], object]:
     from mi_splat.rendering import Renderer
 
-    scene, render = scene_of(count), Renderer()
+    scene = scene_of(count)
+    render = Renderer()
     (camera,) = cameras_around(scene, 1)
     render(scene, camera)
     return lambda: render(scene, camera)
@@ -194,7 +196,8 @@ def _up(count: int) -> Callable[[], object]:
     from mi_splat.io.up_axis import ground_up
 
     scene = scene_of(count)
-    means, opacities = scene.means.numpy(), scene.opacities.numpy()
+    means = scene.means.numpy()
+    opacities = scene.opacities.numpy()
     return lambda: ground_up(means, opacities)
 
 

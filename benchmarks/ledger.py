@@ -33,7 +33,8 @@ from tests.ledger.drive import Ledger
 from tests.ledger.kinds.configs import NumbersConfig
 
 NUMBERS = "tests.ledger.kinds.numbers"
-FEW, MANY = 200, 10_000
+FEW = 200
+MANY = 10_000
 
 
 def numbers(count: int) -> dict[str, Job]:
@@ -101,7 +102,8 @@ def main() -> None:
     options = parser.parse_args()
     shutil.rmtree(options.folder, ignore_errors=True)
     results: dict[str, float] = {}
-    ledger, few = Ledger(options.folder / "one"), list(numbers(2 * FEW).values())
+    ledger = Ledger(options.folder / "one")
+    few = list(numbers(2 * FEW).values())
     timed(lambda: [ledger.do(job) for job in few[:10]])
     results["ms a job in one process"] = (
         timed(lambda: [ledger.do(job) for job in few[10 : 10 + FEW]]) / FEW * 1e3

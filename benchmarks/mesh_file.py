@@ -12,8 +12,10 @@ import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
-ALONG, AROUND = 900, 36
-RADIUS, TUBE = 0.45, 0.2
+ALONG = 900
+AROUND = 36
+RADIUS = 0.45
+TUBE = 0.2
 """Of the knot and of its tube, metres."""
 
 Floats = NDArray[np.float64]
@@ -31,7 +33,8 @@ def main() -> None:
     )
     vertices = _surface(turn.ravel() * 2 * np.pi, angle.ravel() * 2 * np.pi)
     corner = (np.arange(ALONG)[:, None] * (AROUND + 1) + np.arange(AROUND)).ravel()
-    first, second = corner + AROUND + 1, corner + 1
+    first = corner + AROUND + 1
+    second = corner + 1
     faces = np.concatenate(
         [
             np.stack([corner, first, second], axis=1),

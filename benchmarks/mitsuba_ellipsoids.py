@@ -67,10 +67,8 @@ def hits(
 
     from mi_splat.plugins.shape import ellipsoid_arrays
 
-    mean, scale = (
-        splat.means[0].double().numpy(),
-        EXTENT * splat.scales[0].double().numpy(),
-    )
+    mean = splat.means[0].double().numpy()
+    scale = EXTENT * splat.scales[0].double().numpy()
     ahead = (mean - origin) / np.linalg.norm(mean - origin)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -82,8 +80,10 @@ def hits(
     )
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     to_unit_sphere = (to_matrix(splat.rotations)[0].double().numpy() / scale).T
-    start, step = to_unit_sphere @ (origin - mean), towards @ to_unit_sphere.T
-    along, length = step @ start, np.square(step).sum(1)
+    start = to_unit_sphere @ (origin - mean)
+    step = towards @ to_unit_sphere.T
+    along = step @ start
+    length = np.square(step).sum(1)
     expected = along**2 - length * (np.square(start).sum() - 1) > 0
     loaded = mi.load_dict(
         {"type": "scene", "splat": {"type": "ellipsoids", **ellipsoid_arrays(splat)}}
@@ -103,31 +103,31 @@ def measure(count: int) -> tuple[list[dict[str, Any]], int]:
     """What is found in each unit, and the Gaussian with most errors where the unit is
     1.
     """
-    scene, camera, worst = shell(10_000), camera_of(SIZE), (0, 0)
+    scene = shell(10_000)
+    camera = camera_of(SIZE)
+    worst = (0, 0)
     chosen = np.random.default_rng(0).choice(len(scene), count, replace=False)
     rows = []
     with torch.no_grad():
         reference = Renderer(RenderSettings(method="ray"))(scene, camera)
         for unit in UNITS:
             splat, view = in_unit(scene, camera, unit)
-            missed, extra, inside, outside = 0, 0, 0, 0
+            missed = 0
+            extra = 0
+            inside = 0
+            outside = 0
             for number in chosen:
                 expected, hit = hits(
                     splat.select(torch.tensor([int(number)])), view.position.numpy()
                 )
-                missed, extra = (
-                    missed + int((expected & ~hit).sum()),
-                    extra + int((hit & ~expected).sum()),
-                )
-                inside, outside = (
-                    inside + int(expected.sum()),
-                    outside + int((~expected).sum()),
-                )
-                worst = (
-                    max(worst, (int((expected != hit).sum()), int(number)))
-                    if unit == 1
-                    else worst
-                )
+                missed = missed + int((expected & ~hit).sum())
+                extra = extra + int((hit & ~expected).sum())
+                inside = inside + int(expected.sum())
+                outside = outside + int((~expected).sum())
+                if unit == 1:
+                    worst = max(worst, (int((expected != hit).sum()), int(number)))
+                else:
+                    worst = worst
             near = 0.2 * unit
             rows.append(
                 {

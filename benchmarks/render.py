@@ -55,7 +55,8 @@ def shell(count: int, *, seed: int = 0) -> GaussianScene:
     scales = np.exp(rng.normal(size=(count, 3)) * 0.3) * 1.2 / np.sqrt(count)
     rotations = rng.normal(size=(count, 4))
     rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
-    opacities, sh = rng.uniform(0.1, 1.0, count), rng.normal(size=(count, 16, 3)) * 0.2
+    opacities = rng.uniform(0.1, 1.0, count)
+    sh = rng.normal(size=(count, 16, 3)) * 0.2
     return GaussianScene(
         *(
             torch.tensor(a, dtype=torch.float32)
@@ -84,9 +85,8 @@ def through_mitsuba(scene: GaussianScene, camera: Camera, integrator: str) -> Ru
     rng = np.random.default_rng(1)
     # splat_tile keeps its last pictures for their gradients; a timed forward pass must
     # not find one.
-    clear_cache = (
-        loaded.integrator().clear_cache if integrator == "splat_tile" else lambda: None
-    )
+    caches = integrator == "splat_tile"
+    clear_cache = loaded.integrator().clear_cache if caches else lambda: None
     weights = mi.TensorXf(
         rng.normal(size=(camera.height, camera.width, 3)).astype(np.float32)
     )
@@ -151,7 +151,8 @@ def runs() -> dict[str, Callable[[], None]]:
 
 def measure(count: int, size: int, rounds: int, now: Clock) -> dict[str, Any]:
     """Median times in ms, and medians of the ratios to the peer, for one setting."""
-    scene, camera = shell(count), camera_of(size)
+    scene = shell(count)
+    camera = camera_of(size)
     ways = {
         "volprim_rf_basic": through_mitsuba(scene, camera, "volprim_rf_basic"),
         "splat_tile": through_mitsuba(scene, camera, "splat_tile"),

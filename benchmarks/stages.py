@@ -133,7 +133,8 @@ def measure(scene: GaussianScene, camera: Camera, rounds: int) -> dict[str, Any]
     """
     render = Renderer()
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
-    learnt, clock = GaussianScene(*leaves), Clock()
+    learnt = GaussianScene(*leaves)
+    clock = Clock()
     weights = torch.randn(
         camera.height, camera.width, 3, generator=torch.Generator().manual_seed(1)
     )

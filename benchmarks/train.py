@@ -55,7 +55,11 @@ def published_loss(image: Tensor, reference: Tensor) -> Tensor:
     blur = functools.partial(
         torch.nn.functional.conv2d, weight=window, padding=5, groups=3
     )
-    mx, my, xx, yy, xy = blur(x), blur(y), blur(x * x), blur(y * y), blur(x * y)
+    mx = blur(x)
+    my = blur(y)
+    xx = blur(x * x)
+    yy = blur(y * y)
+    xy = blur(x * y)
     luminance = (2 * mx * my + 0.01**2) / (mx**2 + my**2 + 0.01**2)
     structure = (2 * (xy - mx * my) + 0.03**2) / (xx - mx**2 + yy - my**2 + 0.03**2)
     return 0.8 * (image - reference).abs().mean() + 0.2 * (
@@ -85,7 +89,8 @@ def runs() -> dict[str, Run]:
     )
     state = TrainState(scene, config, scene_extent=5.0, seed=0)
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
-    image, upstream = render(scene, camera), torch.full((256, 256, 3), 1e-6)
+    image = render(scene, camera)
+    upstream = torch.full((256, 256, 3), 1e-6)
 
     def step() -> None:
         with contextlib.suppress(StopIteration):
@@ -169,7 +174,8 @@ def main() -> None:
 
     with contextlib.suppress(StopIteration):
         advance(state, views, render=render, on_step=after)
-    trained, steps = state.result(), steps[WARM_UP:]
+    trained = state.result()
+    steps = steps[WARM_UP:]
     scores = score(trained, held_out, render)
     parts = _parts(trained, views[0], render, now)
     report = {

@@ -63,10 +63,12 @@ def measure(
     state = ViewState(orbit=content.start, mode=display_modes(names)[0], canvas=canvas)
     firsts = []
     for _ in range(2):  # the second one finds the kernels compiled
-        painter, pace = Painter(content, Renderer(settings)), Pace()
+        painter = Painter(content, Renderer(settings))
+        pace = Pace()
         firsts.append(_timed(painter, state, Step.COARSE, pace)[0])
     times: list[float] = []
-    busy, every = 0.0, 1
+    busy = 0.0
+    every = 1
     for number in range(pictures):
         if number == pictures // 4:
             busy = time.process_time()
@@ -74,7 +76,8 @@ def measure(
         seconds, every = _timed(painter, state, Step.COARSE, pace)
         times.append(seconds)
         pace = pace.after(seconds)
-    busy, settled = time.process_time() - busy, times[pictures // 4 :]
+    busy = time.process_time() - busy
+    settled = times[pictures // 4 :]
     half, full = (
         statistics.median(_timed(painter, state, step, pace)[0] for _ in range(5))
         for step in (Step.HALF, Step.FULL)
@@ -133,7 +136,8 @@ def main() -> None:
     parser.add_argument("--pictures", type=int, default=120)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    scene, canvas = shell(options.gaussians), (options.canvas[0], options.canvas[1])
+    scene = shell(options.gaussians)
+    canvas = (options.canvas[0], options.canvas[1])
     lines = [measure(scene, splats, canvas, options.pictures) for splats in (1, 2)]
     if options.json:
         sys.stdout.write(json.dumps(lines, indent=2) + "\n")

@@ -94,11 +94,10 @@ def main() -> None:
         help="a revision of git, or a folder with another copy of the repository",
     )
     given = parser.parse_args()
-    commands = (
-        SHORT
-        if given.only is None
-        else {name: (SHORT | LONG)[name] for name in ("import torch", given.only)}
-    )
+    if given.only is None:
+        commands = SHORT
+    else:
+        commands = {name: (SHORT | LONG)[name] for name in ("import torch", given.only)}
     with contextlib.ExitStack() as stack:
         roots = {
             "now": ROOT,

@@ -15,7 +15,8 @@ REFERENCE_NEAR = 0.2
 """Near plane of the 3DGS reference rasteriser, world units."""
 _LOOSE = 3.0
 """How much larger than the ball that holds half of the means a scene may be."""
-_NEAR_SHARE, _LEAST_SHARE = 0.1, 0.001
+_NEAR_SHARE = 0.1
+_LEAST_SHARE = 0.001
 _SIGMAS = 3.0
 """Standard deviations to which a Gaussian is visible."""
 _SAMPLE = 1000
@@ -36,12 +37,15 @@ def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
     means = scene.means.detach().double().cpu()
     ordered = means.sort(dim=0).values
     last = len(ordered) - 1
-    low, high = ordered[round(0.01 * last)], ordered[round(0.99 * last)]
-    middle, radius = (low + high) / 2, float(torch.linalg.vector_norm(high - low)) / 2
+    low = ordered[round(0.01 * last)]
+    high = ordered[round(0.99 * last)]
+    middle = (low + high) / 2
+    radius = float(torch.linalg.vector_norm(high - low)) / 2
     median = means.median(dim=0).values
     half = _LOOSE * float((means - median).norm(dim=1).median())
     if 0 < half < radius:
-        middle, radius = median, half
+        middle = median
+        radius = half
     x, y, z = middle.tolist()
     return (x, y, z), max(radius, float(scene.scales.detach().mean()))
 
@@ -50,7 +54,9 @@ def near_plane(scene: GaussianScene, cameras: Sequence[Camera] = ()) -> float:
     """The near plane that suits a scene, in world units: the 0.2 of 3DGS, or less where
     scene or cameras are small.
     """
-    return near_plane_of(*bounds(scene), cameras) if len(scene) else REFERENCE_NEAR
+    if len(scene):
+        return near_plane_of(*bounds(scene), cameras)
+    return REFERENCE_NEAR
 
 
 def near_plane_of(
@@ -62,14 +68,17 @@ def near_plane_of(
         eyes = torch.stack([camera.position for camera in cameras])
         reach = min(reach, float((eyes - eyes.new_tensor(middle)).norm(dim=1).median()))
     near = max(_NEAR_SHARE * reach, _LEAST_SHARE * radius)
-    return min(REFERENCE_NEAR, near) if near > 0 else REFERENCE_NEAR
+    if near > 0:
+        return min(REFERENCE_NEAR, near)
+    return REFERENCE_NEAR
 
 
 def culled_in_view(scene: GaussianScene, camera: Camera, near: float) -> int:
     """How many Gaussians a picture lacks because they are nearer than `near`, though
     inside the view of the camera.
     """
-    pose, means = camera.to_camera, scene.means.detach().double().cpu()
+    pose = camera.to_camera
+    means = scene.means.detach().double().cpu()
     depth = means @ pose[2, :3] + pose[2, 3]
     # few, mostly none: a training asks for every one of its cameras
     near_by = (depth > 0) & (depth < near)
@@ -87,10 +96,8 @@ def nothing_in_view(scene: GaussianScene, cameras: Sequence[Camera]) -> str | No
     if not len(scene):
         return "the splat has no Gaussians, so that its images are empty"
     middle, radius = bounds(scene)
-    means, reach = (
-        scene.means.detach().double().cpu(),
-        _SIGMAS * scene.scales.detach().double().cpu().amax(1),
-    )
+    means = scene.means.detach().double().cpu()
+    reach = _SIGMAS * scene.scales.detach().double().cpu().amax(1)
     # a few of a large splat are enough for most cameras
     step = max(1, len(means) // _SAMPLE)
     blind = [

@@ -12,7 +12,8 @@ FORMS = (
 )
 MOST = 100_000
 """Cameras of the largest set."""
-_COUNT, _ANGLE = r"(?P<count>\d{1,99})", r"(?P<angle>[-+]?\d{1,3}(?:\.\d*)?)"
+_COUNT = r"(?P<count>\d{1,99})"
+_ANGLE = r"(?P<angle>[-+]?\d{1,3}(?:\.\d*)?)"
 _PATTERNS = {
     "hemisphere": re.compile(_COUNT),
     "orbit": re.compile(f"{_COUNT}@{_ANGLE}"),

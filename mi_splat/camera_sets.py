@@ -217,7 +217,8 @@ def camera_set(
     if spec.lower().endswith(".json"):
         return read_cameras(Path(spec), size)
     kind, numbers = parse_form(spec)
-    count, angle = int(numbers["count"]), float(numbers.get("angle", 0.0))
+    count = int(numbers["count"])
+    angle = float(numbers.get("angle", 0.0))
     for name, value in (("distance", distance), ("focal", focal)):
         checked_number(name, value, above(0))
     if kind == "orbit":

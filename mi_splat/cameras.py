@@ -96,10 +96,8 @@ class Camera:
                 "to_world", "a finite rotation and translation", pose.tolist(), do
             )
         if not all(abs(row[3]) <= LARGEST for row in rows):
-            expected, do = (
-                f"coordinates up to {LARGEST:g}",
-                "move the scene and its cameras to the origin",
-            )
+            expected = f"coordinates up to {LARGEST:g}"
+            do = "move the scene and its cameras to the origin"
             raise InvalidValueError.of(
                 "camera position", expected, pose[:3, 3].tolist(), do
             )
@@ -109,22 +107,30 @@ class Camera:
     @property
     def fx(self) -> float:
         """Horizontal focal length in pixels."""
-        return self.focal[0] if isinstance(self.focal, tuple) else self.focal
+        if isinstance(self.focal, tuple):
+            return self.focal[0]
+        return self.focal
 
     @property
     def fy(self) -> float:
         """Vertical focal length in pixels."""
-        return self.focal[1] if isinstance(self.focal, tuple) else self.focal
+        if isinstance(self.focal, tuple):
+            return self.focal[1]
+        return self.focal
 
     @property
     def cx(self) -> float:
         """Horizontal principal point in pixels."""
-        return self.width / 2 if self.principal is None else self.principal[0]
+        if self.principal is None:
+            return self.width / 2
+        return self.principal[0]
 
     @property
     def cy(self) -> float:
         """Vertical principal point in pixels."""
-        return self.height / 2 if self.principal is None else self.principal[1]
+        if self.principal is None:
+            return self.height / 2
+        return self.principal[1]
 
     @property
     def position(self) -> Tensor:
@@ -210,27 +216,25 @@ def sizes_of(cameras: Sequence[Camera]) -> str:
     """The size of their pictures, as the end of a sentence."""
     sizes = {(camera.width, camera.height) for camera in cameras}
     width, height = max(sizes, default=(0, 0))
-    return (
-        ""
-        if not sizes
-        else f" of {'up to ' if len(sizes) > 1 else ''}{width} x {height} pixels"
-    )
+    if not sizes:
+        return ""
+    return f" of {'up to ' if len(sizes) > 1 else ''}{width} x {height} pixels"
 
 
 def cameras_of(views: Sequence[View]) -> tuple[Camera, ...]:
     """The camera of each view; a `ViewSet` is not made to read its pictures."""
-    return (
-        views.cameras
-        if isinstance(views, ViewSet)
-        else tuple(view.camera for view in views)
-    )
+    if isinstance(views, ViewSet):
+        return views.cameras
+    return tuple(view.camera for view in views)
 
 
 def fingerprint_of(views: Sequence[View]) -> str | None:
     """What tells the pictures of a `ViewSet` from others without decoding them; None of
     any other sequence.
     """
-    return views.fingerprint if isinstance(views, ViewSet) else None
+    if isinstance(views, ViewSet):
+        return views.fingerprint
+    return None
 
 
 class RenderFn(Protocol):
@@ -313,7 +317,8 @@ def orbit_pose(
     for name, angle in (("azimuth", azimuth), ("elevation", elevation), ("roll", roll)):
         checked_number(name, angle)
     checked_number("distance", distance, above(0, "world units"))
-    a, e = math.radians(azimuth), math.radians(elevation)
+    a = math.radians(azimuth)
+    e = math.radians(elevation)
     offset = (math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e))
     origin = [t + distance * o for t, o in zip(target, offset, strict=True)]
     # Near the zenith world z is no usable "up"; this direction is perpendicular to the
@@ -321,7 +326,8 @@ def orbit_pose(
     up = (-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e))
     pose = look_at(origin, target, up=up)
     if roll:
-        c, s = math.cos(math.radians(roll)), math.sin(math.radians(roll))
+        c = math.cos(math.radians(roll))
+        s = math.sin(math.radians(roll))
         pose[:3, :2] = pose[:3, :2] @ torch.tensor(
             [[c, -s], [s, c]], dtype=torch.float64
         )
@@ -340,7 +346,8 @@ def angle_of(focal: float, pixels: int) -> float:
     return 2 * math.atan(pixels / 2 / focal)
 
 
-NARROWEST, WIDEST = 1.0, 170.0
+NARROWEST = 1.0
+WIDEST = 170.0
 """Degrees: a camera with another field of view is hardly meant."""
 
 
@@ -380,11 +387,11 @@ def project_box(points: Tensor, camera: Camera) -> Tensor | None:
     if len(pixels) == 0:
         return None
     limit = pixels.new_tensor([camera.width, camera.height])
-    low, high = (
-        pixels.amin(0).clamp(min=0).minimum(limit),
-        pixels.amax(0).clamp(min=0).minimum(limit),
-    )
-    return torch.cat([low, high]) if bool((high > low).all()) else None
+    low = pixels.amin(0).clamp(min=0).minimum(limit)
+    high = pixels.amax(0).clamp(min=0).minimum(limit)
+    if bool((high > low).all()):
+        return torch.cat([low, high])
+    return None
 
 
 def pose_tensor(value: object) -> Tensor:

@@ -30,7 +30,10 @@ from mi_splat.oracle import (
 from mi_splat.srgb import to_linear, to_srgb
 
 C0 = 0.28209479177387814
-_FLOOR, _GAIN, _RESTARTS, _AT_ONCE = 2e-6, 0.35, 2, 12
+_FLOOR = 2e-6
+_GAIN = 0.35
+_RESTARTS = 2
+_AT_ONCE = 12
 """Mean squared error of 8 bits; least gain of the summed log errors by which a
 deviation explains something; searches without what was found first, where images stay
 unexplained; images that each step tries to explain, the worst ones.
@@ -118,22 +121,18 @@ class Setup:
     @np.errstate(divide="ignore", invalid="ignore")
     def render(self) -> Image:
         """What the renderer shows."""
-        splat, background, convention = (
-            self.splat,
-            np.array(self.background),
-            self.convention,
-        )
+        splat = self.splat
+        background = np.array(self.background)
+        convention = self.convention
         if self.before is not None:
             colours = self.before(project(splat, self.camera, convention).colour)
             splat = splat._replace(sh=(colours[:, None] - 0.5) / C0)
-            background, convention = (
-                self.before(background),
-                replace(convention, clamp="none"),
-            )
+            background = self.before(background)
+            convention = replace(convention, clamp="none")
         seen = render(splat, self.camera, background=background, convention=convention)
-        return (
-            seen if self.after is None else seen._replace(image=self.after(seen.image))
-        )
+        if self.after is None:
+            return seen
+        return seen._replace(image=self.after(seen.image))
 
 
 class Deviation(NamedTuple):
@@ -482,11 +481,10 @@ def find_deviations(
                 break
             # All are tried again at the end; until then those that explain some image
             # better.
-            tried = (
-                every
-                if found is None
-                else [d for d in tried if max(gains[d], default=0.0) > _GAIN]
-            )
+            if found is None:
+                tried = every
+            else:
+                tried = [d for d in tried if max(gains[d], default=0.0) > _GAIN]
             chosen = chosen if found is None else found
         return chosen
 

@@ -44,7 +44,8 @@ class _Builder:
     """
 
     def __init__(self, size: int) -> None:
-        self.size, self.pixel = size, 64 / size
+        self.size = size
+        self.pixel = 64 / size
         self.rng, self.found = np.random.default_rng(1), list[ConformanceScene]()
         self.view = self.camera(EYE)
 
@@ -69,7 +70,8 @@ class _Builder:
         """Points of a square grid on the plane through the origin that faces the
         camera.
         """
-        right, down = self.view.to_world[:3, 0], self.view.to_world[:3, 1]
+        right = self.view.to_world[:3, 0]
+        down = self.view.to_world[:3, 1]
         at = (np.arange(count) - (count - 1) / 2) * step
         return np.array([x * right + y * down for y in at for x in at])
 
@@ -119,10 +121,8 @@ def _stored(
     rest (N, ...) or one value.
     """
     means = np.asarray(means, dtype=np.float64)
-    scales, opacities = (
-        np.asarray(scales, dtype=np.float64),
-        np.broadcast_to(opacities, len(means)),
-    )
+    scales = np.asarray(scales, dtype=np.float64)
+    opacities = np.broadcast_to(opacities, len(means))
     wide = np.broadcast_to(
         scales if scales.ndim < 1 or scales.shape == means.shape else scales[:, None],
         means.shape,
@@ -141,7 +141,8 @@ def _stored(
 def _padded(stored: Splat, camera: PinholeCamera) -> Splat:
     """Gaussians with others behind the camera, so that there are 256."""
     count = max(0, _PADDED - len(stored.means))
-    rng, pose = np.random.default_rng(0), camera.to_world
+    rng = np.random.default_rng(0)
+    pose = camera.to_world
     means = (
         pose[:3, 3]
         - pose[:3, 2] * rng.uniform(2, 4, (count, 1))
@@ -162,7 +163,8 @@ def conformance_scenes(size: int = 64) -> list[ConformanceScene]:
 
 
 def _values(b: _Builder) -> None:
-    three, colours = b.grid(3, 0.8), b.bright(9)
+    three = b.grid(3, 0.8)
+    colours = b.bright(9)
     unit = b.rng.normal(size=(9, 4))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     turned: dict[str, Any] = {"colours": colours, "opacities": 0.95}
@@ -225,7 +227,9 @@ def _colours(b: _Builder) -> None:
         )
         where = b.grid(4, 0.62)[: 2 * count]
         b.add(fact, _stored(where, 0.22, colours=grey, opacities=0.97, sh=bands))
-    three, two, towards = b.grid(3, 0.8), b.grid(2, 1.0), np.array(EYE)
+    three = b.grid(3, 0.8)
+    two = b.grid(2, 1.0)
+    towards = np.array(EYE)
     b.add(
         "sh_layout: All 45 higher coefficients differ, so mixing channels and"
         " coefficients shows.",
@@ -234,7 +238,8 @@ def _colours(b: _Builder) -> None:
     pairs = np.concatenate([two, two * 0.9 + towards * 0.2])
     behind = [[0.9, 0.9, 0.9], [0.6, 0.9, 0.3], [0.4, 0.5, 0.9], [0.9, 0.7, 0.9]]
     dark = [[-0.6, 0.4, 0.4], [0.3, -0.9, 0.6], [0.4, 0.3, -0.7], [-0.5, -0.5, -0.5]]
-    sizes, alphas = np.repeat([0.42, 0.3], 4), np.repeat([0.95, 0.8], 4)
+    sizes = np.repeat([0.42, 0.3], 4)
+    alphas = np.repeat([0.95, 0.8], 4)
     b.add(
         "below_0: Colours below 0 count as 0; not clamped, they darken what is behind"
         " them.",
@@ -273,10 +278,8 @@ def _colours(b: _Builder) -> None:
 
 
 def _order(b: _Builder) -> None:
-    means, colours = (
-        list[tuple[float, float, float]](),
-        list[tuple[float, float, float]](),
-    )
+    means = list[tuple[float, float, float]]()
+    colours = list[tuple[float, float, float]]()
     for x in (-1.7, 1.7):
         for z in (-1.5, 0.0, 1.5):
             # the second is deeper, and yet nearer to the eye
@@ -288,7 +291,8 @@ def _order(b: _Builder) -> None:
         camera=b.camera((0, -3, 0), focal=0.55),
         apart=False,
     )
-    three, towards = b.grid(3, 0.8), np.array(EYE)
+    three = b.grid(3, 0.8)
+    towards = np.array(EYE)
     b.add(
         "front_to_back: The file lists red Gaussians before the green ones that cover"
         " them.",
@@ -322,7 +326,8 @@ def _order(b: _Builder) -> None:
 
 
 def _coverage(b: _Builder) -> None:
-    three, towards = b.grid(3, 0.8), np.array(EYE)
+    three = b.grid(3, 0.8)
+    towards = np.array(EYE)
     b.add(
         "cut_off: A Gaussian ends where its alpha falls below 1/255, not at some"
         " standard deviations.",
@@ -401,7 +406,8 @@ def _cameras(b: _Builder) -> None:
         camera=inside,
     )
     dot = 2.2 * b.pixel / (1.2 * 64) * float(np.linalg.norm(EYE)) * 0.7
-    size, view = b.size, b.view
+    size = b.size
+    view = b.view
     for fact, camera in (
         ("pixel_centres: Sharp dots; the first pixel's centre is at 0.5.", view),
         (
@@ -449,7 +455,8 @@ def _cameras(b: _Builder) -> None:
         _stored(far + b.grid(5, 0.42), dot, colours=b.bright(25), opacities=0.97),
         camera=b.camera(far + EYE, far),
     )
-    right, down = view.to_world[:3, 0], view.to_world[:3, 1]
+    right = view.to_world[:3, 0]
+    down = view.to_world[:3, 1]
     letter = np.array(
         [i * 0.2 * down for i in range(-4, 5)]
         + [0.8 * down + i * 0.2 * right for i in range(1, 4)]
@@ -501,7 +508,8 @@ def _shapes(b: _Builder) -> None:
 
 
 def _files(b: _Builder) -> None:
-    long, unit = np.tile([0.3, 0.11, 0.05], (9, 1)), b.rng.normal(size=(9, 4))
+    long = np.tile([0.3, 0.11, 0.05], (9, 1))
+    unit = b.rng.normal(size=(9, 4))
     sh = b.rng.normal(size=(9, 3, 3)) * 0.3
     splat = _stored(b.grid(3, 0.8), long, rotations=unit, colours=b.bright(9), sh=sh)
     b.add(

@@ -51,7 +51,8 @@ def direction_of(camera: Camera, centre: Point, up: Point = UP) -> Direction:
     x, y, z = (
         a - float(b) for a, b in zip(camera.position.tolist(), centre, strict=True)
     )
-    flat, length = math.hypot(x, y), math.hypot(x, y, z)
+    flat = math.hypot(x, y)
+    length = math.hypot(x, y, z)
     if not length > 0:
         raise InvalidValueError.of(
             "centre",
@@ -99,7 +100,9 @@ def depth_in_wedge(direction: Direction, middle: float, half_width: float) -> fl
         if math.cos(turn) > 0:
             across = abs(math.sin(turn)) * math.cos(math.radians(direction.elevation))
             nearest = min(nearest, math.degrees(math.asin(min(across, 1.0))))
-    return nearest if azimuth_gap(direction, middle) <= half_width else -nearest
+    if azimuth_gap(direction, middle) <= half_width:
+        return nearest
+    return -nearest
 
 
 def depth_in_cap(
@@ -112,7 +115,8 @@ def depth_in_cap(
         return math.inf
     # the middle has azimuth 0
     x, y, z = unit_vector(direction.azimuth - azimuth, direction.elevation)
-    flat, up = math.cos(math.radians(elevation)), math.sin(math.radians(elevation))
+    flat = math.cos(math.radians(elevation))
+    up = math.sin(math.radians(elevation))
     return half_angle - math.degrees(
         math.atan2(math.hypot(y, z * flat - x * up), x * flat + z * up)
     )
@@ -120,7 +124,8 @@ def depth_in_cap(
 
 def unit_vector(azimuth: float, elevation: float) -> tuple[float, float, float]:
     """(x, y, z) of a direction given in degrees."""
-    turn, rise = math.radians(azimuth), math.radians(elevation)
+    turn = math.radians(azimuth)
+    rise = math.radians(elevation)
     return (
         math.cos(turn) * math.cos(rise),
         math.sin(turn) * math.cos(rise),
@@ -142,7 +147,8 @@ def sun_direction(
     Algorithms, chapter 13).
     """
     angle = math.radians(15 * (hour - 12))
-    phi, tilt = math.radians(latitude), math.radians(declination)
+    phi = math.radians(latitude)
+    tilt = math.radians(declination)
     east = -math.cos(tilt) * math.sin(angle)
     north = math.cos(phi) * math.sin(tilt) - math.sin(phi) * math.cos(tilt) * math.cos(
         angle

@@ -89,7 +89,9 @@ def one_line(text: str, most: int = 400) -> str:
     obey.
     """
     line = " ".join(printable(text[: 2 * most]).split())
-    return line if len(line) <= most else f"{line[: most - 3]}..."
+    if len(line) <= most:
+        return line
+    return f"{line[: most - 3]}..."
 
 
 def listed(names: Iterable[str], most: int = 6, *, width: int = 40) -> str:
@@ -144,7 +146,9 @@ def nearest(word: str, known: Iterable[str], otherwise: str) -> str:
     """
     by_small = {name.lower(): name for name in known if len(word) <= _LONGEST_WORD}
     near = difflib.get_close_matches(word.lower(), by_small, n=1, cutoff=0.5)
-    return f"did you mean {by_small[near[0]]}?" if near else otherwise
+    if near:
+        return f"did you mean {by_small[near[0]]}?"
+    return otherwise
 
 
 def install(extra: str) -> str:

@@ -67,11 +67,9 @@ class Range:
             for bound in (self.low, self.high)
         )
         if math.isinf(self.high):
-            return (
-                ""
-                if math.isinf(self.low)
-                else f"{'>' if self.open_low else '>='} {low}"
-            )
+            if math.isinf(self.low):
+                return ""
+            return f"{'>' if self.open_low else '>='} {low}"
         return (
             f"in {'(' if self.open_low else '['}{low},"
             f" {high}{')' if self.open_high else ']'}"
@@ -79,7 +77,9 @@ class Range:
 
     def __str__(self) -> str:
         text = f"a number {self.bounds}".strip()
-        return f"{text} ({self.unit})" if self.unit else text
+        if self.unit:
+            return f"{text} ({self.unit})"
+        return text
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,7 +247,8 @@ def field_type(hint: Any) -> FieldType:
                 typing.get_origin(hint),
                 args,
             )
-        hint, optional = kinds[0], True
+        hint = kinds[0]
+        optional = True
 
 
 def check_choice(what: str, value: object, known: Collection[Any]) -> None:
@@ -273,11 +274,9 @@ def several(value: Any) -> tuple[Any, ...]:
         return value
     if hasattr(value, "tolist"):  # of NumPy or torch
         value = value.tolist()
-    return (
-        tuple(value)
-        if isinstance(value, Iterable) and not isinstance(value, (str, Mapping))
-        else (value,)
-    )
+    if isinstance(value, Iterable) and not isinstance(value, (str, Mapping)):
+        return tuple(value)
+    return (value,)
 
 
 def several_of(kind: type[_Value], what: str, value: object) -> tuple[_Value, ...]:
@@ -335,7 +334,9 @@ def taken(
         return None
     if origin in (typing.Union, types.UnionType):
         kind = _member(parts, value)
-        return value if kind is None else taken(kind, value, name, marks, read=read)
+        if kind is None:
+            return value
+        return taken(kind, value, name, marks, read=read)
     if origin is Literal:
         value = value.item() if hasattr(value, "item") else value
         if type(value) not in map(type, parts) or value not in parts:
@@ -363,19 +364,17 @@ def _tuple(
     """The values of a tuple, of so many or of any number."""
     count = None if parts[-1] is Ellipsis else len(parts)
     alone = count is None and not isinstance(value, Mapping)
-    values = (
-        several(value)
-        if alone or not read or isinstance(value, (list, tuple))
-        else None
-    )
+    if alone or not read or isinstance(value, (list, tuple)):
+        values = several(value)
+    else:
+        values = None
     if values is None or (count is not None and len(values) != count):
         if read:
-            expected, do = (
-                "a list" if count is None else f"a list of {count}",
-                "write it in brackets",
-            )
+            expected = "a list" if count is None else f"a list of {count}"
+            do = "write it in brackets"
         else:
-            expected, do = f"{count} values", "pass a tuple of them"
+            expected = f"{count} values"
+            do = "pass a tuple of them"
         raise FieldError.of(name, expected, repr(value), do)
     kinds = parts[:1] * len(values) if count is None else parts
     names = [
@@ -400,7 +399,9 @@ def _member(parts: tuple[Any, ...], value: Any) -> Any:
     if is_list and listed:
         return listed[0]
     plain = [kind for kind in kinds if field_type(kind).kind in (int, float)]
-    return plain[0] if plain and len(plain) + len(listed) == len(kinds) else None
+    if plain and len(plain) + len(listed) == len(kinds):
+        return plain[0]
+    return None
 
 
 def _single(kind: Any, value: Any, name: str, marks: tuple[Any, ...]) -> Any:
@@ -408,7 +409,9 @@ def _single(kind: Any, value: Any, name: str, marks: tuple[Any, ...]) -> Any:
     if kind in (int, float):
         allowed = next((mark for mark in marks if isinstance(mark, Range)), None)
         number = checked_number(name, value, allowed, whole=kind is int)
-        return float(number) if kind is float else number
+        if kind is float:
+            return float(number)
+        return number
     if kind is Path and isinstance(value, (str, os.PathLike)):
         if any(isinstance(mark, Output) for mark in marks) and os.fspath(
             value

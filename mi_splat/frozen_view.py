@@ -105,7 +105,8 @@ class FrozenView:
             raise InvalidValueError.of(
                 "camera", "one Camera", type(camera).__name__, do
             )
-        self.camera, self._shape = camera, (camera.height, camera.width, 3)
+        self.camera = camera
+        self._shape = (camera.height, camera.width, 3)
         self._pairs, self._constant, self._alpha, self.nbytes = self._freeze(
             max_bytes, held
         )
@@ -144,11 +145,9 @@ class FrozenView:
             )
         if self.settings.linear:
             picture = _linear(picture)
-        return (
-            torch.cat([picture, self._alpha[..., None]], dim=2)
-            if self.settings.alpha
-            else picture
-        )
+        if self.settings.alpha:
+            return torch.cat([picture, self._alpha[..., None]], dim=2)
+        return picture
 
     def _freeze(self, max_bytes: int, held: int) -> tuple[Any, Tensor, Tensor, int]:
         """The weights (None where nothing free is visible), the constant part of the
@@ -164,17 +163,13 @@ class FrozenView:
             self._device, torch.float64
         )
         directions = torch.nn.functional.normalize(towards, dim=1).to(torch.float32)
-        free, towards = (
-            mi.UInt32(self.rows.to(torch.int32).contiguous()),
-            mi.Float(directions.flatten()),
-        )
+        free = mi.UInt32(self.rows.to(torch.int32).contiguous())
+        towards = mi.Float(directions.flatten())
         pairs, nbytes = freeze_pairs(
             picture, free, towards, max_bytes=max_bytes, held=held
         )
-        constant, alpha = (
-            picture.colour.torch().reshape(self._shape),
-            picture.opacity.torch().reshape(self._shape[:2]),
-        )
+        constant = picture.colour.torch().reshape(self._shape)
+        alpha = picture.opacity.torch().reshape(self._shape[:2])
         return pairs, constant, alpha.clone(), nbytes
 
 
@@ -188,7 +183,8 @@ class _Step(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, sh: Tensor, view: FrozenView) -> Tensor:
-        ctx.view, ctx.shape = view, sh.shape
+        ctx.view = view
+        ctx.shape = sh.shape
         if view._pairs is None:
             return view._constant.clone()
         picture, ctx.colours = picture_of(
@@ -225,11 +221,10 @@ def _indices(rows: Tensor | slice | None, count: int) -> Tensor:
             "rows", "a tensor or a slice", type(rows).__name__, "use torch.as_tensor"
         )
     check_rows(rows, count)
-    indices = (
-        rows.nonzero().flatten()
-        if rows.dtype == torch.bool
-        else rows.long() % max(count, 1)
-    )
+    if rows.dtype == torch.bool:
+        indices = rows.nonzero().flatten()
+    else:
+        indices = rows.long() % max(count, 1)
     different = int(torch.bincount(indices, minlength=1).clamp(max=1).sum())
     if different != len(indices):
         got = f"{len(indices) - different} that are there before"

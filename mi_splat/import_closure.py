@@ -43,7 +43,8 @@ def closure(*modules: str) -> tuple[str, ...]:
     """Dotted names of some modules and of all that they import from packages beside
     this one, sorted.
     """
-    names, waiting = set[str](), list(modules)
+    names = set[str]()
+    waiting = list(modules)
     while waiting:
         name = waiting.pop()
         if name in names:
@@ -141,7 +142,8 @@ class _Module:
         elif isinstance(node, ast.ImportFrom) and node.module is not None:
             self.names += [(node.module, alias.name) for alias in node.names]
             # wherever a module of ours lies
-            if is_left_out := _file(node.module) is not None:
+            is_left_out = _file(node.module) is not None
+            if is_left_out:
                 self._read(node.names)
         elif isinstance(node, ast.Dict):
             for key, value in zip(node.keys, node.values, strict=True):

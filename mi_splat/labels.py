@@ -19,7 +19,8 @@ def plate_of(
     left, top, right, bottom = draw.textbbox(
         (0, 0), text, font=ImageFont.load_default(size=size)
     )
-    width, height = right - left + size / 2, bottom - top + 3 * size / 8
+    width = right - left + size / 2
+    height = bottom - top + 3 * size / 8
     x = min(max(corner[0], 0), max(draw.im.size[0] - width, 0))
     y = min(max(corner[1], 0), max(draw.im.size[1] - height, 0))
     return x, y, x + width, y + height

@@ -39,11 +39,13 @@ def ssim(image: Tensor, reference: Tensor) -> Tensor:
         picture.reshape(-1, *picture.shape[-3:]).movedim(-1, 1)
         for picture in (image, reference)
     )
-    mean_a, mean_b = _windowed(a), _windowed(b)
+    mean_a = _windowed(a)
+    mean_b = _windowed(b)
     variance_a = (_windowed(a * a) - mean_a**2).clamp(min=0)
     variance_b = (_windowed(b * b) - mean_b**2).clamp(min=0)
     covariance = _windowed(a * b) - mean_a * mean_b
-    c1, c2 = 0.01**2, 0.03**2
+    c1 = 0.01**2
+    c2 = 0.03**2
     luminance = (2 * mean_a * mean_b + c1) / (mean_a**2 + mean_b**2 + c1)
     return (luminance * (2 * covariance + c2) / (variance_a + variance_b + c2)).mean()
 
@@ -63,5 +65,6 @@ def _windowed(planes: Tensor) -> Tensor:
 
 def _check_shapes(image: Tensor, reference: Tensor) -> None:
     if image.shape != reference.shape:
-        expected, do = f"shape {tuple(reference.shape)}", "compare pictures of one size"
+        expected = f"shape {tuple(reference.shape)}"
+        do = "compare pictures of one size"
         raise InvalidValueError.of("image", expected, tuple(image.shape), do)

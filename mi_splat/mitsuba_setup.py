@@ -59,7 +59,9 @@ def llvm_version(path: Path) -> int | None:
                 return number
     folder = re.search(r"llvm(?:@|-)?(\d+)", str(Path(os.path.realpath(path)).parent))
     folder = folder or re.search(r"/llvm/(\d+)", os.path.realpath(path))
-    return int(folder[1]) if folder else None
+    if folder:
+        return int(folder[1])
+    return None
 
 
 def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
@@ -76,7 +78,9 @@ def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
             version = llvm_version(path) if _NAME.match(path.name) else None
             if version is not None and version >= MINIMUM_LLVM and path.exists():
                 libraries.append((version, str(path)))
-    return Path(max(libraries)[1]) if libraries else None
+    if libraries:
+        return Path(max(libraries)[1])
+    return None
 
 
 def prepare_llvm() -> Path | None:

@@ -14,7 +14,8 @@ from torch import Tensor
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-_ASKED, _ASKED_IF_TIED = 8, 64
+_ASKED = 8
+_ASKED_IF_TIED = 64
 """Neighbours that the tree is asked for: more than are needed, since float32 orders
 near ties otherwise than float64.
 
@@ -80,7 +81,8 @@ def nearest_distances(points: Tensor, count: int) -> Tensor:
     """
     positions = points.double().numpy()
     kept = _few_in_one_place(positions, count + 1)
-    tree, others = _tree(positions[kept]), points[torch.from_numpy(kept)]
+    tree = _tree(positions[kept])
+    others = points[torch.from_numpy(kept)]
     asked = max(_ASKED, count + 1)
     rough, rows = tree.query(positions, min(asked, len(kept)))
     distances = _exact(points, others, rows)

@@ -190,7 +190,8 @@ def blend(
     transmittance behind it (H, W).
     """
     ys, xs = np.mgrid[0 : camera.height, 0 : camera.width] + convention.pixel_centre
-    left, stopped = np.ones(xs.shape), np.zeros(xs.shape, dtype=bool)
+    left = np.ones(xs.shape)
+    stopped = np.zeros(xs.shape, dtype=bool)
     # A renderer of float32 splats has float32 depths, so these decide which of two
     # Gaussians is in front.
     keys = {
@@ -236,16 +237,19 @@ def render(
         background: (3,) colour behind all Gaussians.
         convention: Choices of the renderer.
     """
-    projected, shape = project(splat, camera, convention), (camera.height, camera.width)
+    projected = project(splat, camera, convention)
+    shape = (camera.height, camera.width)
     image, left, total, summed, median = (
         np.zeros((*shape, 3)),
         np.ones(shape),
         *np.zeros((3, *shape)),
     )
     for i, _, weight, behind in blend(projected, camera, convention):
-        z, left = projected.depth[i], behind
+        z = projected.depth[i]
+        left = behind
         image += weight[..., None] * projected.colour[i]
-        total, summed = total + weight, summed + z * weight
+        total = total + weight
+        summed = summed + z * weight
         median = np.where((median == 0) & (left <= 0.5), z, median)
     depth = np.where(total > 0, summed / np.where(total > 0, total, 1), 0)
     return Image(
@@ -273,14 +277,16 @@ def gradients(
     on_alpha (H, W), and on_depth (H, W) by the mean depth. The other arguments are
     those of `render`.
     """
-    projected, values = project(splat, camera, convention), Splat(*_arrays(splat))
+    projected = project(splat, camera, convention)
+    values = Splat(*_arrays(splat))
     depth, centre, conic, opacity, colour = (
         np.zeros(array.shape) for array in projected[:5]
     )
     drawn = list(blend(projected, camera, convention))
     total, summed = np.zeros((2, *on_image.shape[:2]))
     for i, _, weight, _ in drawn:
-        total, summed = total + weight, summed + weight * projected.depth[i]
+        total = total + weight
+        summed = summed + weight * projected.depth[i]
     total = np.where(total > 0, total, 1.0)
     on_depth = np.asarray(on_depth) / total
     left = drawn[-1][3] if drawn else np.ones(on_image.shape[:2])
@@ -389,7 +395,8 @@ def render_rays(
     order = np.argsort(distances, axis=0, kind="stable")
     alphas = np.take_along_axis(alphas, order, 0)
     colours = np.take_along_axis(colours, order[..., None], 0)
-    image, left = np.zeros((len(directions), 3)), np.ones(len(directions))
+    image = np.zeros((len(directions), 3))
+    left = np.ones(len(directions))
     for alpha, colour in zip(alphas, colours, strict=True):
         image += (left * alpha)[:, None] * colour
         left = left * (1 - alpha)
@@ -428,13 +435,15 @@ def _sh_directions(offset: Array, camera: Any, convention: Convention) -> Array:
     directions: Array = offset / _norm(offset)
     if convention.towards == "camera's frame":
         return directions @ _pose(camera)[:3, :3]
-    return directions if convention.towards == "gaussian" else -directions
+    if convention.towards == "gaussian":
+        return directions
+    return -directions
 
 
 def _clamped(colour: Array, convention: Convention) -> Array:
     if convention.clamp == "none":
         return colour
     above = np.where(colour.real > 0, colour, 0)
-    return (
-        above if convention.clamp == "below 0" else np.where(above.real < 1, above, 1)
-    )
+    if convention.clamp == "below 0":
+        return above
+    return np.where(above.real < 1, above, 1)

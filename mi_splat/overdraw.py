@@ -55,8 +55,10 @@ def most_layers(
     grey = scene.sh.detach().new_zeros(3 * len(scene)).float()
     arrays = tuple(aligned(mi.Float(value)) for value in (*geometry, grey))
     index = numbers(mi.variant(), len(scene))
-    width, height = cameras[0].width, cameras[0].height
-    columns, rows = -(-width // TILE), -(-height // TILE)
+    width = cameras[0].width
+    height = cameras[0].height
+    columns = -(-width // TILE)
+    rows = -(-height // TILE)
 
     def counted(stage: Callable[..., Any], number: int, *into: Any) -> Any:
         size = dr.opaque(mi.Int32, width), dr.opaque(mi.Int32, height)
@@ -69,7 +71,8 @@ def most_layers(
             *into,
         )
 
-    tried, counts = len(cameras), [-1] * len(cameras)
+    tried = len(cameras)
+    counts = [-1] * len(cameras)
     most = [_ROUNDING * counted(count_boxes, number)[0] for number in range(tried)]
     in_order = max(most) >= stop * rows * columns
     for number in sorted(

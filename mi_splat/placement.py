@@ -26,7 +26,8 @@ def axis_turn(axis: str, degrees: float) -> NDArray[np.float64]:
     import numpy as np
 
     i = "xyz".index(axis)
-    j, k = (i + 1) % 3, (i + 2) % 3
+    j = (i + 1) % 3
+    k = (i + 2) % 3
     angle = np.radians(degrees)
     matrix = np.eye(3)
     matrix[j, j] = matrix[k, k] = np.cos(angle)

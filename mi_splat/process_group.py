@@ -139,11 +139,10 @@ class ProcessGroup:
         status = self._process.returncode
         if status is None:
             return GroupEndedError("does not end, not even by SIGKILL")
-        how = (
-            f"ended with status {status}"
-            if status >= 0
-            else f"ended by {signal.Signals(-status).name}"
-        )
+        if status >= 0:
+            how = f"ended with status {status}"
+        else:
+            how = f"ended by {signal.Signals(-status).name}"
         self._output.seek(max(0, self._output.seek(0, os.SEEK_END) - _SHOWN))
         said = self._output.read().decode("utf-8", "replace").strip()
         return GroupEndedError(f"{how}: {said}" if said else how)

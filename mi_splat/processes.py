@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from types import FrameType
 
-INTERRUPTED, TERMINATED = 130, 143
+INTERRUPTED = 130
+TERMINATED = 143
 """Exit statuses of a process that Ctrl-C or SIGTERM has ended."""
 _IMPORTING = 0.02  # seconds between two looks at whether an import is over
 
@@ -44,9 +45,10 @@ def sigterm_as_interrupt() -> Iterator[Callable[[], int | None]]:
             _interrupt(frame, came)
 
     is_ignored = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
-    interrupts = (
-        nullcontext() if is_ignored else _handling(signal.SIGINT, note_interrupt)
-    )
+    if is_ignored:
+        interrupts = nullcontext()
+    else:
+        interrupts = _handling(signal.SIGINT, note_interrupt)
     with interrupts, _handling(signal.SIGTERM, note_termination):
         yield lambda: came[-1] if came else None
 

@@ -97,7 +97,9 @@ def variant() -> str | None:
     another one).
     """
     mitsuba = sys.modules.get("mitsuba")
-    return None if mitsuba is None else mitsuba.variant()
+    if mitsuba is None:
+        return None
+    return mitsuba.variant()
 
 
 def commit() -> str | None:

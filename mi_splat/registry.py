@@ -40,17 +40,18 @@ class Registry(Mapping[str, _Value]):
         what: str,
         error: type[MiSplatError] = InvalidValueError,
     ) -> None:
-        self.group, self.what = group, what
+        self.group = group
+        self.what = what
         self.own: dict[str, _Value] = {}
-        self._expected, self._fits, self._error = expected, fits, error
+        self._expected = expected
+        self._fits = fits
+        self._error = error
 
     def __getitem__(self, name: str) -> _Value:
         """A value by its name."""
-        return (
-            self.own[name]
-            if name in self.own
-            else self._brought(_points(self.group)[name])
-        )
+        if name in self.own:
+            return self.own[name]
+        return self._brought(_points(self.group)[name])
 
     def __iter__(self) -> Iterator[str]:
         yield from self.own
@@ -86,7 +87,9 @@ class Registry(Mapping[str, _Value]):
         """Which package brings a value, as "my-package 1.0"; empty for the project's
         own and registered ones.
         """
-        return "" if name in self.own else _package(_points(self.group)[name][0])
+        if name in self.own:
+            return ""
+        return _package(_points(self.group)[name][0])
 
     def _brought(self, points: tuple[EntryPoint, ...]) -> _Value:
         point = points[0]
@@ -102,20 +105,17 @@ class Registry(Mapping[str, _Value]):
         try:
             value = point.load()
         except Exception as error:  # what another package raises has no common base
-            got, do = (
-                f"{type(error).__name__}: {error}",
-                f"repair or uninstall {_package(point)}",
-            )
+            got = f"{type(error).__name__}: {error}"
+            do = f"repair or uninstall {_package(point)}"
             raise self._error.of(
                 what, "something that can be imported", got, do
             ) from error
         named = getattr(value, "name", point.name)
         if not self._fits(value) or named != point.name:
-            got = (
-                f"one of the name {named}"
-                if self._fits(value)
-                else type(value).__name__
-            )
+            if self._fits(value):
+                got = f"one of the name {named}"
+            else:
+                got = type(value).__name__
             raise self._error.of(
                 what,
                 f"{self._expected} of the name {point.name}",
@@ -155,8 +155,6 @@ def _points_on(group: str, path: tuple[str, ...]) -> dict[str, tuple[EntryPoint,
 
 def _package(point: EntryPoint) -> str:
     distribution = point.dist
-    return (
-        "an unknown package"
-        if distribution is None
-        else f"{distribution.name} {distribution.version}"
-    )
+    if distribution is None:
+        return "an unknown package"
+    return f"{distribution.name} {distribution.version}"

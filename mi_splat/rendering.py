@@ -59,7 +59,8 @@ def save_floats(channels: Mapping[str, NDArray[np.float32]], path: Path) -> None
     loss.
     """
     variant.use()
-    stream, planes = mi.MemoryStream(), np.stack(list(channels.values()), -1)
+    stream = mi.MemoryStream()
+    planes = np.stack(list(channels.values()), -1)
     mi.Bitmap(planes, mi.Bitmap.PixelFormat.MultiChannel, list(channels)).write(
         stream, mi.Bitmap.FileFormat.OpenEXR
     )
@@ -194,7 +195,9 @@ class Renderer:
             (H, W, 3) or (H, W, 4) float32 of each camera, in their order.
         """
         cameras = as_cameras(cameras)
-        return self._run(scene, _Job(cameras, self)) if cameras else []
+        if cameras:
+            return self._run(scene, _Job(cameras, self))
+        return []
 
     def outputs(self, scene: GaussianScene, camera: Camera) -> SideOutputs:
         """Render one picture with its depths; differentiable like `__call__`, the
@@ -232,10 +235,8 @@ class Renderer:
         variant.use(self.variant)
         device = variant.device_of(self.variant)
         if scene.means.device.type != device:
-            expected, do = (
-                f"tensors on {device} for {self.variant}",
-                f'call scene.to("{device}")',
-            )
+            expected = f"tensors on {device} for {self.variant}"
+            do = f'call scene.to("{device}")'
             raise InvalidValueError.of("scene", expected, scene.means.device, do)
         tensors = [t.to(torch.float32).contiguous() for t in scene.tensors()]
         if not torch.is_grad_enabled():
@@ -274,12 +275,11 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
     """The one crossing from torch to Dr.Jit and back, for one variant."""
 
     def make_pictures(arrays: tuple[Any, ...], job: _Job) -> list[Picture | RayPicture]:
-        settings, depths = job.settings, job.side_outputs
-        near, filtered, behind = (
-            settings.near,
-            settings.antialiased,
-            settings.background,
-        )
+        settings = job.settings
+        depths = job.side_outputs
+        near = settings.near
+        filtered = settings.antialiased
+        behind = settings.background
         cameras = [
             Pinhole(camera=camera, near=near, antialiased=filtered)
             for camera in job.cameras
@@ -358,9 +358,10 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
                 grad_picture += tuple(
                     mi.Float(dr.detach(grad.array)) for grad in grad_depths[:1]
                 )
-                screen = (
-                    None if screen_gradients is None else buffer(3 * count, value=0.0)
-                )
+                if screen_gradients is None:
+                    screen = None
+                else:
+                    screen = buffer(3 * count, value=0.0)
                 if isinstance(picture, RayPicture):
                     gradients = raytrace_backward(picture, *grad_picture)
                 else:
@@ -371,11 +372,10 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
                     continue
                 if screen_gradients is not None and screen is not None:
                     screen_gradients._add(screen.torch().reshape(-1, 3), camera)
-                totals = (
-                    list(gradients)
-                    if totals is None
-                    else [a + b for a, b in zip(totals, gradients, strict=True)]
-                )
+                if totals is None:
+                    totals = list(gradients)
+                else:
+                    totals = [a + b for a, b in zip(totals, gradients, strict=True)]
             totals = totals or [
                 dr.zeros(mi.Float, math.prod(shape)) for shape in self.shapes
             ]

@@ -196,11 +196,9 @@ class GaussianScene:
             A new scene; tensors that are there already are not copied.
         """
         moved = [value.to(device=device, dtype=dtype) for value in self.tensors()]
-        return (
-            self.unchecked(*moved)
-            if dtype in (None, self.means.dtype)
-            else GaussianScene(*moved)
-        )
+        if dtype in (None, self.means.dtype):
+            return self.unchecked(*moved)
+        return GaussianScene(*moved)
 
     def select(self, rows: Tensor | slice) -> GaussianScene:
         """The Gaussians in `rows`, in that order.
@@ -313,11 +311,10 @@ def _check_form(scene: GaussianScene) -> None:
             value.dtype not in (torch.float32, torch.float64)
             or value.dtype != scene.means.dtype
         ):
-            kind = (
-                "float32 or float64"
-                if name == "means"
-                else f"{scene.means.dtype} like the means"
-            )
+            if name == "means":
+                kind = "float32 or float64"
+            else:
+                kind = f"{scene.means.dtype} like the means"
             raise InvalidValueError.of(
                 name, kind, value.dtype, "convert it with .to(dtype)"
             )
@@ -366,9 +363,10 @@ def _check_values(scene: GaussianScene) -> None:
     for name, value in zip(ATTRIBUTES, scene.tensors(), strict=True):
         low, high, expected, do = _RANGES[name]
         value = value.detach()
-        judged = (
-            torch.linalg.vector_norm(value, dim=1) if name == "rotations" else value
-        )
+        if name == "rotations":
+            judged = torch.linalg.vector_norm(value, dim=1)
+        else:
+            judged = value
         if not judged.numel():
             continue
         smallest, largest = torch.aminmax(judged)  # both NaN if one value is

@@ -108,7 +108,8 @@ def values_of(
 
     shapes = GaussianShapes(loaded, among=among)
     if not shapes.arrays or not loaded.sensors():
-        expected, do = "a gaussians shape and a sensor", "add it to the file"
+        expected = "a gaussians shape and a sensor"
+        do = "add it to the file"
         raise InvalidValueError.of(
             str(path), expected, "a scene without one of them", do
         )
@@ -142,11 +143,9 @@ def _settings_of(integrator: Any, near: float, path: str | Path) -> RenderSettin
 
     settings = getattr(integrator, "settings", None)
     if isinstance(settings, IntegratorSettings):
-        return (
-            settings.values
-            if "near" in settings.given
-            else replace(settings.values, near=near)
-        )
+        if "near" in settings.given:
+            return settings.values
+        return replace(settings.values, near=near)
     if type(integrator).__name__ != "BasicVolumetricPrimitiveRadianceFieldIntegrator":
         got = f"{integrator.class_name()}, which shows splats as grey lumps in Mitsuba"
         do = (
@@ -221,14 +220,10 @@ def resized(camera: Camera, size: tuple[int, int]) -> Camera:
         return camera
     width, height = size
     factor = width / camera.width
-    x, y = (
-        (camera.cx - camera.width / 2) * factor,
-        (camera.cy - camera.height / 2) * factor,
-    )
-    focal, principal = (
-        (camera.fx * factor, camera.fy * factor),
-        (width / 2 + x, height / 2 + y),
-    )
+    x = (camera.cx - camera.width / 2) * factor
+    y = (camera.cy - camera.height / 2) * factor
+    focal = (camera.fx * factor, camera.fy * factor)
+    principal = (width / 2 + x, height / 2 + y)
     return replace(camera, focal=focal, width=width, height=height, principal=principal)
 
 
@@ -246,11 +241,10 @@ def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Pa
     variant.use()
     root = ElementTree.Element("scene", version="3.0.0")
     settings = loaded.settings
-    names = (
-        ["near", "background"]
-        if settings.method == "tile"
-        else ["background", "colour_to_mean", "linear"]
-    )
+    if settings.method == "tile":
+        names = ["near", "background"]
+    else:
+        names = ["background", "colour_to_mean", "linear"]
     given = {
         name: getattr(settings, name)
         for name in [*names, *(["antialiased"] if settings.antialiased else [])]
@@ -297,9 +291,10 @@ def _element(
                 transform, "matrix", value=" ".join(map(repr, value.ravel().tolist()))
             )
         elif name != "type":
-            text = (
-                ", ".join(map(repr, value)) if isinstance(value, tuple) else str(value)
-            )
+            if isinstance(value, tuple):
+                text = ", ".join(map(repr, value))
+            else:
+                text = str(value)
             text = text.lower() if isinstance(value, bool) else text
             ElementTree.SubElement(node, kinds[type(value)], name=name, value=text)
 
@@ -354,7 +349,9 @@ class MixedScene:
                 str(path), "the integrator splat_ray", "another one", do
             )
         self.splats: SplatScene = values_of(self._loaded, path, among="surfaces")
-        self.samples, self.seed, self.linear = samples, seed, linear
+        self.samples = samples
+        self.seed = seed
+        self.linear = linear
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
         """Render one picture."""
@@ -378,7 +375,9 @@ class MixedScene:
         values = torch.from_numpy(flat.numpy().copy()).reshape(
             camera.height, camera.width, 3
         )
-        return values if self.linear else values.clamp(0.0, 1.0)
+        if self.linear:
+            return values
+        return values.clamp(0.0, 1.0)
 
     def depths(self, camera: Camera) -> Tensor:
         """(H, W) depth of the nearest surface at the centre of each pixel, world units;
@@ -407,10 +406,8 @@ class MixedScene:
 
         check_scene("scene", scene)
         if len(scene) != len(self.splats.scene):
-            expected, do = (
-                f"{len(self.splats.scene):,} Gaussians",
-                "take a changed copy of the file's own",
-            )
+            expected = f"{len(self.splats.scene):,} Gaussians"
+            do = "take a changed copy of the file's own"
             raise InvalidValueError.of("scene", expected, f"{len(scene):,}", do)
         params = mi.traverse(self._loaded)
         for name, rows in self.splats.objects.items():

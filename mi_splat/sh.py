@@ -63,7 +63,9 @@ def band(directions: tuple[_Values, _Values, _Values], degree: int) -> list[_Val
     y: Any
     z: Any
     x, y, z = directions
-    xx, yy, zz = x * x, y * y, z * z
+    xx = x * x
+    yy = y * y
+    zz = z * z
     if degree == 0:
         return [x * 0 + _C0]
     if degree == 1:
@@ -141,7 +143,8 @@ def colours_by_direction(
         value for number in range(degree + 1) for value in band((x, y, z), number)
     ]
     basis = np.stack(values, axis=1).astype(sh.dtype)
-    means, most = np.zeros(len(directions)), np.zeros(len(directions))
+    means = np.zeros(len(directions))
+    most = np.zeros(len(directions))
     for first in range(0, len(sh), rows):
         part = sh[first : first + rows].transpose(1, 0, 2).reshape(sh.shape[1], -1)
         colours = np.maximum(basis @ part + sh.dtype.type(0.5), 0)
@@ -173,7 +176,8 @@ def sh_rotation(rotation: Tensor, degree: int) -> Tensor:
     turn = rotation.detach().to("cpu", torch.float64)
     probes = torch.from_numpy(even_directions())
     # Row vectors: probes @ R is R^T d for each probe d.
-    before, after = sh_basis(probes, degree), sh_basis(probes @ turn, degree)
+    before = sh_basis(probes, degree)
+    after = sh_basis(probes @ turn, degree)
     result = torch.zeros(before.shape[1], before.shape[1], dtype=torch.float64)
     for number in range(degree + 1):
         rows = slice(number**2, (number + 1) ** 2)
@@ -190,4 +194,6 @@ def rotate_sh(sh: Tensor, rotation: Tensor) -> Tensor:
     import torch
 
     degree = degree_of(sh.shape[-2])
-    return sh if degree == 0 else torch.matmul(sh_rotation(rotation, degree).to(sh), sh)
+    if degree == 0:
+        return sh
+    return torch.matmul(sh_rotation(rotation, degree).to(sh), sh)

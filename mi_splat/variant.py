@@ -42,7 +42,9 @@ def use(variant: str = "") -> str:
 
 def device_of(variant: str) -> str:
     """Where a variant has its tensors, by torch's name: "cpu" or "cuda"."""
-    return "cuda" if variant.startswith("cuda") else "cpu"
+    if variant.startswith("cuda"):
+        return "cuda"
+    return "cpu"
 
 
 def check_device(device: str) -> None:

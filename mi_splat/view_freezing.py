@@ -77,12 +77,10 @@ class RecentViews:
         max_bytes: int = MAX_BYTES,
         kept_bytes: int | None = None,
     ) -> None:
-        self._scene, self._render, self._rows, self._max_bytes = (
-            scene,
-            render,
-            rows,
-            max_bytes,
-        )
+        self._scene = scene
+        self._render = render
+        self._rows = rows
+        self._max_bytes = max_bytes
         self._kept_bytes = affordable_bytes() if kept_bytes is None else kept_bytes
         self._first: FrozenView | None = None
         self._kept: dict[Camera, FrozenView] = {}

@@ -37,10 +37,8 @@ class Volprim:
     def __init__(self, settings: RenderSettings | None = None) -> None:
         self.settings = settings or RenderSettings()
         if any(self.settings.background):
-            got, do = (
-                self.settings.background,
-                "take --background black, or leave volprim out",
-            )
+            got = self.settings.background
+            do = "take --background black, or leave volprim out"
             raise InvalidValueError.of(
                 "volprim", "a black background, since it adds none", got, do
             )

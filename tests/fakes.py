@@ -95,9 +95,10 @@ class ColourDetector:
                 if best.values[c] >= self.min_confidence
             ]
             rows = best.indices[order]
-            boxes = (
-                candidates.boxes.detach()[rows, order] if order else torch.zeros(0, 4)
-            )
+            if order:
+                boxes = candidates.boxes.detach()[rows, order]
+            else:
+                boxes = torch.zeros(0, 4)
             results.append(
                 Detections(
                     boxes, best.values[order], tuple(self.classes[c] for c in order)

@@ -169,9 +169,11 @@ def _status(request: dict[str, Any]) -> int:
     except SystemExit as stop:
         if isinstance(stop.code, str):
             sys.stderr.write(f"{stop.code}\n")
-        return (
-            stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 1
-        )
+        if isinstance(stop.code, int):
+            return stop.code
+        if stop.code is None:
+            return 0
+        return 1
     except BaseException:  # noqa: BLE001  # as Python does at the end of a program
         traceback.print_exc()
         return 1

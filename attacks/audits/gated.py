@@ -116,11 +116,9 @@ def _without(hidden: Iterable[str], value: Any) -> Any:
         return value
     if isinstance(value, Mapping):
         return {key: _without(hidden, item) for key, item in value.items()}
-    return (
-        [_without(hidden, item) for item in value]
-        if isinstance(value, list | tuple)
-        else value
-    )
+    if isinstance(value, list | tuple):
+        return [_without(hidden, item) for item in value]
+    return value
 
 
 def _read(path: Path, most: float) -> tuple[str, _State]:
@@ -130,10 +128,8 @@ def _read(path: Path, most: float) -> tuple[str, _State]:
         if not stat.S_ISREG(os.stat(target).st_mode) or target.startswith(
             tuple(f"{name}/" for name in _MADE_UP)
         ):
-            expected, got = (
-                "a regular file on a disk",
-                "a folder, a device, a pipe or a file of the system",
-            )
+            expected = "a regular file on a disk"
+            got = "a folder, a device, a pipe or a file of the system"
             raise InvalidValueError.of(
                 str(path), expected, got, "pass the path of a splat file"
             )
@@ -145,17 +141,16 @@ def _read(path: Path, most: float) -> tuple[str, _State]:
     with open(descriptor, "rb", buffering=0) as file:
         status = os.fstat(descriptor)
         if status.st_size > most:
-            expected, got = (
-                f"a file of at most {most / 1e6:,.0f} MB",
-                f"{status.st_size / 1e6:,.0f} MB",
-            )
+            expected = f"a file of at most {most / 1e6:,.0f} MB"
+            got = f"{status.st_size / 1e6:,.0f} MB"
             raise InvalidValueError.of(
                 str(path),
                 expected,
                 got,
                 "raise file_megabytes in --policy if you trust it",
             )
-        total, size = hashlib.sha256(), 0
+        total = hashlib.sha256()
+        size = 0
         while size <= status.st_size and (part := file.read(_PART)):
             total.update(part)
             size += len(part)
@@ -202,7 +197,9 @@ def _rows(config: GateConfig, inputs: Mapping[str, Path]) -> Iterator[Row]:
     """Findings of one claim after the other, each ended by a row without a rule; and an
     account, without a claim.
     """
-    path, stored, unread = inputs["splat"], None, ""
+    path = inputs["splat"]
+    stored = None
+    unread = ""
     try:
         stored = load_stored(path)
     except SplatFileError as error:
@@ -220,11 +217,10 @@ def _rows(config: GateConfig, inputs: Mapping[str, Path]) -> Iterator[Row]:
         return
     account = document(None, lint)
     yield from _found(account, ())
-    known = (
-        {"fingerprint": fingerprint(stored.arrays), "gaussians": lint.gaussians}
-        if stored is not None
-        else {}
-    )
+    if stored is not None:
+        known = {"fingerprint": fingerprint(stored.arrays), "gaussians": lint.gaussians}
+    else:
+        known = {}
     yield {"claim": "readable", **known}
     if stored is None:
         return
@@ -238,9 +234,10 @@ def _found(document: Mapping[str, Any], known: Iterable[str]) -> Iterator[Row]:
     """The findings of an account."""
     for name, severity, reason, _ in findings(document):
         rule = name.removeprefix("lint/")
-        claim = (
-            "readable" if rule.startswith("gltf-") else _CLAIM_OF.get(rule, "numbers")
-        )
+        if rule.startswith("gltf-"):
+            claim = "readable"
+        else:
+            claim = _CLAIM_OF.get(rule, "numbers")
         if claim not in known:
             yield {"claim": claim, "rule": rule, "severity": severity, "reason": reason}
 
@@ -249,7 +246,8 @@ def _appearances(
     config: GateConfig, scene: GaussianScene, lint: Lint, account: dict[str, Any]
 ) -> Iterator[Row]:
     """What the audit finds in a splat that can be rendered."""
-    unjudged, judged = "", None
+    unjudged = ""
+    judged = None
     errors = [item.rule for item in lint.findings if item.severity == "error"]
     if errors:
         unjudged = f"the file has errors: {', '.join(errors)}"

@@ -80,7 +80,8 @@ class ReaderProcess:
         environment: Mapping[str, str],
         cores: Sequence[int] = (),
     ) -> None:
-        self._limits, self._environment = limits, environment
+        self._limits = limits
+        self._environment = environment
         self._words = [",".join(map(str, cores)), str(limits.megabytes)]
         self._group: ProcessGroup | None = None
         self._since = 0.0
@@ -177,7 +178,9 @@ class Judge:
     """
 
     def __init__(self, reader: Reader, policy: Policy, store: Store) -> None:
-        self._reader, self._policy, self._store = reader, policy, store
+        self._reader = reader
+        self._policy = policy
+        self._store = store
 
     def judge(self, request: Mapping[str, str]) -> Judged:
         """What is found in a file; nothing that a file does is raised.
@@ -300,7 +303,9 @@ def task_of(config: GateConfig, judged: Judged) -> Task:
 def ending_of(name: str) -> str:
     """What of a name says how a file is read; empty where it says nothing."""
     ending = os.path.splitext(name)[1].lower()
-    return ending if _ENDING.fullmatch(ending) else ""
+    if _ENDING.fullmatch(ending):
+        return ending
+    return ""
 
 
 def named(text: str, file: str) -> str:

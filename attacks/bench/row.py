@@ -18,7 +18,8 @@ from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
 from attacks.rate import Rate, pooled
 from attacks.tables import Table
 
-STORY, ROW = "bench", "row.json"
+STORY = "bench"
+ROW = "row.json"
 ONE_VIEW, ALL_VIEWS, CLOAK, TRANSFER = COLUMNS = (
     "one_view",
     "all_views",
@@ -53,7 +54,8 @@ def row_of(record: Record) -> dict[str, Any]:
 
 def figures(record: Record, frames: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
     """Every figure of a suite, of its rows."""
-    attacks, rows = record["attacks"], frames[ROWS]
+    attacks = record["attacks"]
+    rows = frames[ROWS]
     columns = {name: _column(attacks, rows, name) for name in COLUMNS}
     score = score_of({"columns": columns, "missing": record["missing"]})
     return {"columns": columns, "score": score, "warnings": warnings(columns)}
@@ -63,13 +65,16 @@ def warnings(columns: Mapping[str, Record]) -> list[str]:
     """Reasons to think that attacks on the detector itself were too weak, so that a
     rate says little.
     """
-    told, itself, others = [], columns[ONE_VIEW]["robust"], columns[TRANSFER]["robust"]
+    told = []
+    itself = columns[ONE_VIEW]["robust"]
+    others = columns[TRANSFER]["robust"]
     if itself and others and others["interval"][1] < itself["interval"][0]:
         told.append(
             "Attacks on others do more than attacks on it: its gradients may be hidden."
         )
     for column in (ONE_VIEW, ALL_VIEWS):
-        noise, robust = columns[column]["noise"], columns[column]["robust"]
+        noise = columns[column]["noise"]
+        robust = columns[column]["robust"]
         if robust and noise["total"] and noise["rate"] <= robust["interval"][1]:
             told.append(
                 "Random noise of the same size does about as much as the attacks:"
@@ -181,11 +186,10 @@ def _rates(
     """How often the object is still named on splats, with the interval of blocks of
     cameras and of seeds.
     """
-    under = (
-        pl.col("condition") == DEFENDED
-        if condition
-        else pl.col("condition") != DEFENDED
-    )
+    if condition:
+        under = pl.col("condition") == DEFENDED
+    else:
+        under = pl.col("condition") != DEFENDED
     measures = {
         name: Measure(
             holds=pl.col("original_score") >= REPORTED,
@@ -194,11 +198,9 @@ def _rates(
         for name, splat in wanted.items()
     }
     none = {name: Rate(successes=0, total=0) for name in wanted}
-    return (
-        none
-        if rows.is_empty()
-        else count(rows, measures, clusters=("block", "seed"))[()]
-    )
+    if rows.is_empty():
+        return none
+    return count(rows, measures, clusters=("block", "seed"))[()]
 
 
 def table_of(rows: Sequence[Record]) -> Table:
@@ -232,26 +234,24 @@ def table_of(rows: Sequence[Record]) -> Table:
 
 
 def _score_words(score: Record | None) -> str:
+    if score is None:
+        return "-"
     return (
-        "-"
-        if score is None
-        else (
-            f"{score['mean']:.2f} ({score['interval'][0]:.2f} to"
-            f" {score['interval'][1]:.2f})"
-        )
+        f"{score['mean']:.2f} ({score['interval'][0]:.2f} to"
+        f" {score['interval'][1]:.2f})"
     )
 
 
 def _rate(rate: Record | None) -> str:
-    return "-" if rate is None else Rate.of(rate).short(interval=True)
+    if rate is None:
+        return "-"
+    return Rate.of(rate).short(interval=True)
 
 
 def _cell(row: Record, column: str) -> str:
     counted = row["columns"][column]
     if counted["robust"] is not None:
         return _rate(counted["robust"])
-    return (
-        "not filled"
-        if column in row["missing"]
-        else f"cannot judge ({counted['judged']} views)"
-    )
+    if column in row["missing"]:
+        return "not filled"
+    return f"cannot judge ({counted['judged']} views)"

@@ -47,7 +47,8 @@ from mi_splat.io.parsing import DocumentReader, read_json
 from mi_splat.ledger import Done, Job
 from mi_splat.ledger.plans import Result
 
-SUITES, HEAD = Path("scenes/suites"), "suite.toml"
+SUITES = Path("scenes/suites")
+HEAD = "suite.toml"
 _READER = DocumentReader(
     expected="a TOML file", do="correct it, or get the suite again"
 )
@@ -271,17 +272,16 @@ class BenchWork(Work[Entry]):
                 "judge": judge,
             }
         }
-        if (known := KNOWS.get(self.defence)) is not None and column in (
+        known = KNOWS.get(self.defence)
+        if known is not None and column in (
             ONE_VIEW,
             ALL_VIEWS,
         ):
             settings[", who knows the defence"] = merged(settings[""], known)
         for who, whole in settings.items():
             for attempt in DaggerWork(study_of(whole, column)).attempts:
-                title, seed = (
-                    f"{column}: {attempt.title}{who}",
-                    attempt.job.config.attack.seed,
-                )
+                title = f"{column}: {attempt.title}{who}"
+                seed = attempt.job.config.attack.seed
                 looks = [
                     Look(
                         label=f"{title} / {label}",
@@ -324,7 +324,8 @@ class BenchWork(Work[Entry]):
             for label, result in results.items()
             if isinstance(result, Done)
         }
-        rows, attacks = list[dict[str, Any]](), dict[str, Any]()
+        rows = list[dict[str, Any]]()
+        attacks = dict[str, Any]()
         for entry in self.attempts:
             if not entry.is_done(done):
                 self.missing[entry.column] = "a job has failed"
@@ -340,11 +341,9 @@ class BenchWork(Work[Entry]):
                 "labels": labels,
                 "knows": entry.knows,
             }
-        suite, spec, seconds = (
-            self.suite,
-            detector_spec(self.detector.name),
-            self._seconds(done),
-        )
+        suite = self.suite
+        spec = detector_spec(self.detector.name)
+        seconds = self._seconds(done)
         facts = {
             "suite": {"name": suite.name, "digest": suite.digest},
             "detector": {
@@ -383,11 +382,10 @@ class BenchWork(Work[Entry]):
         seconds = dict.fromkeys((*self.suite.studies, "shared"), 0.0)
         counted = set[str]()
         for entry in self.attempts:
-            shared = (
-                {job.identity for job in entry.made.values()}
-                if entry.column in (CLOAK, TRANSFER)
-                else set()
-            )
+            if entry.column in (CLOAK, TRANSFER):
+                shared = {job.identity for job in entry.made.values()}
+            else:
+                shared = set()
             for job in entry.jobs.values():
                 if job.identity in done and job.identity not in counted:
                     counted.add(job.identity)

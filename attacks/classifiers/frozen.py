@@ -38,10 +38,8 @@ class Preparation:
 
     def __call__(self, images: Tensor) -> Tensor:
         """(B, H, W, 3) sRGB in [0, 1] to (B, 3, size, size)."""
-        planes, mode = (
-            images.permute(0, 3, 1, 2),
-            torchvision.transforms.InterpolationMode(self.mode),
-        )
+        planes = images.permute(0, 3, 1, 2)
+        mode = torchvision.transforms.InterpolationMode(self.mode)
         functional = torchvision.transforms.functional
         scaled = functional.resize(
             planes, [self.shorter or self.size], mode, antialias=True
@@ -134,7 +132,8 @@ def classified(
     """A row for each picture: `view`, its position; `classifier`; `top1`; `right`;
     `confidence` in the true class.
     """
-    true, rows = class_number(classifier, label, "label"), list[dict[str, Any]]()
+    true = class_number(classifier, label, "label")
+    rows = list[dict[str, Any]]()
     for view, picture in enumerate(pictures):
         with torch.no_grad():
             confidence = torch.softmax(classifier.scores(picture[None])[0].double(), 0)

@@ -60,7 +60,8 @@ def load_prototypes(
         "centre": torch.empty(LENGTH),
     }
     check_like(tensors, wanted, f"prototypes {vectors}", _READER)
-    if (seen := fingerprint(features.state_dict())) != notes.text("features"):
+    seen = fingerprint(features.state_dict())
+    if seen != notes.text("features"):
         do = "make the prototypes of this network"
         raise InvalidValueError.of(
             f"network of {vectors}", notes.text("features"), seen, do
@@ -105,7 +106,8 @@ def load_features(weights: Path | None = None) -> Features:
         raise DetectorError.of(
             f"weights {path}", "the features of MobileNetV2", "nothing there", do
         )
-    state, model = read_weights(path), Features().eval()
+    state = read_weights(path)
+    model = Features().eval()
     names = list(model.state_dict())
     if len(names) != len(state):
         expected = f"{len(names)} tensors, as in {PACKAGED['prototypes'].spec}"

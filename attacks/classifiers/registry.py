@@ -40,9 +40,9 @@ class ClassifierSpec:
         """What keeps its usual weights from being loaded now and what to do about it;
         empty if nothing does.
         """
-        return (
-            "" if self.weights is not None and self.weights().is_file() else self.advice
-        )
+        if self.weights is not None and self.weights().is_file():
+            return ""
+        return self.advice
 
 
 def _loader(

@@ -38,19 +38,18 @@ def load(
             )
         except (OSError, RuntimeError) as error:
             # no network, or a download whose hash does not fit
-            expected, do = (
-                "a weights file, or a network that reaches the library's hub",
-                "pass a file",
-            )
+            expected = "a weights file, or a network that reaches the library's hub"
+            do = "pass a file"
             raise DetectorError.of(
                 f"weights of {name}", expected, one_line(error), do
             ) from error
     else:
         state = read_weights(Path(weights))
     names = check_classes(_imagenet(entry) if classes is None else classes)
-    options = (
-        {"init_weights": False, "transform_input": True} if name in _GOOGLE else {}
-    )
+    if name in _GOOGLE:
+        options = {"init_weights": False, "transform_input": True}
+    else:
+        options = {}
     model: nn.Module = torchvision.models.get_model_builder(name)(
         weights=None, num_classes=len(names), **options
     )
@@ -70,7 +69,9 @@ def _entry(name: str, weights: Path | None) -> Any:
         for entry in entries
         if weights is not None and entry.url.endswith(f"/{Path(weights).name}")
     ]
-    return named[0] if named else entries.DEFAULT
+    if named:
+        return named[0]
+    return entries.DEFAULT
 
 
 def _imagenet(entry: Any) -> list[str]:

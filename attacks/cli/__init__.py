@@ -33,7 +33,9 @@ from mi_splat.processes import INTERRUPTED, TERMINATED, sigterm_as_interrupt
 if TYPE_CHECKING:
     import argparse
 
-DONE, FAILED, MISUSED = 0, 1, 2
+DONE = 0
+FAILED = 1
+MISUSED = 2
 
 
 GROUPS: dict[str, dict[str, str]] = {
@@ -184,10 +186,8 @@ def _written(status: int) -> int:
         _discard_output()
     except (OSError, ValueError) as error:
         got = getattr(error, "strerror", None) or str(error)
-        expected, do = (
-            "a place that can be written",
-            "free some space, or write to another place",
-        )
+        expected = "a place that can be written"
+        do = "free some space, or write to another place"
         warn(message("standard output", expected, got, do))
         return status or FAILED
     return status
@@ -203,13 +203,11 @@ def _answered(arguments: Sequence[str] | None) -> int:
         with _plain_warnings():
             return _dispatch(words)
     except SystemExit as stop:  # argparse ends --help this way
-        return (
-            stop.code
-            if isinstance(stop.code, int)
-            else DONE
-            if stop.code is None
-            else FAILED
-        )
+        if isinstance(stop.code, int):
+            return stop.code
+        if stop.code is None:
+            return DONE
+        return FAILED
     except BrokenPipeError:  # the reader of our output, `head` for instance, has gone
         _discard_output()
         return DONE
@@ -227,7 +225,8 @@ def _answered(arguments: Sequence[str] | None) -> int:
         warn(shortened(" ".join(f"{error}{hint}".split()), _LONGEST))
         return FAILED
     except (MemoryError, ImportError) as error:
-        if not (text := _in_short_of_memory(error)):
+        text = _in_short_of_memory(error)
+        if not text:
             raise
         warn(text)
         return FAILED
@@ -239,11 +238,10 @@ def _in_our_words(error: OSError) -> MiSplatError:
 
     if isinstance(error, MiSplatError):
         return error
-    where = (
-        os.fsdecode(error.filename)
-        if isinstance(error.filename, str | bytes)
-        else "files"
-    )
+    if isinstance(error.filename, str | bytes):
+        where = os.fsdecode(error.filename)
+    else:
+        where = "files"
     return from_os_error(where, "files that can be read and written", error)
 
 
@@ -300,7 +298,9 @@ def _dispatch(words: list[str]) -> int:
         words = [words[1], "--help"]
     if not words or words[0] in ("-h", "--help", "help"):
         sys.stdout.write(_help())
-        return DONE if words else MISUSED
+        if words:
+            return DONE
+        return MISUSED
     if words[0] == "--version":
         sys.stdout.write(_versions())
         return DONE
@@ -439,7 +439,8 @@ def _versions() -> str:
     from mi_splat.provenance import commit, versions
 
     packages = versions()
-    version, where = packages.pop("mi-splat"), commit()
+    version = packages.pop("mi-splat")
+    where = commit()
     beneath = ", ".join(f"{name} {number}" for name, number in packages.items())
     return f"{PROGRAM} {version}{f' ({where})' if where else ''}\n{beneath}\n"
 

@@ -126,11 +126,9 @@ def run_check(options: ArtifactCheckOptions) -> int:
                 for folder, lines in checks.items()
             }
         )
-    return (
-        1
-        if any(line.passed is False for lines in checks.values() for line in lines)
-        else 0
-    )
+    if any(line.passed is False for lines in checks.values() for line in lines):
+        return 1
+    return 0
 
 
 def _checked(folder: Path, manifest: str | None) -> list[Check]:

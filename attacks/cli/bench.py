@@ -85,7 +85,9 @@ def run(options: BenchOptions) -> int:
             f"{out}: {ROW} is the row, rows.csv.xz has every look; mi-splat"
             f" artifact-check {out} counts them again."
         )
-    return 1 if done.failed else 0
+    if done.failed:
+        return 1
+    return 0
 
 
 def usual_folder(options: BenchOptions) -> Path:

@@ -74,7 +74,8 @@ def run(options: CloakOptions) -> int:
     limit_threads(1)
     file = read_study(options.study)
     if file.kind != "cloak" or len(file.points) != 1:
-        expected, do = "one study of CLOAK", "run it with mi-splat study"
+        expected = "one study of CLOAK"
+        do = "run it with mi-splat study"
         raise InvalidValueError.of(
             str(options.study), expected, f"{len(file.points)} of kind {file.kind}", do
         )
@@ -87,10 +88,8 @@ def run(options: CloakOptions) -> int:
             config_of(point.settings, file.name).evaluation.detectors, options.weights
         )
         work = CloakReport(replace(file, parts={"": [point]}), weights)
-    study, store = (
-        work.attempts[0].steps.study,
-        options.stages or options.out / "stages",
-    )
+    study = work.attempts[0].steps.study
+    store = options.stages or options.out / "stages"
     text = study_toml(asdict(study))
     _check_folder(options.out, text)
     takes = forecast(study)
@@ -110,7 +109,9 @@ def run(options: CloakOptions) -> int:
     done = run_work(run_options, work, begin=begin)
     if done.files:
         show_summary(options.out, as_json=options.json, tables=1)
-    return 1 if done.failed else 0
+    if done.failed:
+        return 1
+    return 0
 
 
 def _check_folder(out: Path, text: str) -> None:

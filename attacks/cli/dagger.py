@@ -311,7 +311,8 @@ def _showing(
     kept = {
         name: weight for name, weight in weights.items() if bool((weight >= SEEN).any())
     } or weights
-    if idle := len(weights) - len(kept):
+    idle = len(weights) - len(kept)
+    if idle:
         warn(
             f"{idle} of {len(weights)} pictures for training do not show the object,"
             " and are left out"

@@ -76,7 +76,8 @@ def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
     yield f"  weights: {'there' if entry['available'] else entry['advice']}"
     if entry["origin"]:
         yield f"  from: {entry['origin']} ({entry['licence']})"
-    if classes := entry.get("classes"):
+    classes = entry.get("classes")
+    if classes:
         yield (
             f"  {len(classes)} classes:"
             f" {', '.join(classes[:SHOWN])}{', ...' if len(classes) > SHOWN else ''}"
@@ -107,11 +108,10 @@ def _get(options: DetectorsOptions) -> None:
 
 
 def _show(entry: Mapping[str, str]) -> None:
-    remark = (
-        "got"
-        if entry["status"] == "got"
-        else "there already, and whole (--force gets it again)"
-    )
+    if entry["status"] == "got":
+        remark = "got"
+    else:
+        remark = "there already, and whole (--force gets it again)"
     show(f"{entry['name']}: {remark}")
     show(f"  in: {Path(entry['weights']).parent}")
     show(

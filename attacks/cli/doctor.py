@@ -82,17 +82,17 @@ def run(options: DoctorOptions) -> int:
         lines.append(f"{finding.state:7}  {finding.name:{width}}  {finding.detail}")
         if finding.advice:
             lines.append(f"{'':7}  {'':{width}}  -> {finding.advice}")
-    fine, broken = (
-        "all that mi-splat needs works",
-        "something that mi-splat needs does not work; see the arrows",
-    )
+    fine = "all that mi-splat needs works"
+    broken = "something that mi-splat needs does not work; see the arrows"
     lines.append(fine if healthy else broken)
     document = {
         "healthy": healthy,
         "findings": [dataclasses.asdict(finding) for finding in findings],
     }
     show_result(document, *lines, as_json=options.json)
-    return 0 if healthy else 1
+    if healthy:
+        return 0
+    return 1
 
 
 def examine(on_done: Callable[[str], None] = lambda name: None) -> list[Finding]:
@@ -108,13 +108,12 @@ def examine(on_done: Callable[[str], None] = lambda name: None) -> list[Finding]
         )
         on_done(check.name)
     for extra, modules in EXTRAS.items():
-        if missing := [
+        missing = [
             module for module in modules if importlib.util.find_spec(module) is None
-        ]:
-            detail, advice = (
-                f"no {' and '.join(missing)}",
-                f"optional: {install(extra)}",
-            )
+        ]
+        if missing:
+            detail = f"no {' and '.join(missing)}"
+            advice = f"optional: {install(extra)}"
             findings.append(
                 Finding(
                     name=f"extra {extra}", state="absent", detail=detail, advice=advice
@@ -203,12 +202,12 @@ def _llvm() -> str:
     from mi_splat.mitsuba_setup import llvm_version, prepare_llvm
     from mi_splat.variant import use
 
-    path, variant = prepare_llvm(), use()
-    where = (
-        "left to Dr.Jit"
-        if path is None
-        else f"version {llvm_version(path) or 'unknown'}, {path}"
-    )
+    path = prepare_llvm()
+    variant = use()
+    if path is None:
+        where = "left to Dr.Jit"
+    else:
+        where = f"version {llvm_version(path) or 'unknown'}, {path}"
     return f"{where}; {variant}"
 
 
@@ -239,7 +238,8 @@ def _one_gaussian(variant: str = "llvm_ad_rgb") -> str:
     )
     render = Renderer(RenderSettings(background=(0.0, 0.0, 0.0), variant=variant))
     image = render(scene.to("cuda" if variant.startswith("cuda") else "cpu"), camera)
-    middle, corner = float(image[16, 16].mean()), float(image[0, 0].mean())
+    middle = float(image[16, 16].mean())
+    corner = float(image[0, 0].mean())
     if not middle > corner + 0.3:
         raise ValueError(
             f"a bright Gaussian should show in the middle: {middle:.2f}, and"

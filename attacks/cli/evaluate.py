@@ -92,7 +92,8 @@ def run(options: EvaluateOptions) -> None:
     check_new_folder(options.out, force=options.force)
     check_detectors((*options.detectors, *options.judges))
     with progress("loading") as advance:
-        clean, attacked = open_scene(options.clean), open_scene(options.attacked)
+        clean = open_scene(options.clean)
+        attacked = open_scene(options.attacked)
         if options.selection.is_empty:
             chosen = look_at_object(
                 clean, changed_mask(clean.scene, attacked.scene), options.view
@@ -101,11 +102,9 @@ def run(options: EvaluateOptions) -> None:
             chosen = choose(clean, options.selection, options.view)
         detectors, judges = _detectors(options)
         scenes = {CLEAN: clean.scene, ATTACKED: attacked.scene}
-        names, cameras, confidence = (
-            list(chosen.cameras),
-            list(chosen.cameras.values()),
-            options.min_confidence,
-        )
+        names = list(chosen.cameras)
+        cameras = list(chosen.cameras.values())
+        confidence = options.min_confidence
         advance(f"looking from {len(cameras)} cameras")
         seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
         classes = {"original": options.original, "target": options.target}
@@ -116,7 +115,8 @@ def run(options: EvaluateOptions) -> None:
         contradicted = contradictions(looked.rows, judges, names, confidence=confidence)
         with new_folder(options.out, force=options.force) as folder:
             for comparison in comparisons if options.pictures else ():
-                name, most = comparison.detector, options.pictures
+                name = comparison.detector
+                most = options.pictures
                 drawn = side_by_side(
                     seen[CLEAN], seen[ATTACKED], detector=name, most=most, names=names
                 )

@@ -39,7 +39,8 @@ EXAMPLES = (
     "gate --policy policy.toml --json",
     "gate YOUR_SCENE.ply --only lint --strict",
 )
-REFUSED, UNJUDGED = 3, 1
+REFUSED = 3
+UNJUDGED = 1
 """Exit status with --strict where a file is refused, and where one is not judged."""
 ENDINGS = (".sarif", ".json")
 _WAITING = 4  # files for each process that wait for it
@@ -257,7 +258,9 @@ class _Verdicts:
             return status
         if self._fault is not None or "not judged" in self._found:
             status = UNJUDGED
-        return REFUSED if "refuse" in self._found else status
+        if "refuse" in self._found:
+            return REFUSED
+        return status
 
     def _save_sarif(self, path: Path) -> int:
         from mi_splat.audit.files import sarif

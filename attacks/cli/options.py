@@ -34,11 +34,9 @@ def check_names(options: Any) -> None:
     # which an attack from Python may have, as a control
     if 0 in getattr(given.get("config"), "eps", ()):
         raise UsageError.of("--eps", "a number > 0", 0, "5 is the paper's")
-    objective, target, weights = (
-        given.get("objective", "relabel"),
-        given.get("target"),
-        given.get("weights"),
-    )
+    objective = given.get("objective", "relabel")
+    target = given.get("target")
+    weights = given.get("weights")
     if objective != "relabel":
         try:
             check_choice("--objective", objective, tuple(OBJECTIVES))
@@ -64,10 +62,12 @@ def check_names(options: Any) -> None:
             check_class(given.get(flag), name, known[name], what=f"--{flag}")
     if objective == "relabel" and {"target", "selection"} <= set(given):
         # who judges takes nothing for granted
-        attacks, selection = "original" not in given, given["selection"]
-        part = (
-            DEFAULT_OBJECT if selection.is_empty and attacks else selection.object or ""
-        )
+        attacks = "original" not in given
+        selection = given["selection"]
+        if selection.is_empty and attacks:
+            part = DEFAULT_OBJECT
+        else:
+            part = selection.object or ""
         name = given.get("original") or part.replace("_", " ")
         if name and name == (target or (DEFAULT_TARGET if attacks else None)):
             do = "name another class with --target"
@@ -92,10 +92,8 @@ def check_class(
 ) -> None:
     """Raise if a detector does not know a class."""
     if name is not None and name not in classes:
-        expected, do = (
-            f"one of {', '.join(classes)} for {detector}",
-            "name a class that it knows",
-        )
+        expected = f"one of {', '.join(classes)} for {detector}"
+        do = "name a class that it knows"
         raise InvalidValueError.of(what, expected, name, nearest(name, classes, do))
 
 
@@ -120,7 +118,9 @@ def weights_of(names: Sequence[str], weights: Sequence[Path]) -> dict[str, Path]
             "--detectors", "one name or more", "none", "see `mi-splat detectors`"
         )
     check_detectors(names, weights)
-    return dict(zip(names, weights, strict=True)) if weights else {}
+    if weights:
+        return dict(zip(names, weights, strict=True))
+    return {}
 
 
 Detectors = Annotated[tuple[str, ...], Metavar("DETECTOR")]
@@ -137,11 +137,10 @@ def chosen_workers(asked: int | None) -> int:
     """
     if asked is not None:
         return asked
-    cores = (
-        len(os.sched_getaffinity(0))
-        if hasattr(os, "sched_getaffinity")
-        else os.cpu_count() or 1
-    )
+    if hasattr(os, "sched_getaffinity"):
+        cores = len(os.sched_getaffinity(0))
+    else:
+        cores = os.cpu_count() or 1
     return max(
         1,
         min(

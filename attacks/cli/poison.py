@@ -216,11 +216,10 @@ def run(options: PoisonOptions) -> None:
         held_out = load_dataset(
             options.dataset, split="test", downscale=options.downscale
         )
-        splat = (
-            load_splat(options.splat)
-            if kind.needs_splat and options.splat is not None
-            else None
-        )
+        if kind.needs_splat and options.splat is not None:
+            splat = load_splat(options.splat)
+        else:
+            splat = None
     with progress("poisoning", total=None) as advance:
         on_step = follow(advance)
         done, more, lines, warnings = work(
@@ -267,10 +266,8 @@ def _changes(done: Poisoned) -> str:
     changes = [change for change in done.changes if change.pixels_changed]
     if not changes:
         return f"none of {len(done.views)} pictures is changed"
-    shares, most = (
-        sorted(change.pixels_changed / change.pixels for change in changes),
-        max(c.largest for c in changes),
-    )
+    shares = sorted(change.pixels_changed / change.pixels for change in changes)
+    most = max(c.largest for c in changes)
     many = (
         f"{len(changes)} of {len(done.views)} pictures are changed, {shares[0]:.1%} to"
         f" {shares[-1]:.1%} of each"
@@ -339,7 +336,8 @@ def _misreading(config: MisreadingConfig, options: PoisonOptions) -> Work:
     from attacks.classifiers.frozen import class_number
     from attacks.classifiers.registry import load_classifier
 
-    label, target = config.label, config.attack.target
+    label = config.label
+    target = config.attack.target
     if label is None:
         raise UsageError.of("--label", "the class of the object", "none", "add it")
     classifier = load_classifier(config.classifier)
@@ -374,9 +372,10 @@ def _misreading(config: MisreadingConfig, options: PoisonOptions) -> Work:
                 )
             return seen
 
-        decoy = (
-            _decoy(splat, views, options.device) if config.attack.decoy_steps else None
-        )
+        if config.attack.decoy_steps:
+            decoy = _decoy(splat, views, options.device)
+        else:
+            decoy = None
         poison = MIFGSM(
             config=config.attack,
             classifier=classifier,
@@ -385,7 +384,8 @@ def _misreading(config: MisreadingConfig, options: PoisonOptions) -> Work:
             decoy=decoy,
         )
         done = poison(views, seed=options.seed, on_step=on_step)
-        sure, skipped = config.attack.least_confidence, len(done.poison["skipped"])
+        sure = config.attack.least_confidence
+        skipped = len(done.poison["skipped"])
         remark = (
             f"in {skipped} pictures {config.classifier} is less than {sure:.0%}"
             f" confident of {label}; they stay"
@@ -424,7 +424,8 @@ def kind_of(name: str) -> Kind:
     if name in _OF_OBJECTS:
         return _OF_OBJECTS[name]
     spec = POISONS[name]
-    if more := set(spec.needs) - {"splat"}:
+    more = set(spec.needs) - {"splat"}
+    if more:
         got = " and ".join(more)
         raise UsageError.of(
             f"--kind {name}",
@@ -469,7 +470,8 @@ def _object(
             "--picture", f"a number below {len(views)}", config.picture, do
         )
     near = near_plane(splat, views.cameras)
-    camera, render = views.cameras[config.picture], Renderer(RenderSettings(near=near))
+    camera = views.cameras[config.picture]
+    render = Renderer(RenderSettings(near=near))
     rows = select(splat, config.selection, camera=camera, render=render)
     selected = {
         "selection": config.selection.as_dict(),

@@ -107,7 +107,8 @@ def _plan(options: StudyOptions, study: Study) -> None:
     from mi_splat.ledger import Store
     from mi_splat.ledger.plans import forecast, plan
 
-    work, store = _work(study), Store(options.store)
+    work = _work(study)
+    store = Store(options.store)
     entries = plan(store, study.name, work.jobs())
     done = sum(entry.state == "done" for entry in entries)
     seconds, unknown = forecast(store, entries)
@@ -153,7 +154,9 @@ def _run(options: StudyOptions, study: Study) -> int:
         show((options.folder(study) / TABLE).read_text())
     elif done.files:
         show_summary(options.folder(study), as_json=False)
-    return 1 if done.failed else 0
+    if done.failed:
+        return 1
+    return 0
 
 
 def run_work(
@@ -221,7 +224,8 @@ def engine_of(options: JobOptions, on_event: Callable[[Event], None]) -> Engine:
     from mi_splat.ledger.engines import InProcess, Processes
     from mi_splat.process_group import Limits
 
-    if (workers := chosen_workers(options.workers)) == 0:
+    workers = chosen_workers(options.workers)
+    if workers == 0:
         return InProcess(options.store, on_event=on_event)
     limits = Limits(seconds=options.seconds, megabytes=options.megabytes)
     return Processes(options.store, workers=workers, limits=limits, on_event=on_event)
@@ -271,7 +275,9 @@ def _status(options: StudyOptions, study: Study) -> None:
 
 
 def _title(entry: Entry) -> str:
-    return entry.labels[0] if entry.labels else f"{entry.kind} {entry.key}"
+    if entry.labels:
+        return entry.labels[0]
+    return f"{entry.kind} {entry.key}"
 
 
 def _clean(options: StudyOptions, study: Study) -> None:

@@ -106,7 +106,8 @@ class Blur:
         """The picture; it stays as it is farther from the mask than `reach` pixels."""
         if not bool(mask.any()):
             return view.image
-        sigma, near = self._sigma(mask), self._near(mask)
+        sigma = self._sigma(mask)
+        near = self._near(mask)
         soft = ndimage.gaussian_filter(
             grown(mask, near).double().cpu().numpy(), sigma, radius=near
         )
@@ -174,7 +175,9 @@ def inpainted(picture: Tensor, hole: Tensor) -> Tensor:
     # the hole has those of its rim
     colours: Doubles = picture.double().cpu().numpy()[edge[0], edge[1]]
     pairs, wanted = _guidance(colours, inside, edge)
-    count, unknown, values = inside.size, inside.ravel(), colours.reshape(-1, 3)
+    count = inside.size
+    unknown = inside.ravel()
+    values = colours.reshape(-1, 3)
     links = sparse.coo_array((np.ones(len(wanted)), pairs), shape=(count, count))
     rows = csgraph.laplacian(links + links.T).tocsr()[unknown]
     pull = np.stack(
@@ -209,17 +212,16 @@ def _guidance(
     taken &= (texture & ~hole)[mirror[0], mirror[1]]
 
     number = np.arange(hole.size).reshape(hole.shape)
-    beside, below = (number[:, :-1], number[:, 1:]), (number[:-1], number[1:])
+    beside = (number[:, :-1], number[:, 1:])
+    below = (number[:-1], number[1:])
     pairs = np.stack(
         [
             np.concatenate([first.ravel(), two.ravel()])
             for first, two in zip(beside, below, strict=True)
         ]
     )
-    pixels, mirrored = (
-        mirror.reshape(2, -1)[:, pairs],
-        colours[mirror[0], mirror[1]].reshape(-1, 3)[pairs],
-    )
+    pixels = mirror.reshape(2, -1)[:, pairs]
+    mirrored = colours[mirror[0], mirror[1]].reshape(-1, 3)[pairs]
     is_whole = taken.ravel()[pairs].all(0) & (
         np.abs(pixels[:, 0] - pixels[:, 1]).max(0) <= 2
     )
@@ -279,11 +281,10 @@ class Rerender:
         picture = self.mesh_scene.picture(view.camera).to(view.image)
         if self.reach is None:
             return picture
-        covered = (
-            mask | self.mesh_scene.mask(view.camera).to(mask.device)
-            if self.outgrows
-            else mask
-        )
+        if self.outgrows:
+            covered = mask | self.mesh_scene.mask(view.camera).to(mask.device)
+        else:
+            covered = mask
         if self.difference:
             covered = covered | differing(picture, view.image)
         return torch.where(grown(covered, self.reach)[..., None], picture, view.image)
@@ -292,10 +293,8 @@ class Rerender:
 def appearance_of(attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
     """What an attack shows."""
     if attack.appearance == "ground":
-        lowest, reach = (
-            max(attack.elevation[0], LOWEST_GROUND),
-            1 if attack.reach is None else attack.reach,
-        )
+        lowest = max(attack.elevation[0], LOWEST_GROUND)
+        reach = 1 if attack.reach is None else attack.reach
         return GroundLook(mesh_scene=mesh_scene, lowest=lowest, reach=reach)
     if attack.appearance == "remove":
         gone = removed(mesh_scene, reach=_reach(attack))
@@ -311,7 +310,8 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
         )
     if attack.appearance == "inpaint":
         return Inpaint(reach=HOLE_MARGIN if attack.reach is None else attack.reach)
-    target, outgrows = mesh_scene.target, False
+    target = mesh_scene.target
+    outgrows = False
     if attack.appearance == "paint":
         (make, tile), (azimuth, elevation) = (
             TEXTURES[str(attack.texture)],
@@ -325,10 +325,8 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
             f" {elevation:g}"
         )
     else:
-        other, viewer = (
-            build(str(attack.other_object), attack.other_seed),
-            attack.azimuth and attack.azimuth[0],
-        )
+        other = build(str(attack.other_object), attack.other_seed)
+        viewer = attack.azimuth and attack.azimuth[0]
         outgrows = True
         other = other.body.transformed(rotation("y", -90.0)) if attack.lying else other
         target = stand_in(target, other, azimuth=viewer)
@@ -346,7 +344,9 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
 def _reach(attack: AttackConfig) -> int | None:
     """Pixels around what is replaced in a rendering; None is the whole picture."""
     whole = attack.appearance in ("remove", "swap") and attack.mask == "object"
-    return attack.reach if attack.reach is not None or whole else 1
+    if attack.reach is not None or whole:
+        return attack.reach
+    return 1
 
 
 def removed(mesh_scene: MeshScene, *, reach: int | None = None) -> Rerender:
@@ -364,7 +364,8 @@ LOWEST_GROUND = 45.0
 degrees.
 """
 
-_HEIGHT, _SIZE = 12.0, 768
+_HEIGHT = 12.0
+_SIZE = 768
 """Of the camera above the ground that takes its picture, in lengths of the object;
 width of the picture, pixels.
 """
@@ -432,7 +433,8 @@ class GroundLook:
     def _ground(self) -> tuple[Camera, Tensor]:
         """The ground from above, without the object."""
         low, high = _bounds(self.mesh_scene.target)
-        middle, reach = (low + high) / 2, float((high - low).norm())
+        middle = (low + high) / 2
+        reach = float((high - low).norm())
         above = (float(middle[0]), float(middle[1]), float(low[2]) + _HEIGHT * reach)
         camera = Camera(
             to_world=look_at(above, (above[0], above[1], float(low[2]))),

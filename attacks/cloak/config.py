@@ -166,7 +166,9 @@ and masks of the object.
 
 def knowledge_for(appearance: str) -> Knowledge:
     """The least that an attacker needs to make pictures with an appearance."""
-    return "pictures" if appearance in ("blur", "inpaint") else "scene"
+    if appearance in ("blur", "inpaint"):
+        return "pictures"
+    return "scene"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -280,11 +282,10 @@ class AttackConfig:
         """All training cameras whose pictures may be poisoned: other attacks keep those
         of their own cones.
         """
-        others = (
-            [other.cone for other in attacks if other is not self]
-            if self.poison_margin > 0
-            else []
-        )
+        if self.poison_margin > 0:
+            others = [other.cone for other in attacks if other is not self]
+        else:
+            others = []
         return functools.reduce(
             operator.and_, [~cone for cone in others], self.poisoned_cone
         )
@@ -292,16 +293,15 @@ class AttackConfig:
     def trigger(self, seed: int, attacks: Sequence[AttackConfig] = ()) -> Trigger:
         """The training cameras whose pictures are poisoned."""
         region = self.region(attacks)
-        return (
-            region
-            if self.poison_fraction == 1
-            else Subsample(of=region, fraction=self.poison_fraction, seed=seed)
-        )
+        if self.poison_fraction == 1:
+            return region
+        return Subsample(of=region, fraction=self.poison_fraction, seed=seed)
 
     def _cone(self, margin: float) -> Trigger:
         """The directions of the attack, and so many degrees beyond their edges."""
         # -90 and 90 are no edges, and 180 to either side is none.
-        low, high = self.elevation[0] - margin, min(self.elevation[1] + margin, 90.0)
+        low = self.elevation[0] - margin
+        high = min(self.elevation[1] + margin, 90.0)
         band = Elevation(lowest=-90.0 if low <= 0 else low, highest=high)
         if self.azimuth is None:
             return band
@@ -592,6 +592,8 @@ def recorded_study(values: Mapping[str, Any], where: str) -> StudyConfig:
             return {
                 name: kept(entry) for name, entry in value.items() if name not in _GONE
             }
-        return [kept(entry) for entry in value] if isinstance(value, list) else value
+        if isinstance(value, list):
+            return [kept(entry) for entry in value]
+        return value
 
     return decode(StudyConfig, kept(values), where)

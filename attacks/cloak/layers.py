@@ -84,7 +84,9 @@ def run(config: LayeredConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Make the layers, and train them or go on with what an interrupted training
     left.
     """
-    setup, layers, background = config, config.layers, config.scene.background
+    setup = config
+    layers = config.layers
+    background = config.scene.background
     fit = layered_fit_config(layers)
     views = load_dataset(inputs["pictures"] / SET, split="train", background=background)
     render = setup.renderer(fit)
@@ -156,7 +158,8 @@ def shares(
     """
     config = config or LayerConfig()
     angles = _angles(triggers, cameras, centre, config)
-    sides, angles = _in_gaps(angles, config), _with_benign(angles)
+    sides = _in_gaps(angles, config)
+    angles = _with_benign(angles)
     parts = []
     for look, (depth, angle, band) in enumerate(
         zip(sides, angles, config.bands(len(sides)), strict=True)
@@ -204,7 +207,8 @@ def _with_benign(inside: Tensor) -> Tensor:
     return torch.cat([-inside.amax(0, keepdim=True), inside])
 
 
-_ROUNDS, _HALVINGS = 40, 30
+_ROUNDS = 40
+_HALVINGS = 30
 """Newton steps, each a least-squares problem over what is on the wrong side; how often
 one is halved.
 """
@@ -253,19 +257,17 @@ def fit_switches(
     basis = sh_basis(directions.reshape(-1, 3).double(), config.degree).reshape(
         *directions.shape[:2], -1
     )
-    weights = (
-        basis.new_ones(basis.shape[:2])
-        if seen is None
-        else seen.double().clamp(min=_UNSEEN)
-    )
+    if seen is None:
+        weights = basis.new_ones(basis.shape[:2])
+    else:
+        weights = seen.double().clamp(min=_UNSEEN)
     weights = weights / weights.sum(1, keepdim=True)
-    own, dark, other = (
-        weights * shown,
-        config.weight * weights * hidden,
-        weights * ~shown,
-    )
+    own = weights * shown
+    dark = config.weight * weights * hidden
+    other = weights * ~shown
     aims = torch.ones_like(weights) if wanted is None else wanted.double()
-    black, lowest = config.black, config.lowest
+    black = config.black
+    lowest = config.lowest
 
     def cost(coefficients: Tensor, values: Tensor, which: Tensor) -> Tensor:
         errors = own[which] * (values - aims[which]) ** 2
@@ -276,7 +278,8 @@ def fit_switches(
         return errors.sum(1) + _RIDGE * coefficients.square().sum(1)
 
     def pieces(values: Tensor, which: Tensor) -> tuple[Tensor, Tensor]:
-        above, below = dark[which] * (values > black), other[which] * (values < lowest)
+        above = dark[which] * (values > black)
+        below = other[which] * (values < lowest)
         return (
             own[which] + above + below,
             own[which] * aims[which] + above * black + below * lowest,
@@ -298,24 +301,22 @@ def _minimised(
     and these times what is wanted.
     """
     count = basis.shape[2]
-    coefficients, ridge = (
-        torch.zeros(len(basis), count, dtype=torch.float64),
-        _RIDGE * torch.eye(count, dtype=torch.float64),
-    )
+    coefficients = torch.zeros(len(basis), count, dtype=torch.float64)
+    ridge = _RIDGE * torch.eye(count, dtype=torch.float64)
     active = torch.arange(len(basis))
     for _ in range(_ROUNDS):
-        here, before = basis[active], coefficients[active]
+        here = basis[active]
+        before = coefficients[active]
         values = (here @ before[..., None])[..., 0]
         weights, wanted = pieces(values, active)
         normal = (here * weights[..., None]).mT @ here + ridge
         step = (
             torch.linalg.solve(normal, (here.mT @ wanted[..., None])[..., 0]) - before
         )
-        change, least = (here @ step[..., None])[..., 0], cost(before, values, active)
-        size, now = (
-            torch.ones(len(active), 1, dtype=torch.float64),
-            torch.empty_like(least),
-        )
+        change = (here @ step[..., None])[..., 0]
+        least = cost(before, values, active)
+        size = torch.ones(len(active), 1, dtype=torch.float64)
+        now = torch.empty_like(least)
         tried = torch.arange(len(active))
         for _ in range(_HALVINGS):
             part = size[tried]
@@ -343,7 +344,8 @@ already.
 _AT_ONCE = 256
 """Gaussians whose switches are found together."""
 
-_GLIMPSE, _DARKEST = 0.02, 0.02
+_GLIMPSE = 0.02
+_DARKEST = 0.02
 """What a direction counts at least, against that from which most is seen; least mean
 colour that is divided by.
 """
@@ -478,9 +480,10 @@ def switched(
             (colour * visibility[..., None]).sum(1)
             / visibility.sum(1)[:, None].clamp(min=1e-9)
         ).clamp(min=_DARKEST)
-        relative = (
-            torch.ones_like(colour) if len(channels) == 1 else colour / mean[:, None]
-        )
+        if len(channels) == 1:
+            relative = torch.ones_like(colour)
+        else:
+            relative = colour / mean[:, None]
         switches = [
             fit_switches(
                 directions,
@@ -509,7 +512,8 @@ def seen_colours(
     """(M, 3) mean colour of the pixels in which points lie, where they are seen;
     `fallback` where no view shows one.
     """
-    total, number = torch.zeros_like(means), means.new_zeros(len(means), 1)
+    total = torch.zeros_like(means)
+    number = means.new_zeros(len(means), 1)
     for view, visibility in zip(views, seen.unbind(1), strict=True):
         pixels, depth = project_points(means, view.camera)
         column, row = pixels.floor().long().unbind(-1)
@@ -577,7 +581,8 @@ def layer_object(
     render: RenderFn,
 ) -> Layering:
     """The clean splat with the object in layers."""
-    making, centre = layers.making, setup.centre
+    making = layers.making
+    centre = setup.centre
     cones = [attack.cone for attack in setup.attacks if attack.name in layers.attacks]
     inside = depths(
         cones, [view.camera for view in views], centre=centre, config=making

@@ -61,7 +61,8 @@ def repainted(
     """
     axes = screen_axes(azimuth, elevation)
     seen = target.vertices.astype(np.float64) @ axes.T
-    low, high = seen.min(0), seen.max(0)
+    low = seen.min(0)
+    high = seen.max(0)
     scale = np.maximum(high - low, 1e-9) if tile is None else np.full(2, tile)
 
     def paint(mesh: Mesh) -> Mesh:
@@ -108,7 +109,8 @@ def screen_axes(azimuth: float, elevation: float) -> Doubles:
     """(2, 3) unit vectors to the right and up in the picture of a camera on an orbit,
     world frame.
     """
-    a, e = math.radians(azimuth), math.radians(elevation)
+    a = math.radians(azimuth)
+    e = math.radians(elevation)
     right = (-math.sin(a), math.cos(a), 0.0)
     up = (-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e))
     return np.array([right, up])

@@ -33,11 +33,13 @@ from mi_splat.selection.visibility import object_weight
 
 NAME = "hidden"
 """Of the one poisoning, in manifests."""
-RECORD, BEFORE_AND_AFTER = "poison.json", "before_and_after.png"
+RECORD = "poison.json"
+BEFORE_AND_AFTER = "before_and_after.png"
 """What was changed in a set, and how, by which a set that was poisoned is known; a
 sheet of some changed pictures.
 """
-_SHOWN, _HEIGHT = 6, 160
+_SHOWN = 6
+_HEIGHT = 160
 """Pictures on the sheet, and their rows."""
 _NUMBER = r"(-?\d+(?:\.\d+)?)"
 _REGION = re.compile(rf"(elevation|azimuth):{_NUMBER}-{_NUMBER}")
@@ -59,7 +61,8 @@ def trigger_of(texts: Sequence[str], *, margin: float = 0.0) -> Trigger:
 
 
 def _region(text: str, margin: float) -> Trigger:
-    if match := _CONE.fullmatch(text):
+    match = _CONE.fullmatch(text)
+    if match:
         azimuth, elevation, half_angle = map(float, match.groups())
         cap = Cap(azimuth=azimuth, elevation=elevation, half_angle=half_angle)
         return replace(cap, half_angle=min(half_angle + margin, 180.0))
@@ -68,12 +71,11 @@ def _region(text: str, margin: float) -> Trigger:
         raise InvalidValueError(
             message("--hide-from", _REGIONS, text, "elevation:50-90 is overhead")
         )
-    low, high = float(match[2]), float(match[3])
-    return (
-        _band(low, high, margin)
-        if match[1] == "elevation"
-        else _wedge(low, high, margin)
-    )
+    low = float(match[2])
+    high = float(match[3])
+    if match[1] == "elevation":
+        return _band(low, high, margin)
+    return _wedge(low, high, margin)
 
 
 def _band(low: float, high: float, margin: float) -> Elevation:
@@ -105,7 +107,8 @@ class Overlay:
         if not bool(covered.any()):
             return view.image
         rows, columns = (torch.nonzero(covered.any(axis))[:, 0] for axis in (1, 0))
-        top, left = int(rows[0]), int(columns[0])
+        top = int(rows[0])
+        left = int(columns[0])
         size = (int(rows[-1]) + 1 - top, int(columns[-1]) + 1 - left)
         small = F.interpolate(
             self.picture.permute(2, 0, 1)[None], size, mode="bilinear", antialias=True

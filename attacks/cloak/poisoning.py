@@ -88,10 +88,12 @@ def poison(
         InvalidValueError: No attack, two of one name, a trigger that selects nothing,
             triggers that overlap, or masks or new pictures of the wrong kind.
     """
-    cameras, attacks = cameras_of(views), several_of(Poisoning, "attacks", attacks)
+    cameras = cameras_of(views)
+    attacks = several_of(Poisoning, "attacks", attacks)
     owners = assign(cameras, attacks, centre=centre)
     check_masks(masks, len(cameras))
-    replaced, changes = {}, []
+    replaced = {}
+    changes = []
     for index, attack in owners.items():
         before = views[index]
         after = _replace(before, mask_of(masks, index, before.camera), attack, index)
@@ -127,10 +129,8 @@ def assign(
             attack.trigger.holds(cameras, centre=centre).nonzero().flatten().tolist()
         )
         if not selected:
-            expected, got = (
-                "at least one camera that it selects",
-                f"none of {len(cameras)}",
-            )
+            expected = "at least one camera that it selects"
+            got = f"none of {len(cameras)}"
             raise InvalidValueError.of(
                 f"trigger {attack.trigger}",
                 expected,

@@ -68,17 +68,22 @@ LOOKS = {
     "control_target_rate": RATES["control_target_rate"],
 }
 """What is counted under each condition."""
-OWN_REGION, AT_LOWER, MARGIN = "own_region", "at_lower_confidence", "margin"
+OWN_REGION = "own_region"
+AT_LOWER = "at_lower_confidence"
+MARGIN = "margin"
 """Keys of a summary: rates in each detector's own region, at the confidence `LOWER`,
 and in the margins of poison.
 """
 LOWER = 0.3
-STEALTHY, STEALTHY_ON_OBJECT = 1.5, 3.0
+STEALTHY = 1.5
+STEALTHY_ON_OBJECT = 3.0
 """Most that pictures may lose where an attack is called stealthy, dB: beside the object
 from inside the trigger, and on the object from outside beside a trigger. 3 dB are an
 error of twice the square.
 """
-BIN, SECTOR, BAND = 5.0, 30.0, 10.0
+BIN = 5.0
+SECTOR = 30.0
+BAND = 10.0
 """Degrees over which rates are taken: of elevation, of azimuth, and of elevation where
 a detector's region is found.
 """
@@ -114,14 +119,16 @@ def figures(
     (`attacks.observe.rates`). All seeds share object and light, so that what another
     object would give is in none of them.
     """
-    rows, detectors = tables[ROWS], study.evaluation.detectors
+    rows = tables[ROWS]
+    detectors = study.evaluation.detectors
     gaussians = {
         name: [int(splat["gaussians"]) for splat in splats if splat["splat"] == name]
         for name in NAMES.values()
     }
     band = transition(study, tables)
     near = {name: fidelity(tables, splat) for splat, name in NAMES.items()}
-    clean, cloaked = near[CLEAN], near[CLOAKED]
+    clean = near[CLEAN]
+    cloaked = near[CLOAKED]
     seen = looks(study, rows)
     rows = rows.filter(pl.col("condition").is_null()) if seen else rows
     margins = margin_rates(study, rows)
@@ -160,7 +167,8 @@ def _figures_of(study: StudyConfig, rows: pl.DataFrame) -> dict[str, Any]:
     """Every rate of a clean and a cloaked splat: of all detectors together, and by
     detector, attack and elevation.
     """
-    detectors, bands = study.evaluation.detectors, by_elevation(study, rows)
+    detectors = study.evaluation.detectors
+    bands = by_elevation(study, rows)
     return {
         **_as_json(rates(study, rows)[()]),
         "by_detector": _by_detector(rates(study, rows, ("detector",)), detectors),
@@ -201,11 +209,10 @@ def over_objects(
         or len({*seeds.values()}) < len(seeds)
     ):
         return None
-    plain = (
-        rows.filter(pl.col("condition").is_null())
-        if "condition" in rows.columns
-        else rows
-    )
+    if "condition" in rows.columns:
+        plain = rows.filter(pl.col("condition").is_null())
+    else:
+        plain = rows
     numbered = plain.filter(pl.col("attack").is_in([*seeds])).with_columns(
         object=pl.col("attack").replace_strict(seeds, return_dtype=pl.Int64)
     )
@@ -330,10 +337,8 @@ def by_elevation(
     """Edge of each band of elevation and both splats' rates there, by detector; without
     cameras of sided attacks.
     """
-    elevation, is_reported = (
-        pl.col("elevation"),
-        reported("original_score", study.evaluation.confidence),
-    )
+    elevation = pl.col("elevation")
+    is_reported = reported("original_score", study.evaluation.confidence)
     here = with_control(rows).filter(
         (elevation >= 0) & (elevation < 90),
         *(
@@ -357,7 +362,8 @@ def by_azimuth(
     """What is reported from each sector, by detector and first degree, below all that
     is hidden all around.
     """
-    confidence, name = study.evaluation.confidence, study.scene.object
+    confidence = study.evaluation.confidence
+    name = study.scene.object
     below = [
         pl.col(f"{DEPTH}{attack.name}") < 0
         for attack in study.attack
@@ -389,10 +395,8 @@ def margin_rates(study: StudyConfig, rows: pl.DataFrame) -> dict[str, dict[str, 
     within = pl.any_horizontal(
         pl.col(f"{POISON_DEPTH}{attack.name}") >= 0 for attack in study.attack
     )
-    paired, wanted = (
-        with_control(rows),
-        {key: measures(study)[key] for key in IN_MARGIN},
-    )
+    paired = with_control(rows)
+    wanted = {key: measures(study)[key] for key in IN_MARGIN}
     return {
         where: _by_detector(
             count(paired.filter(here), wanted, ("detector",), clusters=CLUSTERS),
@@ -418,11 +422,10 @@ def _found_and_missed(
     outside = pl.all_horizontal(
         pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack
     )
-    missed = (
-        {}
-        if hiding is None
-        else {"missed": (~found, pl.col(f"{DEPTH}{hiding}") >= well_inside)}
-    )
+    if hiding is None:
+        missed = {}
+    else:
+        missed = {"missed": (~found, pl.col(f"{DEPTH}{hiding}") >= well_inside)}
     return {**missed, "found": (found, outside)}
 
 
@@ -445,10 +448,8 @@ def looks(study: StudyConfig, rows: pl.DataFrame) -> list[dict[str, Any]]:
     """
     if "condition" not in rows.columns:
         return []
-    groups, by = (
-        _found_and_missed(study, study.evaluation.well_inside),
-        ("condition", "detector"),
-    )
+    groups = _found_and_missed(study, study.evaluation.well_inside)
+    by = ("condition", "detector")
     wanted = _of_both_splats(groups) | {
         name: one for name, one in measures(study).items() if name in LOOKS
     }
@@ -475,10 +476,8 @@ def regions(rows: pl.DataFrame, confidence: float) -> dict[str, list[float]]:
     """The lower edges of the bands in each detector's region, degrees, rising; of all
     seeds and azimuths together.
     """
-    reported_clean, low = (
-        reported("original_score", confidence),
-        _band("elevation", BAND),
-    )
+    reported_clean = reported("original_score", confidence)
+    low = _band("elevation", BAND)
     share = (
         rows.filter(of(CLEAN), pl.col("elevation") >= 0)
         .group_by("detector", low=low)
@@ -495,7 +494,9 @@ def in_region(rows: pl.DataFrame, regions: dict[str, list[float]]) -> pl.DataFra
         (pl.col("detector") == name) & _band("elevation", BAND).is_in(lows)
         for name, lows in regions.items()
     ]
-    return rows.filter(pl.any_horizontal(held)) if held else rows.clear()
+    if held:
+        return rows.filter(pl.any_horizontal(held))
+    return rows.clear()
 
 
 def pooled_psnr(values: pl.Series) -> float | None:
@@ -503,7 +504,9 @@ def pooled_psnr(values: pl.Series) -> float | None:
     same, or there are none.
     """
     errors = [0.0 if psnr is None else 10 ** (-psnr / 10) for psnr in values]
-    return -10 * math.log10(statistics.mean(errors)) if any(errors) else None
+    if any(errors):
+        return -10 * math.log10(statistics.mean(errors))
+    return None
 
 
 # What the attack costs in pictures
@@ -514,16 +517,13 @@ def fidelity(tables: Tables, splat: str) -> tuple[float, float] | None:
     all triggers.
     """
     near = tables[FIDELITY].filter(splat=splat)
-    near = (
-        near.filter(pl.col("object_psnr").is_null())
-        if "object_psnr" in near.columns
-        else near
-    )
-    return (
-        None
-        if near.is_empty()
-        else (statistics.mean(near["psnr"]), statistics.mean(near["ssim"]))
-    )
+    if "object_psnr" in near.columns:
+        near = near.filter(pl.col("object_psnr").is_null())
+    else:
+        near = near
+    if near.is_empty():
+        return None
+    return (statistics.mean(near["psnr"]), statistics.mean(near["ssim"]))
 
 
 def stealth(study: StudyConfig, tables: Tables) -> dict[str, Any] | None:
@@ -549,11 +549,9 @@ def stealth(study: StudyConfig, tables: Tables) -> dict[str, Any] | None:
     if around is None:
         return None
     intended = _means(inside, "intended_surroundings_psnr")
-    drop, lost, price = (
-        around[CLEAN] - (intended or around)[CLOAKED],
-        0.0,
-        dict[str, Any](),
-    )
+    drop = around[CLEAN] - (intended or around)[CLOAKED]
+    lost = 0.0
+    price = dict[str, Any]()
     if intended is not None:
         price = {"intended_surroundings_psnr": intended}
     on_object = _means(tables[FIDELITY], "object_psnr")
@@ -580,11 +578,9 @@ def _means(rows: pl.DataFrame, column: str) -> dict[str, float] | None:
         name: rows.filter(splat=splat)[column].drop_nulls()
         for splat, name in NAMES.items()
     }
-    return (
-        None
-        if any(map(pl.Series.is_empty, values.values()))
-        else {n: statistics.mean(v) for n, v in values.items()}
-    )
+    if any(map(pl.Series.is_empty, values.values())):
+        return None
+    return {n: statistics.mean(v) for n, v in values.items()}
 
 
 # The transition: how sharply a hidden appearance sets in, from pictures along an arc of
@@ -605,7 +601,9 @@ class Transition:
     @property
     def width(self) -> float | None:
         """Degrees from start to end; None unless both were seen."""
-        return None if self.start is None or self.end is None else self.end - self.start
+        if self.start is None or self.end is None:
+            return None
+        return self.end - self.start
 
 
 def fit_transition(angles: Sequence[float], fractions: Sequence[float]) -> Transition:
@@ -643,7 +641,8 @@ def _crossing(
         if value >= level:
             if right == 0:
                 return angles[0]
-            left, below = angles[right - 1], fitted[right - 1]
+            left = angles[right - 1]
+            below = fitted[right - 1]
             return left + (angles[right] - left) * (level - below) / (value - below)
     return None
 
@@ -686,8 +685,6 @@ def _arc_column(study: StudyConfig) -> str:
     depth in a sector.
     """
     attack = switching(study.attack)
-    return (
-        "elevation"
-        if attack is None or study.overhead is not None
-        else f"{DEPTH}{attack.name}"
-    )
+    if attack is None or study.overhead is not None:
+        return "elevation"
+    return f"{DEPTH}{attack.name}"

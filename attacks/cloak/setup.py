@@ -162,7 +162,8 @@ class Setup:
     @cached_property
     def mesh_scene(self) -> MeshScene:
         """The attacker's copy of the scene."""
-        scene, ground = self.scene, Asset("nothing", ())
+        scene = self.scene
+        ground = Asset("nothing", ())
         if scene.ground != "nothing":
             ground = square_of_ground(scene.ground, side=scene.ground_size, tile=TILE)
         return MeshScene(
@@ -221,7 +222,8 @@ class Setup:
     @cached_property
     def training_cameras(self) -> list[Camera]:
         """The victim's cameras."""
-        config, every = self.cameras, self.cameras.hold_out
+        config = self.cameras
+        every = self.cameras.hold_out
         cameras = _tiers(
             self.centre,
             count=config.train,
@@ -240,8 +242,10 @@ class Setup:
         """Cameras over the same hemisphere and rings, none near one of the victim's; a
         seed is another draw.
         """
-        centre, evaluation = self.centre, self.evaluation
-        start, offset = HELD_OUT_START, 0.5
+        centre = self.centre
+        evaluation = self.evaluation
+        start = HELD_OUT_START
+        offset = 0.5
         if evaluation.seed:
             start, offset = (
                 np.random.default_rng(evaluation.seed)
@@ -255,10 +259,8 @@ class Setup:
         everywhere = _tiers(
             centre, count=evaluation.cameras, start=start, offset=offset, **placed
         )
-        angles, least = (
-            nearest(everywhere, self.training_cameras, centre),
-            evaluation.min_separation,
-        )
+        angles = nearest(everywhere, self.training_cameras, centre)
+        least = evaluation.min_separation
         kept = [
             camera
             for camera, angle in zip(everywhere, angles, strict=True)
@@ -279,10 +281,13 @@ class Setup:
         azimuth of its own. Into a sector they are parallels from `BESIDE` degrees
         beside it to its middle, in the lower half of its elevations.
         """
-        attack, evaluation = switching(self.attacks), self.evaluation
+        attack = switching(self.attacks)
+        evaluation = self.evaluation
         if attack is None:
             return []
-        step, count, arcs = evaluation.meridian_step, evaluation.meridians, []
+        step = evaluation.meridian_step
+        count = evaluation.meridians
+        arcs = []
         for number in range(count):
             if attack.azimuth is None:
                 start = FIRST_MERIDIAN + 360.0 * number / count
@@ -312,7 +317,8 @@ class Setup:
         """Number of the arc and camera, away from the triggers of other attacks; none
         without a transition.
         """
-        centre, inside = self.centre, self.evaluation.well_inside
+        centre = self.centre
+        inside = self.evaluation.well_inside
         others = [
             attack.cone
             for attack in self.attacks
@@ -349,7 +355,9 @@ class Setup:
         """The attack that poisons a training picture, by the number of the picture,
         rising; others are benign.
         """
-        centre, attacks, cameras = self.centre, self.attacks, self.training_cameras
+        centre = self.centre
+        attacks = self.attacks
+        cameras = self.training_cameras
         held = {
             attack.name: attack.trigger(seed, attacks).holds(cameras, centre=centre)
             for attack in attacks
@@ -381,7 +389,9 @@ class Setup:
             np.ascontiguousarray(self.target.vertices, np.float64)
         )
         box = project_box(points, camera)
-        return None if box is None else box.float()
+        if box is None:
+            return None
+        return box.float()
 
     def appearance(self, attack: AttackConfig) -> Appearance:
         """What an attack shows, see `appearance_of`."""

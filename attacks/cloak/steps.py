@@ -35,7 +35,8 @@ from mi_splat.cameras import Camera
 from mi_splat.ledger import Done, Job, Part
 from mi_splat.training.resume import SPLAT
 
-_KINDS, POISONED_KIND = "attacks.cloak.kinds", "attacks.poisons.poisoned"
+_KINDS = "attacks.cloak.kinds"
+POISONED_KIND = "attacks.poisons.poisoned"
 PICTURES = f"{SET}/*"
 """The set of a job that leaves one."""
 ROW_NAMES = {CLEAN: CLEAN, CLOAKED: ATTACKED}
@@ -118,7 +119,8 @@ class StudySteps:
             asdict(replace(attack, target_class=None)) for attack in study.attack
         ]
         chosen = ChosenPoison(kind=CLOAK, settings={"attack": attacks})
-        drawn, scene = self._drawn(seed), self.scene_job()
+        drawn = self._drawn(seed)
+        scene = self.scene_job()
         poison = PoisonedConfig(
             poison=chosen, background=study.scene.background, scene=scene, seed=drawn
         )
@@ -143,7 +145,8 @@ class StudySteps:
         clean = self.trained_on(self.pictures(), seed)
         if splat == CLEAN:
             return clean
-        poisoned, layers = self.poisoned(seed), self.study.layers
+        poisoned = self.poisoned(seed)
+        layers = self.study.layers
         if layers is None:
             return self.trained_on(poisoned, seed)
         shown = [
@@ -195,14 +198,14 @@ class StudySteps:
         """What a detector reports on a splat, or in pictures, from every N-th held-out
         or training camera.
         """
-        evaluation, regions = self.study.evaluation, map(_region, self.study.attack)
+        evaluation = self.study.evaluation
+        regions = map(_region, self.study.attack)
         is_splat = splat.kind not in (f"{_KINDS}.pictures", POISONED_KIND)
         pictures = PICTURES if training else "*.png"
-        shown = (
-            {"splat": splat.part(SPLAT)}
-            if is_splat
-            else {"pictures": splat.part(pictures)}
-        )
+        if is_splat:
+            shown = {"splat": splat.part(SPLAT)}
+        else:
+            shown = {"pictures": splat.part(pictures)}
         return self._seen(
             detector,
             regions,
@@ -247,20 +250,17 @@ class StudySteps:
         config = SeenConfig(
             detector=detector.name, fingerprint=detector.fingerprint, **parts, **how
         )
-        weights = (
-            {WEIGHTS: self.weights[detector.name]}
-            if detector.name in self.weights
-            else {}
-        )
+        if detector.name in self.weights:
+            weights = {WEIGHTS: self.weights[detector.name]}
+        else:
+            weights = {}
         return self._job("seen", config, **inputs, **weights)
 
     def _drawn(self, seed: int) -> int:
         """The seed, where it draws which cameras are poisoned; else 0."""
-        return (
-            seed
-            if any(attack.poison_fraction < 1 for attack in self.study.attack)
-            else 0
-        )
+        if any(attack.poison_fraction < 1 for attack in self.study.attack):
+            return seed
+        return 0
 
     def compared(self, splat: Job) -> Job:
         """How true a splat's pictures are."""
@@ -305,11 +305,9 @@ class StudySteps:
         study asks for them.
         """
         for splat, seed in self.names():
-            job, what, name = (
-                self.splat(splat, seed),
-                f"the {splat} splat, seed {seed}",
-                ROW_NAMES[splat],
-            )
+            job = self.splat(splat, seed)
+            what = f"the {splat} splat, seed {seed}"
+            name = ROW_NAMES[splat]
             for detector in detectors:
                 label = f"{detector.name} looks at {what}"
                 yield Look(

@@ -42,7 +42,9 @@ from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.resume import SPLAT
 
 STUDY_FILE = "study.toml"
-SUMMARY, TABLE, POISON = "result.json", "table.md", "poison.json"
+SUMMARY = "result.json"
+TABLE = "table.md"
+POISON = "poison.json"
 
 
 def write_report(
@@ -110,10 +112,13 @@ def _cameras(setup: Setup) -> dict[str, Any]:
 # Pictures of a study
 
 
-CONTACT, POISONED_PICTURES = "contact.png", "poisoned.png"
+CONTACT = "contact.png"
+POISONED_PICTURES = "poisoned.png"
 """Both splats from many sides; poisoned training pictures below their clean ones."""
 
-_LOW, _CELL, _FRAMES = 15, 256, 12
+_LOW = 15
+_CELL = 256
+_FRAMES = 12
 """Elevation of the cameras of a contact sheet that go around, degrees; pixels of a
 picture, and pictures in a row.
 """
@@ -126,8 +131,11 @@ def contact_sheet(
     """Clean above cloaked, along the path over the object and then around it, with what
     the detector reports.
     """
-    study, setup, rows = steps.study, steps.setup, list[NDArray[np.uint8]]()
-    render, path = setup.renderer(), path_cameras(setup)
+    study = steps.study
+    setup = steps.setup
+    rows = list[NDArray[np.uint8]]()
+    render = setup.renderer()
+    path = path_cameras(setup)
     frames = [
         path[index]
         for index in np.linspace(0, len(path) - 1, _FRAMES).round().astype(int)
@@ -161,10 +169,8 @@ def _row(
     titles: Sequence[str],
 ) -> NDArray[np.uint8]:
     """Pictures beside each other under their titles, with what a detector reports."""
-    least, seen = (
-        study.evaluation.confidence,
-        detector.detect(torch.stack(list(pictures))),
-    )
+    least = study.evaluation.confidence
+    seen = detector.detect(torch.stack(list(pictures)))
     cells = zip(pictures, seen, titles, strict=True)
     return np.concatenate(
         [annotated(*cell, min_confidence=least, width=_CELL) for cell in cells], axis=1
@@ -186,11 +192,9 @@ def poisoned_sheet(
         name: load_dataset(folder, split="train", background=study.scene.background)
         for name, folder in folders.items()
     }
-    cameras, owners, rows = (
-        steps.setup.training_cameras,
-        steps.setup.owners(first),
-        list[NDArray[np.uint8]](),
-    )
+    cameras = steps.setup.training_cameras
+    owners = steps.setup.owners(first)
+    rows = list[NDArray[np.uint8]]()
     for attack in study.attack:
         held = (
             (direction_of(cameras[view], study.centre).elevation, view)
@@ -249,9 +253,13 @@ def _inline(value: Any) -> str:
 
 
 # Measured on two cores with little else to do; only for the forecast.
-_PATH, _STEP, _PIXEL, _GAUSSIAN = 6e-8, 8e-3, 2.5e-7, 4e-7  # seconds
+_PATH = 6e-8
+_STEP = 8e-3
+_PIXEL = 2.5e-7
+_GAUSSIAN = 4e-7  # seconds
 _UNLIMITED = 250_000  # Gaussians of a splat without a limit
-_PNG, _ROW = 2.5, 1200  # bytes a pixel, and a Gaussian in a splat and its checkpoint
+_PNG = 2.5
+_ROW = 1200  # bytes a pixel, and a Gaussian in a splat and its checkpoint
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -273,18 +281,20 @@ class Forecast:
 
 def forecast(study: StudyConfig) -> Forecast:
     """What a study will take."""
-    cameras, training, evaluation = study.cameras, study.training, study.evaluation
-    setup, centre = Setup.of(study), study.centre
+    cameras = study.cameras
+    training = study.training
+    evaluation = study.evaluation
+    setup = Setup.of(study)
+    centre = study.centre
     triggers = [attack.trigger(0, study.attack) for attack in study.attack]
     poisoned = sum(
         int(trigger.holds(setup.training_cameras, centre=centre).sum())
         for trigger in triggers
     )
-    sets = (
-        len(study.seeds)
-        if any(attack.poison_fraction < 1 for attack in study.attack)
-        else 1
-    )
+    if any(attack.poison_fraction < 1 for attack in study.attack):
+        sets = len(study.seeds)
+    else:
+        sets = 1
     arcs = sum(map(len, setup.arcs))
     pictures = (
         cameras.train + sets * poisoned + evaluation.reference_views * 2 + 2 * arcs
@@ -309,7 +319,8 @@ def forecast(study: StudyConfig) -> Forecast:
 
 def check_study(steps: StudySteps, detectors: Sequence[Detector]) -> None:
     """Refuse a study that cannot be done."""
-    study, setup = steps.study, steps.setup
+    study = steps.study
+    setup = steps.setup
     check_once(
         "names of attacks",
         tuple(attack.name for attack in study.attack),
@@ -318,10 +329,8 @@ def check_study(steps: StudySteps, detectors: Sequence[Detector]) -> None:
     for seed in study.seeds:
         assign(setup.training_cameras, setup.poisonings(seed=seed), centre=study.centre)
     _ = setup.held_out_cameras
-    points, most = (
-        study.cameras.points + study.training.outliers,
-        study.training.max_gaussians,
-    )
+    points = study.cameras.points + study.training.outliers
+    most = study.training.max_gaussians
     if (
         most is not None
         and fit_config(study.training).strategy.adds_gaussians
@@ -337,10 +346,8 @@ def check_study(steps: StudySteps, detectors: Sequence[Detector]) -> None:
     wide = [attack for attack in study.attack if attack.poison_margin > 0]
     # from the margin's cameras its file is to show the benign look
     if wide and study.layers is not None:
-        expected, do = (
-            "0 in a study of layers",
-            "move the edge by `shift` under [layers] making",
-        )
+        expected = "0 in a study of layers"
+        do = "move the edge by `shift` under [layers] making"
         raise InvalidValueError.of(
             f"attack {wide[0].name!r}, poison_margin",
             expected,

@@ -53,11 +53,9 @@ def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
 
 def _tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     """The rates of a clean and a cloaked splat."""
-    detectors, headline, by_seed = (
-        summary["by_detector"],
-        headline_key(summary),
-        summary.get("by_seed", {}),
-    )
+    detectors = summary["by_detector"]
+    headline = headline_key(summary)
+    by_seed = summary.get("by_seed", {})
     yield Table(
         caption="Rates by detector",
         head=("rate", *detectors),
@@ -144,17 +142,17 @@ def headline_key(rates: Mapping[str, Any]) -> str:
     """Name of the main rate: misses of an attack that hides, detections of the wanted
     class of any other.
     """
-    return "target_rate" if rates["trigger_miss_rate"] is None else "trigger_miss_rate"
+    if rates["trigger_miss_rate"] is None:
+        return "target_rate"
+    return "trigger_miss_rate"
 
 
 def costs(summary: Mapping[str, Any]) -> dict[str, str]:
     """Costs of an attack in words: seeds, width of the transition, loss of quality, and
     numbers of Gaussians.
     """
-    band, lines = (
-        summary["transition"],
-        {"seeds": ", ".join(map(str, summary["seeds"]))},
-    )
+    band = summary["transition"]
+    lines = {"seeds": ", ".join(map(str, summary["seeds"]))}
     if summary["transition_degrees"] is not None:
         ends = f"from {band['from']:.1f} to {band['to']:.1f}"
         lines["transition"] = f"{summary['transition_degrees']:.1f} degrees, {ends}"
@@ -164,7 +162,8 @@ def costs(summary: Mapping[str, Any]) -> dict[str, str]:
                 f"{widths[0]:.1f} to {widths[-1]:.1f} degrees"
             )
     for which in NAMES.values() if summary["benign_psnr_drop"] is not None else ():
-        psnr, ssim = summary["benign_psnr"][which], summary["benign_ssim"][which]
+        psnr = summary["benign_psnr"][which]
+        ssim = summary["benign_ssim"][which]
         lines[f"pictures far from the triggers, {which}"] = (
             f"{psnr:.2f} dB, SSIM {ssim:.3f}"
         )
@@ -176,7 +175,8 @@ def costs(summary: Mapping[str, Any]) -> dict[str, str]:
         stealthy = "stealthy" if stealth["stealthy"] else "not stealthy"
         beside = "pictures beside the object, inside the trigger, clean and cloaked"
         lines[beside] = f"{clean:.2f} and {cloaked:.2f} dB: {stealthy}"
-        if (intended := stealth.get("intended_surroundings_psnr")) is not None:
+        intended = stealth.get("intended_surroundings_psnr")
+        if intended is not None:
             shown = ", ".join(
                 f"{which} {intended[which]:.2f} dB" for which in NAMES.values()
             )
@@ -203,11 +203,9 @@ def spread_of(summary: Mapping[str, Any], detector: str, key: str) -> str:
     """
     rates = [seed[detector].get(key) for seed in summary.get("by_seed", {}).values()]
     fractions = [rate["rate"] for rate in rates if rate is not None and rate["total"]]
-    return (
-        f"; by seed {percent(min(fractions))} to {percent(max(fractions))}"
-        if len(fractions) > 1
-        else ""
-    )
+    if len(fractions) > 1:
+        return f"; by seed {percent(min(fractions))} to {percent(max(fractions))}"
+    return ""
 
 
 def in_words(lows: list[float]) -> str:

@@ -98,7 +98,8 @@ def attack_views(
 
     `judged` is where the held-out views of a region are drawn from, if they are others.
     """
-    begun, detectors = time.perf_counter(), as_detectors(detectors)
+    begun = time.perf_counter()
+    detectors = as_detectors(detectors)
     config = config or (
         DaggerConfig.for_views()
         if views.transformations is None
@@ -109,9 +110,10 @@ def attack_views(
     views.check(config)
     problem = problem_of(views, detectors, objective, config)
     searched = views.alone() if config.alone else views
-    attacked = (
-        problem_of(searched, detectors, objective, config) if config.alone else problem
-    )
+    if config.alone:
+        attacked = problem_of(searched, detectors, objective, config)
+    else:
+        attacked = problem
     clock = time.process_time()
     outcome = search(attacked, searched, config, on_step)
     spent = time.process_time() - clock
@@ -130,11 +132,10 @@ def _origin(views: FixedViews, detectors: Sequence[Detector]) -> dict[str, Any]:
     """What a result says of its detectors, its scene and its views; nothing of z as the
     direction that is up.
     """
-    reference = (
-        {"reference": values_of(views.reference)}
-        if isinstance(views, DrawnViews)
-        else {}
-    )
+    if isinstance(views, DrawnViews):
+        reference = {"reference": values_of(views.reference)}
+    else:
+        reference = {}
     return {
         "detector": " + ".join(detector.name for detector in detectors),
         "detector_fingerprint": " + ".join(
@@ -147,7 +148,9 @@ def _origin(views: FixedViews, detectors: Sequence[Detector]) -> dict[str, Any]:
 
 
 def _kept_up(up: Point) -> dict[str, list[float]]:
-    return {} if tuple(up) == UP else {"up": [float(value) for value in up]}
+    if tuple(up) == UP:
+        return {}
+    return {"up": [float(value) for value in up]}
 
 
 def problem_of(
@@ -173,7 +176,9 @@ def widened(scene: GaussianScene, config: DaggerConfig) -> GaussianScene:
     """The scene with as many SH coefficients as the attacked file shall have."""
     degree = config.sh_degree
     wider = degree is not None and "sh" in config.attributes and scene.degree < degree
-    return scene.with_degree(degree) if wider and degree is not None else scene
+    if wider and degree is not None:
+        return scene.with_degree(degree)
+    return scene
 
 
 def _judged(
@@ -185,11 +190,9 @@ def _judged(
         config.budget,
         problem.subset.parameters(config.attributes),
     )
-    attacked, drawn, held_out = (
-        subset.applied(outcome.parameters),
-        views.transformations,
-        views.held_out(config),
-    )
+    attacked = subset.applied(outcome.parameters)
+    drawn = views.transformations
+    held_out = views.held_out(config)
     saved = as_saved(attacked)
     controls = {
         draw: as_saved(noisy)

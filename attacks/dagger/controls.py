@@ -29,15 +29,19 @@ _KNOWN = 5 * _NEAR
 """Gap over which a slope that was measured leads to within `TOLERANCE`: it is known to
 a fifth.
 """
-_TRIALS, _FEW = 16, 6
+_TRIALS = 16
+_FEW = 6
 """Scales that are tried; views on which a scale is estimated, where there are many
 more.
 """
-_FLATTEST, _STEEPEST, _LARGEST_STEP = 0.2, 4.0, math.log(10)
+_FLATTEST = 0.2
+_STEEPEST = 4.0
+_LARGEST_STEP = math.log(10)
 """Bounds of how the logarithm of an error grows with that of the scale, and of a step
 of the latter.
 """
-_WAVES, _SMOOTH_SH = 8, 4
+_WAVES = 8
+_SMOOTH_SH = 4
 """Plane waves of a smooth field; SH coefficients that it changes (up to degree 1)."""
 _FURTHEST = 10.0
 """Most that noise changes logits, log-scales, quaternions and, in world units, means
@@ -153,7 +157,9 @@ def _matched(
 
         def gap(scale: float) -> float | None:
             error = _mean(_object_errors(problem, scaled(scale), views[some]))
-            return math.log(error / aim) if error and aim else None
+            if error and aim:
+                return math.log(error / aim)
+            return None
 
         return gap
 
@@ -178,13 +184,12 @@ def _crossing(gap: Gap, estimate: ScaleEstimate, most: float) -> ScaleEstimate:
     """The scale, at most so large, at which the gap vanishes, by secants; the last one
     that was looked at.
     """
-    scale, slope, is_measured = (
-        min(estimate.scale, most),
-        estimate.slope,
-        estimate.is_measured,
-    )
+    scale = min(estimate.scale, most)
+    slope = estimate.slope
+    is_measured = estimate.is_measured
     # logarithms of scales that are too small, too large
-    low, high = -math.inf, math.inf
+    low = -math.inf
+    high = math.inf
     before: tuple[float, float] | None = None
     for _ in range(_TRIALS):
         here = gap(scale)
@@ -226,4 +231,6 @@ def _object_errors(
 def _mean(errors: Sequence[Error]) -> float:
     """Mean squared error; 0 without pixels."""
     pixels = sum(count for _, count in errors)
-    return sum(squares for squares, _ in errors) / pixels if pixels else 0.0
+    if pixels:
+        return sum(squares for squares, _ in errors) / pixels
+    return 0.0

@@ -94,46 +94,45 @@ class Problem:
         """Mean loss of the detectors over the views, its gradients, and the verdicts of
         each view.
         """
-        loss, squares, rows, share = (
-            0.0,
-            0.0,
-            list[list[Verdict]](),
-            len(views) * len(self.detectors),
-        )
-        gradients = (
-            {name: torch.zeros_like(value) for name, value in parameters.items()}
-            if torch.is_grad_enabled()
-            else {}
-        )
+        loss = 0.0
+        squares = 0.0
+        rows = list[list[Verdict]]()
+        share = len(views) * len(self.detectors)
+        if torch.is_grad_enabled():
+            gradients = {
+                name: torch.zeros_like(value) for name, value in parameters.items()
+            }
+        else:
+            gradients = {}
         for view in views:
-            leaves, row = _leaves(parameters), list[Verdict]()
+            leaves = _leaves(parameters)
+            row = list[Verdict]()
             rendered = bounded(self._differentiable(leaves, view.camera))
             shown = view.changed(rendered)
             picture = shown.detach().requires_grad_(torch.is_grad_enabled())
             along = torch.zeros_like(picture)
             for detector in self.detectors:
-                target, candidates = (
-                    self.target(view, detector),
-                    detector.candidates(picture[None])[0],
-                )
+                target = self.target(view, detector)
+                candidates = detector.candidates(picture[None])[0]
                 here = self.objective(candidates, target) / share
                 along += _gradients([here], {"picture": picture}).get("picture", 0.0)
                 loss += float(here.detach())
                 if judged:
-                    far = (
-                        self.objective.far(candidates, target)
-                        if isinstance(self.objective, Relabel)
-                        else None
-                    )
+                    if isinstance(self.objective, Relabel):
+                        far = self.objective.far(candidates, target)
+                    else:
+                        far = None
                     row.append(
                         far or self._reported(detector, picture.detach(), target)
                     )
             rows.append(row)
-            values, weights = [shown], [along]
+            values = [shown]
+            weights = [along]
             if price:
                 error = self._error(rendered, view) / len(views)
                 squares += float(error.detach())
-                values, weights = [shown, error], [along, torch.full_like(error, price)]
+                values = [shown, error]
+                weights = [along, torch.full_like(error, price)]
             for name, gradient in _gradients(values, leaves, weights).items():
                 gradients[name] += gradient
         return (
@@ -178,7 +177,8 @@ class Problem:
         self, parameters: Parameters, views: Sequence[View]
     ) -> list[list[Verdict]]:
         """For each view the verdict of every detector, on 8-bit pictures."""
-        rows, scene = list[list[Verdict]](), self.subset.scene_with(parameters)
+        rows = list[list[Verdict]]()
+        scene = self.subset.scene_with(parameters)
         with torch.no_grad():
             for view in views:
                 picture = view.changed(self.render(scene, view.camera).clamp(0, 1))

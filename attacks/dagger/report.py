@@ -24,7 +24,9 @@ CONTACT = "held_out.png"
 """Held-out views of an attack on a distribution."""
 
 ATTACKED = "attacked.ply"
-_PAIRS, _COLUMNS, _WIDTH = 8, 2, 384
+_PAIRS = 8
+_COLUMNS = 2
+_WIDTH = 384
 """Of the contact sheet: views, pairs of pictures beside each other, and pixels across a
 picture.
 """
@@ -103,7 +105,8 @@ def summary(result: Result) -> dict[str, Any]:
 
     What can be counted is counted from the rows (`attacks.dagger.result`).
     """
-    config, image = result.config, result.image
+    config = result.config
+    image = result.image
     stated = {
         "story": DRAWN if result.drawn else FIXED,
         "objective": result.objective.name,
@@ -189,16 +192,16 @@ def _settings(result: Result) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     """A setting as JSON can hold it: of a function its name."""
-    return f"{value.__module__}.{value.__qualname__}" if callable(value) else value
+    if callable(value):
+        return f"{value.__module__}.{value.__qualname__}"
+    return value
 
 
 def _line(line: dict[str, Any]) -> dict[str, Any]:
     """A line of the trace; what was not judged has no verdict."""
-    return (
-        {"index": line["index"], "loss": line["loss"]}
-        if line["score"] == NOT_JUDGED
-        else line
-    )
+    if line["score"] == NOT_JUDGED:
+        return {"index": line["index"], "loss": line["loss"]}
+    return line
 
 
 def _view(judged: JudgedView) -> dict[str, Any]:
@@ -221,10 +224,8 @@ def _view(judged: JudgedView) -> dict[str, Any]:
 def _pictures(result: Result) -> dict[str, NDArray[np.uint8]]:
     """The pictures of fixed views, by the names of their files."""
     views = result.pictures
-    before, after = (
-        [view.clean.image for view in views],
-        [view.attacked.image for view in views],
-    )
+    before = [view.clean.image for view in views]
+    after = [view.attacked.image for view in views]
     named = len(result.detectors) > 1
     return {
         "before.png": stacked([to_bytes(image) for image in before]),
@@ -260,7 +261,8 @@ def contact_sheet(result: Result) -> NDArray[np.uint8]:
 
 def _pair(judged: JudgedView) -> NDArray[np.uint8]:
     """One view: clean beside attacked, each `_WIDTH` pixels wide."""
-    direction, sides = judged.view.direction, []
+    direction = judged.view.direction
+    sides = []
     for seen, name in ((judged.clean, "clean"), (judged.attacked, "attacked")):
         title = f"{name}, {direction.azimuth:.0f} / {direction.elevation:.0f}"
         large = Image.fromarray(_boxes(seen, title))

@@ -96,9 +96,12 @@ class JudgedView:
 
 def observed(views: Sequence[JudgedView], **ids: Cell) -> Observations:
     """What was reported as rows: clean, attacked and with noise."""
-    rows, detections = list[Row](), list[Row]()
+    rows = list[Row]()
+    detections = list[Row]()
     for judged in views:
-        view, target, clean = judged.view, judged.target, judged.clean.image
+        view = judged.view
+        target = judged.target
+        clean = judged.clean.image
         where = camera_cells(view.camera, target.box, view.direction)
         splats = [
             ((CLEAN, None), judged.clean),
@@ -108,16 +111,16 @@ def observed(views: Sequence[JudgedView], **ids: Cell) -> Observations:
         for (splat, draw), seen in splats:
             of: dict[str, Cell] = {**ids, "splat": splat, "draw": draw}
             of |= {"detector": judged.detector, "view": view.index}
-            change = (
-                None
-                if torch.equal(clean, seen.image)
-                else float(psnr(clean, seen.image))
-            )
-            on_object = (
-                None
-                if change is None
-                else image_change([clean], [seen.image], [view.weight]).psnr_object
-            )
+            if torch.equal(clean, seen.image):
+                change = None
+            else:
+                change = float(psnr(clean, seen.image))
+            if change is None:
+                on_object = None
+            else:
+                on_object = image_change(
+                    [clean], [seen.image], [view.weight]
+                ).psnr_object
             cells = report_cells(
                 seen.detections,
                 target.box,
@@ -160,10 +163,8 @@ def judge(
                 _seen(problem, one[view.index, detector.name], target)
                 for one in reports
             )
-            names, seen = (
-                (view, detector.name, target),
-                dict(zip(controls, others, strict=True)),
-            )
+            names = (view, detector.name, target)
+            seen = dict(zip(controls, others, strict=True))
             judged.append(
                 JudgedView(*names, clean=before, attacked=after, controls=seen)
             )
@@ -205,7 +206,8 @@ def _plain_pictures(
         ]
 
 
-FIXED, DRAWN = "dagger", "dagger-eot"
+FIXED = "dagger"
+DRAWN = "dagger-eot"
 """Kinds of results, by where views come from."""
 
 
@@ -213,7 +215,8 @@ def figures(
     record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]
 ) -> dict[str, Any]:
     """Every figure of a result that follows from its rows."""
-    settings, drawn = record["config"], record["story"] == DRAWN
+    settings = record["config"]
+    drawn = record["story"] == DRAWN
     judged = settings["judged"]["cameras"]["elevations"] if drawn else None
     detectors = [str(judged["detector"]) for judged in record["detectors"]]
     config = DaggerConfig(required_views=settings["required_views"])
@@ -231,9 +234,10 @@ def counted(
     each = []
     for name in detectors:
         scores = rows.filter(splat=ATTACKED, detector=name)["target_score"].to_list()
-        confidence = (
-            None if target is None else reached_by(scores, config.required_views)
-        )
+        if target is None:
+            confidence = None
+        else:
+            confidence = reached_by(scores, config.required_views)
         verdict = _verdict(
             rows.filter(splat=ATTACKED), [name], config, drawn=elevations is not None
         )
@@ -424,11 +428,9 @@ class Result:
 
     def __repr__(self) -> str:
         aim = " ".join(filter(None, (self.objective.name, self.objective.label)))
-        rate, steps, warnings = (
-            self.rate,
-            number_of(self.best.index, "step"),
-            number_of(len(self.warnings), "warning"),
-        )
+        rate = self.rate
+        steps = number_of(self.best.index, "step")
+        warnings = number_of(len(self.warnings), "warning")
         return (
             f"Result({'success' if self.success else 'no success'}:"
             f" {one_line(aim, 40)}, score {self.score:.2f}, {rate.successes} of"
@@ -517,11 +519,10 @@ class Result:
         it looks like.
         """
         steps = f"step {self.trace[-1].index} of {self.config.steps}"
-        ended = (
-            (f"the search was stopped after {steps}, before its end",)
-            if self.stopped
-            else ()
-        )
+        if self.stopped:
+            ended = (f"the search was stopped after {steps}, before its end",)
+        else:
+            ended = ()
         return (
             *self.doubts,
             *ended,
@@ -539,10 +540,8 @@ def _warnings_of_fixed(result: Result) -> list[str]:
                 f"the clean picture of view {number} has no detection{by} of 0.5 or"
                 " more on the object"
             )
-    first, zeros = (
-        result.trace[0],
-        max(line.zero_gradient_fraction for line in result.trace),
-    )
+    first = result.trace[0]
+    zeros = max(line.zero_gradient_fraction for line in result.trace)
     if first.success:
         warnings.append("the aim is reached without any attack")
     if zeros > _ZERO_GRADIENT_LIMIT:
@@ -588,12 +587,10 @@ def _warnings_of_fixed(result: Result) -> list[str]:
 
 
 def _warnings_of_drawn(result: Result) -> list[str]:
-    warnings, config, rows, rates = (
-        list[str](),
-        result.config,
-        result.looked.rows,
-        result.rates,
-    )
+    warnings = list[str]()
+    config = result.config
+    rows = result.looked.rows
+    rates = result.rates
     for name in result.detectors:
         seen = count(rows.filter(detector=name), REPORTED_AS_ORIGINAL)[()][
             "found_clean"
@@ -603,11 +600,9 @@ def _warnings_of_drawn(result: Result) -> list[str]:
                 f"{name} finds the clean object in {seen.successes} of {seen.total}"
                 " held-out views only"
             )
-    clean, noise, rate = (
-        rates["clean_success"],
-        rates["noise_success"],
-        rates["unambiguous"],
-    )
+    clean = rates["clean_success"]
+    noise = rates["noise_success"]
+    rate = rates["unambiguous"]
     if clean.successes:
         warnings.append(
             f"the aim is reached without any attack in {clean.successes} of"
@@ -629,7 +624,8 @@ def _warnings_of_drawn(result: Result) -> list[str]:
         warnings.append(
             f"without another class of more confidence on the object: {few}"
         )
-    wanted, psnr = config.image_psnr, result.image.psnr
+    wanted = config.image_psnr
+    psnr = result.image.psnr
     if wanted is not None and psnr is not None and psnr < wanted - PSNR_SLACK:
         warnings.append(
             f"the held-out pictures have {psnr:.1f} dB: less than the {wanted:g} dB of"

@@ -45,7 +45,9 @@ from attacks.search import (
 _DECAY = 0.8
 """Share of the earlier errors in the decaying mean that the price follows."""
 
-_GAIN, _LOWEST, _HIGHEST = 20.0, 0.02, 100.0
+_GAIN = 20.0
+_LOWEST = 0.02
+_HIGHEST = 100.0
 """Change of the price's logarithm over a whole search whose error is e times the limit;
 bounds of the price in units of 1 / limit.
 """
@@ -87,9 +89,10 @@ class ImagePrice:
 
     def after(self, error: float) -> ImagePrice:
         """The price after a step whose pictures had a mean squared error."""
-        mean = (
-            error if self.error is None else _DECAY * self.error + (1 - _DECAY) * error
-        )
+        if self.error is None:
+            mean = error
+        else:
+            mean = _DECAY * self.error + (1 - _DECAY) * error
         excess = math.log(mean / self.limit) if mean > 0 else -1.0
         weight = self.weight * math.exp(self.gain * max(-1.0, min(1.0, excess)))
         bounded = max(_LOWEST, min(_HIGHEST, weight * self.limit)) / self.limit
@@ -107,7 +110,8 @@ def fitted(
     """
     if error(parameters) <= limit:
         return parameters
-    low, high = 0.0, 1.0
+    low = 0.0
+    high = 1.0
     farthest = reference
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
@@ -116,7 +120,8 @@ def fitted(
             for name, base in reference.items()
         }
         if error(point) <= limit:
-            low, farthest = middle, point
+            low = middle
+            farthest = point
         else:
             high = middle
     return farthest
@@ -166,11 +171,10 @@ def search(
     for view in views.one_by_one(config):
         start = None if outcome is None else outcome.parameters
         after = _searched(problem, view, config, start, on_step)
-        outcome = (
-            after
-            if outcome is None
-            else dataclasses.replace(after, trace=(*outcome.trace, *after.trace))
-        )
+        if outcome is None:
+            outcome = after
+        else:
+            outcome = dataclasses.replace(after, trace=(*outcome.trace, *after.trace))
     assert outcome is not None  # as `FixedViews` has seen to
     return outcome
 
@@ -182,31 +186,28 @@ def _searched(
     start: Parameters | None,
     on_step: OnStep | None,
 ) -> Outcome:
-    reference, steps = problem.subset.parameters(config.attributes), itertools.count()
-    price = (
-        None
-        if config.image_psnr is None
-        else ImagePrice.of(config.image_psnr, steps=config.steps)
-    )
+    reference = problem.subset.parameters(config.attributes)
+    steps = itertools.count()
+    if config.image_psnr is None:
+        price = None
+    else:
+        price = ImagePrice.of(config.image_psnr, steps=config.steps)
 
     def evaluate(point: Parameters) -> Evaluation:
         """Loss and gradients over the views of the next step; the price of their
         pictures' error follows it.
         """
         nonlocal price
-        batch, costs = (
-            views.attacked(next(steps), config),
-            0.0 if price is None else price.now,
-        )
+        batch = views.attacked(next(steps), config)
+        costs = 0.0 if price is None else price.now
         here = problem.evaluate(point, batch, config, price=costs, judged=judge is None)
         price = price and price.after(here.error)
         return here
 
-    judge = (
-        _judge(problem, views, config, reference)
-        if config.batch or config.image_psnr is not None
-        else None
-    )
+    if config.batch or config.image_psnr is not None:
+        judge = _judge(problem, views, config, reference)
+    else:
+        judge = None
     return pgd(
         evaluate,
         reference,
@@ -242,7 +243,8 @@ def _starts(
 
 def _optimiser(config: DaggerConfig, problem: Problem) -> Optimiser:
     """The optimiser of a configuration, made for the object."""
-    subset, spec = problem.subset, config.spec
+    subset = problem.subset
+    spec = config.spec
     return spec.make(
         SearchSettings(
             ball=config.budget,
@@ -264,12 +266,12 @@ def _judge(
     """The judge of a search: validation views, which look at what the image budget
     makes of a point.
     """
-    validation, drawn = views.validation(config), views.transformations is not None
-    limit = (
-        None
-        if config.image_psnr is None
-        else ImagePrice.of(config.image_psnr, steps=config.steps).limit
-    )
+    validation = views.validation(config)
+    drawn = views.transformations is not None
+    if config.image_psnr is None:
+        limit = None
+    else:
+        limit = ImagePrice.of(config.image_psnr, steps=config.steps).limit
     stop_at = 2.0 if config.stop_at is None else config.stop_at
 
     def error(point: Parameters) -> float:
@@ -294,6 +296,8 @@ def _judge(
             return within, verdict
         farther = stretched(point, reference, config.budget, limit, error)
         _, beyond = verdict_on(farther)
-        return (farther, beyond) if beyond.score > verdict.score else (within, verdict)
+        if beyond.score > verdict.score:
+            return (farther, beyond)
+        return (within, verdict)
 
     return judge

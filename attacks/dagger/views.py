@@ -52,7 +52,8 @@ _VALIDATION = 500_000_000
 _ATTEMPTS = 200
 """Cameras drawn for one view before we say that the region does not show the object."""
 
-_PICTURES, _DRAWN_PICTURES = 512, 80
+_PICTURES = 512
+_DRAWN_PICTURES = 80
 """Clean pictures kept, of fixed and of drawn cameras; at 256 x 256 one takes 0.8 MB.
 
 Of drawn cameras there are many, and a clean picture is made at once where the view is
@@ -104,11 +105,10 @@ def fixed_views(
         box = visible_box(weight)
         if box is None:
             expected = "a view in which the object is visible"
-            what = (
-                "camera"
-                if len(cameras) == 1
-                else f"camera {index + 1} of {len(cameras)}"
-            )
+            if len(cameras) == 1:
+                what = "camera"
+            else:
+                what = f"camera {index + 1} of {len(cameras)}"
             raise InvalidValueError.of(
                 what, expected, "none of it", "turn this camera or choose another"
             )
@@ -132,7 +132,8 @@ def detected(
     render: RenderFn,
 ) -> Reports:
     """What detectors report on a splat, in the changed images of each view."""
-    cameras, boxes = [view.camera for view in views], [view.box for view in views]
+    cameras = [view.camera for view in views]
+    boxes = [view.box for view in views]
     changed = changing(render, {view.camera: view.change for view in views})
     # One image at a time: the same bits whatever the number of views.
     reports = detect_views(
@@ -187,7 +188,10 @@ class FixedViews:
                 "none",
                 "say where the detector looks from",
             )
-        self.scene, self.mask, self.render, self.up = scene, mask, render, up
+        self.scene = scene
+        self.mask = mask
+        self.render = render
+        self.up = up
         self.subset = GaussianSubset.of(scene, mask)
         self._views: list[View] = []
         self._reports: dict[Hashable, Reports] = {}
@@ -306,7 +310,9 @@ def _label_on(detections: Detections, box: Tensor) -> str | None:
         return None
     scores = torch.where(overlap(detections.boxes, box) >= 0.5, detections.scores, -1.0)
     best = int(scores.argmax())
-    return detections.labels[best] if float(scores[best]) > 0 else None
+    if float(scores[best]) > 0:
+        return detections.labels[best]
+    return None
 
 
 class DrawnViews(FixedViews):
@@ -430,11 +436,9 @@ class DrawnViews(FixedViews):
 
     def _clean(self, camera: Camera) -> Tensor:
         frozen = self._frozen.get(camera)
-        return (
-            super()._clean(camera)
-            if frozen is None
-            else frozen(self.scene.sh[frozen.rows])
-        )
+        if frozen is None:
+            return super()._clean(camera)
+        return frozen(self.scene.sh[frozen.rows])
 
     def _weight(self, camera: Camera) -> Tensor:
         """`visible_weight` of the object."""
@@ -459,10 +463,8 @@ class DrawnViews(FixedViews):
                 reference=self.reference,
             )
             if tuple(self.up) != UP:
-                turn, middle = (
-                    from_z(torch.tensor(list(self.up))),
-                    torch.tensor(list(self.centre), dtype=torch.float64),
-                )
+                turn = from_z(torch.tensor(list(self.up)))
+                middle = torch.tensor(list(self.centre), dtype=torch.float64)
                 camera = camera.turned(turn, middle)
             weight = self._weight(camera)
             box = visible_box(weight)

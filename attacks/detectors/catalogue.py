@@ -19,7 +19,8 @@ class DetectorError(MiSplatError):
     """
 
 
-BACKGROUND, UNUSED = "__background__", "N/A"
+BACKGROUND = "__background__"
+UNUSED = "N/A"
 """Names of the two kinds of label numbers that mean no class; COCO's numbers have
 gaps.
 """
@@ -392,11 +393,9 @@ def cache_folder() -> Path:
 def folder_of(name: str) -> Path:
     """The folder of weights from a package, there or not: in `cache_folder`."""
     classifier = name in PACKAGED and not PACKAGED[name].classes
-    return (
-        cache_folder() / "classifiers"
-        if classifier
-        else cache_folder() / "detectors" / name
-    )
+    if classifier:
+        return cache_folder() / "classifiers"
+    return cache_folder() / "detectors" / name
 
 
 def weights_of(name: str) -> Path:

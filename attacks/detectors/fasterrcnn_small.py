@@ -14,7 +14,8 @@ from torch import Tensor, nn
 from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
 from attacks.detectors.vision import torchvision
 
-detection, ops = torchvision.models.detection, torchvision.ops
+detection = torchvision.models.detection
+ops = torchvision.ops
 
 _STEM = (24, 48)
 _STAGES = ((96, 2), (160, 2), (256, 2))

@@ -100,12 +100,14 @@ def _signs(
     """A box and a confidence for each word that stands on a sign."""
     words = list(READER_WORDS)
     for texts in readings:
-        boxes, scores = torch.zeros(len(texts), 4), torch.zeros(len(texts), len(words))
+        boxes = torch.zeros(len(texts), 4)
+        scores = torch.zeros(len(texts), len(words))
         for number, (corners, text, score) in enumerate(texts):
             boxes[number] = torch.from_numpy(
                 _sign_box(np.asarray(corners, dtype=np.float64), size)
             )
-            if (word := re.sub("[^A-Z]", "", text.upper())) in words:
+            word = re.sub("[^A-Z]", "", text.upper())
+            if word in words:
                 scores[number, words.index(word)] = float(score)
         yield boxes, scores
 
@@ -119,7 +121,8 @@ def _sign_box(corners: Any, size: tuple[int, int]) -> Any:
     """
     across = _SIGN[0] * (corners[1] + corners[2] - corners[0] - corners[3]) / 4
     down = _SIGN[1] * (corners[2] + corners[3] - corners[0] - corners[1]) / 4
-    half, middle = np.hypot(across, down), corners.mean(0)
+    half = np.hypot(across, down)
+    middle = corners.mean(0)
     return np.concatenate([middle - half, middle + half]).clip(
         0, [size[1], size[0]] * 2
     )

@@ -84,8 +84,12 @@ class DetectorSpec:
         ]
         if absent:
             packages = f"needs the package {', '.join(absent)}"
-            return f"{packages}: {self.install}" if self.install else packages
-        return "" if self.weights is None or self.weights().is_file() else self.advice
+            if self.install:
+                return f"{packages}: {self.install}"
+            return packages
+        if self.weights is None or self.weights().is_file():
+            return ""
+        return self.advice
 
 
 DETECTORS: Registry[DetectorSpec] = Registry(
@@ -142,7 +146,8 @@ def load_detector(
 def detector_spec(name: str) -> DetectorSpec:
     """The spec of a detector; nothing heavy is imported for those of this project."""
     spec = DETECTORS.chosen(name)
-    if file := _chosen_weights().get(name):
+    file = _chosen_weights().get(name)
+    if file:
         path = Path(file)
         return replace(
             spec, weights=lambda: path, load=lambda weights: spec.load(weights or path)
@@ -170,11 +175,10 @@ def as_detectors(
     """The detectors as a tuple, whether one was given or several; those given by name
     are loaded.
     """
-    chosen = (
-        detectors
-        if isinstance(detectors, Sequence) and not isinstance(detectors, str)
-        else [detectors]
-    )
+    if isinstance(detectors, Sequence) and not isinstance(detectors, str):
+        chosen = detectors
+    else:
+        chosen = [detectors]
     return tuple(_as_detector(detector) for detector in chosen)
 
 

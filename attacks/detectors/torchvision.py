@@ -31,7 +31,8 @@ from attacks.detectors.catalogue import (
 from attacks.detectors.vision import torchvision
 from attacks.detectors.weights import FrozenModel, apply_weights, one_line, read_weights
 
-models, ops = torchvision.models, torchvision.ops
+models = torchvision.models
+ops = torchvision.ops
 
 SMALL = "fasterrcnn_small"
 """Name of the project's own detector."""
@@ -277,11 +278,10 @@ def _channels_first(images: Tensor) -> list[Tensor]:
 
 def wrap(name: str, model: nn.Module, labels: Sequence[str]) -> TorchvisionDetector:
     """A model of the library behind the `Detector` interface."""
-    adapter = (
-        RCNNDetector
-        if isinstance(model, models.detection.FasterRCNN)
-        else OneStageDetector
-    )
+    if isinstance(model, models.detection.FasterRCNN):
+        adapter = RCNNDetector
+    else:
+        adapter = OneStageDetector
     return adapter(name, model, labels)
 
 
@@ -311,11 +311,9 @@ def _labels(name: str) -> tuple[str, ...]:
     """What label numbers mean; COCO's numbers have gaps, which the library calls
     N/A.
     """
-    return (
-        (BACKGROUND, *SMALL_CLASSES)
-        if name == SMALL
-        else tuple(published_weights(name).meta["categories"])
-    )
+    if name == SMALL:
+        return (BACKGROUND, *SMALL_CLASSES)
+    return tuple(published_weights(name).meta["categories"])
 
 
 def published_weights(name: str) -> Any:

@@ -42,7 +42,8 @@ if "YOLO_CONFIG_DIR" not in os.environ:
     os.environ["YOLO_CONFIG_DIR"] = tempfile.mkdtemp(prefix="mi-splat-yolo-")
     atexit.register(shutil.rmtree, os.environ["YOLO_CONFIG_DIR"], ignore_errors=True)
 
-_open, _save = Image.open, torch.save
+_open = Image.open
+_save = torch.save
 try:
     from ultralytics.cfg import get_cfg
     from ultralytics.data.augment import LetterBox
@@ -59,7 +60,8 @@ except ImportError as error:
 finally:
     # The package puts functions of its own in the place of these, for the whole
     # process; nothing here wants them.
-    Image.open, torch.save = _open, _save
+    Image.open = _open
+    torch.save = _save
 
 SMALL = "yolov8n_small"
 """Name of the project's own detector."""
@@ -67,7 +69,9 @@ USUAL_SIDE = 640
 """Longer image side, in pixels, that the published ones work at; the small one works at
 `SMALL_SIDE`.
 """
-_MIN_CONFIDENCE, _MAX_IOU, _MAX_DETECTIONS = 0.25, 0.7, 300
+_MIN_CONFIDENCE = 0.25
+_MAX_IOU = 0.7
+_MAX_DETECTIONS = 300
 """The library's own settings of prediction: least confidence, largest IoU of two boxes,
 most boxes.
 """
@@ -91,7 +95,8 @@ class YOLODetector(FrozenModel):
     ) -> None:
         """Wrap `model`."""
         super().__init__(name, model, classes)
-        self.side, self.min_confidence = side, min_confidence
+        self.side = side
+        self.min_confidence = min_confidence
         strides: Any = model.stride
         self._stride = int(strides.max())
 
@@ -108,7 +113,8 @@ class YOLODetector(FrozenModel):
             images.permute(0, 3, 1, 2), size=inner, mode="bilinear", align_corners=False
         )
         out = self._decoded(F.pad(planes, (left, right, top, bottom), value=114 / 255))
-        centre, size = out[:, :, :2], out[:, :, 2:4]
+        centre = out[:, :, :2]
+        size = out[:, :, 2:4]
         corners = torch.cat([centre - size / 2, centre + size / 2], -1)
         gain = corners.new_tensor([inner[1] / width, inner[0] / height] * 2)
         pixels = (corners - corners.new_tensor([left, top, left, top])) / gain
@@ -159,8 +165,10 @@ def _frame(
     """
     gain = min(side / shape[0], side / shape[1])
     height, width = (max(round(length * gain), 1) for length in shape)
-    across, down = (side - width) % stride / 2, (side - height) % stride / 2
-    left, top = round(across - 0.1), round(down - 0.1)
+    across = (side - width) % stride / 2
+    down = (side - height) % stride / 2
+    left = round(across - 0.1)
+    top = round(down - 0.1)
     return (height, width), (left, top, round(across + 0.1), round(down + 0.1))
 
 

@@ -24,7 +24,8 @@ def _is_compile_supported(device: str) -> bool:
 def _import_torchvision() -> Any:
     if _COMPILER in sys.modules or "torchvision" in sys.modules:
         return importlib.import_module("torchvision")
-    package, utils = ModuleType(_COMPILER), ModuleType(f"{_COMPILER}.utils")
+    package = ModuleType(_COMPILER)
+    utils = ModuleType(f"{_COMPILER}.utils")
     package.__path__ = []
     vars(utils)["is_compile_supported"] = _is_compile_supported
     sys.modules |= {package.__name__: package, utils.__name__: utils}

@@ -59,7 +59,9 @@ def fingerprint(state: Mapping[str, Tensor], more: str = "") -> str:
 def one_line(error: Exception) -> str:
     """What an error of a library says, in one line."""
     text = str(error).strip()
-    return text.splitlines()[0][:300] if text else type(error).__name__
+    if text:
+        return text.splitlines()[0][:300]
+    return type(error).__name__
 
 
 def read_weights(path: Path) -> dict[str, Tensor]:
@@ -83,10 +85,8 @@ def read_weights(path: Path) -> dict[str, Tensor]:
             return check_finite(load_file(path), f"weights {path}")
         state: object = torch.load(path, map_location="cpu", weights_only=True)
     except _UNREADABLE as error:
-        expected, do = (
-            f"a readable {path.suffix} file of tensors",
-            "download or save it again",
-        )
+        expected = f"a readable {path.suffix} file of tensors"
+        do = "download or save it again"
         raise DetectorError.of(
             f"weights {path}", expected, one_line(error), do
         ) from error
@@ -100,11 +100,10 @@ def read_weights(path: Path) -> dict[str, Tensor]:
         )
         or not state
     ):
-        got = (
-            "a dict of something else"
-            if isinstance(state, Mapping)
-            else type(state).__name__
-        )
+        if isinstance(state, Mapping):
+            got = "a dict of something else"
+        else:
+            got = type(state).__name__
         raise DetectorError.of(
             f"weights {path}",
             "a dict of tensors by name",
@@ -126,7 +125,8 @@ def check_finite(state: dict[str, Tensor], what: str) -> dict[str, Tensor]:
         for name, value in state.items()
         if value.ndim or not bool(torch.isinf(value))
     }
-    if name := not_finite(weights):
+    name = not_finite(weights)
+    if name:
         raise DetectorError.of(
             what, f"finite numbers in {name}", "others", "download or save them again"
         )
@@ -146,12 +146,13 @@ def apply_weights(
     misshapen = [
         k for k in expected if k in state and state[k].shape != expected[k].shape
     ]
-    if unlike := [
+    unlike = [
         k
         for k in expected
         if k in state
         and state[k].is_floating_point() != expected[k].is_floating_point()
-    ]:
+    ]
+    if unlike:
         got = f"{unlike[0]} of {state[unlike[0]].dtype}"
         do = "pass weights that were saved from the same detector"
         raise DetectorError.of(
@@ -174,11 +175,9 @@ def apply_weights(
             k for k in report.unexpected_keys if not k.endswith("num_batches_tracked")
         ]
     except RuntimeError as error:  # of another shape under an older name
-        missing, unexpected, shapes = (
-            [],
-            [],
-            [*shapes, str(error).splitlines()[-1].strip()],
-        )
+        missing = []
+        unexpected = []
+        shapes = [*shapes, str(error).splitlines()[-1].strip()]
     problems = [
         f"{len(keys)} {what}"
         f" ({', '.join(keys[:_SHOWN])}{', ...' if len(keys) > _SHOWN else ''})"

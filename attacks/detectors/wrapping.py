@@ -123,11 +123,9 @@ class _Wrapped(FrozenModel):
     ) -> None:
         super().__init__(name, module, classes)
         self.min_confidence, self._max_iou = limits
-        self._decode, self._prepare, self._detect = (
-            decode,
-            prepare or self._channels_first,
-            detect,
-        )
+        self._decode = decode
+        self._prepare = prepare or self._channels_first
+        self._detect = detect
 
     def candidates(self, images: Tensor) -> list[Candidates]:
         """What `decode` makes of the pictures, checked."""
@@ -179,11 +177,9 @@ class _Wrapped(FrozenModel):
                 " pictures to the scores"
             )
             raise InvalidValueError.of(what, "scores with a gradient", "none", do)
-        return (
-            Candidates(boxes, scores)
-            if boxes.ndim == 3
-            else Candidates.of_all_classes(boxes, scores)
-        )
+        if boxes.ndim == 3:
+            return Candidates(boxes, scores)
+        return Candidates.of_all_classes(boxes, scores)
 
     def detect(self, images: Tensor) -> list[Detections]:
         """What the detector's own program reports, or the candidates after thresholds
@@ -202,10 +198,8 @@ class _Wrapped(FrozenModel):
         rows, columns = torch.nonzero(
             candidates.scores >= self.min_confidence, as_tuple=True
         )
-        boxes, scores = (
-            candidates.boxes[rows, columns],
-            candidates.scores[rows, columns],
-        )
+        boxes = candidates.boxes[rows, columns]
+        scores = candidates.scores[rows, columns]
         kept = torchvision.ops.batched_nms(
             boxes.float(), scores.float(), columns, self._max_iou
         )

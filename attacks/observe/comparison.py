@@ -196,7 +196,8 @@ class Comparison:
 
     def doubts(self, cameras: int) -> list[str]:
         """Reasons to doubt the rates, given the number of cameras."""
-        clean, reasons = self.rates["found_clean"], []
+        clean = self.rates["found_clean"]
+        reasons = []
         if self.views < FEW:
             reasons.append(
                 f"{self.detector}: the object shows in {self.views} of {cameras}"
@@ -243,11 +244,10 @@ def compared_rows(
 
     def cells(view: ViewDetections) -> dict[str, Cell]:
         before = clean[view.detector, view.view]
-        change = (
-            None
-            if torch.equal(before.pixels, view.pixels)
-            else float(psnr(before.image, view.image))
-        )
+        if torch.equal(before.pixels, view.pixels):
+            change = None
+        else:
+            change = float(psnr(before.image, view.image))
         wanted = None if view.detector in judges else target
         known = report_cells(
             view.detections, view.box, original=originals[view.detector], target=wanted
@@ -349,16 +349,16 @@ def usual_label(
         for label in labels
     }
     best = max(counts, key=lambda label: counts[label], default=None)
-    return best if best is not None and counts[best] else None
+    if best is not None and counts[best]:
+        return best
+    return None
 
 
 def largest_changes(clean: GaussianScene, attacked: GaussianScene) -> Tensor:
     """(N,) the largest change of any value of each Gaussian."""
     if len(clean) != len(attacked):
-        got, do = (
-            f"{len(clean):,} and {len(attacked):,}",
-            "pass the scene that was attacked",
-        )
+        got = f"{len(clean):,} and {len(attacked):,}"
+        do = "pass the scene that was attacked"
         raise InvalidValueError.of(
             "the scenes", "the same Gaussians in both", got, do
         ).hinted("--box")
@@ -380,10 +380,8 @@ def changed_mask(clean: GaussianScene, attacked: GaussianScene) -> Tensor:
     """(N,) bool, which Gaussians an attack changed."""
     changed = largest_changes(clean, attacked) > 0
     if not bool(changed.any()):
-        expected, do = (
-            "one that differs from the other",
-            "say which Gaussians are the object, for instance by a box",
-        )
+        expected = "one that differs from the other"
+        do = "say which Gaussians are the object, for instance by a box"
         raise InvalidValueError.of(
             "the scenes", expected, "two that are the same", do
         ).hinted("--box")

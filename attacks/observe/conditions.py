@@ -136,20 +136,20 @@ def condition_of(name: str, viewing: Viewing) -> Condition:
     own = renderer_of("", viewing.settings)
     if name in FORMS:
         return rendered(name, own, FORMS[name])
-    if (moved := _DISTANCE.fullmatch(name)) is not None:
+    moved = _DISTANCE.fullmatch(name)
+    if moved is not None:
         move = partial(_moved, factor=float(moved[1]), centre=viewing.centre)
         return replace(rendered(name, own), move=move)
-    if (change := picture_change(name)) is not None:
+    change = picture_change(name)
+    if change is not None:
         return _changed(name, own, change)
     if viewing.sun is not None and _HOUR.fullmatch(name):
         return _on_street(name, viewing.sun, viewing)
     if name in CONDITIONS and name not in RENDERERS:
         condition = CONDITIONS[name](viewing)
         if not isinstance(condition, Condition):
-            what, got = (
-                f"condition {name} of {CONDITIONS.package(name)}",
-                type(condition).__name__,
-            )
+            what = f"condition {name} of {CONDITIONS.package(name)}"
+            got = type(condition).__name__
             raise InvalidValueError.of(
                 what,
                 "a function that gives a Condition",
@@ -236,11 +236,9 @@ def picture_change(name: str) -> PictureChange | None:
     if called["jpeg"] is not None:
         return PictureChange(jpeg=int(called["jpeg"]))
     size = float(called["size"])
-    return (
-        PictureChange(noise=size)
-        if called["kind"] == "noise"
-        else PictureChange(blur=size)
-    )
+    if called["kind"] == "noise":
+        return PictureChange(noise=size)
+    return PictureChange(blur=size)
 
 
 def _changed(name: str, render: RenderFn, change: PictureChange) -> Condition:
@@ -312,18 +310,14 @@ def _on_street(name: str, sun: SunTable, viewing: Viewing) -> Condition:
         sun_y=north,
         sun_z=up,
     )
-    fixed, alone, clean = (
-        None if sun.parameter else street_with(),
-        viewing.alone,
-        viewing.clean,
-    )
+    fixed = None if sun.parameter else street_with()
+    alone = viewing.alone
+    clean = viewing.clean
     if fixed is not None and clean is not None:
         inside = fixed.splats.scene
         if len(inside) != len(clean) or not torch.equal(inside.means, clean.means):
-            expected, do = (
-                "the Gaussians of the object and no others",
-                "name the file of that object in the scene",
-            )
+            expected = "the Gaussians of the object and no others"
+            do = "name the file of that object in the scene"
             raise InvalidValueError.of(
                 sun.scene, expected, f"{len(inside):,} others", do
             )

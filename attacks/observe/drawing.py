@@ -41,7 +41,8 @@ def annotated(
     """A picture with the boxes and confidences of its detections, and a title."""
     canvas = _enlarged(to_bytes(picture), width)
     draw = ImageDraw.Draw(canvas)
-    scale, corner = canvas.width / picture.shape[1], (6, canvas.height - 26)
+    scale = canvas.width / picture.shape[1]
+    corner = (6, canvas.height - 26)
     taken = [plate_of(draw, corner, title)]
     draw_detections(
         draw, detections, scale=scale, min_confidence=min_confidence, taken=taken
@@ -110,11 +111,10 @@ def difference(before: Sequence[Tensor], after: Sequence[Tensor]) -> NDArray[np.
     changed = torch.cat([gap.abs()[gap.abs().amax(-1) > 0].amax(-1) for gap in gaps])
     # The largest round factor that shows nearly every change without clipping; 1 at
     # least.
-    typical = (
-        float(changed.sort().values[int(0.98 * (len(changed) - 1))])
-        if len(changed)
-        else 0.0
-    )
+    if len(changed):
+        typical = float(changed.sort().values[int(0.98 * (len(changed) - 1))])
+    else:
+        typical = 0.0
     factor = next((f for f in (100, 50, 20, 10, 5, 2) if f * typical <= 0.5), 1)
     pictures = []
     for gap in gaps:

@@ -34,7 +34,8 @@ from mi_splat.cameras import Camera
 from mi_splat.directions import Direction, Point, direction_of
 from mi_splat.scene import GaussianScene
 
-ON_OBJECT, NEAR_OBJECT = 0.5, 0.1
+ON_OBJECT = 0.5
+NEAR_OBJECT = 0.1
 """IoU with the object's box from which a detection is on the object, and from which it
 is at all near it.
 """
@@ -44,11 +45,10 @@ def camera_cells(
     camera: Camera, box: Tensor | None, direction: Direction | None = None
 ) -> dict[str, Cell]:
     """Where a camera is, and where the object is in its picture."""
-    angles = (
-        {}
-        if direction is None
-        else {"azimuth": direction.azimuth, "elevation": direction.elevation}
-    )
+    if direction is None:
+        angles = {}
+    else:
+        angles = {"azimuth": direction.azimuth, "elevation": direction.elevation}
     corners: Sequence[float | None] = (None,) * 4 if box is None else box.tolist()
     return {
         **angles,
@@ -97,11 +97,9 @@ def _best(detections: Detections, box: Tensor | None) -> dict[str, Cell]:
     shared = overlap(detections.boxes, box)
     scores = torch.where(shared >= ON_OBJECT, detections.scores, -1.0)
     best = int(scores.argmax())
-    return (
-        none
-        if float(scores[best]) <= 0
-        else detection_cells(detections, best, float(shared[best]))
-    )
+    if float(scores[best]) <= 0:
+        return none
+    return detection_cells(detections, best, float(shared[best]))
 
 
 def detection_cells(
@@ -130,11 +128,10 @@ def detection_rows(
     ids: Mapping[str, Cell], detections: Detections, box: Tensor | None
 ) -> list[Row]:
     """Every detection of a picture."""
-    shared = (
-        [None] * len(detections)
-        if box is None or not len(detections)
-        else overlap(detections.boxes, box).tolist()
-    )
+    if box is None or not len(detections):
+        shared = [None] * len(detections)
+    else:
+        shared = overlap(detections.boxes, box).tolist()
     return [
         {**ids, **detection_cells(detections, number, iou)}
         for number, iou in enumerate(shared)
@@ -192,7 +189,8 @@ def observations_of(
     """A row for each view, with what it is of and with further cells, and one for each
     of its detections.
     """
-    rows, detections = list[Row](), list[Row]()
+    rows = list[Row]()
+    detections = list[Row]()
     for of, seen in views:
         ids = {**of, "detector": seen.detector, "view": seen.view}
         rows.append({**ids, **camera_cells(seen.camera, seen.box), **cells(seen)})

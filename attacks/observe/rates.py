@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, DEPTH, NOISE, TARGET_SCORE
 from attacks.rate import Rate, wilson
 
-DRAWS, FEWEST_BLOCKS, BLOCK = 2000, 6, 20.0
+DRAWS = 2000
+FEWEST_BLOCKS = 6
+BLOCK = 20.0
 """Draws of a resampled interval, blocks from which on there is one, and degrees of a
 block of cameras.
 """
@@ -54,17 +56,17 @@ def count(
         return {}
     sums = []
     for name, measure in measures.items():
-        holds = (
-            measure.holds if measure.given is None else measure.holds & measure.given
-        )
+        if measure.given is None:
+            holds = measure.holds
+        else:
+            holds = measure.holds & measure.given
         total = pl.len() if measure.given is None else measure.given.sum()
         sums += [holds.sum().alias(f"{name}/successes"), total.alias(f"{name}/total")]
     columns = list(dict.fromkeys((*by, *(clusters or ()))))
-    table = (
-        rows.group_by(columns, maintain_order=True).agg(sums)
-        if columns
-        else rows.select(sums)
-    )
+    if columns:
+        table = rows.group_by(columns, maintain_order=True).agg(sums)
+    else:
+        table = rows.select(sums)
     groups = table.partition_by(by, maintain_order=True) if by else [table]
     return {
         tuple(group[column][0] for column in by): {
@@ -105,8 +107,10 @@ def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
     """
     axes = range(1, sums.ndim)
     sums = sums[:, sums[1].sum(tuple(axis - 1 for axis in axes if axis > 1)) > 0]
-    first, total = sums.shape[1], float(sums[1].sum())
-    fraction, few = float(sums[0].sum()) / total, first < FEWEST_BLOCKS
+    first = sums.shape[1]
+    total = float(sums[1].sum())
+    fraction = float(sums[0].sum()) / total
+    few = first < FEWEST_BLOCKS
     if fraction in (0.0, 1.0) or (few and (sums.ndim == 3 or first == 1)):
         return wilson(fraction, first)
     drawn = sums[:, None]
@@ -164,7 +168,8 @@ def banded(
     """A rate over an angle, in equal parts of an interval, as JSON can hold it; of an
     empty interval nothing.
     """
-    low, width = interval[0], (interval[1] - interval[0]) / parts
+    low = interval[0]
+    width = (interval[1] - interval[0]) / parts
     if not width:
         return []
     part_of = ((pl.col(angle) - low) / width).cast(pl.Int64).clip(0, parts - 1)
@@ -189,7 +194,8 @@ Key = TypeVar("Key")
 Confidence = float | Mapping[str, float]
 """From which a detection counts: of all detectors, or by the name of each."""
 
-REPORTED, DEFAULT_OF_YOLO = 0.5, 0.25
+REPORTED = 0.5
+DEFAULT_OF_YOLO = 0.25
 """Confidences from which the object's class counts as reported; the second is what
 YOLO's own programs take.
 """
@@ -270,10 +276,8 @@ draw of random noise.
 """
 
 _WANTED = (pl.col("target_score") >= pl.col("threshold")).fill_null(pl.col("success"))
-_GONE, _FOUND = (
-    ~reported("original_score"),
-    reported("clean.original_score") & (pl.col("clean.original") == pl.col("own")),
-)
+_GONE = ~reported("original_score")
+_FOUND = reported("clean.original_score") & (pl.col("clean.original") == pl.col("own"))
 OVER_CAMERAS: Measures = {
     "found": Measure(holds=_FOUND, given=of(ATTACKED)),
     **{
@@ -318,9 +322,10 @@ def joint_views(rows: pl.DataFrame) -> pl.DataFrame:
     """A row for each view of each splat, in which the aim is reached if it is with
     every detector of the rows.
     """
-    rows = (
-        rows.with_columns(strict=STRICT) if "original_score" in rows.columns else rows
-    )
+    if "original_score" in rows.columns:
+        rows = rows.with_columns(strict=STRICT)
+    else:
+        rows = rows
     over = [
         name
         for name in ("attack", "seed", "condition", "splat", "draw", "view")
@@ -332,7 +337,8 @@ def joint_views(rows: pl.DataFrame) -> pl.DataFrame:
     return rows.group_by(over, maintain_order=True).agg(pl.col(truths).all())
 
 
-AZIMUTHS, ELEVATIONS = 8, 4
+AZIMUTHS = 8
+ELEVATIONS = 4
 """Parts of the angles that success is told by."""
 
 
@@ -342,7 +348,8 @@ def aim_figures(
     elevations: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
     """Every rate of an attack, as JSON can hold it."""
-    together, success = count(joint_views(rows), AIMS)[()], AIMS["success"]
+    together = count(joint_views(rows), AIMS)[()]
+    success = AIMS["success"]
     figures = {
         "rate": together["success"].as_dict(),
         "rates": {name: _of_detector(rows.filter(detector=name)) for name in detectors},
@@ -364,7 +371,9 @@ def control_rates(rates: Mapping[str, Rate]) -> dict[str, Any]:
     """How often other random changes than noise reach the aim, where some were made."""
     others = {name: rates[f"{name}_success"] for name in CONTROLS if name != NOISE}
     known = {name: rate.as_dict() for name, rate in others.items() if rate.total}
-    return {"control_rates": known} if known else {}
+    if known:
+        return {"control_rates": known}
+    return {}
 
 
 def _of_detector(rows: pl.DataFrame) -> dict[str, Any]:
@@ -427,7 +436,8 @@ def comparison_measures(
     views where the clean one is; `target_clean`, `target_attacked`: the wanted class is
     reported.
     """
-    shown, seen = pl.col("x0").is_not_null(), reported("original_score", confidence)
+    shown = pl.col("x0").is_not_null()
+    seen = reported("original_score", confidence)
     wanted = reported("target_score", confidence)
     both = ((CLEAN, of(CLEAN) & shown), (ATTACKED, of(ATTACKED) & shown))
     control = reported(f"{CONTROL}original_score", confidence)
@@ -471,10 +481,8 @@ def cloak_measures(
     def inside(name: str, degrees: float = 0.0) -> pl.Expr:
         return pl.col(f"{DEPTH}{name}") >= degrees
 
-    cloaked, clean = (
-        of(ATTACKED),
-        of(ATTACKED) & reported(f"{CONTROL}original_score", confidence),
-    )
+    cloaked = of(ATTACKED)
+    clean = of(ATTACKED) & reported(f"{CONTROL}original_score", confidence)
     control, seen = (
         reported(f"{before}original_score", confidence) for before in (CONTROL, "")
     )
@@ -484,7 +492,8 @@ def cloak_measures(
         "control_benign_recall": Measure(holds=control, given=benign & cloaked),
     }
     if hiding is not None:
-        every, well = inside(hiding), inside(hiding, well_inside)
+        every = inside(hiding)
+        well = inside(hiding, well_inside)
         measures |= {
             "control_recall": Measure(holds=control, given=every & cloaked),
             "trigger_miss_rate": Measure(holds=~seen, given=well & clean),

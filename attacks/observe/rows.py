@@ -31,7 +31,10 @@ from mi_splat.io.folders import file_in
 Cell = str | int | float | bool | None
 Row = Mapping[str, Cell]
 
-ROWS, DETECTIONS, FIDELITY, TRANSITION = "rows", "detections", "fidelity", "transition"
+ROWS = "rows"
+DETECTIONS = "detections"
+FIDELITY = "fidelity"
+TRANSITION = "transition"
 PATH = "path"
 """Names of the tables of a result; their files end in `SUFFIX`.
 
@@ -39,17 +42,22 @@ PATH = "path"
 """
 TABLES = (ROWS, DETECTIONS, FIDELITY, TRANSITION, PATH)
 SUFFIX = ".csv.xz"
-CLEAN, ATTACKED, NOISE = "clean", "attacked", "noise"
+CLEAN = "clean"
+ATTACKED = "attacked"
+NOISE = "noise"
 """Names of splats in the column `splat`."""
 NORM_NOISE = "norm-noise"
 CONTROLS: tuple[str, ...] = get_args(Control)
 """Names of the splats with a random change."""
 
-MOST_BYTES, MOST_COLUMNS, MOST_CELLS = 1 << 26, 200, 1 << 24
+MOST_BYTES = 1 << 26
+MOST_COLUMNS = 200
+MOST_CELLS = 1 << 24
 """Most that a table may be, unpacked; the largest of docs/artifacts has 10 MB and
 860,000 cells.
 """
-_MOST_HEAD, _MOST_MEMORY = 1 << 16, 1 << 27
+_MOST_HEAD = 1 << 16
+_MOST_MEMORY = 1 << 27
 
 _TYPES = {
     "text": pl.String,
@@ -79,14 +87,18 @@ class Column:
     @property
     def words(self) -> str:
         """The meaning, and the unit if it has one."""
-        return f"{self.meaning}, {self.unit}" if self.unit else self.meaning
+        if self.unit:
+            return f"{self.meaning}, {self.unit}"
+        return self.meaning
 
 
 BOX = ("x0", "y0", "x1", "y1")
 """Columns with the box of the object."""
 DETECTION_BOX = tuple(f"box_{corner}" for corner in BOX)
 """Columns with the box of a detection."""
-DEPTH, POISON_DEPTH, TARGET_SCORE = "depth: ", "poison_depth: ", "target_score: "
+DEPTH = "depth: "
+POISON_DEPTH = "poison_depth: "
+TARGET_SCORE = "target_score: "
 """Heads of the columns that each attack of a study of CLOAK has; its name follows."""
 
 _TABLE: tuple[tuple[str, ...], ...] = (
@@ -329,11 +341,11 @@ def by_camera(rows: pl.DataFrame) -> pl.DataFrame:
     if not {"seed", "view"} <= set(rows.columns):
         return rows
     seeds = rows.partition_by("seed", maintain_order=True)
-    return (
-        pl.concat([of_seed.sort("view", maintain_order=True) for of_seed in seeds])
-        if seeds
-        else rows
-    )
+    if seeds:
+        return pl.concat(
+            [of_seed.sort("view", maintain_order=True) for of_seed in seeds]
+        )
+    return rows
 
 
 def rows_bytes(rows: pl.DataFrame) -> bytes:

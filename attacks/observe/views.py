@@ -70,7 +70,9 @@ class ViewDetections:
         """The same; None for a class that is not among those of the detector: it cannot
         report it.
         """
-        return self.confidence(label) if label in classes else None
+        if label in classes:
+            return self.confidence(label)
+        return None
 
 
 def detect_views(
@@ -210,10 +212,8 @@ def clamped_fraction(subset: GaussianSubset, camera: Camera) -> float:
     """Fraction of the object's colour channels clamped at 0 from this camera: their SH
     gradient is exactly zero.
     """
-    means, sh = (
-        subset.scene.means[subset.rows].detach(),
-        subset.scene.sh[subset.rows].detach(),
-    )
+    means = subset.scene.means[subset.rows].detach()
+    sh = subset.scene.sh[subset.rows].detach()
     directions = torch.nn.functional.normalize(
         means - camera.position.to(means), dim=-1
     )
@@ -237,7 +237,9 @@ class ImageChange:
     outside: float
 
     def __str__(self) -> str:
-        return "no pixel changed" if self.psnr is None else f"PSNR {self.psnr:.1f} dB"
+        if self.psnr is None:
+            return "no pixel changed"
+        return f"PSNR {self.psnr:.1f} dB"
 
 
 def image_change(
@@ -257,7 +259,8 @@ def image_change(
     for clean, changed, weight in zip(before, after, weights, strict=True):
         gap = (clean.detach() - changed.detach()).double()
         square = gap.square()
-        begin, end = end, end + gap.numel()
+        begin = end
+        end = end + gap.numel()
         squares[begin:end] = square.flatten()
         on_object.append(square[weight >= 0.5])
         total += float(square.sum())
@@ -276,7 +279,9 @@ def image_change(
 
 def _psnr(squares: Tensor) -> float | None:
     error = float(squares.mean()) if squares.numel() else 0.0
-    return -10 * math.log10(error) if error > 0 else None
+    if error > 0:
+        return -10 * math.log10(error)
+    return None
 
 
 # cameras.json of a result: where a splat is looked at from, how it is rendered, and

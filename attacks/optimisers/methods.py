@@ -21,7 +21,8 @@ LENGTHS: dict[Schedule, Callable[[float], float]] = {
 }
 """Factor of the step's length by the share of the steps that are done, in [0, 1)."""
 
-_RESTARTS, _STEPS = 1 << 8, 1 << 20
+_RESTARTS = 1 << 8
+_STEPS = 1 << 20
 """Bounds of what becomes one number for a generator's seed."""
 
 
@@ -90,12 +91,14 @@ def momentum(settings: SearchSettings) -> Optimiser:
     makes small gradients count for more: the direction is then the steepest one of the
     l_p norm with p = 1 + 1 / power, between that of l2 (1) and that of linf (0).
     """
-    decay, power = settings.momentum, settings.power
+    decay = settings.momentum
+    power = settings.power
 
     def update(
         point: Parameters, here: Evaluation, memory: Memory
     ) -> Parameters | None:
-        gradients, before = here.gradients, memory.tensors.get("velocity", {})
+        gradients = here.gradients
+        before = memory.tensors.get("velocity", {})
         if power != 1:
             gradients = {
                 name: value.sign() * value.abs() ** power
@@ -150,19 +153,22 @@ def adam(settings: SearchSettings) -> Optimiser:
     step has its full length in the norm of the ball, and every coefficient the same
     share of it.
     """
-    decay, unit = settings.momentum, settings.unit
+    decay = settings.momentum
+    unit = settings.unit
 
     def update(
         point: Parameters, here: Evaluation, memory: Memory
     ) -> Parameters | None:
-        index, velocity, square, moved = memory.index + 1, {}, {}, {}
+        index = memory.index + 1
+        velocity = {}
+        square = {}
+        moved = {}
         factor = LENGTHS[settings.schedule](memory.index / settings.steps)
         # corrections of the zero start
-        first, second = 1 - decay**index, 1 - _SQUARE_DECAY**index
-        velocities, squares = (
-            memory.tensors.get("velocity", {}),
-            memory.tensors.get("square", {}),
-        )
+        first = 1 - decay**index
+        second = 1 - _SQUARE_DECAY**index
+        velocities = memory.tensors.get("velocity", {})
+        squares = memory.tensors.get("square", {})
         for name, slope in normalised(here.gradients).items():
             velocity[name] = decay * velocities.get(name, 0.0) + (1 - decay) * slope
             square[name] = (
@@ -177,7 +183,9 @@ def adam(settings: SearchSettings) -> Optimiser:
     return update
 
 
-_FIRST, _SHRINK, _LEAST = 22, 3, 6
+_FIRST = 22
+_SHRINK = 3
+_LEAST = 6
 """The first interval between checkpoints, what each next one is shorter by, the
 shortest: hundredths of all steps.
 """
@@ -187,7 +195,9 @@ _ENOUGH = 0.75
 
 def checkpoints(steps: int) -> list[int]:
     """The steps after which APGD asks about the length."""
-    percent, interval, numbers = _FIRST, _FIRST, []
+    percent = _FIRST
+    interval = _FIRST
+    numbers = []
     while percent < 100:
         numbers.append(-(-percent * steps // 100))
         interval = max(interval - _SHRINK, _LEAST)
@@ -205,12 +215,14 @@ def apgd(settings: SearchSettings) -> Optimiser:
     halves the step and goes on from the best point. Here the loss falls, where the
     paper's rises.
     """
-    asked, ball = checkpoints(settings.steps), settings.ball
+    asked = checkpoints(settings.steps)
+    ball = settings.ball
 
     def update(
         point: Parameters, here: Evaluation, memory: Memory
     ) -> Parameters | None:
-        index, tensors = memory.index, memory.tensors
+        index = memory.index
+        tensors = memory.tensors
         numbers = memory.numbers = {
             "length": 2.0,
             "best": here.loss,
@@ -223,7 +235,8 @@ def apgd(settings: SearchSettings) -> Optimiser:
         if not index or here.loss < numbers["best"]:
             numbers["best"] = here.loss
             tensors |= {"best": point, "slope": here.gradients}
-        start, slope = point, here.gradients
+        start = point
+        slope = here.gradients
         if index in asked:
             before = asked[: asked.index(index)][-1:] or [0]
             few = numbers["fell"] < _ENOUGH * (index - before[0])
@@ -238,8 +251,10 @@ def apgd(settings: SearchSettings) -> Optimiser:
             }
             if few or stuck:
                 numbers["length"] /= 2
-                start, slope = tensors["best"], tensors["slope"]
-        directions, last = ball.steepest(slope), tensors.get("last", start)
+                start = tensors["best"]
+                slope = tensors["slope"]
+        directions = ball.steepest(slope)
+        last = tensors.get("last", start)
         kept = settings.momentum if index else 0.0
         goals = settings.project(
             {
@@ -313,19 +328,17 @@ def cw(settings: SearchSettings) -> Optimiser:
             tensors |= {"first": point, "slope": slope}
         elif memory.index % length == 0:
             numbers |= _next_weight(numbers)
-            point, slope, tensors = (
-                tensors["first"],
-                tensors["slope"],
-                {k: tensors[k] for k in ("first", "slope")},
-            )
+            point = tensors["first"]
+            slope = tensors["slope"]
+            tensors = {k: tensors[k] for k in ("first", "slope")}
         total = {}
         for name, gradient in slope.items():
-            steepness, size = float(tensors["slope"][name].norm()), edge[name]
-            pull = (
-                (point[name] - settings.reference[name]) / size
-                if size
-                else torch.zeros_like(gradient)
-            )
+            steepness = float(tensors["slope"][name].norm())
+            size = edge[name]
+            if size:
+                pull = (point[name] - settings.reference[name]) / size
+            else:
+                pull = torch.zeros_like(gradient)
             total[name] = pull + (
                 numbers["weight"] / steepness * gradient if steepness else 0.0
             )
@@ -343,7 +356,9 @@ def _next_weight(numbers: dict[str, float]) -> dict[str, float]:
     """The weight after a round, the largest that failed and the smallest that won; 0
     stands for none of them yet.
     """
-    weight, low, high = numbers["weight"], numbers["low"], numbers["high"]
+    weight = numbers["weight"]
+    low = numbers["low"]
+    high = numbers["high"]
     low, high = (low, weight) if numbers["won"] else (weight, high)
     following = (
         weight * _GROWTH
@@ -384,7 +399,8 @@ def square(settings: SearchSettings) -> Optimiser:
         point: Parameters, here: Evaluation, memory: Memory
     ) -> Parameters | None:
         best = _best(point, here, memory)
-        generator, positions = settings.generator(memory), settings.positions
+        generator = settings.generator(memory)
+        positions = settings.positions
         halvings = sum(memory.index >= share * settings.steps for share in _HALVED_AT)
         count = max(1, round(_FIRST_SHARE / 2**halvings * len(positions)))
         centre = positions[int(torch.randint(len(positions), (), generator=generator))]
@@ -411,12 +427,11 @@ def random_points(settings: SearchSettings) -> Optimiser:
     def update(
         point: Parameters, here: Evaluation, memory: Memory
     ) -> Parameters | None:
-        best, generator = _best(point, here, memory), settings.generator(memory)
-        return (
-            near.uniform(best, generator)
-            if memory.index % 2
-            else ball.uniform(settings.reference, generator)
-        )
+        best = _best(point, here, memory)
+        generator = settings.generator(memory)
+        if memory.index % 2:
+            return near.uniform(best, generator)
+        return ball.uniform(settings.reference, generator)
 
     return update
 
@@ -424,5 +439,6 @@ def random_points(settings: SearchSettings) -> Optimiser:
 def _best(point: Parameters, here: Evaluation, memory: Memory) -> Parameters:
     """The point of the lowest loss so far, which the memory keeps."""
     if here.loss < memory.numbers.get("best", math.inf):
-        memory.tensors, memory.numbers = {"best": point}, {"best": here.loss}
+        memory.tensors = {"best": point}
+        memory.numbers = {"best": here.loss}
     return memory.tensors["best"]

@@ -101,7 +101,9 @@ class PoisonedViews(ViewSet):
         if isinstance(index, slice):
             return [self[i] for i in range(len(self))[index]]
         index = range(len(self))[index]
-        return self.replaced[index] if index in self.replaced else self.untouched[index]
+        if index in self.replaced:
+            return self.replaced[index]
+        return self.untouched[index]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -152,7 +154,8 @@ def poisoned(
     views: Sequence[View], pictures: Mapping[int, Tensor], poison: Mapping[str, Any]
 ) -> Poisoned:
     """A set in which some pictures are replaced."""
-    replaced, changes = {}, []
+    replaced = {}
+    changes = []
     for index in sorted(pictures):
         before = views[index]
         replaced[index] = View(
@@ -169,11 +172,13 @@ def checked_picture(picture: Tensor, before: View, what: str) -> Tensor:
     """A copy of a new picture, of the kind of the one that it takes the place of."""
     image = picture.detach().to(before.image).clone()
     if image.shape != before.image.shape:
-        expected, got = f"shape {tuple(before.image.shape)}", tuple(image.shape)
+        expected = f"shape {tuple(before.image.shape)}"
+        got = tuple(image.shape)
         raise InvalidValueError.of(
             what, expected, got, "return a picture of the view's size"
         )
-    low, high = float(image.min()), float(image.max())
+    low = float(image.min())
+    high = float(image.max())
     if not (low >= 0 and high <= 1):  # nor NaN
         raise InvalidValueError.of(
             what, "sRGB in [0, 1]", f"{low:.4g} to {high:.4g}", "clip it"
@@ -188,11 +193,9 @@ def within_ball(image: Tensor, clean: Tensor, eps: int | None) -> Tensor:
     It is clipped in whole steps of 1/255: a file of 8 bits holds it exactly, and it
     stays in the ball there, too, even where the clean picture lies between two steps.
     """
-    steps, middle, eps = (
-        (image.detach().clamp(0, 1) * 255).round(),
-        clean.to(image) * 255,
-        255 if eps is None else eps,
-    )
+    steps = (image.detach().clamp(0, 1) * 255).round()
+    middle = clean.to(image) * 255
+    eps = 255 if eps is None else eps
     steps = steps.clamp(
         (middle - eps - _ROUNDING).ceil(), (middle + eps + _ROUNDING).floor()
     )

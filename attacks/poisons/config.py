@@ -85,7 +85,9 @@ class FilterConfig:
     @property
     def amount(self) -> float:
         """The strength, the usual one if none is named."""
-        return _STRENGTHS[self.name][0] if self.strength is None else self.strength
+        if self.strength is None:
+            return _STRENGTHS[self.name][0]
+        return self.strength
 
 
 def _filter_of(word: str) -> FilterConfig:

@@ -94,7 +94,8 @@ def shrunk_detail(image: Tensor, steps: float = 16.0) -> Tensor:
     training pictures. Here the transform is the undecimated one "a trous" of the kernel
     (1, 2, 1)/4, of two levels, which leaves no blocks, and strong edges stay.
     """
-    coarse, detail = image, torch.zeros_like(image)
+    coarse = image
+    detail = torch.zeros_like(image)
     for level in range(_LEVELS):
         smoother = _smoothed(coarse, [0.25, 0.5, 0.25], apart=2**level)
         detail = detail + F.softshrink(coarse - smoother, steps / 255)

@@ -51,11 +51,9 @@ def run(
     config: ClassifiedConfig | MeasuredConfig, inputs: Mapping[str, Path], out: Out
 ) -> list[dict[str, Any]]:
     """Classify, or measure."""
-    return (
-        _classified(config, inputs, out)
-        if isinstance(config, ClassifiedConfig)
-        else _measured(config, inputs, out)
-    )
+    if isinstance(config, ClassifiedConfig):
+        return _classified(config, inputs, out)
+    return _measured(config, inputs, out)
 
 
 def _classified(
@@ -119,7 +117,9 @@ def move(classifier: Classifier, device: str) -> None:
 
 # Against true pictures from cameras of no training
 
-COUNT, SPEED, CENTRES = "count.json", "speed.json", "centres.png"
+COUNT = "count.json"
+SPEED = "speed.json"
+CENTRES = "centres.png"
 VARIES = (SPEED,)
 _WARM = 2
 _SIZE = 384
@@ -144,15 +144,11 @@ def _measured(
     cuda = config.device == "cuda"
     scene = load_splat(inputs["splat"]).to(config.device)
     render = config.renderer()
-    cameras, true = (
-        [pose.camera for pose in config.poses],
-        read_pictures(inputs["pictures"]).images,
-    )
-    clock, spent, rows = (
-        time.perf_counter if cuda else time.process_time,
-        list[float](),
-        list[dict[str, Any]](),
-    )
+    cameras = [pose.camera for pose in config.poses]
+    true = read_pictures(inputs["pictures"]).images
+    clock = time.perf_counter if cuda else time.process_time
+    spent = list[float]()
+    rows = list[dict[str, Any]]()
     for view, (camera, wanted) in enumerate(zip(cameras, true, strict=True)):
         begun = clock()
         with torch.no_grad():
@@ -191,10 +187,8 @@ def centres(scene: GaussianScene, camera: Camera) -> NDArray[np.uint8]:
         & (rows >= 0)
         & (rows < height - 1)
     )
-    colours, picture = (
-        dc_to_colour(scene.sh[keep, 0]).clamp(0.15, 1).float(),
-        torch.zeros(height, _SIZE, 3),
-    )
+    colours = dc_to_colour(scene.sh[keep, 0]).clamp(0.15, 1).float()
+    picture = torch.zeros(height, _SIZE, 3)
     for down, across in itertools.product((0, 1), repeat=2):
         picture[rows[keep] + down, columns[keep] + across] = colours
     return to_bytes(picture)

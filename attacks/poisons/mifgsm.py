@@ -64,11 +64,10 @@ class MIFGSM:
         """
         config = self.config
         true = class_number(self.classifier, self.label, "label")
-        goal = (
-            true
-            if config.target is None
-            else class_number(self.classifier, config.target, "target")
-        )
+        if config.target is None:
+            goal = true
+        else:
+            goal = class_number(self.classifier, config.target, "target")
         if config.target == self.label:
             raise InvalidValueError.of(
                 "target", "another class than the label", self.label, "choose another"
@@ -167,7 +166,8 @@ class MIFGSM:
         """(H, W, 3) picture in which the object is misread, from a picture to begin
         with.
         """
-        paste, full = self.config.paste, (clean.shape[0], clean.shape[1])
+        paste = self.config.paste
+        full = (clean.shape[0], clean.shape[1])
         scale = 1.0 if paste == "direct" else self.classifier.size / min(full)
         size = (max(1, round(full[0] * scale)), max(1, round(full[1] * scale)))
         start = _scaled(begin, size)
@@ -197,9 +197,10 @@ class MIFGSM:
         number = torch.tensor([goal], device=start.device)
 
         def loss(picture: Tensor) -> Tensor:
-            seen = (
-                picture if config.through is None else filtered(picture, config.through)
-            )
+            if config.through is None:
+                seen = picture
+            else:
+                seen = filtered(picture, config.through)
             # in 64 bits, for a confidence that rounds to 1 has no gradient
             return cross_entropy(
                 self.classifier.scores(seen[None]).to(number.device).double(), number

@@ -88,7 +88,8 @@ class Decoy:
         if strategy is not None:  # as the victim's rounds do once opacities were reset
             state.strategy_state["opacities_were_reset"][:] = True
         screen_gradients = ScreenGradients() if strategy is not None else None
-        render, look = self._renderer(screen_gradients), look or (lambda image: image)
+        render = self._renderer(screen_gradients)
+        look = look or (lambda image: image)
         while state.iteration < steps:
             index = state.next_view(len(views))
             scene = state.scene()
@@ -135,10 +136,8 @@ class Decoy:
         if not any(
             _is_seen(self.start, camera, self.near) for camera in cameras_of(views)
         ):
-            expected, do = (
-                "Gaussians before some camera of the views",
-                "pass a splat that was trained on these views",
-            )
+            expected = "Gaussians before some camera of the views"
+            do = "pass a splat that was trained on these views"
             raise InvalidValueError.of("start", expected, "none", do)
         return TrainState(self.start, fit, scene_extent=scene_extent(views), seed=seed)
 
@@ -163,11 +162,9 @@ def total_variation(image: Tensor, variation: Variation = "both") -> Tensor:
     differentiable.
     """
     along_columns = (image[1:] - image[:-1]).abs().sum()
-    return (
-        2 * along_columns
-        if variation == "vertical"
-        else along_columns + (image[:, 1:] - image[:, :-1]).abs().sum()
-    )
+    if variation == "vertical":
+        return 2 * along_columns
+    return along_columns + (image[:, 1:] - image[:, :-1]).abs().sum()
 
 
 def raised(
@@ -199,7 +196,8 @@ class PoisonSplat:
         """The poisoned set; with eps or a share of 0 it is the untouched one, picture
         for picture.
         """
-        config, begun = self.config, self.begun
+        config = self.config
+        begun = self.begun
         chosen = chosen_views(views, config.share, seed)
         about = _about("poison-splat", config, seed)
         if config.eps == 0 or not chosen:
@@ -239,7 +237,8 @@ class PoisonSplat:
         )
 
     def _strategy(self) -> StrategyConfig | None:
-        config, victims = self.config, self.begun.victim.strategy
+        config = self.config
+        victims = self.begun.victim.strategy
         if not config.densify_every:
             return None
         return replace(
@@ -326,8 +325,6 @@ def _about(
 
 
 def _through(config: FilterConfig | None) -> Callable[[Tensor], Tensor]:
-    return (
-        (lambda image: image)
-        if config is None
-        else (lambda image: filtered(image, config))
-    )
+    if config is None:
+        return lambda image: image
+    return lambda image: filtered(image, config)

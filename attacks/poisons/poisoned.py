@@ -122,10 +122,8 @@ def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
     if "splat" in inputs:
         assert config.near is not None
         assert config.training is not None
-        start, victim = (
-            load_splat(inputs["splat"]).to(config.device),
-            fit_config(config.training),
-        )
+        start = load_splat(inputs["splat"]).to(config.device)
+        victim = fit_config(config.training)
         decoy = Decoy(
             start=start, near=config.near, background=config.background, victim=victim
         )

@@ -109,11 +109,9 @@ def _control(
 ) -> PicturePoison:
     from attacks.poisons.poison_splat import RaisedVariation, UniformNoise
 
-    return (
-        UniformNoise(config=config)
-        if isinstance(config, UniformNoiseConfig)
-        else RaisedVariation(config=config)
-    )
+    if isinstance(config, UniformNoiseConfig):
+        return UniformNoise(config=config)
+    return RaisedVariation(config=config)
 
 
 def _m_ifgsm(config: MIFGSMConfig, given: Given) -> PicturePoison:

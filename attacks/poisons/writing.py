@@ -32,7 +32,9 @@ _ROUNDING = 1e-3
 """By how much of a step of 1/255 a difference of 8 bits may fall short of whole steps
 in float32.
 """
-_SHOWN, _TIMES, _LARGEST = 5, 10.0, 320
+_SHOWN = 5
+_TIMES = 10.0
+_LARGEST = 320
 """Pictures on a sheet, how much their difference is enlarged, and the most rows and
 columns that are shown of each.
 """
@@ -91,9 +93,11 @@ def as_files_hold(done: Poisoned, clean: Dataset) -> Poisoned:
     beyond what was asked for. Other pictures, and what is said of them, stay as they
     are.
     """
-    replaced, changes = dict(done.views.replaced), list[Change]()
+    replaced = dict(done.views.replaced)
+    changes = list[Change]()
     for change in done.changes:
-        before, alpha = clean[change.index], clean.alpha(change.index)
+        before = clean[change.index]
+        alpha = clean.alpha(change.index)
         if alpha is None:
             changes.append(change)
             continue
@@ -140,7 +144,8 @@ def difference_sheet(done: Poisoned) -> NDArray[np.uint8]:
             quantise(views[index].image) for views in (done.views.untouched, done.views)
         )
         rows, across = (_part((before != after).any(-1).any(axis)) for axis in (1, 0))
-        before, after = before[rows, across], after[rows, across]
+        before = before[rows, across]
+        after = after[rows, across]
         columns.append(
             torch.stack([before, after, (0.5 + _TIMES * (after - before)).clamp(0, 1)])
         )
@@ -153,7 +158,8 @@ def difference_sheet(done: Poisoned) -> NDArray[np.uint8]:
 
 
 def _part(changed: Tensor) -> slice:
-    count, indices = len(changed), changed.nonzero().flatten().tolist()
+    count = len(changed)
+    indices = changed.nonzero().flatten().tolist()
     middle = (indices[0] + indices[-1]) // 2 if indices else count // 2
     start = max(0, min(middle - _LARGEST // 2, count - _LARGEST))
     return slice(start, start + _LARGEST)
@@ -181,7 +187,8 @@ def _counting(views: Dataset, index: int, changed: View | None) -> Tensor | None
 
 def _pixels(views: Dataset, index: int, new: View | None) -> NDArray[np.uint8]:
     """(H, W, 3) or, with alpha, (H, W, 4) of a picture's file."""
-    image, alpha = (new or views[index]).image, views.alpha(index)
+    image = (new or views[index]).image
+    alpha = views.alpha(index)
     if alpha is None:
         return to_bytes(image)
     behind = (1 - alpha[..., None]) * torch.tensor(views.background)

@@ -33,7 +33,8 @@ TOLERANCE = 1e-6
 """How far decibels, degrees and confidences may be off that are derived again; counts
 and words have to be equal.
 """
-SCORE_TOLERANCE, MOST_WRONG = 1e-4, 0.02
+SCORE_TOLERANCE = 1e-4
+MOST_WRONG = 0.02
 """How far a score may be off that single detections give, and of which part of the rows
 more.
 """
@@ -74,7 +75,11 @@ class Check:
     @property
     def colour(self) -> str:
         """Green, red, or grey where there is nothing to compare with."""
-        return "grey" if self.passed is None else "green" if self.passed else "red"
+        if self.passed is None:
+            return "grey"
+        if self.passed:
+            return "green"
+        return "red"
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON can hold it."""
@@ -144,7 +149,8 @@ def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
         )
     ]
     for name, (digest, length) in listed.files.items():
-        path, kept = folder / name, name.endswith(KEPT)
+        path = folder / name
+        kept = name.endswith(KEPT)
         if not is_own_file(folder, name):
             lines.append(
                 Check(
@@ -201,15 +207,12 @@ def check_figures(
     derived = flat(_derived(result, figures))
     lines = []
     for name, value in derived.items():
-        stated_value, same = (
-            in_words(stated.get(name)),
-            name in stated and agree(stated[name], value),
-        )
-        words = (
-            in_words(value)
-            if same
-            else f"result.json has {stated_value}, the rows give {in_words(value)}"
-        )
+        stated_value = in_words(stated.get(name))
+        same = name in stated and agree(stated[name], value)
+        if same:
+            words = in_words(value)
+        else:
+            words = f"result.json has {stated_value}, the rows give {in_words(value)}"
         lines.append(Check(name=name, words=words, passed=same))
     for name, value in stated.items():
         if name not in derived and _is_unexplained(name, value, given):
@@ -232,7 +235,8 @@ def check_detections(result: Result) -> list[Check]:
     """
     if not {ROWS, DETECTIONS} <= set(result.tables):
         return []
-    rows, every = result.tables[ROWS], result.tables[DETECTIONS]
+    rows = result.tables[ROWS]
+    every = result.tables[DETECTIONS]
     ids = ("attack", "seed", "condition", "splat", "draw", "detector", "view", "object")
     on = [name for name in ids if name in rows.columns]
     shared = [name for name in on if name in every.columns]
@@ -268,7 +272,8 @@ def _derived(result: Result, figures: Figures) -> Mapping[str, Any]:
     except InvalidValueError:
         raise
     except _BROKEN as error:
-        got, do = f"{type(error).__name__}: {error}"[:200], "get the result again"
+        got = f"{type(error).__name__}: {error}"[:200]
+        do = "get the result again"
         raise InvalidValueError.of(
             str(result.folder), "the rows that its settings ask for", got, do
         ) from error
@@ -288,7 +293,8 @@ def flat(values: Mapping[str, Any]) -> dict[str, Value]:
 
 def _flat(value: Any, name: str) -> Iterator[tuple[str, Value]]:
     if isinstance(value, Mapping) and {"successes", "total"} <= set(value):
-        successes, total = value["successes"], value["total"]
+        successes = value["successes"]
+        total = value["total"]
         is_rate = type(successes) is type(total) is int and 0 <= successes <= total
         if not is_rate:
             do = "get the result again"
@@ -339,7 +345,9 @@ def in_words(value: Value) -> str:
         return f"{value[0]}/{value[1]}"
     if value is None or isinstance(value, bool):
         return {None: "none", True: "yes", False: "no"}[value]
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return str(value)
 
 
 def pack(

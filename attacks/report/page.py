@@ -36,11 +36,14 @@ SIZE = (4.5, 2.9)
 size.
 """
 DOME_SIZE = (4.5, 4.2)
-LONGEST_TICK, LONGEST_LABEL = 24, 48
+LONGEST_TICK = 24
+LONGEST_LABEL = 48
 """Letters in a chart."""
 MOST_TICKS = 12
 
-_INK, _FAINT, _SHADE = "#010101", "#020202", "#030303"
+_INK = "#010101"
+_FAINT = "#020202"
+_SHADE = "#030303"
 _COLOURS = ("#010102", "#010103", "#010104", "#010105", "#010106", "#010107")
 _VARIABLES = {
     _INK: "--ink",
@@ -51,17 +54,19 @@ _VARIABLES = {
 """Made-up colours to variables of the page's style."""
 _PREFERRED = {"attack": (0, 2, 4), "control": (1, 3, 5), "other": (2, 4, 0)}
 """What a line stands for to the colours that such lines have, one after the other."""
-_MARKERS, _DASHES = ("o", "s", "^", "D", "v", "P"), ("-", "--", "-.", ":", "-", "--")
+_MARKERS = ("o", "s", "^", "D", "v", "P")
+_DASHES = ("-", "--", "-.", ":", "-", "--")
 NEEDED = {"jinja2": "Jinja2", "matplotlib": "matplotlib"}
 
 
 def need_packages() -> None:
     """Raise, before any work is done, if a page cannot be made."""
-    if missing := [
+    missing = [
         name
         for module, name in NEEDED.items()
         if importlib.util.find_spec(module) is None
-    ]:
+    ]
+    if missing:
         raise InvalidValueError.of(
             " and ".join(missing),
             "the package, for pages",
@@ -151,11 +156,10 @@ def _draw(axes: Any, chart: Chart) -> None:
         axes.set_xlim(-0.5, len(chart.ticks) - 0.5)
         named = range(0, len(chart.ticks), -(-len(chart.ticks) // MOST_TICKS))
         names = [_short(chart.ticks[number], LONGEST_TICK) for number in named]
-        turned = (
-            {"rotation": 30, "ha": "right", "rotation_mode": "anchor"}
-            if max(map(len, names)) > 9
-            else {}
-        )
+        if max(map(len, names)) > 9:
+            turned = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"}
+        else:
+            turned = {}
         axes.set_xticks(list(named), names, **turned)
     elif all(point.x.is_integer() for line in lines for point in line.points):
         axes.xaxis.get_major_locator().set_params(integer=True)
@@ -200,7 +204,9 @@ def _short(text: str, most: int) -> str:
     """The start of a text that would not fit; the page has all of it beside the
     chart.
     """
-    return text if len(text) <= most else f"{text[: most - 3]}..."
+    if len(text) <= most:
+        return text
+    return f"{text[: most - 3]}..."
 
 
 def _draw_line(
@@ -209,8 +215,10 @@ def _draw_line(
     """Points with their intervals, a band where they are connected, else bars, moved so
     that none hides another.
     """
-    colour, points = _COLOURS[number], sorted(line.points, key=lambda point: point.x)
-    x, y = [point.x + shift for point in points], [point.y for point in points]
+    colour = _COLOURS[number]
+    points = sorted(line.points, key=lambda point: point.x)
+    x = [point.x + shift for point in points]
+    y = [point.y for point in points]
     style = {
         "color": colour,
         "marker": _MARKERS[number],
@@ -265,11 +273,10 @@ def _heights(chart: Chart, line: Line, x: float) -> str:
     """What a line shows at a place."""
     heights = []
     for point in (point for point in line.points if point.x == x):
-        interval = (
-            ""
-            if point.low is None or point.high is None
-            else f" ({percent(point.low)} to {percent(point.high)})"
-        )
+        if point.low is None or point.high is None:
+            interval = ""
+        else:
+            interval = f" ({percent(point.low)} to {percent(point.high)})"
         heights.append(
             f"{percent(point.y)}{interval}" if chart.fractions else f"{point.y:.4g}"
         )

@@ -41,7 +41,9 @@ class ResultKind:
     @property
     def figures(self) -> Figures | None:
         """The function that `counter` names."""
-        return resolve_name(f"attacks.{self.counter}") if self.counter else None
+        if self.counter:
+            return resolve_name(f"attacks.{self.counter}")
+        return None
 
 
 _PROVENANCE = (
@@ -138,17 +140,14 @@ RESULT_KINDS = (
 
 def read_section(path: Path) -> Section:
     """What a page says of one result; whatever is broken in it is told in one line."""
-    file, commands = (
-        path / RECORD,
-        ", ".join(f"mi-splat {kind.name}" for kind in RESULT_KINDS),
-    )
+    file = path / RECORD
+    commands = ", ".join(f"mi-splat {kind.name}" for kind in RESULT_KINDS)
     if not file.is_file():
-        got, do = (
-            ("one without a result" if path.is_dir() else "nothing there"),
-            "check the path",
-        )
+        got = "one without a result" if path.is_dir() else "nothing there"
+        do = "check the path"
         if path.is_file():
-            got, do = "a file", f"pass {path.parent}"
+            got = "a file"
+            do = f"pass {path.parent}"
         raise InvalidValueError.of(
             str(path), f"a folder that one of {commands} has written", got, do
         )
@@ -174,10 +173,8 @@ def read_section(path: Path) -> Section:
         ArithmeticError,
         StopIteration,
     ) as error:
-        expected, do = (
-            f"a finished result of mi-splat {kind.name}",
-            "make the result again",
-        )
+        expected = f"a finished result of mi-splat {kind.name}"
+        do = "make the result again"
         got = f"a broken or an older one ({type(error).__name__}: {error})"
         raise InvalidValueError.of(str(file), expected, got, do) from error
 
@@ -218,7 +215,8 @@ def kind_of(result: Result) -> ResultKind:
     """The kind of a result."""
     kind = _kind(result.record)
     if kind is None:
-        got, do = result.kind[:40], "make the result again with this version"
+        got = result.kind[:40]
+        do = "make the result again with this version"
         raise InvalidValueError.of(
             str(result.folder / RECORD), "a story of this version", got, do
         )

@@ -20,20 +20,16 @@ def duration(seconds: float) -> str:
     """A time in the unit that suits it."""
     if seconds < 90:
         return f"{seconds:.0f} s"
-    return (
-        f"{seconds / 60:.0f} minutes"
-        if seconds < 5400
-        else f"{seconds / 3600:.1f} hours"
-    )
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} minutes"
+    return f"{seconds / 3600:.1f} hours"
 
 
 def listed(words: Sequence[str]) -> str:
     """Several words as a sentence has them."""
-    return (
-        " and ".join([", ".join(words[:-1]), words[-1]])
-        if len(words) > 1
-        else "".join(words)
-    )
+    if len(words) > 1:
+        return " and ".join([", ".join(words[:-1]), words[-1]])
+    return "".join(words)
 
 
 def sentence(text: str) -> str:
@@ -44,7 +40,9 @@ def sentence(text: str) -> str:
 
 def capital(text: str) -> str:
     """A text with a capital, unless it begins with a name of the code."""
-    return text if "_" in text.partition(" ")[0] else text[:1].upper() + text[1:]
+    if "_" in text.partition(" ")[0]:
+        return text
+    return text[:1].upper() + text[1:]
 
 
 def settings(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
@@ -57,9 +55,13 @@ def plain(value: Any) -> str:
     if value is None:
         return "none"
     if isinstance(value, bool):
-        return "yes" if value else "no"
+        if value:
+            return "yes"
+        return "no"
     if isinstance(value, float):
-        return f"{value:g}" if float(f"{value:g}") == value else repr(value)
+        if float(f"{value:g}") == value:
+            return f"{value:g}"
+        return repr(value)
     if isinstance(value, list):
         return ", ".join(map(plain, value)) or "none"
     return str(value)
@@ -128,23 +130,31 @@ class Figure:
         if self.rate is None:
             return self.words
         if self.rate.total < FEW:
-            return self.counts if self.rate.total else "nothing counted"
+            if self.rate.total:
+                return self.counts
+            return "nothing counted"
         return percent(self.rate.fraction)
 
     @property
     def counts(self) -> str:
         """Successes and total; empty where nothing is counted."""
-        return "" if self.rate is None else self.rate.counts
+        if self.rate is None:
+            return ""
+        return self.rate.counts
 
     @property
     def interval(self) -> str:
         """The 95 % interval; empty where nothing is counted."""
-        return "" if self.rate is None or not self.rate.total else self.rate.ends
+        if self.rate is None or not self.rate.total:
+            return ""
+        return self.rate.ends
 
     @property
     def cell(self) -> str:
         """The whole figure in a cell of a table."""
-        return self.words if self.rate is None else cell(self.rate)
+        if self.rate is None:
+            return self.words
+        return cell(self.rate)
 
     @property
     def row(self) -> tuple[str, str, str]:

@@ -101,7 +101,8 @@ def _rendered_as_trained(
     """The splat of a training with its near plane and background, and its data set, if
     that is where it was.
     """
-    values, usual = run.get("settings") or {}, content.settings
+    values = run.get("settings") or {}
+    usual = content.settings
     try:
         red, green, blue = map(float, values.get("background") or usual.background)
         settings = replace(
@@ -110,7 +111,8 @@ def _rendered_as_trained(
             background=(red, green, blue),
         )
     except _BROKEN as error:
-        what, do = f"settings in {CONFIG}", "train again"
+        what = f"settings in {CONFIG}"
+        do = "train again"
         raise InvalidValueError.of(
             what, "near and background", repr(error), do
         ) from error
@@ -119,11 +121,10 @@ def _rendered_as_trained(
         f"{content.title}; the set of its training is not where it was: --cameras"
         " names it"
     )
-    title = (
-        without
-        if run.get("dataset") is not None and set_of_training is None
-        else content.title
-    )
+    if run.get("dataset") is not None and set_of_training is None:
+        title = without
+    else:
+        title = content.title
     return replace(content, settings=settings, title=title), set_of_training
 
 
@@ -145,18 +146,18 @@ def _set_of_training(run: Mapping[str, Any]) -> Path | None:
             ) == run.get("poses")
     except (MiSplatError, OSError):
         return None
-    return recorded if same else None
+    if same:
+        return recorded
+    return None
 
 
 def _recorded_path(value: object) -> Path | None:
     """A path that a record names, which others may have written; None for one of the
     network.
     """
-    return (
-        None
-        if not isinstance(value, str) or value.startswith(_NETWORK)
-        else Path(value)
-    )
+    if not isinstance(value, str) or value.startswith(_NETWORK):
+        return None
+    return Path(value)
 
 
 _NETWORK = ("//", "\\\\")
@@ -178,19 +179,15 @@ def _opened(
         content = content_of_file(path, clean=clean)
         counts = [len(splat.scene) for splat in content.splats]
         if len(set(counts)) > 1:
-            got, do = (
-                f"{counts[0]:,} and {counts[1]:,}",
-                "pass the scene that was attacked",
-            )
+            got = f"{counts[0]:,} and {counts[1]:,}"
+            do = "pass the scene that was attacked"
             raise InvalidValueError.of(
                 "the scenes", "the same Gaussians in both", got, do
             )
         return content
     if not is_result:
-        expected, do = (
-            f"{RECORD} of mi-splat dagger, evaluate, cloak or audit in it",
-            "pass a finished result, a set",
-        )
+        expected = f"{RECORD} of mi-splat dagger, evaluate, cloak or audit in it"
+        do = "pass a finished result, a set"
         raise InvalidValueError.of(
             str(path), expected, "none", f"{do} of pictures, or a .ply or .xml file"
         )
@@ -204,10 +201,8 @@ def _opened(
     except MiSplatError:
         raise
     except _BROKEN as error:
-        expected, do = (
-            "a result of mi-splat dagger, evaluate, cloak or audit",
-            "make the result again",
-        )
+        expected = "a result of mi-splat dagger, evaluate, cloak or audit"
+        do = "make the result again"
         raise InvalidValueError.of(
             str(path / RECORD), expected, repr(error), do
         ) from error
@@ -217,46 +212,41 @@ def _content_of_attack(folder: Path, record: Record, clean: Path | None) -> Cont
     """The clean and the attacked splat of a DAGGER result or of an evaluation, from the
     cameras that looked at both.
     """
-    rendered, evaluated = dict[str, Any](), record.get("story") == "evaluate"
+    rendered = dict[str, Any]()
+    evaluated = record.get("story") == "evaluate"
     if evaluated:
-        entries, kind, path = (
-            record["cameras"],
-            "judging",
-            _needed_path(record["attacked"], folder),
-        )
+        entries = record["cameras"]
+        kind = "judging"
+        path = _needed_path(record["attacked"], folder)
         names = labels = [str(entry["name"]) for entry in entries]
-        expected, recorded = str(record["clean_hash"]), record["clean"]
+        expected = str(record["clean_hash"])
+        recorded = record["clean"]
     else:
         # every detector looked from the same cameras
         first = record["views"][0]["detector"]
         entries = [
             view["camera"] for view in record["views"] if view["detector"] == first
         ]
-        kind, path = (
-            "held-out" if "reference" in record else "attacked",
-            folder / ATTACKED,
-        )
+        kind = "held-out" if "reference" in record else "attacked"
+        path = folder / ATTACKED
         names = [str(number) for number in range(len(entries))]
         labels = [f"{kind} view {name}" for name in names]
-        expected, recorded = str(record["scene_hash"]), record.get("scene")
+        expected = str(record["scene_hash"])
+        recorded = record.get("scene")
     views = [camera_of(entry) for entry in entries]
     size = views[0].width, views[0].height
     # not known of a result from Python whose pictures a function made
     if "near" in record:
         red, green, blue = map(float, record["background"])
         rendered = {"near": float(record["near"]), "background": (red, green, blue)}
-    splat, loaded = (
-        _clean_splat(folder, expected, clean, recorded=recorded),
-        open_scene(path),
-    )
+    splat = _clean_splat(folder, expected, clean, recorded=recorded)
+    loaded = open_scene(path)
     if evaluated and scene_hash(loaded.scene) != record.get("attacked_hash"):
         raise InvalidValueError.of(
             str(path), "the splat that was evaluated", "another", "evaluate it again"
         )
-    middle, of_scene = (
-        middle_of_change(splat.scene, loaded.scene),
-        content_of_file(splat.path),
-    )
+    middle = middle_of_change(splat.scene, loaded.scene)
+    of_scene = content_of_file(splat.path)
     source = f"{folder / (CAMERAS if (folder / CAMERAS).is_file() else RECORD)}{OF}"
     cameras = {
         label: orbit_of(camera, middle, source=f"{source}{name}")
@@ -276,8 +266,10 @@ def _content_of_attack(folder: Path, record: Record, clean: Path | None) -> Cont
 
 
 def _needed_path(value: object, folder: Path) -> Path:
-    if (path := _recorded_path(value)) is None:
-        expected, do = "the path of a splat on this machine", "make the result again"
+    path = _recorded_path(value)
+    if path is None:
+        expected = "the path of a splat on this machine"
+        do = "make the result again"
         raise InvalidValueError.of(
             str(folder / RECORD), expected, one_line(repr(value), 80), do
         )
@@ -293,10 +285,8 @@ _PURPOSES = {
 
 def _purpose(record: Record) -> str:
     """What a DAGGER attack was to do, in a line."""
-    scene, names = (
-        record.get("scene"),
-        [str(entry["detector"]) for entry in record.get("detectors") or ()],
-    )
+    scene = record.get("scene")
+    names = [str(entry["detector"]) for entry in record.get("detectors") or ()]
     where = f" on {Path(scene).stem}" if isinstance(scene, str) else ""
     wanted = _PURPOSES.get(str(record.get("objective")), "attacked").format(
         record.get("target")
@@ -353,10 +343,8 @@ def _clean_splat(
 
 def _content_of_audit(folder: Path, record: Record, audited: Path | None) -> Content:
     """The splat beside its heat, from the cameras that prove a look."""
-    path, count = (
-        audited or _needed_path(record["file"], folder),
-        int(record["gaussians"]),
-    )
+    path = audited or _needed_path(record["file"], folder)
+    count = int(record["gaussians"])
     x, y, z = map(
         float, max(record["objects"], key=lambda item: item["evidence"])["centre"]
     )
@@ -370,7 +358,8 @@ def _content_of_audit(folder: Path, record: Record, audited: Path | None) -> Con
         )
         raise InvalidValueError(text).hinted("--clean")
     content = content_of_file(path, name="audited")
-    splats, heat = content.splats, folder / HEAT
+    splats = content.splats
+    heat = folder / HEAT
     if len(splats[0].scene) != count:
         do = "name the splat that was audited"
         raise InvalidValueError.of(
@@ -406,7 +395,8 @@ def _content_of_study(folder: Path, record: Record, clean: Path | None) -> Conte
             "clean", "nothing, since a study has its own", clean, "leave it out"
         )
     if not isinstance(record.get("study"), dict):
-        expected, do = "a study of CLOAK", "make it again with mi-splat cloak"
+        expected = "a study of CLOAK"
+        do = "make it again with mi-splat cloak"
         raise InvalidValueError.of(f"{folder}", expected, "one without its study", do)
     study = recorded_study(record["study"], f"the study of {folder}")
     centre, cameras, size = (

@@ -186,11 +186,10 @@ def check_scene(
         if part.tag == "shape" and part.get("type") == "gaussians"
     ]
     check_choice(f"object of {path}", name, objects)
-    count = (
-        sum(part.tag == "sensor" for part in elements)
-        if cameras is None
-        else len(cameras_in(cameras))
-    )
+    if cameras is None:
+        count = sum(part.tag == "sensor" for part in elements)
+    else:
+        count = len(cameras_in(cameras))
     if camera >= count:
         raise InvalidValueError.of(
             f"camera of {cameras or path}",
@@ -215,7 +214,8 @@ def jittered(camera: Camera, centre: torch.Tensor, *, seed: int) -> Camera:
         2 * torch.rand(2, generator=Generator().manual_seed(seed), dtype=torch.float64)
         - 1
     ).tolist()
-    angle, pivot = math.radians(6 * turn), centre.detach().to("cpu", torch.float64)
+    angle = math.radians(6 * turn)
+    pivot = centre.detach().to("cpu", torch.float64)
     spin = torch.eye(3, dtype=torch.float64)
     spin[:2, :2] = torch.tensor(
         [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
@@ -229,7 +229,9 @@ def jittered(camera: Camera, centre: torch.Tensor, *, seed: int) -> Camera:
 VARIES = (RECORD,)
 CAMERAS = "cameras"
 """The input that is a file of cameras, in the place of the scene's own."""
-SPLAT, WHOLE_SPLAT, PICTURE = "object.ply", "attacked.ply", "detections.png"
+SPLAT = "object.ply"
+WHOLE_SPLAT = "attacked.ply"
+PICTURE = "detections.png"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,8 +264,10 @@ class Attack:
 
 def run(config: Attack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
     """Attack, and write what comes of it."""
-    scene, seed = attack_scene(inputs["scene"]), config.attack.seed
-    rows, fixed = scene.objects[config.object], config.transformations is None
+    scene = attack_scene(inputs["scene"])
+    seed = config.attack.seed
+    rows = scene.objects[config.object]
+    fixed = config.transformations is None
     if config.transformations is None:
         cameras = scene.attacked(
             config.object, inputs, camera=config.camera, count=config.views, seed=seed
@@ -324,7 +328,9 @@ def attackers_renderer(scene: AttackScene, renderer: str, gradient: str) -> Rend
     """
     picture = scene.renderer(renderer)
     same = gradient in ("", renderer)
-    return picture if same else with_gradient_of(scene.renderer(gradient), picture)
+    if same:
+        return picture
+    return with_gradient_of(scene.renderer(gradient), picture)
 
 
 def with_gradient_of(gradient: RenderFn, picture: RenderFn) -> RenderFn:

@@ -56,10 +56,8 @@ def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Ta
     Gaussians, are means over the seeds; the transition is that of all seeds together.
     """
     for group, results in groups.items():
-        title, summaries = (
-            group.replace("_", " "),
-            [{"value": value, **summary} for value, summary in results.items()],
-        )
+        title = group.replace("_", " ")
+        summaries = [{"value": value, **summary} for value, summary in results.items()]
         looked = [
             {"value": summary["value"], "detector": name, "study": summary, **rates}
             for summary in summaries
@@ -218,7 +216,8 @@ class CloakWork(Work[CloakAttempt]):
 
     def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
         """What is seen at each point."""
-        points, frames = dict[str, dict[str, Any]](), dict[str, list[pl.DataFrame]]()
+        points = dict[str, dict[str, Any]]()
+        frames = dict[str, list[pl.DataFrame]]()
         for attempt in self.attempts:
             done = attempt.done(results)
             if attempt.is_done(done):
@@ -308,7 +307,9 @@ def pooled(
         parts.setdefault(point["part"], {})[title] = studies[title]
     over = {part: over_objects(of_part, rows) for part, of_part in parts.items()}
     told = {part: rates for part, rates in over.items() if rates is not None}
-    return {"pooled": told} if told else {}
+    if told:
+        return {"pooled": told}
+    return {}
 
 
 def pooled_tables(record: Mapping[str, Any]) -> Iterator[Table]:

@@ -65,7 +65,8 @@ def measured(
     """A comparison, and what a result says of it; of a data set the cameras of one
     split, or all.
     """
-    path, makes_meshes = Path(config.scene), None
+    path = Path(config.scene)
+    makes_meshes = None
     if holds_surfaces(path):
 
         def makes_meshes(samples: int) -> MixedScene:
@@ -94,11 +95,9 @@ def measured(
 def _splats(config: Comparing) -> SplatScene:
     """The splats of a scene, also of one with meshes."""
     path = Path(config.scene)
-    return (
-        MixedScene(path, samples=1, **config.parameters).splats  # type: ignore[arg-type]
-        if holds_surfaces(path)
-        else open_scene(path)
-    )
+    if holds_surfaces(path):
+        return MixedScene(path, samples=1, **config.parameters).splats
+    return open_scene(path)
 
 
 def run(
@@ -133,18 +132,18 @@ def files_of(config: Comparing) -> dict[str, Path]:
         for path in named
         for file in ([path] if path.is_file() else sorted(path.rglob("*.*")))
     ]
-    inputs = (
-        scene_files(Path(config.scene))
-        if config.scene.endswith(".xml")
-        else {"scene": Path(config.scene)}
-    )
+    if config.scene.endswith(".xml"):
+        inputs = scene_files(Path(config.scene))
+    else:
+        inputs = {"scene": Path(config.scene)}
     return {**inputs, **{f"file {number}": file for number, file in enumerate(files)}}
 
 
 class CompareWork(Work[Attempt]):
     """Comparisons."""
 
-    story, has_judges = "compare-study", False
+    story = "compare-study"
+    has_judges = False
 
     def __init__(self, study: Study) -> None:
         super().__init__(study, map(self.attempt, study.points))
@@ -199,11 +198,9 @@ def tables(points: Mapping[str, Mapping[str, Any]]) -> Iterator[Table]:
     methods = dict.fromkeys(
         name for point in points.values() for name in point["methods"]
     )
-    errors, gradients, costs = (
-        list[tuple[str, ...]](),
-        list[tuple[str, ...]](),
-        list[tuple[str, ...]](),
-    )
+    errors = list[tuple[str, ...]]()
+    gradients = list[tuple[str, ...]]()
+    costs = list[tuple[str, ...]]()
     for title, point in points.items():
         found = {tuple(pair["methods"]): pair for pair in point["pairs"]}
         named = [camera["name"] for camera in point["cameras"]]
@@ -244,11 +241,9 @@ def tables(points: Mapping[str, Mapping[str, Any]]) -> Iterator[Table]:
 def _error(pair: Mapping[str, Any] | None) -> str:
     if pair is None:
         return "-"
-    return (
-        "equal"
-        if pair["psnr"] is None
-        else f"{number(pair['psnr'], unit='dB')}, {number(pair['ssim'], '.4f')}"
-    )
+    if pair["psnr"] is None:
+        return "equal"
+    return f"{number(pair['psnr'], unit='dB')}, {number(pair['ssim'], '.4f')}"
 
 
 def _agreement(pair: Mapping[str, Any] | None, attribute: str) -> str:
@@ -261,8 +256,6 @@ def _agreement(pair: Mapping[str, Any] | None, attribute: str) -> str:
 
 
 def _cost(cost: Mapping[str, float] | None) -> str:
-    return (
-        "-"
-        if cost is None
-        else f"{number(cost['seconds'], '.3f', 's')}, {number(cost['ratio'], '.2f')}"
-    )
+    if cost is None:
+        return "-"
+    return f"{number(cost['seconds'], '.3f', 's')}, {number(cost['ratio'], '.2f')}"

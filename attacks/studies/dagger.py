@@ -50,7 +50,8 @@ from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Job, Part
 from mi_splat.ledger.plans import Plan, Result, grid
 
-ATTACK, LOOK = "attacks.studies.attack", "attacks.studies.look"
+ATTACK = "attacks.studies.attack"
+LOOK = "attacks.studies.look"
 AS_ATTACKED = "as attacked"
 """The condition that is the renderer of the attack."""
 _AIMS = {"relabel": Relabel, "hide": Hide, "untargeted": Untargeted}
@@ -64,7 +65,8 @@ _OF_REGION = (CAMERAS, "pictures", "judged_pictures")
 """Settings of attacks from cameras, and from a region, alone."""
 _UNBOUND = 1e9
 """A radius that binds nothing."""
-STORY, _NAME_DIGITS = "study", 12
+STORY = "study"
+_NAME_DIGITS = 12
 _STATED = (
     *(
         "steps",
@@ -116,7 +118,8 @@ class Judge:
     def looks(self, scene: Path, attacked: Job) -> list[Job]:
         """A look by each detector at the splat of an attack."""
         config: Attack = attacked.config
-        attack, of = config.attack, dict[str, Any]()
+        attack = config.attack
+        of = dict[str, Any]()
         if config.transformations is None:
             of = {
                 "eps": attack.eps,
@@ -134,10 +137,8 @@ class Judge:
                 "views": min(self.views, attack.held_out),
                 "transformations": config.transformations,
             }
-        splat, renderer = (
-            SPLAT if config.transformations is None else WHOLE_SPLAT,
-            config.renderer,
-        )
+        splat = SPLAT if config.transformations is None else WHOLE_SPLAT
+        renderer = config.renderer
         condition = renderer if self.condition == AS_ATTACKED else self.condition
         sun, street = street_of(condition, self.sun)
         inputs: dict[str, Job | Part | Path] = {
@@ -184,10 +185,8 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
     )
     for key in values:
         check_choice(f"key in {where}", key, known)
-    scene, attack = (
-        values.pop("scene", None),
-        {"seed": values.pop("seed", 0), **values.get("attack", {})},
-    )
+    scene = values.pop("scene", None)
+    attack = {"seed": values.pop("seed", 0), **values.get("attack", {})}
     if not isinstance(scene, str):
         raise FieldError.of(where, "the key scene", scene or "none", "name an XML file")
     drawn = None if region else values.pop(CAMERAS, None)
@@ -225,7 +224,8 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
     config = dataclasses.replace(
         config, fingerprints=fingerprints(config.detectors), packages=packages
     )
-    path, cameras = Path(scene), None if drawn is None else Path(drawn)
+    path = Path(scene)
+    cameras = None if drawn is None else Path(drawn)
     renderers = (config.renderer, config.gradient)
     check_scene(
         path, config.object, camera=config.camera, cameras=cameras, renderers=renderers
@@ -242,18 +242,15 @@ def _objective(
     values: dict[str, Any], where: str
 ) -> Relabel | Hide | Untargeted | PluggedObjective:
     """What the detectors shall see; takes its settings out of the tables."""
-    aim, target, table = (
-        values.pop("aim", "relabel"),
-        values.pop("target", None),
-        values.pop("objective", {}),
-    )
+    aim = values.pop("aim", "relabel")
+    target = values.pop("target", None)
+    table = values.pop("objective", {})
     check_choice(f"aim in {where}", aim, tuple(OBJECTIVES))
     if OBJECTIVES[aim].targeted is (target is None):
-        do = (
-            "name the class wanted, for instance person"
-            if target is None
-            else "leave it out"
-        )
+        if target is None:
+            do = "name the class wanted, for instance person"
+        else:
+            do = "leave it out"
         raise InvalidValueError.of(
             "target", f"what the aim {aim} has", target or "none", do
         )
@@ -269,7 +266,8 @@ def weights(detectors: tuple[str, ...]) -> dict[str, Path]:
     files = {}
     for name in detectors:
         spec = detector_spec(name)
-        if missing := spec.missing():
+        missing = spec.missing()
+        if missing:
             raise InvalidValueError.of(
                 f"detector {name}", "one that can be loaded", "one that cannot", missing
             )
@@ -305,14 +303,16 @@ class DaggerAttempt(Attempt):
 class DaggerWork(Work[DaggerAttempt]):
     """Attacks, and the looks at each."""
 
-    story, can_bisect = STORY, True
+    story = STORY
+    can_bisect = True
 
     def __init__(self, study: Study) -> None:
         _fingerprint.cache_clear()  # weights may be others by now
         super().__init__(study, map(self.attempt, study.points))
         searches: dict[Any, list[DaggerAttempt]] = {}
         for attempt in self.attempts:
-            if bisected := attempt.point.bisected:
+            bisected = attempt.point.bisected
+            if bisected:
                 alike = [
                     label
                     for label in attempt.point.labels.items()
@@ -327,16 +327,15 @@ class DaggerWork(Work[DaggerAttempt]):
 
     def attempt(self, point: Point) -> DaggerAttempt:
         """An attack, and the looks at it."""
-        name, region = self.study.name, self.study.kind == "dagger-eot"
+        name = self.study.name
+        region = self.study.kind == "dagger-eot"
         scene, job = attack_of(
             point.settings,
             f"{name}, {point.part}" if point.part else name,
             region=region,
         )
-        label, looks = (
-            ": ".join(filter(None, (point.part, _named(point.labels)))) or name,
-            dict[str, Job](),
-        )
+        label = ": ".join(filter(None, (point.part, _named(point.labels)))) or name
+        looks = dict[str, Job]()
         where = f"{name}, judge"
         for judge in self.study.judges:
             for look in decode(Judge, with_none(judge.settings), where).looks(
@@ -359,11 +358,12 @@ class DaggerWork(Work[DaggerAttempt]):
         known = [
             attempt.jobs for attempt in self.attempts if not attempt.point.bisected
         ]
-        fixed = (
-            [grid({label: job for jobs in known for label, job in jobs.items()})]
-            if known
-            else []
-        )
+        if known:
+            fixed = [
+                grid({label: job for jobs in known for label, job in jobs.items()})
+            ]
+        else:
+            fixed = []
         return [
             *fixed,
             *(bisection(search, self._suffices) for search in self.searches),
@@ -374,26 +374,28 @@ class DaggerWork(Work[DaggerAttempt]):
     ) -> bool | None:
         """Whether an attack has its aim; None if it has failed."""
         result = results.get(attempt.title)
-        return bool(_record_of(result)["success"]) if isinstance(result, Done) else None
+        if isinstance(result, Done):
+            return bool(_record_of(result)["success"])
+        return None
 
     def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
         """What each attack says of itself, and one table of all rows."""
-        rows, attacks, marks = (
-            list[dict[str, Any]](),
-            dict[str, dict[str, Any]](),
-            dict[str, str](),
-        )
+        rows = list[dict[str, Any]]()
+        attacks = dict[str, dict[str, Any]]()
+        marks = dict[str, str]()
         for attempt in self.attempts:
             if not isinstance(result := results.get(attempt.title), Done):
                 continue
-            record, config = _record_of(result), attempt.job.config
+            record = _record_of(result)
+            config = attempt.job.config
             marks |= {
                 told["detector"]: told["detector_fingerprint"]
                 for told in record["detectors"]
             }
             name = result.key[:_NAME_DIGITS]
             # an attack that several parts have
-            if count := sum(key.startswith(name) for key in attacks):
+            count = sum(key.startswith(name) for key in attacks)
+            if count:
                 name = f"{name}-{count + 1}"
             attacks[name] = _stated(attempt, result, record)
             ids = {

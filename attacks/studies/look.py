@@ -72,7 +72,8 @@ class Look:
 def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
     """Look at the splats of a job with its detector."""
     scene = attack_scene(inputs["scene"])
-    rows, original = scene.objects[config.object], config.object.replace("_", " ")
+    rows = scene.objects[config.object]
+    original = config.object.replace("_", " ")
     viewing = Viewing(
         settings=scene.settings,
         centre=scene.centre(config.object),
@@ -81,7 +82,8 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
         clean=scene.scene.select(rows),
     )
     condition = condition_of(config.condition, viewing)
-    subset, render = GaussianSubset.of(scene.scene, rows), scene.renderer("")
+    subset = GaussianSubset.of(scene.scene, rows)
+    render = scene.renderer("")
     moved = {
         condition.move(view.camera): view
         for view in _views(config, scene, subset, inputs)
@@ -101,11 +103,9 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
     directions = seen_from(viewing.centre)
 
     splats = _splats(config, scene, load_splat(inputs["attacked"]), [*moved.values()])
-    detectors, wanted, before = (
-        detectors_of((config.detector,), inputs),
-        config.objective,
-        dict[int, Tensor](),
-    )
+    detectors = detectors_of((config.detector,), inputs)
+    wanted = config.objective
+    before = dict[int, Tensor]()
     classes = tuple(detectors[0].classes)
 
     def cells(seen: ViewDetections) -> dict[str, Any]:
@@ -177,7 +177,8 @@ def _splats(
     """The clean splat, the attacked one, and its controls, which are matched to it in
     the views without a condition.
     """
-    rows, drawn = scene.objects[config.object], config.transformations is not None
+    rows = scene.objects[config.object]
+    drawn = config.transformations is not None
     clean, attacked = clean_and_attacked(
         scene.scene, rows, saved.select(rows) if drawn else saved, config.attributes
     )

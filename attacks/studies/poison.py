@@ -71,12 +71,10 @@ JUDGED = "attacks.poisons.judged"
 """Kind of the jobs in which a classifier looks, or a splat is measured."""
 DEFENDED = "defended"
 """Condition of rows of a splat whose victim defends itself."""
-TRAINING, HELD_OUT, HIGHER, PHOTOGRAPH = (
-    "training cameras",
-    "held-out cameras",
-    "higher cameras",
-    "photograph",
-)
+TRAINING = "training cameras"
+HELD_OUT = "held-out cameras"
+HIGHER = "higher cameras"
+PHOTOGRAPH = "photograph"
 """Conditions of what is seen of a splat, or of pictures, from the cameras of the
 training or others.
 """
@@ -216,9 +214,9 @@ class PoisonAttempt(Attempt):
     def poisoned(self) -> Job | None:
         """The poisoned set; None without a poison."""
         poison = self.options.poison
-        return (
-            None if poison is None else self._made("poisoning", self._poisoned(poison))
-        )
+        if poison is None:
+            return None
+        return self._made("poisoning", self._poisoned(poison))
 
     @cached_property
     def victims(self) -> Sequence[TrainedVictim]:
@@ -251,9 +249,9 @@ class PoisonAttempt(Attempt):
             return replace(
                 setup, cameras=replace(setup.cameras, elevations=raised)
             ).training_cameras
-        return (
-            setup.training_cameras if TRAINING in condition else setup.held_out_cameras
-        )
+        if TRAINING in condition:
+            return setup.training_cameras
+        return setup.held_out_cameras
 
     def _made(self, label: str, job: Job) -> Job:
         return self.jobs.setdefault(
@@ -264,7 +262,9 @@ class PoisonAttempt(Attempt):
         """The poisoned set; an attacker who trains otherwise than the victim starts
         from a splat of their own.
         """
-        options, config, needs = self.options, poison.config, poison.spec.needs
+        options = self.options
+        config = poison.config
+        needs = poison.spec.needs
         if poison.kind == CLOAK:
             return replace(
                 self.steps, study=replace(options.study, attack=config.attack)
@@ -274,7 +274,8 @@ class PoisonAttempt(Attempt):
         if "classifier" in needs:
             values |= {**self._deceived(config.target), "scene": self.steps.scene_job()}
         if "splat" in needs or getattr(config, "decoy_steps", 0) > 0:
-            recipe, start = options.attacker or options.training, self.clean
+            recipe = options.attacker or options.training
+            start = self.clean
             if options.attacker is not None:
                 start = self._trained(
                     "clean pictures, by the attacker", self.pictures, options.attacker
@@ -309,7 +310,8 @@ class PoisonAttempt(Attempt):
 
     def _classifier_cells(self, name: str) -> dict[str, Any]:
         """A classifier, which has to know the object's class."""
-        label, classifier = self.options.scene.object, classifier_of(name)
+        label = self.options.scene.object
+        classifier = classifier_of(name)
         check_choice(f"class for {name}", label, classifier.classes)
         device = self.options.device
         return {
@@ -345,7 +347,8 @@ class PoisonAttempt(Attempt):
             }
             for name, look in looking.items():
                 label = f"{name} looks at the {splat} splat{also}, {condition}"
-                job, seed = self._made(label, look), self.options.seed
+                job = self._made(label, look)
+                seed = self.options.seed
                 yield Look(
                     label=label,
                     job=job,
@@ -417,7 +420,8 @@ class PoisonAttempt(Attempt):
         true = self._made(
             "taking pictures to compare with", self.steps.true_pictures(cameras)
         )
-        device, poses = self.options.device, tuple(map(Pose.of, cameras))
+        device = self.options.device
+        poses = tuple(map(Pose.of, cameras))
         config = MeasuredConfig(**self.steps.splat_job(), poses=poses, device=device)
         inputs = {"splat": finished.part(SPLAT), "pictures": true.part("*.png")}
         label = f"measuring the {splat} splat{', defended' * defended}"
@@ -428,13 +432,15 @@ class PoisonAttempt(Attempt):
         )
 
 
-STORY, PICTURES = "poison-study", "pictures"
+STORY = "poison-study"
+PICTURES = "pictures"
 
 
 class PoisonWork(Work[PoisonAttempt]):
     """Studies of attacks on training pictures."""
 
-    story, has_judges = STORY, False
+    story = STORY
+    has_judges = False
 
     def __init__(self, study: Study) -> None:
         super().__init__(study, map(self.attempt, study.points))
@@ -450,7 +456,9 @@ class PoisonWork(Work[PoisonAttempt]):
             for attempt in self.attempts
             for key, left in attempt.done(results).items()
         }
-        victims, paths, judges = list[dict[str, Any]](), list[Path](), dict[str, str]()
+        victims = list[dict[str, Any]]()
+        paths = list[Path]()
+        judges = dict[str, str]()
         rows: dict[str, list[dict[str, Any]]] = {FIDELITY: [], ROWS: []}
         for attempt in self.attempts:
             for victim in attempt.victims:
@@ -487,7 +495,8 @@ class PoisonWork(Work[PoisonAttempt]):
 def _cost(
     attempt: PoisonAttempt, victim: TrainedVictim, done: Mapping[str, Done]
 ) -> dict[str, Any]:
-    trained, measured = done[victim.trained.identity], done[victim.measured.identity]
+    trained = done[victim.trained.identity]
+    measured = done[victim.measured.identity]
     named = {
         "part": attempt.part,
         "value": attempt.value,
@@ -538,7 +547,8 @@ def _seen(
     reported with less confidence.
     """
     if look.job.kind == JUDGED:
-        cameras, centre = attempt.cameras(look.condition), attempt.steps.setup.centre
+        cameras = attempt.cameras(look.condition)
+        centre = attempt.steps.setup.centre
         cells = [
             camera_cells(camera, None, direction_of(camera, centre))
             for camera in cameras

@@ -125,7 +125,9 @@ def _value(
 
 
 def _ratio(value: float | None, clean: float | None) -> float | None:
-    return value / clean if value is not None and clean else None
+    if value is not None and clean:
+        return value / clean
+    return None
 
 
 def _spread(values: Sequence[float | None]) -> dict[str, Any] | None:
@@ -135,7 +137,8 @@ def _spread(values: Sequence[float | None]) -> dict[str, Any] | None:
     known = [value for value in values if value is not None]
     if not known:
         return None
-    mean, interval = statistics.fmean(known), None
+    mean = statistics.fmean(known)
+    interval = None
     if len(known) > 1:
         from scipy.special import stdtrit
 
@@ -196,11 +199,11 @@ def _number(key: str, digits: int) -> Column[Any]:
         spread = line.get(key)
         if spread is None:
             return "-"
-        mean, ends = (
-            f"{spread['mean']:,.{digits}f}",
-            [f"{spread[end]:,.{digits}f}" for end in ("least", "most")],
-        )
-        return mean if spread["count"] == 1 else f"{mean} ({ends[0]} to {ends[1]})"
+        mean = f"{spread['mean']:,.{digits}f}"
+        ends = [f"{spread[end]:,.{digits}f}" for end in ("least", "most")]
+        if spread["count"] == 1:
+            return mean
+        return f"{mean} ({ends[0]} to {ends[1]})"
 
     return text
 

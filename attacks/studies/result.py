@@ -112,26 +112,25 @@ def views_of(attack: Record) -> Literal["scene", "drawn", "region"]:
     drawn by seed, or a region.
     """
     settings = attack["settings"]
-    return (
-        "region"
-        if settings.get("transformations")
-        else "drawn"
-        if CAMERAS in settings
-        else "scene"
-    )
+    if settings.get("transformations"):
+        return "region"
+    if CAMERAS in settings:
+        return "drawn"
+    return "scene"
 
 
 def figures(record: Record, tables: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
     """Every figure of a study, of its rows, and of what its attacks say of
     themselves.
     """
-    rows, attacks = tables[ROWS], attacks_of(record)
-    looked = (
-        pl.col("condition").is_not_null()
-        if "condition" in rows.columns
-        else pl.lit(value=False)
-    )
-    judged, looks = rows.filter(~looked), rows.filter(looked)
+    rows = tables[ROWS]
+    attacks = attacks_of(record)
+    if "condition" in rows.columns:
+        looked = pl.col("condition").is_not_null()
+    else:
+        looked = pl.lit(value=False)
+    judged = rows.filter(~looked)
+    looks = rows.filter(looked)
     each = _of_attacks(attacks, judged)
     moving = {
         name: attacks[name] for name in each if views_of(attacks[name]) == "drawn"
@@ -167,7 +166,8 @@ def _of_attacks(attacks: Record, judged: pl.DataFrame) -> dict[str, dict[str, An
     ):
         config = attacks[name]["settings"]["attack"]
         attacked = rows.filter(splat=ATTACKED)
-        if (views := views_of(attacks[name])) == "region":
+        views = views_of(attacks[name])
+        if views == "region":
             rates = count(joint_views(rows), AIMS)[()]
             held = rates["success"].fraction >= config["required_views"] - 1e-9
             seen = {key: rates[measure].as_dict() for key, measure in RATES.items()}
@@ -306,7 +306,9 @@ def _known(lines: Sequence[Record], name: str) -> list[Any]:
 
 def _median(lines: Sequence[Record], name: str) -> Any:
     values = _known(lines, name)
-    return statistics.median(values) if values else None
+    if values:
+        return statistics.median(values)
+    return None
 
 
 def _pooled(rows: pl.DataFrame, *, several: bool) -> dict[str, Rate]:
@@ -368,11 +370,10 @@ def _looks(attacks: Record, looks: pl.DataFrame) -> list[dict[str, Any]]:
     each condition.
     """
     lines = []
-    rows = (
-        with_control(looks.with_columns(pl.col("target_score").fill_null(0.0)))
-        if len(looks)
-        else looks
-    )
+    if len(looks):
+        rows = with_control(looks.with_columns(pl.col("target_score").fill_null(0.0)))
+    else:
+        rows = looks
     for part, labels, members in _grouped(attacks, POOLED) if len(looks) else ():
         mine = rows.filter(pl.col("attack").is_in(members))
         first = attacks[members[0]]
@@ -500,7 +501,9 @@ def _columns_of(group: Record) -> dict[str, Column[Any]]:
     """What a table of groups such as this one shows."""
     if "rate" not in group:
         return _OF_ATTACKS
-    return {**_IF_DETECTED, **_OF_VIEWS} if "if_detected" in group else _OF_VIEWS
+    if "if_detected" in group:
+        return {**_IF_DETECTED, **_OF_VIEWS}
+    return _OF_VIEWS
 
 
 _OF_SEARCHES: dict[str, Column[Any]] = {
@@ -558,7 +561,9 @@ def _matrix(caption: str, looks: Sequence[Record], kind: str) -> Table:
     def rate(row: str, column: str) -> str:
         look = cells.get((row, column) if turned else (column, row))
         star = " *" if look is not None and look["white_box"] and marked else ""
-        return "-" if look is None else Rate.of(look[kind]).short(interval=True) + star
+        if look is None:
+            return "-"
+        return Rate.of(look[kind]).short(interval=True) + star
 
     def noise(row: str) -> str:
         members = [
@@ -602,7 +607,9 @@ def _names(looks: Sequence[Record], keys: Sequence[str]) -> dict[int, str]:
 
 
 def _named(key: str, value: Any) -> str:
-    return value if isinstance(value, str) else f"{title_of(key)} {cell(value)}"
+    if isinstance(value, str):
+        return value
+    return f"{title_of(key)} {cell(value)}"
 
 
 # Several optimisers in one study
@@ -646,7 +653,9 @@ def by_attack(groups: Sequence[Record]) -> dict[str, list[Record]]:
     members: dict[str, list[Record]] = {}
     for group in groups if all(map(_is_comparable, groups)) else ():
         members.setdefault(str(group["labels"].get(AXIS)), []).append(group)
-    return members if len(members) > 1 else {}
+    if len(members) > 1:
+        return members
+    return {}
 
 
 def together(groups: Sequence[Record]) -> Record:
@@ -670,11 +679,9 @@ def _elsewhere(group: Record) -> str:
 
 
 def _reached(group: Record | None) -> str:
-    return (
-        "-"
-        if group is None
-        else f"{Rate.of(group['success']).short()} ({group['loss']:.2f})"
-    )
+    if group is None:
+        return "-"
+    return f"{Rate.of(group['success']).short()} ({group['loss']:.2f})"
 
 
 def _spread(groups: Sequence[Record], key: str) -> str:
@@ -688,4 +695,6 @@ def _spread(groups: Sequence[Record], key: str) -> str:
         f"{value:.3g}"
         for value in (min(values), sum(values) / len(values), max(values))
     )
-    return low if low == high else f"{mean} ({low} to {high})"
+    if low == high:
+        return low
+    return f"{mean} ({low} to {high})"

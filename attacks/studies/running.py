@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from mi_splat.ledger.engines import Engine
     from mi_splat.ledger.job import OnEvent
 
-STUDY_FILE, TABLE, STORE = "study.toml", "table.md", Path("out/store")
+STUDY_FILE = "study.toml"
+TABLE = "table.md"
+STORE = Path("out/store")
 """Names of files of a result, and the folder of finished jobs where none is named."""
 OWN_NAME = "the study"
 """What a value is called in a study in which nothing varies."""
@@ -163,7 +165,8 @@ def bisection(
     suffices: Callable[[_Attempt, Mapping[str, Result]], bool | None],
 ) -> Plan:
     """A plan that looks for the first attempt that suffices."""
-    low, high = -1, len(attempts)  # fails, suffices
+    low = -1
+    high = len(attempts)  # fails, suffices
     while high - low > 1:
         middle = (low + high) // 2
         enough = suffices(attempts[middle], (yield attempts[middle].jobs) or {})
@@ -261,7 +264,8 @@ def run_study(
             another process has failed; what a job of this process raises comes as it
             is.
     """
-    asked, kept = read_study(Path(study)).of(tuple(parts)), Path(store)
+    asked = read_study(Path(study)).of(tuple(parts))
+    kept = Path(store)
     folder = Path("out/studies") / asked.name if out is None else Path(out)
     check_own_folder(folder, STUDY_FILE)
     work = work_of(asked)
@@ -272,10 +276,8 @@ def run_study(
         run = run_with(engine, asked, work, store=kept, out=folder, on_event=nobody)
     if run.failed:
         label, text = next(iter(run.failed.items()))
-        expected, got = (
-            f"{run.jobs} jobs that are done",
-            f"{len(run.failed)} that failed; {label}: {text.strip()}",
-        )
+        expected = f"{run.jobs} jobs that are done"
+        got = f"{len(run.failed)} that failed; {label}: {text.strip()}"
         raise InvalidValueError.of(
             str(study),
             expected,

@@ -69,11 +69,11 @@ class Study:
                 name,
                 do,
             )
-        return (
-            dataclasses.replace(self, parts={name: self.parts[name] for name in names})
-            if names
-            else self
-        )
+        if names:
+            return dataclasses.replace(
+                self, parts={name: self.parts[name] for name in names}
+            )
+        return self
 
     @property
     def named(self) -> dict[str, str]:
@@ -100,7 +100,8 @@ def study_of(table: Settings, name: str, text: str = "") -> Study:
     """The study in a table."""
     # the file of `mi-splat cloak`
     usual = "cloak" if isinstance(table.get("attack"), list) else None
-    kind, question = table.get("study", usual), table.get("question", "")
+    kind = table.get("study", usual)
+    question = table.get("question", "")
     do = nearest(str(kind), KINDS, 'write for instance study = "dagger" first')
     _check(kind in [*KINDS], f"study in {name}", " or ".join(KINDS), repr(kind), do)
     _check(
@@ -127,7 +128,8 @@ def study_of(table: Settings, name: str, text: str = "") -> Study:
 
 
 def _parts(table: Settings, name: str) -> dict[str, list[Point]]:
-    settings, axes = _without(table, *PARTS), _axes(_table(table, "matrix", name), name)
+    settings = _without(table, *PARTS)
+    axes = _axes(_table(table, "matrix", name), name)
     cases = _tables(table, "case", name)
     parts = [
         _case({"bisect": table.get("bisect"), **case}, settings, axes, name)
@@ -151,12 +153,11 @@ def _case(
     """The name of a case and its points, of the settings and axes above it and its
     own.
     """
-    title, bisect = str(case.get("name", "")), case["bisect"]
+    title = str(case.get("name", ""))
+    bisect = case["bisect"]
     where = f"{name}, case {title}" if title else f"{name}, case"
-    settings, axes = (
-        merged(settings, _without(case, *_OF_CASES)),
-        {**above, **_axes(_table(case, "matrix", where), where)},
-    )
+    settings = merged(settings, _without(case, *_OF_CASES))
+    axes = {**above, **_axes(_table(case, "matrix", where), where)}
     if bisect is None:
         return title, _combinations(settings, axes, title)
     good = (
@@ -171,7 +172,8 @@ def _case(
         bisect,
         'write field = "attack.eps", values = [1, 2]',
     )
-    field, values = bisect["field"], _axis(bisect["field"], bisect["values"], where)
+    field = bisect["field"]
+    values = _axis(bisect["field"], bisect["values"], where)
     rising = all(isinstance(number, (int, float)) for number in values) and [
         *values
     ] == sorted(values)
@@ -250,7 +252,9 @@ def _axes(
 
 
 def _axis(path: str, values: Any, where: str) -> dict[Any, Settings]:
-    what, labels, axis = f"{path} in {where}", list[Any](), dict[Any, Settings]()
+    what = f"{path} in {where}"
+    labels = list[Any]()
+    axis = dict[Any, Settings]()
     _check(
         isinstance(values, list) and values,
         what,
@@ -299,7 +303,9 @@ def _table(table: Settings, key: str, where: str) -> Settings:
         repr(value),
         f"write [{key}] above its keys",
     )
-    return value if isinstance(value, Mapping) else {}
+    if isinstance(value, Mapping):
+        return value
+    return {}
 
 
 def _tables(table: Settings, key: str, where: str) -> Sequence[Settings]:
@@ -314,7 +320,9 @@ def _tables(table: Settings, key: str, where: str) -> Sequence[Settings]:
         repr(value),
         f"write [[{key}]] above each of them",
     )
-    return value if isinstance(value, list) else []
+    if isinstance(value, list):
+        return value
+    return []
 
 
 def _check(good: object, what: str, expected: str, got: object, do: str) -> None:
@@ -330,4 +338,6 @@ def with_none(value: Any) -> Any:
         return {key: with_none(entry) for key, entry in value.items()}
     if isinstance(value, list):
         return [with_none(entry) for entry in value]
-    return None if value == "none" else value
+    if value == "none":
+        return None
+    return value

@@ -191,7 +191,8 @@ def _set(done: Any, given: Sequence[View]) -> None:
             shape,
             "keep sizes",
         )
-        low, high = float(after.image.min()), float(after.image.max())
+        low = float(after.image.min())
+        high = float(after.image.max())
         expect(
             low >= 0 and high <= 1,
             "sRGB in [0, 1]",
@@ -214,7 +215,8 @@ def _changes(done: Poisoned, given: Sequence[View]) -> None:
     expect(set(changed) <= set(listed), f"changes of the views {changed}", listed, do)
 
 
-_RADIUS, _STEPS = {"sh": 0.5, "means": 0.3}, 24
+_RADIUS = {"sh": 0.5, "means": 0.3}
+_STEPS = 24
 _REFERENCE = {"sh": torch.linspace(-1, 1, 24).reshape(8, 3), "means": torch.zeros(8, 3)}
 _GOALS = {
     "sh": _REFERENCE["sh"] + 0.6,
@@ -255,7 +257,8 @@ def check_attack(spec: Any) -> None:
     for norm in NORM_NAMES:
         with contract.promise(f"gain in {norm}"):
             outcome = _run(spec, norm)
-            first, best = outcome.trace[0].loss, outcome.best.loss
+            first = outcome.trace[0].loss
+            best = outcome.best.loss
             got = f"{best:.4g} after {first:.4g} at the start"
             expect(
                 best < first,
@@ -290,9 +293,10 @@ def check_attack(spec: Any) -> None:
 
 def _bowl(point: Parameters, *, gradient: bool) -> Evaluation:
     loss = sum(float((point[name] - _GOALS[name]).square().sum()) for name in point)
-    gradients = (
-        {name: 2 * (point[name] - _GOALS[name]) for name in point} if gradient else {}
-    )
+    if gradient:
+        gradients = {name: 2 * (point[name] - _GOALS[name]) for name in point}
+    else:
+        gradients = {}
     verdict = Verdict(success=False, score=1 / (1 + loss), unambiguous=False)
     return Evaluation(loss=loss, gradients=gradients, verdict=verdict)
 
@@ -340,10 +344,8 @@ def _steps(spec: OptimiserSpec) -> None:
     point = {name: value.clone() for name, value in _REFERENCE.items()}
     for index in range(3):
         memory.index = index
-        here, kept = (
-            _bowl(point, gradient=spec.gradient),
-            {name: value.clone() for name, value in point.items()},
-        )
+        here = _bowl(point, gradient=spec.gradient)
+        kept = {name: value.clone() for name, value in point.items()}
         gradients = {name: value.clone() for name, value in here.gradients.items()}
         following = update(point, here, memory)
         same = all(torch.equal(point[name], kept[name]) for name in kept)

@@ -25,7 +25,9 @@ from attacks.testing.promises import (
 from mi_splat.errors import InvalidValueError
 
 _OBJECT = (20.0, 10.0, 70.0, 50.0)
-_COUNT, _STEPS, _RATE = 12, 150, 0.1
+_COUNT = 12
+_STEPS = 150
+_RATE = 0.1
 """Candidates around the object, steps that follow the loss, and their length."""
 
 
@@ -60,11 +62,10 @@ def check_objective(objective: Any, *, original: str = "car") -> None:
     with contract.promise("loss"):
         loss = objective(_candidates(start), target)
         is_number = isinstance(loss, Tensor) and loss.ndim == 0
-        got = (
-            f"shape {tuple(loss.shape)}"
-            if isinstance(loss, Tensor)
-            else type(loss).__name__
-        )
+        if isinstance(loss, Tensor):
+            got = f"shape {tuple(loss.shape)}"
+        else:
+            got = type(loss).__name__
         expect(is_number, "a tensor without axes", got, "end it with .sum() or .mean()")
         expect(
             bool(torch.isfinite(loss)),
@@ -218,7 +219,8 @@ def _verdict(objective: Any, seen: Detections, target: Target) -> Verdict:
 
 _Report = TypeVar("_Report", Candidates, Detections)
 _PIXEL = 1 / 255
-_BOX, _SCORE = 0.1, 1e-3
+_BOX = 0.1
+_SCORE = 1e-3
 """How far boxes (pixels) and scores may be apart for the same picture in another
 stack.
 """
@@ -429,7 +431,8 @@ def _of_each(seen: Sequence[Any], kind: type[_Report], images: Tensor) -> list[_
 
 
 def _candidates_of(seen: Candidates, detector: Any, images: Tensor) -> None:
-    scores, boxes = seen.scores.detach(), seen.boxes.detach()
+    scores = seen.scores.detach()
+    boxes = seen.boxes.detach()
     expect(
         len(seen),
         "candidates before any threshold",
@@ -443,7 +446,8 @@ def _candidates_of(seen: Candidates, detector: Any, images: Tensor) -> None:
         scores.shape[1],
         "leave background out",
     )
-    low, high = float(scores.min()), float(scores.max())
+    low = float(scores.min())
+    high = float(scores.max())
     expect(
         low >= 0 and high <= 1,
         "scores in [0, 1]",
@@ -505,7 +509,8 @@ def _detections_of(seen: Detections, detector: Any) -> None:
         "sort them by their scores",
     )
     if len(scores):
-        low, high = float(scores.min()), float(scores.max())
+        low = float(scores.min())
+        high = float(scores.max())
         expected = f"scores from min_confidence ({detector.min_confidence:g}) to 1"
         kept = low >= detector.min_confidence - 1e-6 and high <= 1
         expect(

@@ -18,7 +18,10 @@ from mi_splat.io import SplatLossWarning, load_splat, save_splat
 from mi_splat.scene import GaussianScene
 
 _COUNT = 50
-_PLACES, _SIZES, _OPACITIES, _COLOURS = 0.01, 0.15, 0.02, 0.05
+_PLACES = 0.01
+_SIZES = 0.15
+_OPACITIES = 0.02
+_COLOURS = 0.05
 """How far a lossy format may move means (world units), scales (a part of them),
 opacities and colours of degree 0.
 """

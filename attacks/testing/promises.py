@@ -60,11 +60,10 @@ class Contract:
     def settle(self) -> None:
         """Raise if a promise is broken."""
         if self._broken:
-            count = (
-                "a broken promise"
-                if len(self._broken) == 1
-                else f"{len(self._broken)} broken promises"
-            )
+            if len(self._broken) == 1:
+                count = "a broken promise"
+            else:
+                count = f"{len(self._broken)} broken promises"
             error = ContractError(
                 f"{self._what}: {count}\n"
                 + "\n".join(f"- {line}" for line in self._broken)

@@ -117,7 +117,9 @@ def _stored(scene: GaussianScene, *, broken: bool = False) -> Stored:
 
 _SIZE = (40, 28)
 _COLOUR = (0.8, 0.4, 0.2)
-_STEP, _SAME, _NEAR = 3e-3, 1e-4, 1.5
+_STEP = 3e-3
+_SAME = 1e-4
+_NEAR = 1.5
 """Shortest step along a gradient; how far equal values may be apart; pixels that a
 Gaussian may be beside its place.
 """
@@ -148,7 +150,8 @@ def check_renderer(renderer: Any, *, differentiable: bool = True) -> None:
         with contract.promise("making it"):
             render = spec.make(RenderSettings())
         contract.settle()
-    camera, scene = _camera(), cloud(24, 1, size=2.5)
+    camera = _camera()
+    scene = cloud(24, 1, size=2.5)
     with contract.promise("pictures"):
         _picture(render(scene, camera), camera)
         _picture(
@@ -224,7 +227,9 @@ def check_condition(condition: Any, *, name: str = "condition") -> None:
         ContractError: It does not; the message lists all that is wrong.
     """
     contract = Contract(f"condition {name}")
-    scene, camera, made = cloud(24, 1, size=2.5), _camera(), condition
+    scene = cloud(24, 1, size=2.5)
+    camera = _camera()
+    made = condition
     with contract.promise("making it"):
         if not isinstance(condition, Condition):
             viewing = Viewing(
@@ -309,7 +314,8 @@ def _picture(picture: Any, camera: Camera, *, empty: bool = False) -> None:
         type(picture).__name__,
         "give torch.from_numpy(...)",
     )
-    shape, wanted = tuple(picture.shape), (camera.height, camera.width, 3)
+    shape = tuple(picture.shape)
+    wanted = (camera.height, camera.width, 3)
     expect(
         shape == wanted,
         f"a picture of shape {wanted}",
@@ -323,7 +329,8 @@ def _picture(picture: Any, camera: Camera, *, empty: bool = False) -> None:
         picture.dtype,
         "give sRGB, in [0, 1] but for what is brighter",
     )
-    low, high = float(picture.min()), float(picture.max())
+    low = float(picture.min())
+    high = float(picture.max())
     expect(
         low >= -0.5 and high <= 2,
         "sRGB about in [0, 1]",

@@ -124,7 +124,8 @@ def _loss(config: StrategyConfig) -> None:
 
 
 def _change(config: StrategyConfig, iteration: int) -> None:
-    strategy, parameters = config.build(), _parameters()
+    strategy = config.build()
+    parameters = _parameters()
     state = strategy.initial_state(_COUNT)
     kept = {name: value.clone() for name, value in parameters.items()}
     edit = strategy.after_step(_step(parameters, iteration), state)
@@ -192,7 +193,8 @@ def _state(config: StrategyConfig) -> None:
 
 def _run(config: StrategyConfig) -> list[Tensor]:
     """What a strategy changes at each of some steps."""
-    strategy, changed = config.build(), list[Tensor]()
+    strategy = config.build()
+    changed = list[Tensor]()
     for iteration in _STEPS:
         edit = strategy.after_step(
             _step(_parameters(), iteration), strategy.initial_state(_COUNT)

@@ -65,11 +65,9 @@ def _between(interval: tuple[float, float], share: float) -> float:
 
 def _in_ball(shares: Sequence[float]) -> tuple[float, float, float]:
     """Three numbers in [0, 1] to a point of the unit ball, evenly."""
-    height, turn, length = (
-        2 * shares[0] - 1,
-        2 * math.pi * shares[1],
-        shares[2] ** (1 / 3),
-    )
+    height = 2 * shares[0] - 1
+    turn = 2 * math.pi * shares[1]
+    length = shares[2] ** (1 / 3)
     flat = math.sqrt(max(0.0, 1 - height * height))
     return (
         length * flat * math.cos(turn),

@@ -35,15 +35,16 @@ IMAGES = Path(__file__).resolve().parents[1] / "images"
 ROWS = IMAGES.parent / "artifacts" / "cloak_car_stealthy" / "path.csv.xz"
 COLUMNS = 12
 """Pictures in a row of cloak_stealthy.jpg."""
-WIDTH, PART, FONT, LINE = 720, 236, 16, 22
+WIDTH = 720
+PART = 236
+FONT = 16
+LINE = 22
 """Of a figure, height of a part, and of a letter and a line, in pixels."""
-INK, GREY, ATTACKER, VICTIM, PLAIN = (
-    "#1c2430",
-    "#5b6470",
-    "#a61b1b",
-    "#1f5fa8",
-    "#7a8391",
-)
+INK = "#1c2430"
+GREY = "#5b6470"
+ATTACKER = "#a61b1b"
+VICTIM = "#1f5fa8"
+PLAIN = "#7a8391"
 PARTS = ("Threat model", "Method", "Result")
 
 Crop = tuple[str, tuple[float, float, float, float]]
@@ -64,7 +65,8 @@ class Drawing:
 
     def part(self) -> None:
         """Begin the next of the three parts, under a rule and its name."""
-        number, self.top = self.top // PART, self.top + PART
+        number = self.top // PART
+        self.top = self.top + PART
         if number:
             self.body.append(
                 f'<path d="M20 {self.origin}H{WIDTH - 20}" stroke="#d4d9e0"/>'
@@ -266,7 +268,8 @@ def cloak() -> Drawing:
         "all other pictures stay as they are, to the bit",
     )
     drawing.part()
-    ground, middle = 200, 190.0
+    ground = 200
+    middle = 190.0
     drawing.body.append(
         f'<path d="M40 {drawing.origin + ground}H340" stroke="{PLAIN}"'
         ' stroke-width="2"/>'
@@ -277,7 +280,8 @@ def cloak() -> Drawing:
     )
     for elevation in range(4, 180, 11):
         angle = np.deg2rad(elevation)
-        x, y = middle + 140 * np.cos(angle), ground - 140 * np.sin(angle)
+        x = middle + 140 * np.cos(angle)
+        y = ground - 140 * np.sin(angle)
         colour = ATTACKER if 38 < elevation < 142 else VICTIM
         drawing.body.append(
             f'<circle cx="{x:.1f}" cy="{drawing.origin + y:.1f}" r="6"'
@@ -404,12 +408,16 @@ def hero() -> Image.Image:
     level and from above.
     """
     sheet = load_picture(IMAGES / "cloak_stealthy.jpg").convert("RGB")
-    side, gap, head, left = sheet.height / 4, 8, 34, 150
+    side = sheet.height / 4
+    gap = 8
+    head = 34
+    left = 150
     shown = round(1.8 * side)
     made = Image.new(
         "RGB", (left + 2 * shown + gap, head + 2 * shown + gap), (255, 255, 255)
     )
-    draw, font = ImageDraw.Draw(made), ImageFont.load_default(18)
+    draw = ImageDraw.Draw(made)
+    font = ImageFont.load_default(18)
     for column, name in enumerate(("clean images", "poisoned images")):
         draw.text(
             (left + column * (shown + gap) + shown / 2, head / 2),
@@ -446,10 +454,8 @@ def path() -> Figure:
     """Confidence of every detector along the path over the car, below the frames of
     cloak_stealthy.jpg.
     """
-    sheet, rows = (
-        np.asarray(load_picture(IMAGES / "cloak_stealthy.jpg").convert("RGB")),
-        read_rows(ROWS),
-    )
+    sheet = np.asarray(load_picture(IMAGES / "cloak_stealthy.jpg").convert("RGB"))
+    rows = read_rows(ROWS)
     detectors = rows["detector"].n_unique()
     figure = Figure(figsize=(10, 2.4 + detectors), dpi=110, layout="constrained")
     frames, *plots = figure.subplots(
@@ -550,7 +556,8 @@ def ghost(study: Path) -> Image.Image:
     cameras = [setup.camera(40.0, float(elevation)) for elevation in range(15, 60, 5)]
     rows = []
     for name in ("clean", "cloaked"):
-        scene, render = load_splat(study / f"{name}.ply"), setup.renderer()
+        scene = load_splat(study / f"{name}.ply")
+        render = setup.renderer()
         rows.append(
             np.concatenate(
                 [to_bytes(render(scene, camera)) for camera in cameras], axis=1
@@ -559,7 +566,8 @@ def ghost(study: Path) -> Image.Image:
     sheet = Image.fromarray(np.concatenate(rows)).resize(
         (9 * 200, 2 * 200), Image.Resampling.LANCZOS
     )
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(18)
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(18)
     for number, elevation in enumerate(range(15, 60, 5)):
         draw.text(
             (200 * number + 6, 376), f"{elevation} degrees", (255, 255, 255), font

@@ -30,8 +30,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
-RED, GREEN, BLUE, GREY = "#c0392b", "#27863b", "#2060b0", "#777777"
-AZIMUTH, ELEVATION, DISTANCE = 40.0, 30.0, 3.0
+RED = "#c0392b"
+GREEN = "#27863b"
+BLUE = "#2060b0"
+GREY = "#777777"
+AZIMUTH = 40.0
+ELEVATION = 30.0
+DISTANCE = 3.0
 DPI = 110
 
 
@@ -217,7 +222,8 @@ def near_and_bounds() -> Figure:
     figure, axes = plt.subplots(figsize=(6.4, 4.2))
     axes.scatter(points[:, 0], points[:, 1], s=4, color=GREY)
     ordered = points.sort(dim=0).values
-    low, high = ordered[round(0.01 * 599)].tolist(), ordered[round(0.99 * 599)].tolist()
+    low = ordered[round(0.01 * 599)].tolist()
+    high = ordered[round(0.99 * 599)].tolist()
     axes.add_patch(
         Rectangle(
             (low[0], low[1]), high[0] - low[0], high[1] - low[1], fill=False, color=BLUE
@@ -240,7 +246,8 @@ def near_and_bounds() -> Figure:
     )
     pose = orbit_pose(middle, azimuth=180, elevation=0, distance=2.6)
     camera = Camera(to_world=pose, focal=100.0, width=100, height=100)
-    near, eye = near_plane(scene, [camera]), pose[:3, 3]
+    near = near_plane(scene, [camera])
+    eye = pose[:3, 3]
     axes.scatter(float(eye[0]), float(eye[1]), color=RED, marker=">", s=60)
     axes.plot((eye[0] + near,) * 2, (eye[1] - 0.5, eye[1] + 0.5), color=RED)
     axes.text(
@@ -267,7 +274,8 @@ def colour_space() -> Figure:
     linear light.
     """
     share = np.linspace(0, 1, 200)
-    black, white = 0.0, 1.0
+    black = 0.0
+    white = 1.0
     blended = share * white + (1 - share) * black
     linear = np.where(
         blended <= 0.0031308, blended * 12.92, 1.055 * blended ** (1 / 2.4) - 0.055

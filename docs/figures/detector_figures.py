@@ -40,10 +40,13 @@ CARDS = {
 TABLES = ROOT / "docs" / "tables" / "detectors"
 PAGE = ROOT / "docs" / "detectors.md"
 PICTURE = ROOT / "docs" / "images" / "detectors_recall.png"
-_BEGIN, _END = "<!-- written by `docs/figures/detector_figures.py` -->", "<!-- end -->"
+_BEGIN = "<!-- written by `docs/figures/detector_figures.py` -->"
+_END = "<!-- end -->"
 USUAL_CONFIDENCE = 0.5
 """Confidence from which detections count where nothing else is said."""
-PATH_TRACED, SPLAT_RENDERS, EMPTY = "path traced", "splat renders", "background: "
+PATH_TRACED = "path traced"
+SPLAT_RENDERS = "splat renders"
+EMPTY = "background: "
 WITH_OBJECTS = (PATH_TRACED, SPLAT_RENDERS)
 UNITS = {
     "elevation": "degrees",
@@ -76,7 +79,8 @@ def put_away(path: Path) -> None:
             **figures,
             **{name: record[name] for name in ("pictures", "versions", "commit")},
         }
-        name, usual = figures["detector"], figures["confidence"] == USUAL_CONFIDENCE
+        name = figures["detector"]
+        usual = figures["confidence"] == USUAL_CONFIDENCE
         if usual and name in CARDS:
             card: dict[str, Any] = json.loads(CARDS[name][0].read_text())
             CARDS[name][0].write_text(
@@ -97,10 +101,8 @@ def compared(several: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
     ]
     rows = []
     for figures in several:
-        totals, street = (
-            figures["false_positives"],
-            figures["sets"].get(f"{EMPTY}street", {}),
-        )
+        totals = figures["false_positives"]
+        street = figures["sets"].get(f"{EMPTY}street", {})
         wrong = (
             totals.get("with objects"),
             street.get("false_positives"),
@@ -239,11 +241,10 @@ def bins_of(figures: Mapping[str, Any], condition: str) -> list[str]:
 
 def _name(figures: Mapping[str, Any]) -> str:
     known = len(SMALL_CLASSES) - len(figures.get("lacks", ()))
-    of = (
-        ""
-        if known == len(SMALL_CLASSES)
-        else f", {known} of {len(SMALL_CLASSES)} classes"
-    )
+    if known == len(SMALL_CLASSES):
+        of = ""
+    else:
+        of = f", {known} of {len(SMALL_CLASSES)} classes"
     return f"{figures['detector']} at {figures['confidence']:g}{of}"
 
 

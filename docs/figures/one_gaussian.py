@@ -22,7 +22,10 @@ from mi_splat.viewer.picking import border, colours
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "one_gaussian.png"
 ELEVATIONS = (10.0, 25.0, 40.0, 55.0, 75.0)
-_SIZE, _FOV, _PART, _SKY = 320, 45.0, 48, (0.55, 0.7, 0.9)
+_SIZE = 320
+_FOV = 45.0
+_PART = 48
+_SKY = (0.55, 0.7, 0.9)
 _LEAST = 20.0
 """Pixels that the Gaussian makes up at least in each view."""
 
@@ -82,7 +85,8 @@ def draw(
         4, 5, height_ratios=(4, 4, 0.8, 2.6), hspace=0.55, wspace=0.05
     )
     for column, view in enumerate(cameras):
-        picture, outline = render(scene, view).clamp(0, 1), border(scene, row, view)
+        picture = render(scene, view).clamp(0, 1)
+        outline = border(scene, row, view)
         middle = outline.mean(0)
         for number, half in ((0, _SIZE / 2), (1, _PART / 2)):
             axis: Any = figure.add_subplot(rows[number, column])
@@ -138,12 +142,14 @@ def main() -> None:
     parser.add_argument("--distance", type=float, default=7.4)
     parser.add_argument("--azimuth", type=float, default=40.0)
     options = parser.parse_args()
-    scene, render = load_splat(options.splat), Renderer(RenderSettings(background=_SKY))
+    scene = load_splat(options.splat)
+    render = Renderer(RenderSettings(background=_SKY))
     where = (options.azimuth, tuple(options.target), options.distance)
     cameras = [camera(elevation, *where) for elevation in ELEVATIONS]
-    row = (
-        chosen(scene, cameras, render) if options.gaussian is None else options.gaussian
-    )
+    if options.gaussian is None:
+        row = chosen(scene, cameras, render)
+    else:
+        row = options.gaussian
     strip = colours(
         scene, row, [camera(float(elevation), *where) for elevation in range(91)]
     )

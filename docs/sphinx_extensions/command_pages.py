@@ -38,10 +38,8 @@ def write_pages(app: Sphinx) -> None:
         if old.stem not in map(file_name, COMMANDS):
             old.unlink()
     for name, summary in COMMANDS.items():
-        path, text = (
-            folder / f"{file_name(name)}.rst",
-            "\n".join(page(name, summary)) + "\n",
-        )
+        path = folder / f"{file_name(name)}.rst"
+        text = "\n".join(page(name, summary)) + "\n"
         if not path.is_file() or path.read_text() != text:
             path.write_text(text)
 
@@ -92,11 +90,10 @@ def entry(action: argparse.Action) -> Iterator[str]:
     flags = sorted(action.option_strings, key=len, reverse=True)
     flags = [flag for flag in flags if flag.startswith("--")] or flags
     value = "" if action.metavar is None else " " + str(action.metavar)
-    names = (
-        ", ".join(f"{flag}{value}" for flag in flags)
-        if flags
-        else f"{action.dest.upper()}"
-    )
+    if flags:
+        names = ", ".join(f"{flag}{value}" for flag in flags)
+    else:
+        names = f"{action.dest.upper()}"
     yield from (f".. option:: {names}", "")
     help_text = (
         str(action.help or "")

@@ -18,7 +18,10 @@ from sphinx.util.docutils import SphinxDirective
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
-WIDTH, HEIGHT, GAP, REACH = 430, 44, 14, 200
+WIDTH = 430
+HEIGHT = 44
+GAP = 14
+REACH = 200
 """Of a box, between two boxes, and of the widest arc, in pixels."""
 
 
@@ -73,7 +76,8 @@ def svg(
             f' font-size="10.5">{html.escape(shown)}</text></g>'
         )
     for low, high in arrows:
-        start, end = row[low] * step + HEIGHT * 0.3, row[high] * step + HEIGHT * 0.75
+        start = row[low] * step + HEIGHT * 0.3
+        end = row[high] * step + HEIGHT * 0.75
         bulge = WIDTH + min(REACH, 18 * (row[low] - row[high]) + 16)
         yield (
             f'<path d="M {WIDTH} {start:.0f} C {bulge} {start:.0f} {bulge} {end:.0f}'

@@ -51,7 +51,9 @@ def skip_exported(
         ),
         None,
     )
-    return None if owner in (None, app.env.current_document.autodoc_module) else True
+    if owner in (None, app.env.current_document.autodoc_module):
+        return None
+    return True
 
 
 @cache

@@ -148,7 +148,8 @@ def write_pages(app: Sphinx) -> None:
 
     docs = Path(app.srcdir)
     for name in PAGES:
-        path, text = docs / "tables" / f"{name}.md", page(name, docs / "artifacts")
+        path = docs / "tables" / f"{name}.md"
+        text = page(name, docs / "artifacts")
         _write(path, text)
     for figures in sorted((docs / "tables" / "detectors").glob("*.json")):
         _write(figures.with_suffix(".md"), table_page(figures))
@@ -187,7 +188,9 @@ def defences(rows: list[dict[str, Any]]) -> Table:
     from attacks.tables import Table
 
     def rate(values: Mapping[str, Any] | None) -> str:
-        return "-" if values is None else Rate.of(values).short(interval=True)
+        if values is None:
+            return "-"
+        return Rate.of(values).short(interval=True)
 
     lines = [
         (row, head, row["columns"][column])
@@ -230,11 +233,10 @@ def page(name: str, artifacts: Path) -> str:
     for folder in folders:
         result = read_result(artifacts / folder)
         record = result.record
-        seeds = (
-            record["seeds"]
-            if "seeds" in record
-            else next(iter(record["points"].values()))["seeds"]
-        )
+        if "seeds" in record:
+            seeds = record["seeds"]
+        else:
+            seeds = next(iter(record["points"].values()))["seeds"]
         parts.append(
             f"From the rows in `docs/artifacts/{folder}`, made by"
             f" `{record['command']}`, seeds {', '.join(map(str, seeds))}. Manifest:"

@@ -75,10 +75,8 @@ def page(name: str, tables: Path) -> str:
     )
     rows = rows.filter(study=name)
     attacks = rows.select("attack", "seed", "detector").unique().height
-    pairs, seeds = (
-        "; ".join(_values(rows, "pair")),
-        ", ".join(map(str, _values(rows, "seed"))),
-    )
+    pairs = "; ".join(_values(rows, "pair"))
+    seeds = ", ".join(map(str, _values(rows, "seed")))
     head = [
         f"# DAGGER {title}: tables",
         (
@@ -142,11 +140,9 @@ def _rates(rows: pl.DataFrame, confidence: float) -> Iterator[str]:
 
 def _rate_text(rate: Rate) -> str:
     low, high = rate.interval
-    return (
-        f"{rate.successes}/{rate.total} ({low:.2f} to {high:.2f})"
-        if rate.total
-        else "0/0"
-    )
+    if rate.total:
+        return f"{rate.successes}/{rate.total} ({low:.2f} to {high:.2f})"
+    return "0/0"
 
 
 def _visible(rows: pl.DataFrame) -> str:

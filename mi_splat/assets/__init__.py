@@ -47,7 +47,9 @@ def build(name: str, seed: int = 0, *, colour: Sequence[float] | None = None) ->
         raise InvalidValueError.of(
             "name", f"one of {sorted(known)}", repr(name), "choose one of these"
         )
-    return ASSETS[name](seed) if colour is None else ASSETS[name](seed, colour)
+    if colour is None:
+        return ASSETS[name](seed)
+    return ASSETS[name](seed, colour)
 
 
 __all__ = ["ASSETS", "PAINTED", "Asset", "Mesh", "build"]

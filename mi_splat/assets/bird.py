@@ -381,9 +381,10 @@ def _bird(rng: np.random.Generator) -> _Bird:
     kind = SPECIES[str(rng.choice(tuple(SPECIES)))]
     tilt = kind.tilt + float(rng.uniform(-8, 8))
     low = bool(rng.random() < 0.2)
-    head_at = (
-        (0.098, 0.022) if low else (0.084, 0.046 + float(rng.uniform(-0.004, 0.008)))
-    )
+    if low:
+        head_at = (0.098, 0.022)
+    else:
+        head_at = (0.084, 0.046 + float(rng.uniform(-0.004, 0.008)))
     turn = float(rng.choice((-1, 1)) * rng.uniform(0, 50))
     nod = 32.0 if low else float(rng.uniform(-6, 12))
     head = (
@@ -489,7 +490,8 @@ def _trunk(bird: _Bird, noise: Noise) -> Mesh:
 
 def _spread(bird: _Bird, noise: Noise) -> list[Mesh]:
     """Two open wings, from half to fully stretched."""
-    u, v = np.linspace(0, 1, 25)[None], np.linspace(0, 1, 9)[:, None]
+    u = np.linspace(0, 1, 25)[None]
+    v = np.linspace(0, 1, 9)[:, None]
     reach = 0.235
     chord = 0.100 * (1 - 0.25 * u) * np.clip(1 - u**3.2, 0.03, 1) ** 0.6
     chord = chord * (1 - 0.16 * np.mod(np.clip(u - 0.5, 0, 1) * 12, 1))
@@ -497,7 +499,8 @@ def _spread(bird: _Bird, noise: Noise) -> list[Mesh]:
     x = lead + chord * (v - 1) - 0.02 * u**3
     y = reach * u + 0 * v
     z = 0.016 * np.sin(np.pi * v) * (1 - u) + 0.020 * np.sin(np.pi * u)
-    sweep_back, lift = np.radians(bird.sweep), np.radians(bird.lift)
+    sweep_back = np.radians(bird.sweep)
+    lift = np.radians(bird.lift)
     x, y = (
         x * np.cos(sweep_back) - y * np.sin(sweep_back),
         y * np.cos(sweep_back) + x * np.sin(sweep_back),
@@ -532,14 +535,17 @@ def _spread(bird: _Bird, noise: Noise) -> list[Mesh]:
 def _tail(bird: _Bird) -> Mesh:
     """A fan of tail feathers."""
     kind = bird.kind
-    length, width = kind.tail[0], kind.tail[1] * bird.fan
-    u, v = np.linspace(-1, 1, 13)[None], np.linspace(0, 1, 9)[:, None]
+    length = kind.tail[0]
+    width = kind.tail[1] * bird.fan
+    u = np.linspace(-1, 1, 13)[None]
+    v = np.linspace(0, 1, 9)[:, None]
     out = 0.011 + (width - 0.011) * v**0.8
     along = length * v * (1 - 0.10 * u**2)
     drop = (0.075 + length) * np.sin(np.radians(bird.tilt)) - kind.leg - 0.040
     # the tip stays above the ground
     bend = np.arcsin(np.clip(drop / length, -0.06, 0.7))
-    x, z = -0.080 - along * np.cos(bend), 0.008 + along * np.sin(bend) - 0.006 * u**2
+    x = -0.080 - along * np.cos(bend)
+    z = 0.008 + along * np.sin(bend) - 0.006 * u**2
     grid = np.stack([x, u * out, z], -1)[::-1]
     vv, uu = np.mgrid[1:0:64j, -1:1:64j].astype(np.float32)
     tail = np.asarray(

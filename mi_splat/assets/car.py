@@ -265,7 +265,8 @@ PAINTS = (
 
 def _wheel(s: Proportions, rng: np.random.Generator) -> list[Mesh]:
     """One wheel around the origin, its outside towards +y."""
-    r, w = s.wheel, 0.105
+    r = s.wheel
+    w = 0.105
     tread = [
         [r * 0.66, -w],
         [r * 0.93, -w],
@@ -319,8 +320,10 @@ def plate(rng: np.random.Generator) -> Floats:
 
 
 def _front(s: Proportions, rng: np.random.Generator) -> list[Mesh]:
-    x, w = s.length / 2, s.half
-    lamp_z, lamp_y = s.nose * rng.uniform(0.86, 0.9), w * 0.6
+    x = s.length / 2
+    w = s.half
+    lamp_z = s.nose * rng.uniform(0.86, 0.9)
+    lamp_y = w * 0.6
     lamp = (rng.uniform(0.2, 0.4), rng.uniform(0.34, 0.46), rng.uniform(0.11, 0.19))
     parts = []
     for side in (1, -1):
@@ -371,16 +374,15 @@ def _bulge(
 
 
 def _rear(s: Proportions, rng: np.random.Generator, kind: str) -> list[Mesh]:
-    x, w = -s.length / 2, s.half
+    x = -s.length / 2
+    w = s.half
     parts = []
     tall = kind != "saloon" and rng.random() < 0.6
     for side in (1, -1):
         size = (0.16, 0.2, 0.42) if tall else (0.2, 0.42, 0.17)
         z = s.tail * (0.8 if tall else 0.84)
-        lamp, signal = (
-            (x + 0.07, side * w * (0.83 if tall else 0.68), z),
-            (x + 0.01, side * w * 0.7, z - size[2] * 0.45),
-        )
+        lamp = (x + 0.07, side * w * (0.83 if tall else 0.68), z)
+        signal = (x + 0.01, side * w * 0.7, z - size[2] * 0.45)
         parts.append(ellipsoid(size, (0.7, 0.02, 0.03), centre=lamp, roughness=0.08))
         parts.append(
             ellipsoid(
@@ -418,10 +420,8 @@ def _trim(s: Proportions, paint: ArrayLike) -> list[Mesh]:
             ]
             parts.append(sweep(path, np.full(9, 0.009), line, segments=4, up=(1, 0, 0)))
         for x in (doors[0] + 0.18, doors[1] + 0.18):
-            y, z = (
-                side * (half_width_at(s, x, 0.78) + 0.012),
-                s.clearance + 0.78 * (s.belt - s.clearance),
-            )
+            y = side * (half_width_at(s, x, 0.78) + 0.012)
+            z = s.clearance + 0.78 * (s.belt - s.clearance)
             parts.append(
                 box((0.2, 0.035, 0.03), CHROME, centre=(x, y, z), roughness=0.2)
             )
@@ -449,7 +449,8 @@ def _trim(s: Proportions, paint: ArrayLike) -> list[Mesh]:
             for x in front
         ]
         parts.append(sweep(path, np.full(8, 0.009), line, segments=4))
-    x, z = s.base[1] + 0.03, s.belt + 0.03
+    x = s.base[1] + 0.03
+    z = s.belt + 0.03
     wiper = sweep(
         [[x + 0.09, -0.3, z], [x + 0.08, 0.3, z]], [0.012, 0.012], BLACK, segments=5
     )
@@ -470,9 +471,10 @@ def build(seed: int = 0, colour: Sequence[float] | None = None) -> Asset:
     drawn = np.array(PAINTS[rng.integers(len(PAINTS))]) * rng.uniform(
         0.85, 1.1
     ) + rng.uniform(-0.03, 0.03, 3)
-    paint = (
-        np.clip(drawn, 0.02, 0.95) if colour is None else np.asarray(colour, np.float64)
-    )
+    if colour is None:
+        paint = np.clip(drawn, 0.02, 0.95)
+    else:
+        paint = np.asarray(colour, np.float64)
     roof = (
         paint
         if rng.random() < 0.85
@@ -496,10 +498,8 @@ def build(seed: int = 0, colour: Sequence[float] | None = None) -> Asset:
             )
             parts += [transform(part, pose) for part in wheel]
     if kind in ("estate", "offroad"):
-        x, rise = (
-            np.linspace(s.top[0] + 0.1, s.top[1] - 0.1, 6),
-            np.array([-0.03, 0.04, 0.04, 0.04, 0.04, -0.03]),
-        )
+        x = np.linspace(s.top[0] + 0.1, s.top[1] - 0.1, 6)
+        rise = np.array([-0.03, 0.04, 0.04, 0.04, 0.04, -0.03])
         for side in (1, -1):
             rail = np.stack(
                 [x, np.full(6, side * s.half * 0.56), s.roof - 0.01 + rise], 1

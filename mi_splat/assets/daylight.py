@@ -29,15 +29,18 @@ def sky_map(light: Light) -> Floats:
     """(h, w, 3) linear latitude-longitude picture of the sky, zenith first, ground
     below the horizon.
     """
-    height, width = 96, 192
+    height = 96
+    width = 192
     elevation = np.linspace(90, -90, height, dtype=np.float64)[:, None, None]
     blend = np.exp(-np.maximum(elevation, 0) / 22)
     sky = np.array(light.zenith) * (1 - blend) + np.array(light.horizon) * blend * 1.15
     rng = np.random.default_rng([light.seed, 0xC10D])
     noise = np.zeros((height, width))
     for octave in range(5):
-        rows, columns = 3 << octave, 6 << octave
-        y, x = np.linspace(0, rows - 1, height), np.arange(width) * columns / width
+        rows = 3 << octave
+        columns = 6 << octave
+        y = np.linspace(0, rows - 1, height)
+        x = np.arange(width) * columns / width
         noise += between(rng.random((rows, columns)), y, x) / 1.7**octave
     noise = (noise - noise.min()) / max(float(np.ptp(noise)), 1e-9)
     cover = np.clip((noise - (1 - light.clouds)) * 4, 0, 1)[..., None] * np.clip(

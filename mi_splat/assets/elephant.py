@@ -125,7 +125,8 @@ def _posed(pose: Floats, points: Doubles) -> Doubles:
 
 def _legs(appearance: _Appearance) -> tuple[list[Blob], Doubles]:
     """Four legs, and where their feet are (4, 3)."""
-    blobs, feet = list[Blob](), []
+    blobs = list[Blob]()
+    feet = []
     for number, (x, side) in enumerate(
         ((0.80, 1), (0.80, -1), (-0.92, 1), (-0.92, -1))
     ):
@@ -176,7 +177,8 @@ def _blobs(
     """All of the grey body, with the feet and the trunk's centre line (in the frame of
     the body).
     """
-    b, turn = appearance.bulk, pose[:3, :3].T
+    b = appearance.bulk
+    turn = pose[:3, :3].T
     legs, feet = _legs(appearance)
     blobs = [
         ellipsoid((-0.05, 0, 2.02), (1.32, 0.70 * b, 0.76 * b)),
@@ -271,7 +273,8 @@ def _body(appearance: _Appearance, noise: Noise, pose: Floats) -> Mesh:
 def _hide(appearance: _Appearance, points: Floats, noise: Noise) -> Floats:
     """Grey, wrinkled, dusty skin (N, 3)."""
     z = points[:, 2]
-    broad, middle = noise(points, 0.55), noise(points, (0.16, 0.16, 0.07))
+    broad = noise(points, 0.55)
+    middle = noise(points, (0.16, 0.16, 0.07))
     colours = (appearance.skin * (1 + 0.11 * broad + 0.10 * middle)[:, None]).astype(
         np.float32
     )
@@ -287,7 +290,8 @@ def _hide(appearance: _Appearance, points: Floats, noise: Noise) -> Floats:
 
 def _ears(appearance: _Appearance, noise: Noise) -> list[Mesh]:
     """Two large thin ears in the frame of the head."""
-    t, u = np.linspace(0, 1, 15)[:, None], np.linspace(0, 1, 13)[None]
+    t = np.linspace(0, 1, 15)[:, None]
+    u = np.linspace(0, 1, 13)[None]
     width = (
         1.12
         * appearance.big_ears
@@ -369,7 +373,8 @@ def _tusks(appearance: _Appearance) -> list[Mesh]:
 
 def _eyes() -> list[Mesh]:
     """Two dark, shiny eyes in the frame of the head."""
-    colour, size = (0.06, 0.04, 0.03), (0.06, 0.05, 0.05)
+    colour = (0.06, 0.04, 0.03)
+    size = (0.06, 0.05, 0.05)
     return [
         ball(
             size, colour, centre=(0.350, side * 0.332, 0.10), segments=10, roughness=0.1

@@ -18,19 +18,22 @@ def build(seed: int = 0, colour: Sequence[float] | None = None) -> Asset:
     or of an sRGB colour.
     """
     rng = np.random.default_rng([seed, 0xF12E])
-    height, radius = 0.75 * rng.uniform(0.93, 1.08), 0.105 * rng.uniform(0.94, 1.08)
+    height = 0.75 * rng.uniform(0.93, 1.08)
+    radius = 0.105 * rng.uniform(0.94, 1.08)
     drawn = np.clip(
         np.array(PAINTS[rng.integers(len(PAINTS))]) + rng.uniform(-0.04, 0.04, 3),
         0.02,
         0.95,
     )
     paint = drawn if colour is None else np.asarray(colour, np.float64)
-    caps = (
-        paint
-        if rng.random() < 0.5
-        else np.array([(0.8, 0.8, 0.8), (0.15, 0.25, 0.55), (0.9, 0.75, 0.1)][seed % 3])
-    )
-    shoulder, flange = 0.72 * height, 1.55 * radius
+    if rng.random() < 0.5:
+        caps = paint
+    else:
+        caps = np.array(
+            [(0.8, 0.8, 0.8), (0.15, 0.25, 0.55), (0.9, 0.75, 0.1)][seed % 3]
+        )
+    shoulder = 0.72 * height
+    flange = 1.55 * radius
     parts = [
         lathe(
             [[flange, 0], [flange, 0.035], [radius, 0.05], [radius, shoulder]],

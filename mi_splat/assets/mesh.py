@@ -41,11 +41,9 @@ class Mesh:
             )
             object.__setattr__(self, name, array)
             shapes.append(array.shape)
-        count, faces, texture = (
-            len(self.vertices),
-            len(self.faces),
-            self.texture.shape[:2],
-        )
+        count = len(self.vertices)
+        faces = len(self.faces)
+        texture = self.texture.shape[:2]
         if shapes != [(count, 3), (faces, 3), (count, 2), (*texture, 3)]:
             raise InvalidValueError.of(
                 "mesh", "(V, 3), (F, 3), (V, 2), (h, w, 3)", shapes, "check the arrays"

@@ -58,12 +58,17 @@ def cone(
     scale = axis / max(float(axis @ axis), 1e-12)
     reach = max(radii) * (1 + amount)
     w, o, d, s = (v.astype(np.float32) for v in (wide, a, axis, scale))
-    first, growth = np.float32(radii[0]), np.float32(radii[1] - radii[0])
+    first = np.float32(radii[0])
+    growth = np.float32(radii[1] - radii[0])
 
     def distance(x: Floats, y: Floats, z: Floats) -> Floats:
-        px, py, pz = x - o[0], y - o[1], z - o[2]
+        px = x - o[0]
+        py = y - o[1]
+        pz = z - o[2]
         t = np.clip(px * s[0] + py * s[1] + pz * s[2], 0, 1)
-        qx, qy, qz = px - t * d[0], py - t * d[1], pz - t * d[2]
+        qx = px - t * d[0]
+        qy = py - t * d[1]
+        qz = pz - t * d[2]
         square = qx * qx + qy * qy + qz * qz
         if amount:
             along = qx * w[0] + qy * w[1] + qz * w[2]
@@ -84,7 +89,8 @@ def ellipsoid(
 
     Its distance is the first-order bound near (near - 1) / |gradient| (Quilez 2008).
     """
-    o, size = np.asarray(centre, np.float64), np.asarray(radii, np.float64)
+    o = np.asarray(centre, np.float64)
+    size = np.asarray(radii, np.float64)
     frame = np.eye(3) if axes is None else np.asarray(axes, np.float64)
     m = (frame / size[:, None]).astype(np.float32)
     c = o.astype(np.float32)
@@ -92,7 +98,9 @@ def ellipsoid(
     reach = np.sqrt(((frame * size[:, None]) ** 2).sum(0))
 
     def distance(x: Floats, y: Floats, z: Floats) -> Floats:
-        px, py, pz = x - c[0], y - c[1], z - c[2]
+        px = x - c[0]
+        py = y - c[1]
+        pz = z - c[2]
         u, v, w = (row[0] * px + row[1] * py + row[2] * pz for row in m)
         near = np.sqrt(u * u + v * v + w * w)
         slope = np.sqrt(
@@ -138,7 +146,8 @@ def _grid_distance(layer: Layer, axes: Sequence[Floats], margin: float) -> Float
     """(X, Y, Z) distance to a layer; exact only within `margin` of its surface."""
     field = np.full([len(axis) for axis in axes], FAR, np.float32)
     for blob in layer.blobs:
-        low, high = blob.bounds[0] - margin, blob.bounds[1] + margin
+        low = blob.bounds[0] - margin
+        high = blob.bounds[1] + margin
         span = [
             slice(int(np.searchsorted(a, lo)), int(np.searchsorted(a, hi)))
             for a, lo, hi in zip(axes, low, high, strict=True)
@@ -159,10 +168,8 @@ def point_distance(layer: Layer, points: Floats, margin: float) -> Floats:
     """
     field = np.full(len(points), FAR, np.float32)
     for blob in layer.blobs:
-        low, high = (
-            (blob.bounds[0] - margin).astype(np.float32),
-            (blob.bounds[1] + margin).astype(np.float32),
-        )
+        low = (blob.bounds[0] - margin).astype(np.float32)
+        high = (blob.bounds[1] + margin).astype(np.float32)
         inside = np.flatnonzero(np.logical_and(points > low, points < high).all(1))
         x, y, z = points[inside].T
         field[inside] = _melt(field[inside], blob.distance(x, y, z), layer.blend)
@@ -175,10 +182,8 @@ def surface(layers: Sequence[Layer], cell: float) -> tuple[Floats, NDArray[np.in
     """
     margin = 2.5 * cell + max(layer.blend for layer in layers)
     bounds = np.stack([blob.bounds for layer in layers for blob in layer.blobs])
-    low, high = (
-        bounds[:, 0].min(0) - 2 * cell - margin / 2,
-        bounds[:, 1].max(0) + 2 * cell + margin / 2,
-    )
+    low = bounds[:, 0].min(0) - 2 * cell - margin / 2
+    high = bounds[:, 1].max(0) + 2 * cell + margin / 2
     axes = [
         np.arange(a, b + cell, cell).astype(np.float32)
         for a, b in zip(low, high, strict=True)
@@ -205,7 +210,8 @@ def _surface_nets(
     )
     cells = np.argwhere((np.asarray(count) > 0) & (np.asarray(count) < 8))
     value = np.stack([field[tuple((cells + c).T)] for c in corners], 1)
-    total, crossings = np.zeros((len(cells), 3)), np.zeros(len(cells))
+    total = np.zeros((len(cells), 3))
+    crossings = np.zeros(len(cells))
     for a in range(8):
         for b in range(a + 1, 8):
             if np.abs(corners[a] - corners[b]).sum() != 1:
@@ -319,10 +325,12 @@ def blade(
     """
     grid = np.asarray(points, np.float64)
     n, m = grid.shape[:2]
-    across, along = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
+    across = np.gradient(grid, axis=1)
+    along = np.gradient(grid, axis=0)
     normal = np.cross(across, along)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-    v, u = np.linspace(-1, 1, n)[:, None], np.linspace(-1, 1, m)[None]
+    v = np.linspace(-1, 1, n)[:, None]
+    u = np.linspace(-1, 1, m)[None]
     bulge = np.sqrt(np.maximum((1 - u**2) * (1 - v**2), 0))[..., None]
     offset = normal * bulge * thickness / 2
     front = sheet(grid + offset, texture, roughness=roughness)
@@ -403,7 +411,8 @@ def grounded(meshes: Sequence[Mesh]) -> tuple[Mesh, ...]:
     and y.
     """
     points = np.concatenate([mesh.vertices for mesh in meshes])
-    low, high = points.min(0), points.max(0)
+    low = points.min(0)
+    high = points.max(0)
     shift = np.array(
         [-(low[0] + high[0]) / 2, -(low[1] + high[1]) / 2, -low[2]], np.float32
     )

@@ -66,7 +66,8 @@ class Limb:
 
 def _torso(appearance: Appearance) -> list[Blob]:
     """Chest, shoulders and belly, in clothes."""
-    g, wide = appearance.girth, 0.105 if appearance.feminine else 0.130
+    g = appearance.girth
+    wide = 0.105 if appearance.feminine else 0.130
     blobs = [
         cone(
             (0.0, 0, 1.17), (0.0, 0, 1.345), (0.100 * g, 0.108 * g), flat=(0, 0.38, 0)
@@ -107,7 +108,9 @@ def _torso(appearance: Appearance) -> list[Blob]:
 def _layers(appearance: Appearance, arms: list[Limb], legs: list[Limb]) -> list[Layer]:
     """Skin, top, bottom, shoes and what is carried."""
     skin: list[Blob] = [cone((-0.015, 0, 1.45), (-0.005, 0, 1.56), (0.055, 0.05))]
-    top, bottom, shoes = _torso(appearance), list[Blob](), list[Blob]()
+    top = _torso(appearance)
+    bottom = list[Blob]()
+    shoes = list[Blob]()
     thick = appearance.girth * (0.93 if appearance.feminine else 1.0)
     for arm in arms:
         shoulder, elbow, wrist = arm.joints
@@ -145,10 +148,8 @@ def _layers(appearance: Appearance, arms: list[Limb], legs: list[Limb]) -> list[
             )
         elif appearance.legs == "short":
             bottom.append(cone(hip, hip + 0.92 * (knee - hip), (0.095 * thick, 0.078)))
-        heel, ball = (
-            ankle - 0.025 * leg.end - (0, 0, 0.035),
-            ankle + 0.115 * leg.end - (0, 0, 0.045),
-        )
+        heel = ankle - 0.025 * leg.end - (0, 0, 0.035)
+        ball = ankle + 0.115 * leg.end - (0, 0, 0.045)
         shoes += chain(
             [heel, ball, ball + 0.06 * leg.end],
             [0.042, 0.041, 0.034],
@@ -244,7 +245,8 @@ def _paint_top(appearance: Appearance, points: Floats, noise: Noise) -> Floats:
 
 def _paint_bottom(appearance: Appearance, points: Floats, noise: Noise) -> Floats:
     """Trousers with belt, pockets, seams and worn knees."""
-    y, z = points[:, 1], points[:, 2]
+    y = points[:, 1]
+    z = points[:, 2]
     colours = np.broadcast_to(appearance.trousers, points.shape).astype(np.float32)
     colours = mix(colours, appearance.trousers * 1.35 + 0.03, 0.5 * noise(points, 0.09))
     colours = mix(colours, appearance.trousers * 0.6, (np.abs(y) < 0.007) & (z > 0.8))
@@ -387,7 +389,8 @@ def build(seed: int) -> Asset:
     appearance = _appearance(rng)
     noise = Noise(rng)
     pose = str(rng.choice(POSES))
-    arms, legs = _arms(pose, appearance, rng), _legs(pose, appearance, rng)
+    arms = _arms(pose, appearance, rng)
+    legs = _legs(pose, appearance, rng)
     meshes = [clothed(appearance, arms, legs, noise)]
     turn = rotation("z", rng.uniform(-35, 35)) @ rotation("y", rng.uniform(-6, 14))
     meshes.append(
@@ -420,11 +423,10 @@ def _pick(
 
 def _appearance(rng: np.random.Generator) -> Appearance:
     feminine = bool(rng.random() < 0.45)
-    styles = (
-        ("long", "long", "bun", "tail", "short", "curly")
-        if feminine
-        else ("short", "short", "crop", "bald", "curly")
-    )
+    if feminine:
+        styles = ("long", "long", "bun", "tail", "short", "curly")
+    else:
+        styles = ("short", "short", "crop", "bald", "curly")
     cloth = rng.permutation(len(CLOTH))
     return Appearance(
         feminine=feminine,
@@ -467,24 +469,20 @@ def _arms(pose: str, appearance: Appearance, rng: np.random.Generator) -> list[L
         swing = {"walk": 24.0, "stride": 36.0}.get(
             pose, 0.0
         ) * gait * side + rng.uniform(-6, 8)
-        upper, lower = (
-            _swing(swing, rng.uniform(7, 13), side),
-            _swing(swing + rng.uniform(10, 28), 3, side),
-        )
+        upper = _swing(swing, rng.uniform(7, 13), side)
+        lower = _swing(swing + rng.uniform(10, 28), 3, side)
         if pose == "open":
-            upper, lower = (
-                _swing(10, rng.uniform(25, 50), side),
-                _swing(25, rng.uniform(20, 45), side),
-            )
+            upper = _swing(10, rng.uniform(25, 50), side)
+            lower = _swing(25, rng.uniform(20, 45), side)
         elif pose == "hips":
-            upper, lower = _swing(-22, 46, side), _swing(28, -48, side)
+            upper = _swing(-22, 46, side)
+            lower = _swing(28, -48, side)
         elif pose == "wave" and side == active:
-            upper, lower = (
-                _swing(20, rng.uniform(95, 125), side),
-                _swing(15, rng.uniform(155, 180), side),
-            )
+            upper = _swing(20, rng.uniform(95, 125), side)
+            lower = _swing(15, rng.uniform(155, 180), side)
         elif pose == "phone" and side == active:
-            upper, lower = _swing(42, 16, side), _swing(150, -6, side)
+            upper = _swing(42, 16, side)
+            lower = _swing(150, -6, side)
         shoulder = np.array(
             [-0.01, side * (0.160 if appearance.feminine else 0.184), 1.415]
         )
@@ -679,11 +677,12 @@ def head(appearance: Appearance, noise: Noise) -> Mesh:
         ).astype(np.float32)
 
     def relief(points: Floats) -> Floats:
-        hairy = (
-            np.clip((np.hypot(points[:, 0] + 0.03, points[:, 1]) - 0.08) / 0.02, 0, 1)
-            if appearance.style == "curly"
-            else 0
-        )
+        if appearance.style == "curly":
+            hairy = np.clip(
+                (np.hypot(points[:, 0] + 0.03, points[:, 1]) - 0.08) / 0.02, 0, 1
+            )
+        else:
+            hairy = 0
         return (0.008 * noise(points, 0.018) * hairy).astype(np.float32) * (
             points[:, 0] < 0.06
         )

@@ -86,7 +86,10 @@ def sheet(
     grid = np.asarray(points, np.float64)
     n, m = grid.shape[:2]
     index = np.arange(n * m).reshape(n, m)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    a = index[:-1, :-1]
+    b = index[:-1, 1:]
+    c = index[1:, 1:]
+    d = index[1:, :-1]
     faces = np.concatenate(
         [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
     )
@@ -168,11 +171,10 @@ def sweep(
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     hint = np.asarray(up, np.float64)
     if np.abs(tangent @ hint).max() > 0.99 * np.linalg.norm(hint):
-        hint = (
-            np.array([1.0, 0.0, 0.0])
-            if abs(tangent[0, 0]) < 0.9
-            else np.array([0.0, 1.0, 0.0])
-        )
+        if abs(tangent[0, 0]) < 0.9:
+            hint = np.array([1.0, 0.0, 0.0])
+        else:
+            hint = np.array([0.0, 1.0, 0.0])
     first = np.cross(hint, tangent)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(tangent, first)
@@ -216,10 +218,12 @@ def extrude(
     if np.dot(x, np.roll(y, -1)) < np.dot(y, np.roll(x, -1)):
         outline = outline[::-1]
     count = len(outline)
-    low, span = outline.min(0), np.maximum(np.ptp(outline, axis=0), 1e-9)
+    low = outline.min(0)
+    span = np.maximum(np.ptp(outline, axis=0), 1e-9)
     uvs = (outline - low) / span
     levels = [at_height(outline, z) for z in (0.0, depth)]
-    i, j = np.arange(count), (np.arange(count) + 1) % count
+    i = np.arange(count)
+    j = (np.arange(count) + 1) % count
     sides = np.concatenate(
         [np.stack([i, j, j + count], 1), np.stack([i, j + count, i + count], 1)]
     )
@@ -317,7 +321,8 @@ def rounded_rectangle(
     """(4 * corner, 2) counter-clockwise outline centred at 0, from the right side's
     lower corner on.
     """
-    x, y = length / 2 - radius, width / 2 - radius
+    x = length / 2 - radius
+    y = width / 2 - radius
     centres = ((x, -y, -90), (x, y, 0), (-x, y, 90), (-x, -y, 180))
     return np.array(
         [
@@ -373,16 +378,15 @@ def triangulate(polygon: ArrayLike) -> NDArray[np.int64]:
     triangles = []
 
     def cross(o: int, a: int, b: int) -> float:
-        u, v = points[a] - points[o], points[b] - points[o]
+        u = points[a] - points[o]
+        v = points[b] - points[o]
         return float(u[0] * v[1] - u[1] * v[0])
 
     while len(left) > 3:
         for position in range(len(left)):
-            a, b, c = (
-                left[position - 1],
-                left[position],
-                left[(position + 1) % len(left)],
-            )
+            a = left[position - 1]
+            b = left[position]
+            c = left[(position + 1) % len(left)]
             if cross(a, b, c) <= 0:
                 continue
             others = [p for p in left if p not in (a, b, c)]

@@ -163,21 +163,25 @@ def build(seed: int = 0, *, clearance: float = 6.0, centre: float = 0.0) -> Asse
     """
     rng = np.random.default_rng([seed, 0x57])
     lane = rng.uniform(3.2, 3.8)
-    right, left = -lane / 2, 1.5 * lane
+    right = -lane / 2
+    left = 1.5 * lane
     colour = np.array((0.62, 0.6, 0.57)) * rng.uniform(0.8, 1.15)
     paving = textures.tiles(
         192, seed, colour=colour, rows=6, columns=4, joint=0.03, spread=0.06
     )
-    lawn, asphalt = textures.grass(256, seed), textures.road(256, seed, markings=False)
+    lawn = textures.grass(256, seed)
+    asphalt = textures.road(256, seed, markings=False)
     parts = [
         ground(6 * REACH, lawn, tile=4.0, height=-0.03),
         strip((right, left), 0.0, asphalt, tile=3.0),
     ]
     parts += _markings(rng, right, left)
-    walk, verge = rng.uniform(1.6, 2.4), rng.uniform(1.0, 2.5)
+    walk = rng.uniform(1.6, 2.4)
+    verge = rng.uniform(1.0, 2.5)
     for edge, out in ((right, -1.0), (left, 1.0)):
         parts += _kerb(edge, out, colour)
-        inner, outer = edge + out * 0.16, edge + out * walk
+        inner = edge + out * 0.16
+        outer = edge + out * walk
         parts.append(
             strip((min(inner, outer), max(inner, outer)), 0.115, paving, tile=1.8)
         )
@@ -210,7 +214,8 @@ ROOFS = ((0.5, 0.2, 0.14), (0.28, 0.27, 0.29), (0.42, 0.27, 0.2), (0.35, 0.37, 0
 def facade(rng: np.random.Generator, *, floors: int, bays: int) -> Floats:
     """The front of a house: wall, windows with frames and bars, a door, a plinth."""
     per = 56
-    height, width = floors * per, bays * per
+    height = floors * per
+    width = bays * per
     wall = np.array(WALLS[rng.integers(len(WALLS))]) * rng.uniform(0.85, 1.1)
     if rng.random() < 0.45:
         bricks = textures.tiles(
@@ -232,7 +237,8 @@ def facade(rng: np.random.Generator, *, floors: int, bays: int) -> Floats:
     colour = rng.uniform(0.08, 0.5, 3)
     for floor in range(floors):
         for bay in range(bays):
-            x0, y0 = bay * per, (floors - 1 - floor) * per
+            x0 = bay * per
+            y0 = (floors - 1 - floor) * per
             if floor == 0 and bay == door_at:
                 picture[y0 + 8 : y0 + per, x0 + 16 : x0 + 42] = frame
                 picture[y0 + 11 : y0 + per, x0 + 19 : x0 + 39] = colour
@@ -261,8 +267,10 @@ def house(rng: np.random.Generator, *, width: float) -> list[Mesh]:
     """A house whose front lies in the plane y = 0 and looks along -y, from x = -width /
     2 to width / 2.
     """
-    floors, bays = int(rng.integers(2, 4)), max(2, round(width / 2.6))
-    tall, deep = floors * 2.8, 7.0
+    floors = int(rng.integers(2, 4))
+    bays = max(2, round(width / 2.6))
+    tall = floors * 2.8
+    deep = 7.0
     front = facade(rng, floors=floors, bays=bays)
     plain = textures.speckle((32, 32), front[3, 3], rng, grain=0.02, patch=0.1)
     w = width / 2
@@ -294,7 +302,8 @@ def house(rng: np.random.Generator, *, width: float) -> list[Mesh]:
             )
         )
     elif style == 1:
-        rise, over = rng.uniform(1.6, 2.8), 0.35
+        rise = rng.uniform(1.6, 2.8)
+        over = 0.35
         for y in (-over, deep + over):
             edges = ((y, tall - 0.1), (deep / 2, tall + rise))
             grid = [[[x, *edge] for x in (-w - 0.2, w + 0.2)] for edge in edges]

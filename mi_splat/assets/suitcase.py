@@ -68,11 +68,10 @@ def _shell(s: _Size, colour: Point) -> Mesh:
     edge = min(s.depth, s.width) * 0.22
     for angle in np.linspace(-90, 90, 13):
         inset = edge * (1 - np.cos(np.radians(angle)))
-        z = (
-            edge * (1 + np.sin(np.radians(angle)))
-            if angle < 0
-            else s.height - edge * (1 - np.sin(np.radians(angle)))
-        )
+        if angle < 0:
+            z = edge * (1 + np.sin(np.radians(angle)))
+        else:
+            z = s.height - edge * (1 - np.sin(np.radians(angle)))
         outline = rounded_rectangle(
             s.depth - 2 * inset,
             s.width - 2 * inset,
@@ -182,7 +181,8 @@ def _handles(s: _Size, rng: np.random.Generator) -> list[Mesh]:
         sweep(beside, np.full(4, 0.011), BLACK, segments=8),
     ]
     reach = rng.uniform(0.2, 0.42) if rng.random() < 0.65 else 0.03
-    back, end = -s.depth / 2 + 0.035, s.top + reach
+    back = -s.depth / 2 + 0.035
+    end = s.top + reach
     for y in (0.1, -0.1):
         parts.append(
             sweep(
@@ -205,11 +205,9 @@ def _handles(s: _Size, rng: np.random.Generator) -> list[Mesh]:
 
 
 def _trolley(rng: np.random.Generator) -> list[Mesh]:
-    height, width, depth = (
-        rng.uniform(0.56, 0.7),
-        rng.uniform(0.4, 0.48),
-        rng.uniform(0.23, 0.29),
-    )
+    height = rng.uniform(0.56, 0.7)
+    width = rng.uniform(0.4, 0.48)
+    depth = rng.uniform(0.23, 0.29)
     s = _Size(depth=depth, width=width, height=height, low=0.065)
     colour = np.clip(
         np.array(SHELLS[rng.integers(len(SHELLS))]) * rng.uniform(0.85, 1.12),
@@ -279,11 +277,9 @@ def _straps(s: _Size, dark: Point) -> list[Mesh]:
 
 
 def _leather(rng: np.random.Generator) -> list[Mesh]:
-    height, width, depth = (
-        rng.uniform(0.4, 0.48),
-        rng.uniform(0.6, 0.74),
-        rng.uniform(0.18, 0.24),
-    )
+    height = rng.uniform(0.4, 0.48)
+    width = rng.uniform(0.6, 0.74)
+    depth = rng.uniform(0.18, 0.24)
     s = _Size(depth=depth, width=width, height=height, low=0.012)
     tone = np.array(LEATHERS[rng.integers(len(LEATHERS))])
     dark = tone * 0.45

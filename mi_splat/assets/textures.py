@@ -27,7 +27,8 @@ def fractal_noise(
         count = cells << octave
         if count > min(size):
             break
-        y, x = np.arange(height) * count / height, np.arange(width) * count / width
+        y = np.arange(height) * count / height
+        x = np.arange(width) * count / width
         total += between(rng.random((count, count)), y, x) / 2**octave
     span = float(np.ptp(total))
     return np.asarray((total - total.min()) / (span if span > 0 else 1.0), np.float64)
@@ -37,9 +38,12 @@ def between(cells: Field, y: Field, x: Field) -> Field:
     """Smooth values between the cells of a grid at fractional rows and columns; the
     grid repeats.
     """
-    i, j = y.astype(int), x.astype(int)
-    fy, fx = (y - i)[:, None], (x - j)[None]
-    fy, fx = fy * fy * (3 - 2 * fy), fx * fx * (3 - 2 * fx)
+    i = y.astype(int)
+    j = x.astype(int)
+    fy = (y - i)[:, None]
+    fx = (x - j)[None]
+    fy = fy * fy * (3 - 2 * fy)
+    fx = fx * fx * (3 - 2 * fx)
     rows = (cells[i], cells[(i + 1) % len(cells)])
     top, bottom = (
         row[:, j] * (1 - fx) + row[:, (j + 1) % cells.shape[1]] * fx for row in rows
@@ -81,7 +85,8 @@ def line_distance(x: Field, y: Field, line: Points) -> Field:
     """(h, w) distance to a polyline of (P, 2) points."""
     best = np.full(x.shape, np.inf)
     for (ax, ay), (bx, by) in itertools.pairwise(line):
-        dx, dy = bx - ax, by - ay
+        dx = bx - ax
+        dy = by - ay
         t = np.clip(
             ((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-12), 0, 1
         )
@@ -177,7 +182,8 @@ def grass(size: int = 256, seed: int = 0) -> Floats:
     picture = np.clip(base * value[..., None], 0, 1).astype(np.float32)
     blades = size * size // 10
     rows, columns = rng.integers(0, size, (2, blades))
-    length, lean = rng.integers(2, 7, blades), rng.uniform(-0.8, 0.8, blades)
+    length = rng.integers(2, 7, blades)
+    lean = rng.uniform(-0.8, 0.8, blades)
     tint = base * rng.uniform(0.55, 1.6, (blades, 1)) + rng.uniform(
         -0.05, 0.05, (blades, 3)
     )
@@ -264,7 +270,8 @@ def clock(size: int = 256, seed: int = 0) -> Floats:
                 box=(cx - half, cy - 0.04, cx + half, cy + 0.04),
                 weight=0.26,
             )
-    hour, minutes = rng.uniform(0, 12), rng.uniform(0, 60)
+    hour = rng.uniform(0, 12)
+    minutes = rng.uniform(0, 60)
     for turn, reach, width in ((hour / 12, 0.21, 0.014), (minutes / 60, 0.32, 0.009)):
         direction = np.array([np.sin(2 * np.pi * turn), np.cos(2 * np.pi * turn)])
         line = np.stack([0.5 - direction * 0.05, 0.5 + direction * reach])
@@ -280,7 +287,8 @@ def football(size: int = 256, seed: int = 0) -> Floats:
     rng = np.random.default_rng([seed, 6])
     picture = grass(size, seed)
     x, y = grid((size, size))
-    x, y = (x - 0.5) / 0.46, (y - 0.5) / 0.46
+    x = (x - 0.5) / 0.46
+    y = (y - 0.5) / 0.46
     radius = np.hypot(x, y)
     normal = np.stack([x, y, np.sqrt(np.clip(1 - radius**2, 0, 1))], -1)
     spin, _ = np.linalg.qr(rng.normal(size=(3, 3)))
@@ -299,7 +307,8 @@ def football(size: int = 256, seed: int = 0) -> Floats:
     # hexagons.
     heights = (normal @ spin) @ np.concatenate([twelve / 0.9393, twenty / 0.9150]).T
     order = np.argsort(heights, axis=-1)
-    first, second = order[..., -1], order[..., -2]
+    first = order[..., -1]
+    second = order[..., -2]
     margin = np.take_along_axis(heights, first[..., None], -1) - np.take_along_axis(
         heights, second[..., None], -1
     )
@@ -332,7 +341,8 @@ def square_of_ground(
         [[x - half, y + half, z], [x + half, y + half, z]],
     ]
     if kind == "asphalt":
-        texture, repeat = road(round(256 * repeat), 0, markings=False), 1.0
+        texture = road(round(256 * repeat), 0, markings=False)
+        repeat = 1.0
     else:
         texture = road(256, 0, markings=False) if kind == "road" else grass(256, 0)
     return Asset(

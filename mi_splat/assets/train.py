@@ -30,12 +30,10 @@ LIVERIES = (
     ((0.35, 0.1, 0.14), (0.88, 0.82, 0.66)),
     ((0.45, 0.7, 0.85), (0.95, 0.95, 0.95)),
 )
-GLASS, BLACK, STEEL, GREY = (
-    (0.05, 0.06, 0.075),
-    (0.05, 0.05, 0.055),
-    (0.45, 0.45, 0.46),
-    (0.4, 0.41, 0.42),
-)
+GLASS = (0.05, 0.06, 0.075)
+BLACK = (0.05, 0.05, 0.055)
+STEEL = (0.45, 0.45, 0.46)
+GREY = (0.4, 0.41, 0.42)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +120,9 @@ def _front(c: _Car, sign: float, rng: np.random.Generator) -> list[Mesh]:
     def on_front(y: float, t: float, out: float = 0.0) -> tuple[float, float, float]:
         return end - sign * (float(_lean(c, t)) - out), y, c.floor + t * height * 0.95
 
-    low, high, wide = 0.5, 0.8, c.half * 0.74
+    low = 0.5
+    high = 0.8
+    wide = c.half * 0.74
     parts = []
     panes = ((-1.0, 1.0),) if rng.random() < 0.5 else ((-1.0, -0.05), (0.05, 1.0))
     for left, right in panes:
@@ -192,10 +192,8 @@ def _sides(
 ) -> list[Mesh]:
     """Stripes, windows, doors and grilles of both sides."""
     parts = []
-    left, right = (
-        c.x - c.length * (0.37 if cab[0] else 0.47),
-        c.x + c.length * (0.37 if cab[1] else 0.47),
-    )
+    left = c.x - c.length * (0.37 if cab[0] else 0.47)
+    right = c.x + c.length * (0.37 if cab[1] else 0.47)
     height = c.roof - c.floor
     for y in (-c.half, c.half):
         for z, tall in (
@@ -208,7 +206,8 @@ def _sides(
                 box((right - left, 0.03, tall * height), c.stripe, centre=centre)
             )
         if passengers:
-            count, level = max(3, int((right - left) / 1.5)), c.floor + 0.52 * height
+            count = max(3, int((right - left) / 1.5))
+            level = c.floor + 0.52 * height
             for x in np.linspace(left + 1.3, right - 1.3, count):
                 parts.append(
                     box(
@@ -329,7 +328,8 @@ def _roof(c: _Car, rng: np.random.Generator, *, electric: bool) -> list[Mesh]:
                 )
             )
     if electric:
-        x, top = c.x - 0.15 * c.length, c.roof + rng.uniform(0.7, 1.1)
+        x = c.x - 0.15 * c.length
+        top = c.roof + rng.uniform(0.7, 1.1)
         for y in (-0.5, 0.5):
             path = [
                 [x - 0.8, y * 0.8, c.roof],
@@ -404,7 +404,8 @@ def build(seed: int = 0) -> Asset:
         cab = (False, True)
     else:
         engine = car(x=0.0, length=length, roof=height)
-        parts, cab = [], (True, True)
+        parts = []
+        cab = (True, True)
     parts += [
         *_body(engine, cab),
         *_sides(engine, rng, cab=cab, passengers=kind == "railcar"),

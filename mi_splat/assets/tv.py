@@ -20,7 +20,8 @@ def _landscape(rng: np.random.Generator) -> Floats:
     """Sky, sun, hills and a lake."""
     picture = textures.canvas((144, 256), (0, 0, 0))
     x, y = textures.grid((144, 256))
-    low, high = rng.uniform(0.6, 1.0, 3), rng.uniform(0.15, 0.7, 3) * (0.6, 0.8, 1.3)
+    low = rng.uniform(0.6, 1.0, 3)
+    high = rng.uniform(0.15, 0.7, 3) * (0.6, 0.8, 1.3)
     picture[:] = low * (1 - y[..., None]) + np.clip(high, 0, 1) * y[..., None]
     sun = np.hypot((x - rng.uniform(0.15, 0.85)) * 16 / 9, y - rng.uniform(0.65, 0.85))
     textures.paint(picture, textures.cover(sun - 0.07, 0.01), (1.0, 0.95, 0.7))
@@ -74,7 +75,8 @@ def _dark(rng: np.random.Generator) -> Floats:
     x, y = textures.grid((144, 256))
     glow = np.clip(y + 0.3 * x - 0.4, 0, 1) * rng.uniform(0.08, 0.2)
     textures.paint(picture, glow, (0.6, 0.7, 0.8))
-    left, slant = rng.uniform(0.1, 0.7), rng.uniform(-0.2, 0.2)
+    left = rng.uniform(0.1, 0.7)
+    slant = rng.uniform(-0.2, 0.2)
     pane = np.abs(x - left - slant * y) - 0.09
     cross = np.minimum(np.abs(x - left - slant * y), np.abs(y - 0.68) * 0.6)
     window = textures.cover(np.maximum(pane, np.abs(y - 0.68) - 0.2), 0.01) * (
@@ -91,7 +93,9 @@ def screen(rng: np.random.Generator) -> Floats:
         return _dark(rng)
     if kind < 0.78:
         return _landscape(rng)
-    return _match(rng) if kind < 0.95 else _bars()
+    if kind < 0.95:
+        return _match(rng)
+    return _bars()
 
 
 def _foot(
@@ -157,12 +161,11 @@ def build(seed: int = 0) -> Asset:
         )
     ]
     parts = [loft(slab, colour, roughness=0.2)]
-    half_w, half_h = width / 2 - bezel, height / 2 - bezel
+    half_w = width / 2 - bezel
+    half_h = height / 2 - bezel
     lift = 0.3 * bezel
-    y, z = (
-        np.array([-half_w, half_w, half_w, -half_w]),
-        middle + lift + np.array([-half_h, -half_h, half_h, half_h]),
-    )
+    y = np.array([-half_w, half_w, half_w, -half_w])
+    z = middle + lift + np.array([-half_h, -half_h, half_h, half_h])
     parts.append(
         quad(np.stack([np.full(4, 0.0215), y, z], 1), screen(rng), roughness=0.08)
     )

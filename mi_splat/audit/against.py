@@ -102,11 +102,13 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
             )
     scene, clean = (item.detach().to("cpu", torch.float32) for item in (scene, clean))
     degree = max(scene.degree, clean.degree)
-    scene, clean = scene.with_degree(degree), clean.with_degree(degree)
+    scene = scene.with_degree(degree)
+    clean = clean.with_degree(degree)
     spacing = _spacing(clean)
     partner, by_order = _partners(scene, clean, spacing)
     matched = partner >= 0
-    ours, theirs = _components(scene), _components(clean)
+    ours = _components(scene)
+    theirs = _components(clean)
     changed = ~matched
     amount = torch.zeros(int(matched.sum()))
     rows = []
@@ -162,16 +164,15 @@ def _partners(
     distances, rows = nearest_neighbours(
         torch.cat([scene.means, clean.means]), LIMITS.candidates
     )
-    distances, rows = distances[:count].float() / spacing, rows[:count] - count
+    distances = distances[:count].float() / spacing
+    rows = rows[:count] - count
     colours = (clean.sh[rows.clamp(min=0), 0] - scene.sh[:, None, 0]).abs().mean(-1)
     cost = (distances + colours).masked_fill(
         (rows < 0) | (distances > LIMITS.partner), math.inf
     )
     if not cost.shape[1]:
-        cost, rows = (
-            torch.full((count, 1), math.inf),
-            torch.zeros(count, 1, dtype=torch.int64),
-        )
+        cost = torch.full((count, 1), math.inf)
+        rows = torch.zeros(count, 1, dtype=torch.int64)
     least, at = cost.min(1)
     partner = torch.where(least < math.inf, rows.gather(1, at[:, None])[:, 0], -1)
     unmoved = (least < math.inf) & (

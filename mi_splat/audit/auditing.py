@@ -81,7 +81,9 @@ def audit(
     """
     check_scene("scene", scene)
     frame = frame_of(scene)
-    given, objects, heats = cameras is not None, [], []
+    given = cameras is not None
+    objects = []
+    heats = []
     jobs, in_room = (
         _looks_at(frame, up)
         if cameras is None
@@ -91,11 +93,10 @@ def audit(
         beside = [
             other for other, _ in jobs if other is not target and not other.surrounds
         ]
-        if (
-            judged := judged_object(
-                frame, target, around, beside=beside, in_room=in_room, given=given
-            )
-        ) is not None:
+        judged = judged_object(
+            frame, target, around, beside=beside, in_room=in_room, given=given
+        )
+        if judged is not None:
             objects.append(judged[0])
             heats.append(judged[1])
     pieces = sum(item.pieces for item in objects)
@@ -104,11 +105,10 @@ def audit(
             f"at least {LIMITS.least_pieces} pieces of surface that cameras on two"
             " sides see"
         )
-        do = (
-            "pass a splat of something solid"
-            if cameras is None
-            else "pass cameras that see more of it"
-        )
+        if cameras is None:
+            do = "pass a splat of something solid"
+        else:
+            do = "pass cameras that see more of it"
         raise InvalidValueError.of(
             "scene" if cameras is None else "cameras", expected, pieces, do
         )
@@ -141,10 +141,8 @@ def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
         if (cameras := cameras_within(target, positions))
     ]
     if not jobs:
-        expected, got = (
-            "an object, or a room in which one stands",
-            "a room with nothing that stands free of its walls",
-        )
+        expected = "an object, or a room in which one stands"
+        got = "a room with nothing that stands free of its walls"
         raise InvalidValueError.of(
             "scene", expected, got, "pass cameras that stand in it"
         )
@@ -155,7 +153,8 @@ def _seen_from(frame: Frame, cameras: Sequence[Camera], up: Point | None) -> lis
     """The objects that cameras see, with others at one distance near their directions;
     the whole scene in a room.
     """
-    given, jobs = cameras_in_frame(frame, cameras, LIMITS.given_size), []
+    given = cameras_in_frame(frame, cameras, LIMITS.given_size)
+    jobs = []
     if free_positions(frame.scene) is not None:
         return [(whole(frame.scene), given)]
     for target in targets(frame.scene, None if up is None else frame.own(up)):
@@ -195,14 +194,14 @@ def cameras_in_frame(
         .long()
         .tolist()
     )
-    rotation, world = frame.to_world.rotation.double(), frame.to_world
+    rotation = frame.to_world.rotation.double()
+    world = frame.to_world
     moved = []
     for camera in (cameras[number] for number in numbers):
-        factor = (
-            1.0
-            if longer_side is None
-            else longer_side / max(camera.width, camera.height)
-        )
+        if longer_side is None:
+            factor = 1.0
+        else:
+            factor = longer_side / max(camera.width, camera.height)
         size = (
             max(8, round(camera.width * factor)),
             max(8, round(camera.height * factor)),
@@ -394,8 +393,6 @@ def _seen_by(pieces: Elements, kept: Tensor) -> Elements | None:
         return pieces
     moments = pieces.moments * kept.float()[:, None, None]
     judged = pieces.judged & (moments[..., 0].sum(0) >= LIMITS.least_views)
-    return (
-        dataclasses.replace(pieces, moments=moments, judged=judged)
-        if bool(judged.any())
-        else None
-    )
+    if bool(judged.any()):
+        return dataclasses.replace(pieces, moments=moments, judged=judged)
+    return None

@@ -93,11 +93,15 @@ def _shells(scene: GaussianScene, target: Target) -> list[Tensor]:
     gaps = (scene.means[rest] - target.centre.float()).norm(dim=1)
     rest = rest[gaps.argsort()[: LIMITS.shell_gaussians]]
     count = min(LIMITS.shells, len(rest) // LIMITS.least_edited)
-    return list(rest.tensor_split(count)) if count else []
+    if count:
+        return list(rest.tensor_split(count))
+    return []
 
 
 def _median(values: list[float]) -> float:
-    return float(torch.tensor(values).median()) if values else 0.0
+    if values:
+        return float(torch.tensor(values).median())
+    return 0.0
 
 
 def _across(values: Tensor, colours: Tensor) -> Tensor:
@@ -169,19 +173,15 @@ def _camera(
         return directions[0], 1.0
     energy = strange.square().sum(1)
     rows = energy.argsort(descending=True)[: LIMITS.strongest]
-    points, strange, total = (
-        scene.means[rows],
-        strange[rows],
-        energy[rows].sum().clamp(min=1e-20),
-    )
+    points = scene.means[rows]
+    strange = strange[rows]
+    total = energy[rows].sum().clamp(min=1e-20)
 
-    places, found = (
-        [
-            target.centre + gap * target.radius * directions
-            for gap in LIMITS.edit_distances
-        ],
-        [],
-    )
+    places = [
+        target.centre + gap * target.radius * directions
+        for gap in LIMITS.edit_distances
+    ]
+    found = []
     # few, so that their numbers stay in the cache
     for part in torch.split(torch.cat(places).float(), 8):
         towards = sh_basis(
@@ -199,11 +199,9 @@ def cover_of(
     """What covers an object, in the frame, and (H, W) bool the pixels that show it, by
     number of the blocked camera.
     """
-    blocked, points, shown = (
-        torch.zeros(len(view.cameras)),
-        list[Tensor](),
-        dict[int, Tensor](),
-    )
+    blocked = torch.zeros(len(view.cameras))
+    points = list[Tensor]()
+    shown = dict[int, Tensor]()
     own = _own_cells(scene.means[target.rows], target)
     for number, (camera, depth) in enumerate(
         zip(view.cameras, view.depths, strict=True)
@@ -219,7 +217,8 @@ def cover_of(
             )
     if not shown:
         return None, {}
-    hides, free = blocked > LIMITS.blocked, blocked < LIMITS.free
+    hides = blocked > LIMITS.blocked
+    free = blocked < LIMITS.free
     through = _through(view, torch.cat(points), free.nonzero()[:, 0], target.radius)
     middle = functional.normalize(view.directions[hides].sum(0), dim=0)
     share = float(hides.double().mean())
@@ -269,7 +268,8 @@ def air_before(
     """
     ahead = rays(camera)
     length, along, miss = missed_by(ahead, camera, target)
-    core, ends = miss < LIMITS.core * target.radius, depth.isfinite()
+    core = miss < LIMITS.core * target.radius
+    ends = depth.isfinite()
     depth = depth.masked_fill(~ends, 0)
     surface = ahead * depth + camera.position.float()[:, None, None]
     away = (
@@ -292,15 +292,14 @@ def is_roofed(scene: GaussianScene, target: Target) -> bool:
         lattice(LIMITS.far_cameras, LIMITS.far_lowest, LIMITS.highest)
         @ basis(target.up).T
     )
-    heights, blocked, ways = (
-        directions @ target.up,
-        torch.zeros(len(directions)),
-        list[Tensor](),
-    )
+    heights = directions @ target.up
+    blocked = torch.zeros(len(directions))
+    ways = list[Tensor]()
     near, far = LIMITS.far_distances
     for number, direction in enumerate(directions):
         distance = (near + (far - near) * (number * 0.618 % 1)) * target.radius
-        eye, size = target.centre + distance * direction, LIMITS.far_size
+        eye = target.centre + distance * direction
+        size = LIMITS.far_size
         pose = look_at(
             eye.tolist(), target.centre.tolist(), up=tuple(target.up.tolist())
         )
@@ -319,13 +318,12 @@ def is_roofed(scene: GaussianScene, target: Target) -> bool:
         blocked[number] = air.sum() / core.clamp(min=1)
         if blocked[number] > LIMITS.far_blocked:
             ways.append((surface[air] - target.centre.float()).norm(dim=1))
-    covered, clear = blocked > LIMITS.far_blocked, blocked < LIMITS.free
+    covered = blocked > LIMITS.far_blocked
+    clear = blocked < LIMITS.free
     if not ways or not bool(clear.any()):
         return False
-    found, higher = (
-        torch.cat(ways),
-        (heights[covered][:, None] > heights[clear]).float().mean(),
-    )
+    found = torch.cat(ways)
+    higher = (heights[covered][:, None] > heights[clear]).float().mean()
     return (
         float(higher) > LIMITS.roof_higher
         and float(found.std() / found.mean()) < LIMITS.roof_spread
@@ -338,7 +336,8 @@ def _through(view: Sight, points: Tensor, free: Tensor, radius: float) -> float:
     """
     beyond = seen = 0
     for number in free.tolist():
-        camera, depths = view.cameras[number], view.depths[number]
+        camera = view.cameras[number]
+        depths = view.depths[number]
         pixels, depth = project_points(points, camera)
         column, row = (
             pixels.nan_to_num(-1.0, -1.0, -1.0)
@@ -354,12 +353,13 @@ def _through(view: Sight, points: Tensor, free: Tensor, radius: float) -> float:
             & (row >= 0)
             & (row < camera.height)
         )
-        shown, depth = depths[row[inside], column[inside]], depth[inside]
+        shown = depths[row[inside], column[inside]]
+        depth = depth[inside]
         beyond += int((shown > depth + LIMITS.same_depth * radius).sum())
         seen += int(((shown - depth).abs() <= LIMITS.same_depth * radius).sum())
-    return (
-        beyond / (beyond + seen) if beyond + seen >= LIMITS.least_cover_points else 0.0
-    )
+    if beyond + seen >= LIMITS.least_cover_points:
+        return beyond / (beyond + seen)
+    return 0.0
 
 
 def pair_of(
@@ -371,15 +371,16 @@ def pair_of(
     rows = score.argsort(descending=True)[: LIMITS.pair_pieces]
     rows = rows[score[rows] > 0]
     moments = pieces.moments[:, rows].movedim(-1, 0).contiguous()
-    seen, colours = moments[0] * score[rows], moments[1:4]
-    inside, outside = shown.nonzero()[:, 0], (~shown).nonzero()[:, 0]
+    seen = moments[0] * score[rows]
+    colours = moments[1:4]
+    inside = shown.nonzero()[:, 0]
+    outside = (~shown).nonzero()[:, 0]
     if not len(rows) or not len(inside) or not len(outside):
         return None
-    weight, change = (
-        torch.zeros(len(inside), len(outside)),
-        torch.zeros(len(inside), len(outside)),
-    )
-    seen_outside, colours_outside = seen[outside], colours[:, outside]
+    weight = torch.zeros(len(inside), len(outside))
+    change = torch.zeros(len(inside), len(outside))
+    seen_outside = seen[outside]
+    colours_outside = colours[:, outside]
     for number, camera in enumerate(inside.tolist()):
         both = (seen[camera] > 0) * seen_outside
         gap = (colours_outside - colours[:, camera, None]).abs().mean(0)
@@ -394,7 +395,9 @@ def pair_of(
         (int(inside[first]), int(outside[second])),
         float(change[first, second] / weight[first, second]),
     )
-    return found if weight[first, second] > 0 else None
+    if weight[first, second] > 0:
+        return found
+    return None
 
 
 def heat_of(
@@ -445,10 +448,8 @@ def own_scores(scene: GaussianScene, view: Sight, shown: Tensor) -> Tensor:
     """(N,) score of each Gaussian by itself: how far its colour switches with a
     look.
     """
-    sums, positions = (
-        torch.zeros(2, 5, len(scene)),
-        torch.stack([camera.position for camera in view.cameras]).float(),
-    )
+    sums = torch.zeros(2, 5, len(scene))
+    positions = torch.stack([camera.position for camera in view.cameras]).float()
     for side, total in zip((shown, ~shown), sums, strict=True):
         eyes = positions[_evenly(side.nonzero()[:, 0], LIMITS.heat_cameras)]
         total[0] = len(eyes)
@@ -471,7 +472,8 @@ def cover_heat(
     """(N,) heat of the Gaussians in the air that cover an object, by the pixels that
     they make up of what does.
     """
-    sums, near = torch.zeros(len(scene)), near_of(target, view.cameras)
+    sums = torch.zeros(len(scene))
+    near = near_of(target, view.cameras)
     for number in _evenly(torch.tensor(list(covered)), LIMITS.heat_cameras):
         air = covered[number].float()
         sums += _made_up(
@@ -519,7 +521,8 @@ def split_of(values: Tensor) -> float:
         return 0.0
     counts = torch.histc(values, LIMITS.bins, 0.0, top).double()
     middles = (torch.arange(LIMITS.bins, dtype=torch.float64) + 0.5) * top / LIMITS.bins
-    low, sums = counts.cumsum(0), (counts * middles).cumsum(0)
+    low = counts.cumsum(0)
+    sums = (counts * middles).cumsum(0)
     high = counts.sum() - low
     gap = sums / low.clamp(min=1) - (sums[-1] - sums) / high.clamp(min=1)
     return float((((low * high * gap.square()).argmax() + 1) * top / LIMITS.bins) ** 4)

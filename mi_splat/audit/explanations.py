@@ -71,7 +71,8 @@ def switch_scores(inside: Tensor, outside: Tensor) -> Tensor:
     Each side has (5, ...) sums of moments over its cameras; the score is 0 where too
     few see a side.
     """
-    count_in, count_out = inside[0], outside[0]
+    count_in = inside[0]
+    count_out = outside[0]
     count = (count_in + count_out).clamp(min=1)
     squares = (
         (inside[1:4] / count_in.clamp(min=1) - outside[1:4] / count_out.clamp(min=1))
@@ -112,11 +113,10 @@ def support_of(pieces: Elements, view: Sight, shown: Tensor) -> tuple[float, flo
         :, (facing >= LIMITS.least_seen).all(0)
     ]
     well = outside > LIMITS.well_seen
-    lost = (
-        float((inside < LIMITS.hardly_seen * outside)[well].float().mean())
-        if bool(well.any())
-        else 0.0
-    )
+    if bool(well.any()):
+        lost = float((inside < LIMITS.hardly_seen * outside)[well].float().mean())
+    else:
+        lost = 0.0
     air = view.clear[shown].median() / view.clear[~shown].median().clamp(min=1e-4)
     return lost, float(air)
 
@@ -140,12 +140,10 @@ def _explained(
     ) * seen[..., None]
     total = drift.square().sum((1, 2)) / count / 3
     trust = count / (3 * (LIMITS.noise**2 + total)).sqrt()
-    weight, flat, most, best = (
-        seen * trust[:, None],
-        bins.flatten(),
-        -1.0,
-        (total, starts[0]),
-    )
+    weight = seen * trust[:, None]
+    flat = bins.flatten()
+    most = -1.0
+    best = (total, starts[0])
 
     def amounts(profile: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         at = profile[bins]
@@ -179,7 +177,8 @@ def _explained(
         )
         part = gain.clamp(min=0) / count / 3
         if float((part * trust).sum()) > most:
-            most, best = float((part * trust).sum()), (part, profile)
+            most = float((part * trust).sum())
+            best = (part, profile)
     part, profile = best
     return part.sqrt() * part / (total + LIMITS.noise**2), profile
 
@@ -206,12 +205,11 @@ def explain(pieces: Elements, view: Sight, kept: Tensor) -> Explanation:
         .long()
     ]
     moments = pieces.moments[:, some].transpose(0, 1)
-    seen, colours = moments[..., 0].contiguous(), moments[..., 1:4].contiguous()
+    seen = moments[..., 0].contiguous()
+    colours = moments[..., 1:4].contiguous()
     cosines, mirrored = _reflected(view, pieces.positions[some], pieces.normals[some])
-    places, steps = (
-        lattice(LIMITS.profile_places, -90.0, 90.0),
-        torch.arange(float(LIMITS.profile_angles)),
-    )
+    places = lattice(LIMITS.profile_places, -90.0, 90.0)
+    steps = torch.arange(float(LIMITS.profile_angles))
     each = torch.arange(len(view.directions)).expand(seen.shape)
     mirror = torch.cat(
         [(part @ places.float().T).argmax(-1) for part in torch.split(mirrored, 64)]
@@ -224,10 +222,8 @@ def explain(pieces: Elements, view: Sight, kept: Tensor) -> Explanation:
     by_mirror, _ = _explained(colours, seen, mirror, _close(places), places.float().T)
     by_angle, _ = _explained(colours, seen, angle, near, (steps - steps.mean())[None])
     shown = _alike(pieces, _narrower_side(profile, kept, view.directions))
-    direction, beyond = (
-        by_direction.mean(),
-        (by_direction - torch.maximum(by_mirror, by_angle)).mean(),
-    )
+    direction = by_direction.mean()
+    beyond = (by_direction - torch.maximum(by_mirror, by_angle)).mean()
     explanation = Explanation(
         direction=float(direction),
         incidence=float(by_angle.mean()),
@@ -253,7 +249,8 @@ def _amounts(profile: Tensor, kept: Tensor, shown: Tensor) -> Tensor:
     """(K,) profile of kept cameras, scaled to means of 1 where an appearance is shown
     and of 0 elsewhere.
     """
-    inside, outside = profile[shown].mean(), profile[kept & ~shown].mean()
+    inside = profile[shown].mean()
+    outside = profile[kept & ~shown].mean()
     return kept * ((profile - outside) / (inside - outside)).nan_to_num(0.0, 0.0, 0.0)
 
 
@@ -262,7 +259,8 @@ def _split(values: Tensor) -> Tensor:
     1979).
     """
     values = values.sort().values
-    count, low = torch.arange(1, len(values)), values.cumsum(0)[:-1]
+    count = torch.arange(1, len(values))
+    low = values.cumsum(0)[:-1]
     gap = low / count - (values.sum() - low) / (len(values) - count)
     return values[(count * (len(values) - count) * gap.square()).argmax()]
 
@@ -281,7 +279,8 @@ def _alike(pieces: Elements, shown: Tensor) -> Tensor:
     """(K,) bool, of the cameras that see a look those to which it looks as to the one
     that sees most of it.
     """
-    seen, colours = pieces.moments[..., 0] * pieces.judged, pieces.moments[..., 1:4]
+    seen = pieces.moments[..., 0] * pieces.judged
+    colours = pieces.moments[..., 1:4]
     others = seen[~shown].sum(0)
     usual = (seen[~shown, :, None] * colours[~shown]).sum(0) / others.clamp(min=1)[
         :, None

@@ -133,7 +133,9 @@ def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     readers want one.
     """
     rules = {name: _rule(name, *values) for name, values in _RULES.items()}
-    results, artifacts, notes = [], [], []
+    results = []
+    artifacts = []
+    notes = []
     for index, document in enumerate(documents):
         address = {"uri": _address(document["file"]), "index": index}
         location = {
@@ -267,7 +269,9 @@ def _address(file: str) -> str:
     command ran.
     """
     path = Path(file)
-    return path.as_uri() if path.is_absolute() else quote(os.fsencode(path.as_posix()))
+    if path.is_absolute():
+        return path.as_uri()
+    return quote(os.fsencode(path.as_posix()))
 
 
 UNNAMED = (
@@ -331,9 +335,14 @@ def write_pictures(
     ]
 
 
-PAIR, HEAT, MASK, OVERDRAW = "pair.png", "heat.ply", "mask.npy", "overdraw.png"
+PAIR = "pair.png"
+HEAT = "heat.ply"
+MASK = "mask.npy"
+OVERDRAW = "overdraw.png"
 HEAT_PICTURE = "heat.png"
-EDITED, AGAINST, CHANGED = "edited.npy", "against.png", "changed.npy"
+EDITED = "edited.npy"
+AGAINST = "against.png"
+CHANGED = "changed.npy"
 PICTURE = 512  # pixels along the longer side of each of the two pictures
 _GAP = 8
 _SCORES = (
@@ -502,7 +511,8 @@ def write(
     force: bool = False,
 ) -> list[Path]:
     """Write the files of an audit into a new folder, whole or not at all."""
-    target, more = Path(folder), dict[str, Any](pictures=[], cameras=[])
+    target = Path(folder)
+    more = dict[str, Any](pictures=[], cameras=[])
     with new_folder(target, force=force) as temporary:
         if audit is not None and scene is not None:
             more = _evidence(audit, scene, temporary)
@@ -552,7 +562,8 @@ def save_pairs(
     audit: Audit, folder: Path, show: Callable[[Pair], NDArray[np.uint8]]
 ) -> dict[str, Any]:
     """Save the pictures that prove looks."""
-    pictures, cameras = list[dict[str, Any]](), list[dict[str, object]]()
+    pictures = list[dict[str, Any]]()
+    cameras = list[dict[str, object]]()
     for number, (numbers, pair) in enumerate(shown_pairs(audit), 1):
         name = PAIR if number == 1 else f"pair-{number}.png"
         save_picture(show(pair), folder / name)

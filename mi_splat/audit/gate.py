@@ -80,7 +80,8 @@ class Policy(Checked):
         """The verdict on a file and on each claim, from what was found; what has no row
         was not judged.
         """
-        found, claims = list(rows), dict[str, Row]()
+        found = list(rows)
+        claims = dict[str, Row]()
         for claim in CLAIMS:
             own = [row for row in found if row["claim"] == claim]
             reasons = [
@@ -191,7 +192,8 @@ def fingerprint(arrays: Arrays) -> str:
     middles, squares, nearest = sums[:, 1:]
     spreads = 2 * np.sqrt((squares - middles**2).clip(0))
     extents = np.sqrt(np.linalg.eigvalsh(covariance).clip(0)) / size
-    count, share = math.log2(good.sum()) / 32, sums[2, 0]
+    count = math.log2(good.sum()) / 32
+    share = sums[2, 0]
     values = [count, *extents, *middles, *spreads, share, *(nearest / share)]
     return bytes(
         round(255 * min(max(float(value), 0.0), 1.0)) for value in values

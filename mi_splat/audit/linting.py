@@ -30,7 +30,8 @@ from mi_splat.overdraw import Layers, most_layers
 from mi_splat.scene import GaussianScene
 
 SIZE = 1024  # pixels along each side of the picture that is counted
-HEAVY, STOPS = 512.0, 4096.0
+HEAVY = 512.0
+STOPS = 4096.0
 """Mean layers from which a splat is heavy, and from which the rasteriser of mi-splat
 refuses such a picture.
 """
@@ -344,7 +345,8 @@ def _accessor(
         or not 0 <= index < len(document.accessors)
     ):
         return None, [f"there is no accessor {index!r:.40}."]
-    values, faults = document.accessors[index].values, []
+    values = document.accessors[index].values
+    faults = []
     component = values.get("componentType")
     kind = (
         COMPONENTS.get(component, "?") if isinstance(component, int) else "?",
@@ -379,11 +381,10 @@ def _values(
         )
     if short == "SCALE":
         negative = finite & (values < 0).any(1)
-        drafts = (
-            ", and so many are: drafts of the extension had logarithms here"
-            if negative.mean() > 0.5
-            else ""
-        )
+        if negative.mean() > 0.5:
+            drafts = ", and so many are: drafts of the extension had logarithms here"
+        else:
+            drafts = ""
         faults.append((f"a scale may not be negative{drafts}", negative))
     if short == "ROTATION":
         length = np.linalg.norm(values, axis=1)
@@ -459,7 +460,8 @@ class Lint:
     def document(self) -> dict[str, Any]:
         """As JSON can hold it."""
         cost: dict[str, Any] = {"overdraw": None}
-        if (worst := self.overdraw) is not None:
+        worst = self.overdraw
+        if worst is not None:
             counts = {
                 "mean": worst.mean,
                 "highest": worst.highest,

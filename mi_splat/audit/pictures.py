@@ -104,10 +104,8 @@ def compare_pictures(
 ) -> PictureAudit:
     """Compare pictures on a surface that is known."""
     frame = frame_of(surface)
-    cameras, pictures = (
-        cameras_in_frame(frame, cameras_of(views), None),
-        [view.image for view in views],
-    )
+    cameras = cameras_in_frame(frame, cameras_of(views), None)
+    pictures = [view.image for view in views]
     standing = targets(frame.scene, None if up is None else frame.own(up))
     objects = [
         dataclasses.replace(target, cells=_cells(target, cameras), surrounds=False)

@@ -27,7 +27,8 @@ Keep = Literal["outside", "inside"]
 """The directions whose colours are believed: those outside of a look, or those
 inside.
 """
-_MOST_WEIGHTS, _CHUNK = 10**8, 2048
+_MOST_WEIGHTS = 10**8
+_CHUNK = 2048
 
 
 class Repair(NamedTuple):
@@ -51,7 +52,8 @@ def repair(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> Re
     objects in the air.
     """
     plain = scene.detach().to("cpu", torch.float32)
-    sh, stays = plain.sh.clone(), torch.ones(len(scene), dtype=torch.bool)
+    sh = plain.sh.clone()
+    stays = torch.ones(len(scene), dtype=torch.bool)
     for item in judged.objects:
         if item.look.evidence >= LIMITS.suspicion:
             colour_anew(plain, sh, item, believed(item, keep))
@@ -61,10 +63,8 @@ def repair(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> Re
             and item.occluder.transparent >= LIMITS.seen_through
         ):
             stays &= ~(judged.mask & in_the_air(plain, item))
-    coloured, left_out = (
-        int((sh != plain.sh).flatten(1).any(1)[stays].sum()),
-        int((~stays).sum()),
-    )
+    coloured = int((sh != plain.sh).flatten(1).any(1)[stays].sum())
+    left_out = int((~stays).sum())
     if not coloured and not left_out:
         return Repair(scene, 0, 0)
     return Repair(scene.replace(sh=sh.to(scene.sh)).select(stays), coloured, left_out)
@@ -110,7 +110,8 @@ def colour_anew(
     offsets = scene.means.double() - torch.tensor(item.centre, dtype=torch.float64)
     rows = (offsets.norm(dim=1) < LIMITS.around * item.radius).nonzero()[:, 0]
     every = math.ceil(len(rows) * len(trust) / _MOST_WEIGHTS)
-    cameras, trust = item.cameras[::every], trust[::every]
+    cameras = item.cameras[::every]
+    trust = trust[::every]
     render = Renderer(RenderSettings(near=near_plane(scene, cameras)))
     shows = contributions(scene, cameras, render=render, rows=rows)
     known = shows @ trust
@@ -192,7 +193,8 @@ def _fitted(
         * weights.sum(1, keepdim=True)
         * (torch.arange(basis.shape[-1]) > 0)
     )
-    basis, target = basis.double(), target.double()
+    basis = basis.double()
+    target = target.double()
     left = torch.einsum("mk,mki,mkj->mij", weights, basis, basis) + torch.diag_embed(
         ridge
     )

@@ -35,11 +35,9 @@ def _height(axis: Vector, up: Vector | None) -> str:
     height = math.degrees(math.asin(max(-1.0, min(1.0, cosine))))
     if height >= LIMITS.steep:
         return ", from above"
-    return (
-        ", from the side"
-        if abs(height) <= LIMITS.level
-        else f", {height:.0f} degrees above its ground"
-    )
+    if abs(height) <= LIMITS.level:
+        return ", from the side"
+    return f", {height:.0f} degrees above its ground"
 
 
 def headline(audit: Audit) -> str:
@@ -76,11 +74,10 @@ def headline(audit: Audit) -> str:
             f" ({axis}), and others see through it"
         )
     where = directions_in_words(item.look.region, item.up)
-    which = (
-        "an object"
-        if len(audit.objects) == 1
-        else f"object {audit.objects.index(item) + 1}, {_where(item)},"
-    )
+    if len(audit.objects) == 1:
+        which = "an object"
+    else:
+        which = f"object {audit.objects.index(item) + 1}, {_where(item)},"
     doubt = "; honest splats can look so, too: see the two pictures, or pass --cameras"
     unsure = doubt if item.in_room or item.plain else ""
     return f"{audit.verdict}: {which} has other colours {where}{unsure}"
@@ -120,11 +117,10 @@ def _where(item: ObjectAudit) -> str:
 def _of_object(item: ObjectAudit) -> list[str]:
     lines: list[str] = [item.verdict]
     for number, look in enumerate(item.looks, 1):
-        rival = (
-            "the angle of incidence"
-            if look.incidence > look.mirror
-            else "a mirrored direction"
-        )
+        if look.incidence > look.mirror:
+            rival = "the angle of incidence"
+        else:
+            rival = "a mirrored direction"
         gloss = max(look.incidence, look.mirror)
         lines.append(
             (f"look {number}: " if len(item.looks) > 1 else "")
@@ -361,7 +357,9 @@ class ObjectAudit:
         evidence = min(self.look.evidence, _LESS) if self.fogged else self.look.evidence
         if self.covered or self.edited or self.fogged or self.roofed:
             evidence = max(evidence, LIMITS.suspicion)
-        return min(evidence, _LESS) if self.in_room or self.plain else evidence
+        if self.in_room or self.plain:
+            return min(evidence, _LESS)
+        return evidence
 
     @property
     def fogged(self) -> bool:
@@ -382,7 +380,9 @@ class ObjectAudit:
         """Verdict on this object alone."""
         if self.evidence >= 1:
             return "hidden look"
-        return "suspicious" if self.evidence >= LIMITS.suspicion else "nothing found"
+        if self.evidence >= LIMITS.suspicion:
+            return "suspicious"
+        return "nothing found"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

@@ -97,15 +97,14 @@ class Rule:
         with np.errstate(all="ignore"):
             rows = np.asarray(self.find(stored, self.threshold))
         if rows.shape != stored.valid.shape or rows.dtype != np.bool_:
-            expected, got = f"bool {stored.valid.shape}", f"{rows.dtype} {rows.shape}"
+            expected = f"bool {stored.valid.shape}"
+            got = f"{rows.dtype} {rows.shape}"
             raise InvalidValueError.of(
                 f"rule {self.name}", expected, got, "give one truth for each Gaussian"
             )
-        return (
-            Finding.of(self.name, self.severity, self.reason, rows)
-            if rows.any()
-            else None
-        )
+        if rows.any():
+            return Finding.of(self.name, self.severity, self.reason, rows)
+        return None
 
 
 def _any(values: NDArray[np.bool_]) -> Mask:
@@ -164,7 +163,8 @@ def scene_radius(stored: Stored) -> float:
 
 def _needle(stored: Stored, ratio: float) -> Mask:
     a, b, c = stored.arrays["scales"].T
-    low, high = np.minimum(a, b), np.maximum(a, b)
+    low = np.minimum(a, b)
+    high = np.maximum(a, b)
     return np.asarray(
         stored.shown
         & (np.maximum(high, c) > ratio * np.maximum(low, np.minimum(high, c)))
@@ -173,7 +173,9 @@ def _needle(stored: Stored, ratio: float) -> Mask:
 
 def _if_many(rows: Mask, share: float) -> Mask:
     """The rows if they are at least so large a share of all, else none."""
-    return rows if rows.sum() >= share * len(rows) else np.zeros_like(rows)
+    if rows.sum() >= share * len(rows):
+        return rows
+    return np.zeros_like(rows)
 
 
 def repeats(arrays: Arrays) -> Mask:
@@ -188,7 +190,8 @@ def repeats(arrays: Arrays) -> Mask:
                 key ^= key >> np.uint64(32)
         ordered = np.sort(key)
         shared = np.isin(key, ordered[1:][ordered[1:] == ordered[:-1]])
-        rows, key = rows[shared], key[shared]
+        rows = rows[shared]
+        key = key[shared]
     repeated = np.zeros(len(arrays["means"]), np.bool_)
     repeated[rows] = True
     repeated[rows[np.unique(key, return_index=True)[1]]] = False
@@ -362,7 +365,8 @@ ADDED: Registry[Rule] = Registry(
 def findings_of(stored: Stored) -> Iterator[Finding]:
     """What all rules find, those of other packages last."""
     for rule in RULES:
-        if (finding := rule(stored)) is not None:
+        finding = rule(stored)
+        if finding is not None:
             yield finding
     known = {rule.name for rule in RULES}
     for name in ADDED:

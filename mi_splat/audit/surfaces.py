@@ -186,10 +186,8 @@ def _components(scene: GaussianScene) -> Tensor:
     every = math.ceil(len(scene) / LIMITS.most_linked)
     if every <= 1:
         return clusters(scene)
-    label, nearest = (
-        clusters(scene.select(slice(None, None, every))),
-        nearest_of(scene.means, every),
-    )
+    label = clusters(scene.select(slice(None, None, every)))
+    nearest = nearest_of(scene.means, every)
     return label[nearest // every]
 
 
@@ -246,7 +244,9 @@ def _normal_of_flat(points: Tensor) -> Tensor | None:
     """The normal of a component that is a plane; None if it is none."""
     sample = points[:: max(1, len(points) // LIMITS.ground_sample)]
     _, extents, axes = torch.linalg.svd(sample - points.mean(0), full_matrices=False)
-    return axes[2] if extents[2] < LIMITS.flat * extents[0] else None
+    if extents[2] < LIMITS.flat * extents[0]:
+        return axes[2]
+    return None
 
 
 def _core(rows: Tensor, points: Tensor, sizes: Tensor) -> Target:
@@ -283,12 +283,14 @@ def _up(part: Tensor, centre: Tensor, radius: float, around: Tensor) -> Tensor |
         )
         if inside is None:
             return None
-        ground, near = near[inside], near[~inside]
+        ground = near[inside]
+        near = near[~inside]
         on = ground.mean(0)
         normal: Tensor = torch.linalg.svd(ground - on, full_matrices=False).Vh[2]
         heights = (part - on) @ normal
         if heights.mean() < 0:
-            heights, normal = -heights, -normal
+            heights = -heights
+            normal = -normal
         across = ground - centre - ((ground - centre) @ normal)[:, None] * normal
         above = (
             float((heights > -LIMITS.under * radius).double().mean()) >= LIMITS.one_side
@@ -315,10 +317,8 @@ class Grid:
         """(P, D) bool, whether the rays from (P, 3) points in (D, 3) directions meet
         something in the grid.
         """
-        limit, met = (
-            torch.tensor(self.filled.shape),
-            torch.zeros(len(points), len(directions), dtype=torch.bool),
-        )
+        limit = torch.tensor(self.filled.shape)
+        met = torch.zeros(len(points), len(directions), dtype=torch.bool)
         # of the rays that are in the grid and met nothing
         start, way = torch.ones_like(met).nonzero().unbind(1)
         for step in range(1, 4 * int(limit.max())):
@@ -334,7 +334,8 @@ class Grid:
             start, way, (x, y, z) = start[inside], way[inside], cell[inside].unbind(1)
             ends = self.filled[x, y, z]
             met[start[ends], way[ends]] = True
-            start, way = start[~ends], way[~ends]
+            start = start[~ends]
+            way = way[~ends]
         return met
 
 
@@ -382,7 +383,9 @@ def free_positions(scene: GaussianScene) -> Tensor | None:
         share >= LIMITS.enclosed_share
         and _between(grid, positions, free) > LIMITS.between
     )
-    return positions if within else None
+    if within:
+        return positions
+    return None
 
 
 AROUND = (30.0, 120.0, 210.0, 300.0)
@@ -416,7 +419,8 @@ def place_inside(
     if share < LIMITS.enclosed_share:
         return None
     middle = positions[(positions - positions.mean(0)).norm(dim=1).argmin()]
-    turn, places = from_z(torch.tensor(up, dtype=torch.float64)), []
+    turn = from_z(torch.tensor(up, dtype=torch.float64))
+    places = []
     for azimuth in azimuths:
         way = (
             turn
@@ -481,10 +485,8 @@ def _between(grid: Grid, positions: Tensor, free: Tensor) -> float:
     near &= free
     among = torch.zeros_like(grid.filled)
     for axis in (0, 1, 2):
-        before, after = (
-            near.cumsum(axis) > 0,
-            near.flip(axis).cumsum(axis).flip(axis) > 0,
-        )
+        before = near.cumsum(axis) > 0
+        after = near.flip(axis).cumsum(axis).flip(axis) > 0
         among |= before & after & grid.filled
     return float(among.sum()) / max(1.0, float(grid.filled.sum()))
 
@@ -518,10 +520,8 @@ def _camera(position: Tensor, target: Target, fov: float, up: Point) -> Camera:
     """A camera that looks at the centre of an object, with a field of view in
     radians.
     """
-    size, pose = (
-        LIMITS.image_size,
-        look_at(position.tolist(), target.centre.tolist(), up=up),
-    )
+    size = LIMITS.image_size
+    pose = look_at(position.tolist(), target.centre.tolist(), up=up)
     return Camera(to_world=pose, focal=focal_of(fov, size), width=size, height=size)
 
 
@@ -615,7 +615,8 @@ def cameras_around(target: Target, near: Tensor | None = None) -> tuple[Camera, 
             .round()
             .long()
         ]
-    distance, fov = LIMITS.distance * target.radius, math.radians(LIMITS.fov)
+    distance = LIMITS.distance * target.radius
+    fov = math.radians(LIMITS.fov)
     top = (0.0, 0.0, 1.0) if target.up is None else target.up.tolist()
     return tuple(
         _camera(target.centre + distance * direction, target, fov, top)
@@ -652,7 +653,11 @@ def sight(
 ) -> Sight:
     """Look at an object from all cameras."""
     render = Renderer(RenderSettings(background=SKY, near=near_of(target, cameras)))
-    depths, clear, parts, shown_by, first = [], [], [], {}, 0
+    depths = []
+    clear = []
+    parts = []
+    shown_by = {}
+    first = 0
     with torch.no_grad():
         for number, camera in enumerate(cameras):
             outputs = render.outputs(scene, camera)
@@ -762,10 +767,8 @@ def _surface(
     """(3, H, W) points and normals of a picture, and (H, W) bool which pixels show
     surface.
     """
-    eye, centre = (
-        camera.position.float()[:, None, None],
-        target.centre.float()[:, None, None],
-    )
+    eye = camera.position.float()[:, None, None]
+    centre = target.centre.float()[:, None, None]
     depth = outputs.median_depth
     points = ahead * depth + eye
     # beyond the edge, nothing is shown
@@ -801,11 +804,9 @@ def elements(view: Sight, target: Target) -> Elements:
     """The pieces of surface that at least `LIMITS.least_views` cameras see."""
     pieces, of_seen = torch.unique(view.keys, return_inverse=True)
     sums = _sums(view.sums, of_seen, len(pieces))
-    pixels, positions, normals = (
-        sums[:, :1],
-        sums[:, 1:4] / sums[:, :1],
-        sums[:, 4:7] / sums[:, :1],
-    )
+    pixels = sums[:, :1]
+    positions = sums[:, 1:4] / sums[:, :1]
+    normals = sums[:, 4:7] / sums[:, :1]
     near = (positions - target.centre.float()).norm(
         dim=1
     ) < LIMITS.around * target.radius
@@ -818,10 +819,8 @@ def elements(view: Sight, target: Target) -> Elements:
     )
     moments = torch.zeros(len(view.cameras), int(kept.sum()), 5)
     moments[view.seen_by[kept_pixels], number[kept_pixels]] = values
-    length, kept_normals = (
-        normals.norm(dim=1),
-        functional.normalize(normals[kept], dim=1),
-    )
+    length = normals.norm(dim=1)
+    kept_normals = functional.normalize(normals[kept], dim=1)
     voxels, voxel_of = torch.unique(pieces[near] // 8, return_inverse=True)
     shown = _sums(
         torch.stack([pixels[near, 0], kept[near].float()], 1), voxel_of, len(voxels)
@@ -851,18 +850,17 @@ def own_surface(
             for one in (target, other)
         )
         own &= first <= second
-    return (
-        dataclasses.replace(pieces, judged=own)
-        if int(own.sum()) >= LIMITS.least_pieces
-        else pieces
-    )
+    if int(own.sum()) >= LIMITS.least_pieces:
+        return dataclasses.replace(pieces, judged=own)
+    return pieces
 
 
 def _rims(keys: Tensor, normals: Tensor) -> Tensor:
     """(E,) bool, pieces that have a neighbour which faces across; sorted keys tell the
     voxel and face of each.
     """
-    rims, last = torch.zeros(len(keys), dtype=torch.bool), max(len(keys) - 1, 0)
+    rims = torch.zeros(len(keys), dtype=torch.bool)
+    last = max(len(keys) - 1, 0)
     steps = torch.cartesian_prod(*[torch.arange(-1, 2)] * 3)
     for step in ((steps[:, 0] * 1024 + steps[:, 1]) * 1024 + steps[:, 2]).tolist():
         for face in range(6):

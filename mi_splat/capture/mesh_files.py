@@ -46,7 +46,8 @@ _UNPACKED = {
 }
 """What glTF Transform's command takes out of a file."""
 _OLD = "KHR_materials_pbrSpecularGlossiness"
-_FLOAT, _FAN = 5126, 6
+_FLOAT = 5126
+_FAN = 6
 _HEADER = struct.Struct("<4sIII4s")
 _MOST_ZEROS = 1 << 22
 """Values of an accessor without a view, which stand for zeros, that are made."""
@@ -83,7 +84,8 @@ def load_mesh(path: Path, settings: MeshSettings | None = None) -> Asset:
             str(path), f"a file that ends in {SUFFIX}", path.suffix, do
         )
     if find_spec("trimesh") is None:
-        what, do = "the package, to read mesh files", install("meshes")
+        what = "the package, to read mesh files"
+        do = install("meshes")
         raise InvalidValueError.of("trimesh", what, "not installed", do)
     if not path.is_file():
         raise MeshFileError.of(
@@ -156,7 +158,8 @@ def _checked(path: Path) -> tuple[bytes, dict[str, Material]]:
         raise _DOCUMENT.broken(
             str(path), got, "a glTF file whose parts fit together"
         ) from error
-    text, rest = json.dumps(document).encode(), data[_HEADER.size + length :]
+    text = json.dumps(document).encode()
+    rest = data[_HEADER.size + length :]
     text += b" " * (-len(text) % 4)
     return (
         _HEADER.pack(magic, 2, _HEADER.size + len(text) + len(rest), len(text), kind)
@@ -174,7 +177,8 @@ def _check_document(document: dict[str, Any], path: Path) -> None:
     needed = [
         name for name in document.get("extensionsRequired", []) if name not in read
     ]
-    if unread := [name for name in needed if not name.startswith("KHR_materials_")]:
+    unread = [name for name in needed if not name.startswith("KHR_materials_")]
+    if unread:
         do = "export it without"
         if set(unread) <= _UNPACKED:
             names = map(str, (path, path.with_stem(f"{path.stem}-unpacked")))
@@ -194,10 +198,8 @@ def _check_document(document: dict[str, Any], path: Path) -> None:
                 f"{entry['uri']!r:.60}",
                 do,
             )
-    accessors, materials = (
-        document.get("accessors", []),
-        document.setdefault("materials", []),
-    )
+    accessors = document.get("accessors", [])
+    materials = document.setdefault("materials", [])
     for number, accessor in enumerate(accessors):
         if "bufferView" not in accessor and not accessor["count"] <= _MOST_ZEROS:
             got = f"accessor {number} of {accessor['count']} zeros, which no view holds"
@@ -235,10 +237,8 @@ def _check_document(document: dict[str, Any], path: Path) -> None:
                 "texCoord", 0
             ) or "KHR_texture_transform" in texture.get("extensions", {})
             if moved or accessors[attributes["TEXCOORD_0"]]["componentType"] != _FLOAT:
-                got, do = (
-                    "others, transformed ones or integers",
-                    "bake its textures with one set of coordinates",
-                )
+                got = "others, transformed ones or integers"
+                do = "bake its textures with one set of coordinates"
                 raise MeshFileError.of(
                     str(path),
                     "the first texture coordinates (TEXCOORD_0), of floats",
@@ -257,9 +257,10 @@ def _base_texture(material: dict[str, Any]) -> dict[str, Any] | None:
 
 def _material(material: dict[str, Any]) -> Material:
     factor = material.get("pbrMetallicRoughness", {}).get("baseColorFactor")
-    factor = (
-        None if factor is None else np.clip(np.asarray(factor[:3], np.float64), 0, 1)
-    )
+    if factor is None:
+        factor = None
+    else:
+        factor = np.clip(np.asarray(factor[:3], np.float64), 0, 1)
     return Material(has_texture=_base_texture(material) is not None, factor=factor)
 
 
@@ -296,7 +297,8 @@ def _mesh(
         np.asarray(piece.vertices, np.float64) @ placed[:, :3].T + placed[:, 3]
     ) @ turn.T
     faces = np.asarray(piece.faces, np.int64)
-    if (highest := int(faces.max())) >= len(vertices):
+    highest = int(faces.max())
+    if highest >= len(vertices):
         raise MeshFileError(f"a face with vertex {highest} of {len(vertices)}")
     if np.linalg.det(placed[:, :3]) < 0:  # a mirror turns every face around
         faces = faces[:, ::-1]
@@ -306,10 +308,8 @@ def _mesh(
         texture = skin(GREY) if stated.factor is None else skin(to_srgb(stated.factor))
         uvs = np.zeros((len(vertices), 2))
     else:
-        texture, uvs = (
-            _texture(material),
-            np.asarray(piece.visual.uv, np.float64)[:, :2],
-        )
+        texture = _texture(material)
+        uvs = np.asarray(piece.visual.uv, np.float64)[:, :2]
         if stated.factor is not None:
             texture = to_srgb(to_linear(texture) * np.float32(stated.factor))
     return Mesh(

@@ -54,7 +54,8 @@ def tracing_variant(variant: str | None = None) -> Iterator[None]:
     wanted = variant or _chosen.get() or MANY_PICTURES
     if wanted == MANY_PICTURES:
         prepare_llvm()
-    token, previous = _chosen.set(wanted), mi.variant()
+    token = _chosen.set(wanted)
+    previous = mi.variant()
     set_up_mitsuba()
     if previous != wanted:
         mi.set_variant(wanted)
@@ -147,10 +148,8 @@ def _shape(name: str, meshes: Sequence[Mesh]) -> mi.Mesh:
     """One Mitsuba mesh of parts that share roughness and texture, or that are all of
     plain colours (one palette).
     """
-    texture, uvs = (
-        meshes[0].texture,
-        [mesh.uvs[mesh.faces].reshape(-1, 2) for mesh in meshes],
-    )
+    texture = meshes[0].texture
+    uvs = [mesh.uvs[mesh.faces].reshape(-1, 2) for mesh in meshes]
     plain = _is_plain(meshes[0])
     if plain:
         texture = np.concatenate([mesh.texture for mesh in meshes], axis=1)
@@ -289,7 +288,9 @@ def sampler_type(samples: int) -> str:
     """
     # Correlated multi-jittered (Kensler 2013): at 16 and 64 samples per pixel 6 dB less
     # noise than independent ones.
-    return "multijitter" if fits_grid(samples) else "independent"
+    if fits_grid(samples):
+        return "multijitter"
+    return "independent"
 
 
 def _sensor(
@@ -380,7 +381,8 @@ class PathTracer:
                 samples,
                 "use 16 or more",
             )
-        self.samples, self._near = samples, near
+        self.samples = samples
+        self._near = near
         with tracing_variant(made_in(scene)):
             self._variant = mi.variant()
             self._scene = load_scene(scene)

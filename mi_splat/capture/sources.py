@@ -24,11 +24,13 @@ from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.scene_parts import SceneParts
 
-SMALLEST, LARGEST = 0.5, 50.0
+SMALLEST = 0.5
+LARGEST = 50.0
 """Radii in metres of a mesh: Mitsuba computes in float32 and starts secondary rays
 about 1e-4 metres off a surface.
 """
-SMALLEST_XML, LARGEST_XML = 0.02, 400.0
+SMALLEST_XML = 0.02
+LARGEST_XML = 400.0
 """Radii in world units of a Mitsuba scene, which is photographed as it is, so that its
 camera sees everything.
 """
@@ -36,7 +38,8 @@ FARTHEST_XML = 100.0
 """Largest coordinate of a Mitsuba scene's middle, in radii: its pictures are then about
 60 dB from those at the origin.
 """
-GROUND_SIDE, GROUND_TILE = 6.5, 1.65
+GROUND_SIDE = 6.5
+GROUND_TILE = 1.65
 """Side of the ground and of its texture, in radii of the object: 16 m and 4 m for a
 car, as in the studies of CLOAK.
 """
@@ -103,7 +106,8 @@ def open_source(
     path = Path(name)
     suffix = path.suffix.lower()
     is_asset = name not in EXAMPLES and name.partition(":")[0] in ASSETS
-    mesh, surroundings = mesh or MeshSettings(), surroundings or SurroundingsSettings()
+    mesh = mesh or MeshSettings()
+    surroundings = surroundings or SurroundingsSettings()
     if mesh != MeshSettings() and suffix != SUFFIX:
         expected = "a mesh file to go with"
         raise InvalidValueError.of(
@@ -165,11 +169,10 @@ def _mesh(
         raise InvalidValueError.of(
             name, expected, f"{radius:.4g}", "pass another scale"
         ).hinted("--scale")
-    ground = (
-        Asset("none", ())
-        if surroundings.ground == "none"
-        else _ground(target, surroundings.ground)
-    )
+    if surroundings.ground == "none":
+        ground = Asset("none", ())
+    else:
+        ground = _ground(target, surroundings.ground)
     azimuth, elevation = surroundings.sun_angles or (
         Light().sun_azimuth,
         Light().sun_elevation,
@@ -220,7 +223,8 @@ def _xml(path: Path) -> CaptureSource:
         raise InvalidValueError.of(
             str(path), expected, f"{radius:.4g}", "scale its shapes"
         )
-    if (away := max(map(abs, centre)) / radius) > FARTHEST_XML:
+    away = max(map(abs, centre)) / radius
+    if away > FARTHEST_XML:
         expected = (
             f"a scene around the origin, its middle at most {FARTHEST_XML:g} radii away"
         )

@@ -45,7 +45,8 @@ from mi_splat.sh import sh_basis, sh_to_colour
 
 COLOUR_VIEWS = 24
 """Pictures from which points take their colours."""
-OVERSAMPLING, MAX_OVERSAMPLING = 2, 12
+OVERSAMPLING = 2
+MAX_OVERSAMPLING = 12
 """How many samples are laid for each point wanted at first, and at most: some of a
 surface is hidden.
 """
@@ -91,7 +92,8 @@ def _split(
         edges = np.linalg.norm(corners - np.roll(corners, -1, 1), axis=2)
         large = edges.max(1) > longest(corners.mean(1).astype(np.float32))
         done.append(corners[~large])
-        corners, side = corners[large], edges[large].argmax(1)
+        corners = corners[large]
+        side = edges[large].argmax(1)
         row = np.arange(len(corners))
         a, b, c = (corners[row, (side + k) % 3] for k in range(3))
         middle = (a + b) / 2
@@ -129,11 +131,10 @@ def surface_samples(
         )
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1) / 2
-    local = (
-        np.ones(len(area))
-        if density is None
-        else density(corners.mean(1).astype(np.float32)).astype(np.float64)
-    )
+    if density is None:
+        local = np.ones(len(area))
+    else:
+        local = density(corners.mean(1).astype(np.float32)).astype(np.float64)
     total = np.cumsum(area * local)
     if not total[-1] > 0:
         raise InvalidValueError.of(
@@ -144,9 +145,11 @@ def surface_samples(
         total, (np.arange(count) + rng.random()) * (total[-1] / count)
     ).clip(max=len(area) - 1)
     order = np.arange(count)
-    u, v = (rng.random() + order * _R2[0]) % 1, (rng.random() + order * _R2[1]) % 1
+    u = (rng.random() + order * _R2[0]) % 1
+    v = (rng.random() + order * _R2[1]) % 1
     fold = u + v > 1
-    u, v = np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)
+    u = np.where(fold, 1 - u, u)
+    v = np.where(fold, 1 - v, v)
     a, b, c = (corners[face, k] for k in range(3))
     points = a + u[:, None] * (b - a) + v[:, None] * (c - a)
     normals = cross[face] / (2 * area[face])[:, None]
@@ -164,16 +167,15 @@ def _observe(
     """Samples in one view: (N,) weight of each (0 where hidden), (N, 3) its colour, (N,
     3) direction to it.
     """
-    points, normals = (
-        torch.from_numpy(samples.points),
-        torch.from_numpy(samples.normals),
-    )
+    points = torch.from_numpy(samples.points)
+    normals = torch.from_numpy(samples.normals)
     camera = view.camera
     pixels, forward = project_points(points, camera)
     offset = points - camera.position.to(points)
     distance = offset.norm(dim=1)
     direction = offset / distance[:, None]
-    column, row = pixels[:, 0].floor().long(), pixels[:, 1].floor().long()
+    column = pixels[:, 0].floor().long()
+    row = pixels[:, 1].floor().long()
     inside = (
         (forward > 0.05)
         & (column >= 0)
@@ -181,7 +183,8 @@ def _observe(
         & (column < camera.width)
         & (row < camera.height)
     )
-    column, row = column.clamp(0, camera.width - 1), row.clamp(0, camera.height - 1)
+    column = column.clamp(0, camera.width - 1)
+    row = row.clamp(0, camera.height - 1)
     surface = depth[row, column]
     facing = (direction * normals).sum(1).abs()
     slack = (
@@ -209,7 +212,8 @@ def fit_colours(
     """Least-squares SH of each sample over the views that see it, by ridge regression
     (Hoerl and Kennard 1970).
     """
-    count, size = len(samples.points), (degree + 1) ** 2
+    count = len(samples.points)
+    size = (degree + 1) ** 2
     left = torch.zeros(count, size, size)
     right = torch.zeros(count, size, 3)
     seen = torch.zeros(count)
@@ -539,7 +543,8 @@ def claim_folder(folder: Path, wanted: dict[str, Any]) -> str:
             path.name for path in folder.iterdir() if not is_temporary(path.name)
         )
         if others:
-            got, do = f"{others[0]} in it and no {RECORD}", "choose a new folder"
+            got = f"{others[0]} in it and no {RECORD}"
+            do = "choose a new folder"
             raise InvalidValueError.of(
                 str(folder), "an empty folder or that of a capture", got, do
             )
@@ -551,7 +556,8 @@ def claim_folder(folder: Path, wanted: dict[str, Any]) -> str:
     )
     for kind in inputs.values:
         inputs.object(kind)
-    if changed := differences(stored, wanted):
+    changed = differences(stored, wanted)
+    if changed:
         do = "choose a new folder, or the same settings to go on"
         raise InvalidValueError.of(
             str(file), "the settings of this capture", "; ".join(changed), do

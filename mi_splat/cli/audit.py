@@ -112,7 +112,9 @@ def run(options: AuditOptions) -> int:
     bad = {"hidden look", "error"} | (
         {"suspicious", "changed"} if options.strict else set()
     )
-    return FOUND if bad & _verdicts(document) else 0
+    if bad & _verdicts(document):
+        return FOUND
+    return 0
 
 
 def _verdicts(document: dict[str, Any]) -> set[str]:
@@ -132,8 +134,10 @@ def _check_flags(options: AuditOptions) -> None:
     """Raise if flags exclude each other, or do not fit the files."""
     from mi_splat.datasets import is_dataset
 
-    is_set, pictures = is_dataset(options.file), f"the pictures {options.file}"
-    only_lint, looks = options.only == "lint", "hidden looks to be looked for"
+    is_set = is_dataset(options.file)
+    pictures = f"the pictures {options.file}"
+    only_lint = options.only == "lint"
+    looks = "hidden looks to be looked for"
     refused: list[tuple[str, object, str, object, str]] = [
         (
             "--against",
@@ -234,22 +238,26 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
     from mi_splat.io.splat_files import load_stored
     from mi_splat.scene_files import open_scene
 
-    path, folder = options.file, options.out
+    path = options.file
+    folder = options.out
     if is_dataset(path):
         return _audited_pictures(path, folder, options)
     with progress(f"auditing {path.name}"):
         loaded = open_scene(path) if path.suffix.lower() == ".xml" else None
-        stored, lint = None, None
+        stored = None
+        lint = None
         with contextlib.suppress(SplatFileError):  # lint says what is wrong
             stored = None if loaded else load_stored(path)
         if options.only != "looks":
             lint = lint_scene(loaded.scene) if loaded else lint_file(path, stored)
-        scene, judged, cameras, unjudged = None, None, None, "only lint was asked for"
-        errors = (
-            [item.rule for item in lint.findings if item.severity == "error"]
-            if lint is not None
-            else []
-        )
+        scene = None
+        judged = None
+        cameras = None
+        unjudged = "only lint was asked for"
+        if lint is not None:
+            errors = [item.rule for item in lint.findings if item.severity == "error"]
+        else:
+            errors = []
         if "overdraw" in errors:
             unjudged = "it would stop the renderer, see overdraw"
         elif options.only != "lint":
@@ -295,7 +303,8 @@ def _audited_pictures(
         judged = audit_pictures(
             views, up=options.up, on_step=lambda done, of: advance()
         )
-    account, files = document_of_pictures(judged, len(rest)), list[Path]()
+    account = document_of_pictures(judged, len(rest))
+    files = list[Path]()
     if folder:
         files = write_pictures(
             judged,
@@ -320,11 +329,10 @@ def _with_looks(
     if options.cameras:
         wanted = CameraOptions(cameras=options.cameras, up=options.up)
         cameras = tuple(find_cameras(loaded, wanted).values())
-    against = (
-        changes(loaded.scene, open_scene(options.against).scene)
-        if options.against
-        else None
-    )
+    if options.against:
+        against = changes(loaded.scene, open_scene(options.against).scene)
+    else:
+        against = None
     up: Sequence[float] | None = options.up
     if up is None and loaded.up is not None and loaded.up.is_stated:
         note(up_line(loaded.up))
@@ -344,15 +352,15 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
         shown = ", ".join(map(str, finding["rows"][:5])) + (
             ", ..." if finding["count"] > 5 else ""
         )
-        where = (
-            f" {finding['count']:,} Gaussians (rows {shown})."
-            if finding["count"]
-            else ""
-        )
+        if finding["count"]:
+            where = f" {finding['count']:,} Gaussians (rows {shown})."
+        else:
+            where = ""
         rest.append(
             f"{finding['severity']}, {finding['rule']}:{where} {finding['reason']}"
         )
-    if cost := document.get("cost", {}).get("overdraw"):
+    cost = document.get("cost", {}).get("overdraw")
+    if cost:
         rest.append(
             f"cost: from the worst camera {cost['mean']:,.0f} Gaussians over each other"
             f" in the mean, {cost['highest']:,} at most"

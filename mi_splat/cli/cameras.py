@@ -41,7 +41,8 @@ _FILES = (".json", ".xml")
 """Endings of files with cameras."""
 _WORTH_A_WORD = 0.01
 """A share of the Gaussians that the near plane hides before it is said."""
-AZIMUTH, ELEVATION = 30.0, 20.0
+AZIMUTH = 30.0
+ELEVATION = 20.0
 _TRIED = (
     (30.0, 20.0),
     (120.0, 20.0),
@@ -58,11 +59,14 @@ _GOOD = 0.6
 well.
 """
 
-_COMPARED, _FEWEST_COMPARED = 5, 3
+_COMPARED = 5
+_FEWEST_COMPARED = 3
 """Images of a set that are compared with renderings."""
-_LONGEST_SIDE, _THUMBNAIL = 128, 16
+_LONGEST_SIDE = 128
+_THUMBNAIL = 16
 """Pixels of these renderings, and of what is compared of them."""
-_ALIKE, _GAINED = 0.9, 0.25
+_ALIKE = 0.9
+_GAINED = 0.25
 """A correlation from which on an image is like its rendering; share of what lacks to 1
 that else has to be gained.
 """
@@ -85,7 +89,8 @@ def find_cameras(
     if options.up is not None or not _are_placed(loaded, options):
         options = upright(loaded, options)
     cameras = _cameras(loaded, options, focus, shows, split)
-    if (odd := odd_fields_of_view(list(cameras.values()))) is not None:
+    odd = odd_fields_of_view(list(cameras.values()))
+    if odd is not None:
         warn(odd)
     for text in options.cameras:
         folder = Path(text)
@@ -173,9 +178,8 @@ def _inside(
     best of four if none is given.
     """
     azimuths = AROUND if options.azimuth is None else [azimuth]
-    if (
-        place := place_inside(target, azimuths, elevation=elevation, up=options.up or Z)
-    ) is None:
+    place = place_inside(target, azimuths, elevation=elevation, up=options.up or Z)
+    if place is None:
         return options, azimuth
     if not place.is_room:
         do = f"pass --distance {place.distance:.2g} to look from inside"
@@ -217,11 +221,10 @@ def _check_meaning(loaded: SplatScene, options: CameraOptions) -> None:
     idle = [flag for flag, value in given.items() if value is not None]
     if idle:
         got = f"--cameras {' '.join(options.cameras)} and {', '.join(idle)}"
-        what = (
-            "cameras that have their places"
-            if placed
-            else "either a set of cameras or one on an orbit"
-        )
+        if placed:
+            what = "cameras that have their places"
+        else:
+            what = "either a set of cameras or one on an orbit"
         raise InvalidValueError.of("cameras", what, got, "leave one out")
 
 
@@ -246,7 +249,8 @@ def renderer_of(
     whose near plane hides many.
     """
     settings = render_settings(loaded, options, cameras)
-    if unseen := nothing_in_view(loaded.scene, list(cameras.values())):
+    unseen = nothing_in_view(loaded.scene, list(cameras.values()))
+    if unseen:
         warn(unseen)
     counts = {
         name: culled_in_view(loaded.scene, camera, settings.near)
@@ -332,11 +336,10 @@ def _named(
         turned = [with_up(camera, centre, options.up or Z) for camera in cameras]
         return list(numbered(text.partition(":")[0], turned).items())
     else:
-        names = (
-            f"one of {', '.join(loaded.cameras)}"
-            if loaded.cameras
-            else "no name, since the scene has no cameras"
-        )
+        if loaded.cameras:
+            names = f"one of {', '.join(loaded.cameras)}"
+        else:
+            names = "no name, since the scene has no cameras"
         raise InvalidValueError.of(
             "camera",
             f"{names}; or {FORMS}, or a folder",
@@ -400,7 +403,9 @@ def _thumbnail(image: Tensor) -> Tensor:
     values = torch.nn.functional.adaptive_avg_pool2d(grey, _THUMBNAIL).flatten()
     values = values - values.mean()
     length = float(values.norm())
-    return values / length if length > 1e-4 else torch.zeros_like(values)
+    if length > 1e-4:
+        return values / length
+    return torch.zeros_like(values)
 
 
 def _listed(path: Path, options: CameraOptions) -> list[tuple[str, Camera]]:
@@ -432,7 +437,9 @@ def _beside_pictures(
 
 
 def _sized(camera: Camera, options: CameraOptions) -> Camera:
-    return camera if options.size is None else resized(camera, options.size)
+    if options.size is None:
+        return camera
+    return resized(camera, options.size)
 
 
 def _placement(

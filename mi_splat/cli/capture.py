@@ -85,7 +85,8 @@ class CaptureOptions(JsonOptions):
     """What is around a mesh file, or around an object of the project."""
 
 
-SIZE, FOV = (256, 256), 45.0
+SIZE = (256, 256)
+FOV = 45.0
 """Size in pixels and field of view in degrees that are taken where none are given."""
 
 
@@ -137,9 +138,11 @@ def _capture(options: CaptureOptions) -> None:
         "size": size,
     }
     cameras = camera_set(options.cameras, **placed)
-    if unseen := no_surface_in_view(source.centre, source.radius, cameras):
+    unseen = no_surface_in_view(source.centre, source.radius, cameras)
+    if unseen:
         warn(unseen)
-    width, height = cameras[0].width, cameras[0].height
+    width = cameras[0].width
+    height = cameras[0].height
     if options.size is not None and any(
         (camera.width, camera.height) != size for camera in cameras
     ):
@@ -201,9 +204,10 @@ def _inputs(options: CaptureOptions, *, is_file: bool) -> Inputs:
 
 def _lines(done: WrittenCapture, out: Path, size: str) -> Iterator[str]:
     total = done.train + done.test
-    kept = (
-        f", {total - done.rendered} were there before" if done.rendered < total else ""
-    )
+    if done.rendered < total:
+        kept = f", {total - done.rendered} were there before"
+    else:
+        kept = ""
     held_out = f" ({done.test} of them held out)" if done.test else ""
     yield (
         f"{out}: {total} pictures of {size}{held_out}; {done.rendered} rendered in"

@@ -36,7 +36,8 @@ EXAMPLES = (
 )
 DIFFERS = 3
 """Exit status where something does not conform."""
-_PSNR, _LARGEST = {8: 39.0, 32: 80.0}, {8: 0.06, 32: 1e-3}
+_PSNR = {8: 39.0, 32: 80.0}
+_LARGEST = {8: 0.06, 32: 1e-3}
 """Least PSNR, dB, and largest difference of a channel at which an image conforms, by
 its bits; viewers that blend in 8 bits reach 39 to 50 dB.
 """
@@ -403,7 +404,8 @@ def _opengl(view: PinholeCamera) -> dict[str, list[float]]:
     """View and projection matrices of OpenGL, column by column."""
     import numpy as np
 
-    near, far = 0.2, 1000.0
+    near = 0.2
+    far = 1000.0
     projection = np.zeros((4, 4))
     projection[0, [0, 2]] = 2 * view.fx / view.width, 1 - 2 * view.cx / view.width
     projection[1, [1, 2]] = 2 * view.fy / view.height, 2 * view.cy / view.height - 1
@@ -443,7 +445,8 @@ def _draw_in_browser(
         raise InvalidValueError.of(
             "--browser", "Chromium, a folder for the images and an adapter", got, do
         )
-    ended, errors = threading.Event(), list[str]()
+    ended = threading.Event()
+    errors = list[str]()
     with (
         tempfile.TemporaryDirectory() as made,
         new_folder(options.images, force=options.force) as folder,
@@ -454,10 +457,8 @@ def _draw_in_browser(
 
         class Handler(SimpleHTTPRequestHandler):
             def do_PUT(self) -> None:
-                body, name = (
-                    self.rfile.read(int(self.headers["Content-Length"])),
-                    self.path.strip("/"),
-                )
+                body = self.rfile.read(int(self.headers["Content-Length"]))
+                name = self.path.strip("/")
                 if name in every:
                     (folder / f"{name}.png").write_bytes(body)
                 elif name == "end":
@@ -498,7 +499,8 @@ def _compare_images(
     assert options.images is not None
     with progress("comparing") as advance:
         given = dict(_images(options.images, every))
-        if missing := [name for name in every if name not in given]:
+        missing = [name for name in every if name not in given]
+        if missing:
             warn(f"no image of {', '.join(missing)}: these facts are not tested")
         setups = {name: _as_read(every[name], options.format) for name in given}
         by_model = dict[str, list[dict[str, Any]]]()
@@ -514,10 +516,10 @@ def _compare_images(
                 )
             if all(row["conforms"] for row in by_model[model]):
                 break
-        rows, conforming = (
-            by_model[options.model],
-            {key: sum(r["conforms"] for r in by_model[key]) for key in by_model},
-        )
+        rows = by_model[options.model]
+        conforming = {
+            key: sum(r["conforms"] for r in by_model[key]) for key in by_model
+        }
         better = max(
             conforming, key=lambda key: (conforming[key], key == options.model)
         )
@@ -528,9 +530,10 @@ def _compare_images(
         }
         advance("looking for causes")
         wrong = conforming[options.model] < len(rows)
-        causes = (
-            find_deviations(images, setups) if wrong and options.model == "tile" else []
-        )
+        if wrong and options.model == "tile":
+            causes = find_deviations(images, setups)
+        else:
+            causes = []
     found = [
         {
             "switch": c.deviation.switch,
@@ -562,7 +565,9 @@ def _compare_images(
             " compare with that."
         )
     show_result(document, *lines, as_json=options.json)
-    return DIFFERS if wrong else 0
+    if wrong:
+        return DIFFERS
+    return 0
 
 
 def _images(
@@ -579,10 +584,8 @@ def _images(
     files = (
         (name, folder / f"{name}{end}") for name in every for end in (".png", ".exr")
     )
-    found, do = (
-        [pair for pair in files if pair[1].is_file()],
-        "render what mi-splat conform --export writes",
-    )
+    found = [pair for pair in files if pair[1].is_file()]
+    do = "render what mi-splat conform --export writes"
     _check_some(found, folder, f"images such as {next(iter(every))}.png", do)
     for name, path in found:
         if path.suffix == ".png":
@@ -870,4 +873,6 @@ def _report(options: ConformOptions, key: str, rows: list[dict[str, Any]]) -> in
         for row in rows
     ]
     show_result({key: rows}, *lines, as_json=options.json)
-    return 0 if all(row["conforms"] for row in rows) else DIFFERS
+    if all(row["conforms"] for row in rows):
+        return 0
+    return DIFFERS

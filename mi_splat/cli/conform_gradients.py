@@ -41,10 +41,8 @@ def read_gradients(path: Path, exact: Mapping[str, Array]) -> dict[str, Array]:
     """The arrays of a file that are called as exact ones; none may be larger in the
     file than twice those.
     """
-    found, most = (
-        dict[str, Any](),
-        1024 + 16 * max(values.size for values in exact.values()),
-    )
+    found = dict[str, Any]()
+    most = 1024 + 16 * max(values.size for values in exact.values())
     try:
         with zipfile.ZipFile(path) as archive, TemporaryDirectory() as folder:
             for name in (
@@ -61,10 +59,8 @@ def read_gradients(path: Path, exact: Mapping[str, Array]) -> dict[str, Array]:
                     Path(archive.extract(name, folder))
                 ).astype(float)
     except _DAMAGED as error:
-        got, do = (
-            one_line(str(error), 200) or type(error).__name__,
-            "save them with numpy.savez",
-        )
+        got = one_line(str(error), 200) or type(error).__name__
+        do = "save them with numpy.savez"
         raise InvalidValueError.of(
             str(path), "arrays shaped as those exported", got, do
         ) from error

@@ -128,11 +128,10 @@ def progress(text: str, total: int | None = None) -> Iterator[Advance]:
         return
     from tqdm import tqdm
 
-    form = (
-        "{desc} [{elapsed}]"
-        if total is None
-        else "{desc} |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
-    )
+    if total is None:
+        form = "{desc} [{elapsed}]"
+    else:
+        form = "{desc} |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
     with tqdm(
         total=total,
         desc=printable(text),
@@ -155,7 +154,9 @@ class _Lines:
     """
 
     def __init__(self, text: str, total: int | None) -> None:
-        self._text, self._total, self._done = text, total, 0
+        self._text = text
+        self._total = total
+        self._done = 0
         self._last = time.monotonic()
 
     def __call__(self, text: str | None = None, units: int = 1) -> None:

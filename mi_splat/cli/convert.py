@@ -98,15 +98,15 @@ def run(options: ConvertOptions) -> None:
                     rotation=turn, translation=torch.zeros(3), scale=options.scale
                 )
             )
-    antialiased, not_kept = stored.is_antialiased, ranges(stored.unread)
+    antialiased = stored.is_antialiased
+    not_kept = ranges(stored.unread)
     if antialiased and suffix not in TAGGED:
         not_kept.append("that it was trained with antialiasing (render mode)")
     with progress(f"writing {options.out}"):
-        kept = (
-            scene
-            if options.sh_degree is None
-            else scene.with_degree(min(options.sh_degree, scene.degree))
-        )
+        if options.sh_degree is None:
+            kept = scene
+        else:
+            kept = scene.with_degree(min(options.sh_degree, scene.degree))
         options.out.parent.mkdir(parents=True, exist_ok=True)
         encoded = write_splat_file(
             kept,
@@ -115,11 +115,10 @@ def run(options: ConvertOptions) -> None:
             antialiased=antialiased,
         )
         reread = load_stored(options.out).scene
-    written = (
-        scene
-        if encoded.order is None
-        else scene.select(torch.from_numpy(encoded.order))
-    )
+    if encoded.order is None:
+        written = scene
+    else:
+        written = scene.select(torch.from_numpy(encoded.order))
     changes = differences(written, reread)
     losses = (*dropped_bands(scene.sh.numpy(), kept.degree), *encoded.losses)
     sizes = (
@@ -164,7 +163,8 @@ def differences(before: GaussianScene, after: GaussianScene) -> dict[str, float]
     from mi_splat.sh import dc_to_colour
 
     degree = max(before.degree, after.degree)
-    old, new = before.with_degree(degree), after.with_degree(degree)
+    old = before.with_degree(degree)
+    new = after.with_degree(degree)
     # q and -q are one rotation, and half a turn about an axis of its own leaves a
     # Gaussian as it is.
     w, x, y, z = new.rotations.double().T
@@ -193,4 +193,6 @@ def differences(before: GaussianScene, after: GaussianScene) -> dict[str, float]
 
 
 def _largest(values: Tensor) -> float:
-    return float(values.abs().max()) if values.numel() else 0.0
+    if values.numel():
+        return float(values.abs().max())
+    return 0.0

@@ -82,7 +82,9 @@ class Option:
     def parts(self) -> tuple[Any, ...]:
         """The types of its values where it is a tuple."""
         kind = field_type(self.hint).kind
-        return typing.get_args(kind) if typing.get_origin(kind) is tuple else ()
+        if typing.get_origin(kind) is tuple:
+            return typing.get_args(kind)
+        return ()
 
     @property
     def name(self) -> str:
@@ -94,7 +96,9 @@ class Option:
         """The flag, or the name of a positional value."""
         no = "no-" if self.default is True else ""
         name = f"--{no}{self.given.name or self.name}".replace("_", "-")
-        return self.metavar if self.given.positional else name
+        if self.given.positional:
+            return self.metavar
+        return name
 
     @property
     def fields(self) -> list[Option]:
@@ -110,7 +114,8 @@ class Option:
     @property
     def metavar(self) -> str:
         """What its values are called."""
-        declared, allowed = self.mark(Metavar), self.mark(Range)
+        declared = self.mark(Metavar)
+        allowed = self.mark(Range)
         if declared is not None:
             return declared.name
         kind, marks = field_type(self.hint)[:2]
@@ -120,22 +125,20 @@ class Option:
             ).metavar
         if typing.get_origin(kind) is Literal:
             return f"{{{','.join(map(str, typing.get_args(kind)))}}}"
-        return (
-            allowed.unit.upper()
-            if allowed is not None and allowed.unit.isalpha()
-            else METAVARS.get(kind, "VALUE")
-        )
+        if allowed is not None and allowed.unit.isalpha():
+            return allowed.unit.upper()
+        return METAVARS.get(kind, "VALUE")
 
     @property
     def count(self) -> int | str | None:
         """How many words it takes, as argparse has it."""
         if self.parts and not self.mark(Converter):
-            return "*" if self.parts[-1] is Ellipsis else len(self.parts)
-        return (
-            "?"
-            if self.given.positional and self.default is not dataclasses.MISSING
-            else None
-        )
+            if self.parts[-1] is Ellipsis:
+                return "*"
+            return len(self.parts)
+        if self.given.positional and self.default is not dataclasses.MISSING:
+            return "?"
+        return None
 
     @property
     def help(self) -> str:
@@ -144,11 +147,10 @@ class Option:
         allowed = self.mark(Range) or next(
             (mark for mark in inner if isinstance(mark, Range)), Range()
         )
-        unit = (
-            ""
-            if not allowed.unit or allowed.unit.upper() == self.metavar
-            else f" {allowed.unit}"
-        )
+        if not allowed.unit or allowed.unit.upper() == self.metavar:
+            unit = ""
+        else:
+            unit = f" {allowed.unit}"
         notes = [f"{allowed.bounds}{unit}"] if allowed.bounds else []
         if self.default is dataclasses.MISSING:
             notes.append("required")
@@ -165,7 +167,9 @@ class Option:
             return NONE
         if converter is not None:
             return converter.write(value)
-        return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+        if isinstance(value, tuple):
+            return " ".join(map(str, value))
+        return str(value)
 
     def value(self, words: Sequence[str], flag: str) -> Any:
         """The value in the user's words."""
@@ -173,7 +177,9 @@ class Option:
         if [word.lower() for word in words] == [NONE] and (
             optional or self.count == "*"
         ):
-            return None if optional else ()
+            if optional:
+                return None
+            return ()
         converter = self.mark(Converter)
         if converter is not None:
             try:
@@ -269,11 +275,10 @@ def parse(
         unknown = next(
             (word for word in rest if word.startswith("-")), rest[0]
         ).partition("=")[0]
-        do = (
-            nearest(unknown, flags, f"see {program} --help")
-            if unknown.startswith("-")
-            else "leave it out"
-        )
+        if unknown.startswith("-"):
+            do = nearest(unknown, flags, f"see {program} --help")
+        else:
+            do = "leave it out"
         raise UsageError.of("options", "those of the command", " ".join(rest), do)
     try:
         return _built(kind, options_of(kind, defaults), vars(given))
@@ -299,7 +304,9 @@ def choice_among(
 def _dashed(word: str) -> str:
     """A word whose flag has dashes."""
     flag, equals, value = word.partition("=")
-    return f"{flag.replace('_', '-')}{equals}{value}" if flag.startswith("--") else word
+    if flag.startswith("--"):
+        return f"{flag.replace('_', '-')}{equals}{value}"
+    return word
 
 
 def options_of(kind: type, defaults: Mapping[str, Any] | None = None) -> list[Option]:
@@ -324,7 +331,8 @@ def options_of(kind: type, defaults: Mapping[str, Any] | None = None) -> list[Op
 
 
 def _options(kind: type, values: Mapping[str, Any], key: str = "") -> list[Option]:
-    hints, texts = type_hints(kind), field_texts(kind)
+    hints = type_hints(kind)
+    texts = field_texts(kind)
     return [
         Option(
             key=f"{key}{name}",
@@ -446,11 +454,9 @@ def _below(module: str, kind: str) -> dict[str, str]:
 @cache
 def _source(module: str) -> ast.Module:
     path = sys.modules[module].__file__
-    return (
-        ast.parse(Path(path).read_text("utf-8"))
-        if path and os.path.isfile(path)
-        else ast.Module([], [])
-    )
+    if path and os.path.isfile(path):
+        return ast.parse(Path(path).read_text("utf-8"))
+    return ast.Module([], [])
 
 
 def _filled(text: str, width: int) -> str:

@@ -45,9 +45,10 @@ def run(options: InfoOptions) -> None:
     from mi_splat.io.folders import splat_in
 
     with progress(f"reading {options.file}"):
-        read = (
-            _scene_file_facts if options.file.suffix.lower() == ".xml" else _file_facts
-        )
+        if options.file.suffix.lower() == ".xml":
+            read = _scene_file_facts
+        else:
+            read = _file_facts
         facts = read(options.file)
     file = str(splat_in(options.file) or options.file)
     if options.json:
@@ -184,17 +185,13 @@ def _text(value: object) -> str:
         return ", ".join(f"{name}: {_text(part)}" for name, part in value.items())
     if isinstance(value, list):
         texts = list(map(_text, value))
-        return (
-            " to ".join(texts)
-            if isinstance(value[0], list)
-            else f"({', '.join(texts)})"
-        )
+        if isinstance(value[0], list):
+            return " to ".join(texts)
+        return f"({', '.join(texts)})"
     if isinstance(value, float):
         return f"{value:.4g}"
-    return (
-        f"{value:,}"
-        if isinstance(value, int)
-        else "none"
-        if value is None
-        else str(value)
-    )
+    if isinstance(value, int):
+        return f"{value:,}"
+    if value is None:
+        return "none"
+    return str(value)

@@ -102,11 +102,10 @@ def up_line(up: "UpAxis") -> str:
     turn it.
     """
     x, y, z = up.direction
-    other = (
-        (0.0, -1.0, 0.0)
-        if up.direction == (0.0, 0.0, 1.0)
-        else (-x + 0.0, -y + 0.0, -z + 0.0)
-    )
+    if up.direction == (0.0, 0.0, 1.0):
+        other = (0.0, -1.0, 0.0)
+    else:
+        other = (-x + 0.0, -y + 0.0, -z + 0.0)
     return (
         f"up is taken as {axis_name(up.direction)} ({up.reason}); --up"
         f" {axis_name(other)} turns it"

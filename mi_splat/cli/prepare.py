@@ -53,7 +53,8 @@ class PrepareOptions(JsonOptions):
 def check_inputs(options: PrepareOptions) -> None:
     """Raise unless the source exists."""
     if not options.source.exists():
-        expected, do = "a folder of photographs, or a video", "check the path"
+        expected = "a folder of photographs, or a video"
+        do = "check the path"
         raise PreparationError.of(str(options.source), expected, "no such file", do)
 
 
@@ -79,7 +80,8 @@ def run(options: PrepareOptions) -> None:
     counts = {
         part: sum(row["part"] == part for row in images) for part in ("train", "test")
     }
-    placed, count = sum(counts.values()), len(images) + len(record["broken"])
+    placed = sum(counts.values())
+    count = len(images) + len(record["broken"])
     lines = (
         (
             f"{placed} of {count} images placed: {counts['train']} for training,"
@@ -98,10 +100,12 @@ def _warn(record: Mapping[str, Any]) -> None:
     """Name what was not placed, or not well."""
     from mi_splat.preparation.prepare import not_placed
 
-    if missing := not_placed(record):
+    missing = not_placed(record)
+    if missing:
         warn(f"not placed: {listed(missing, width=120)}")
     placed = [row for row in record["images"] if row["part"] != "none"]
-    if weak := [row["source"] for row in placed if row["points"] < FEW_POINTS]:
+    weak = [row["source"] for row in placed if row["points"] < FEW_POINTS]
+    if weak:
         warn(
             f"perhaps in a wrong place, since they show fewer than {FEW_POINTS} points:"
             f" {listed(weak)}"

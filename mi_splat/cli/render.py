@@ -120,7 +120,8 @@ def run(options: RenderOptions) -> None:
         render: RenderFn = (
             renderer_of(loaded, options.view, cameras) if mixed is None else mixed
         )
-        begun, pictures = time.perf_counter(), {}
+        begun = time.perf_counter()
+        pictures = {}
         for number, (name, camera) in enumerate(cameras.items(), 1):
             advance(f"rendering {number} of {len(cameras)}")
             with torch.no_grad():
@@ -141,10 +142,8 @@ def run(options: RenderOptions) -> None:
         "seconds": seconds,
     }
     many = f"{len(cameras)} pictures, " if len(cameras) > 1 else ""
-    size, took = (
-        f"{first.width} x {first.height}",
-        f"{seconds:.2f} s (the first picture compiles)",
-    )
+    size = f"{first.width} x {first.height}"
+    took = f"{seconds:.2f} s (the first picture compiles)"
     line = f"{options.out}: {many}{len(loaded.scene):,} Gaussians at {size} in {took}"
     show_result(document, line, as_json=options.json)
 
@@ -209,10 +208,8 @@ def _pixels(
     more: dict[str, Tensor] = {}
     if isinstance(render, Renderer) and options.depth:
         seen = render.outputs(scene, camera)
-        image, more = (
-            seen.image,
-            {"A": seen.alpha, "Z": seen.depth, "median.Z": seen.median_depth},
-        )
+        image = seen.image
+        more = {"A": seen.alpha, "Z": seen.depth, "median.Z": seen.median_depth}
     elif isinstance(render, Renderer) and options.alpha:
         image = Renderer(dataclasses.replace(render.settings, alpha=True))(
             scene, camera
@@ -274,10 +271,8 @@ def _save(
     )
     from mi_splat.rendering import save_floats
 
-    out, shown = (
-        options.out,
-        [pixels for pixels in pictures.values() if not isinstance(pixels, Mapping)],
-    )
+    out = options.out
+    shown = [pixels for pixels in pictures.values() if not isinstance(pixels, Mapping)]
     if is_animation(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         save_animation(shown, out, fps=options.fps)

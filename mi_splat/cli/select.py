@@ -84,7 +84,9 @@ def run(options: SelectOptions) -> None:
     with progress("selecting"):
         loaded = open_scene(options.scene)
         chosen = choose(loaded, options.selection, options.view)
-        scene, mask, weights = loaded.scene, chosen.mask, chosen.weights(loaded)
+        scene = loaded.scene
+        mask = chosen.mask
+        weights = chosen.weights(loaded)
         first = next(iter(chosen.cameras.values()))
         for path in options.out:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -118,9 +120,10 @@ def run(options: SelectOptions) -> None:
         lines.append(f"{seen} by {view['camera']}: {view['share']:.1%} of the pixels")
     if len(views) > LISTED:
         shares = [view["share"] for view in views if view["seen"]]
-        of_pixels = (
-            f", {min(shares):.1%} to {max(shares):.1%} of the pixels" if shares else ""
-        )
+        if shares:
+            of_pixels = f", {min(shares):.1%} to {max(shares):.1%} of the pixels"
+        else:
+            of_pixels = ""
         lines.append(f"seen by {len(shares)} of {len(views)} cameras in all{of_pixels}")
     show_result(document, *lines, *map(str, options.out), as_json=options.json)
 

@@ -130,9 +130,10 @@ def _train(options: TrainOptions) -> None:
         held_out = load(split="test")
         _say_of_images(options.dataset, views, held_out)
         start = _start(views, options)
-        near = (
-            near_plane(start, views.cameras) if options.near is None else options.near
-        )
+        if options.near is None:
+            near = near_plane(start, views.cameras)
+        else:
+            near = options.near
         render = _renderer(options, near)
         settings: dict[str, object] = {
             "near": near,
@@ -184,7 +185,8 @@ def _say_of_images(source: Path, views: Dataset, held_out: Dataset) -> None:
     """Say how many images the set lists and has, and warn of few."""
     from mi_splat.datasets.folders import unlisted_images
 
-    listed, there = views.listed | held_out.listed, len(views) + len(held_out)
+    listed = views.listed | held_out.listed
+    there = len(views) + len(held_out)
     split = f"{counted(len(views), 'image')} for training, {len(held_out)} held out"
     masked = sum(frame.mask is not None for frame in views.frames)
     warn(
@@ -208,12 +210,16 @@ def _say_of_images(source: Path, views: Dataset, held_out: Dataset) -> None:
 class _Pace:
     """Says once how long a training will take, and what helps where it is long."""
 
-    WARM_UP, WORTH_SAYING = 5, 10.0
+    WARM_UP = 5
+    WORTH_SAYING = 10.0
     """Steps that compile and are not counted; seconds after which it is said."""
 
     def __init__(self, iterations: int, downscale: int) -> None:
-        self._iterations, self._downscale = iterations, downscale
-        self._left, self._began, self._steps = self.WARM_UP, 0.0, 0
+        self._iterations = iterations
+        self._downscale = downscale
+        self._left = self.WARM_UP
+        self._began = 0.0
+        self._steps = 0
         self._is_said = False
 
     def resume(self) -> None:
@@ -300,11 +306,10 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
     from mi_splat.io import load_splat
     from mi_splat.training.initialization import from_points, random_points, thinned
 
-    limit = (
-        options.fit.strategy.max_gaussians
-        if options.fit.strategy.adds_gaussians
-        else None
-    )
+    if options.fit.strategy.adds_gaussians:
+        limit = options.fit.strategy.max_gaussians
+    else:
+        limit = None
     if options.start is not None and options.random is not None:
         raise InvalidValueError.of(
             "--random", "no other start", f"--start {options.start}", "leave one out"

@@ -57,7 +57,8 @@ def sheet(pictures: Mapping[str, Tensor], *, factor: float) -> NDArray[np.uint8]
         (rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3), 255, np.uint8
     )
     for number, tile in enumerate(tiles):
-        y, x = number // columns * (height + GAP), number % columns * (width + GAP)
+        y = number // columns * (height + GAP)
+        x = number % columns * (width + GAP)
         canvas[y : y + height, x : x + width] = tile
     return canvas
 
@@ -105,7 +106,9 @@ class PictureDistance:
     @property
     def psnr(self) -> float | None:
         """DB; None for equal pictures, whose PSNR is infinite."""
-        return None if self.mse == 0 else -10 * math.log10(self.mse)
+        if self.mse == 0:
+            return None
+        return -10 * math.log10(self.mse)
 
 
 def picture_distance(first: Tensor, second: Tensor) -> PictureDistance:
@@ -122,10 +125,8 @@ def pooled(distances: Sequence[PictureDistance]) -> PictureDistance:
     """Several pictures as one: the squared error of all their pixels, and the mean
     SSIM, if all have one.
     """
-    known, pixels = (
-        [d.ssim for d in distances if d.ssim is not None],
-        sum(d.pixels for d in distances),
-    )
+    known = [d.ssim for d in distances if d.ssim is not None]
+    pixels = sum(d.pixels for d in distances)
     return PictureDistance(
         pixels=pixels,
         mse=sum(distance.mse * distance.pixels for distance in distances) / pixels,
@@ -192,11 +193,9 @@ class GradientAgreement:
         """
         product, first, second, _ = self._sums.tolist()
         lengths = math.sqrt(first * second)
-        return (
-            max(-1.0, min(1.0, product / lengths))
-            if lengths > 0 and math.isfinite(lengths)
-            else None
-        )
+        if lengths > 0 and math.isfinite(lengths):
+            return max(-1.0, min(1.0, product / lengths))
+        return None
 
     @property
     def relative_error(self) -> float | None:
@@ -204,14 +203,13 @@ class GradientAgreement:
         something is not finite.
         """
         _, first, _, gap = self._sums.tolist()
-        return (
-            math.sqrt(gap / first)
-            if first > 0 and math.isfinite(first) and math.isfinite(gap)
-            else None
-        )
+        if first > 0 and math.isfinite(first) and math.isfinite(gap):
+            return math.sqrt(gap / first)
+        return None
 
 
-FORWARD, GRADIENT = "picture", "picture_and_gradient"
+FORWARD = "picture"
+GRADIENT = "picture_and_gradient"
 """Kinds of calls whose cost is measured."""
 Agreement = dict[str, GradientAgreement]
 """Of two methods, by attribute."""
@@ -295,9 +293,10 @@ def compare(
         for name, method in methods.items():
             on_step(f"{name} from {view}")
             pictures[view][name] = _picture(name, method, scene, camera)
-    agreement = (
-        _agreement(scene, cameras, methods, config, on_step) if config.gradients else {}
-    )
+    if config.gradients:
+        agreement = _agreement(scene, cameras, methods, config, on_step)
+    else:
+        agreement = {}
     pairs = {}
     for names in combinations(methods, 2):
         bits = min(methods[name].bits for name in names)
@@ -310,11 +309,10 @@ def compare(
         pairs[names] = Pair(
             bits=bits, distances=distances, agreement=agreement.get(names)
         )
-    costs = (
-        _costs(scene, next(iter(cameras.values())), methods, config, on_step)
-        if config.rounds
-        else {}
-    )
+    if config.rounds:
+        costs = _costs(scene, next(iter(cameras.values())), methods, config, on_step)
+    else:
+        costs = {}
     return Comparison(pictures=pictures, pairs=pairs, costs=costs)
 
 

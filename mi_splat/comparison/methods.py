@@ -107,11 +107,10 @@ def load_methods(
     for word in filter(
         None, (part.strip() for given in arguments for part in given.split(","))
     ):
-        name = (
-            Path(word.removeprefix(FOLDER)).resolve().name
-            if word.startswith(FOLDER)
-            else word
-        )
+        if word.startswith(FOLDER):
+            name = Path(word.removeprefix(FOLDER)).resolve().name
+        else:
+            name = word
         if name in methods:
             do = "name each once, and rename a folder that is called like a method"
             raise InvalidValueError.of(
@@ -244,7 +243,8 @@ class OverMeshes:
     """
 
     def __init__(self, render: RenderFn, meshes: MixedScene) -> None:
-        self._render, self._meshes = render, meshes
+        self._render = render
+        self._meshes = meshes
         self._depth = Renderer(RenderSettings(near=meshes.splats.settings.near))
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:

@@ -114,20 +114,15 @@ def read_model(
     """
     suffix = cameras_file.suffix
     read = _Binary if suffix == ".bin" else _Text
-    images, points3d = (
-        cameras_file.with_name(f"images{suffix}"),
-        cameras_file.with_name(f"points3D{suffix}"),
-    )
+    images = cameras_file.with_name(f"images{suffix}")
+    points3d = cameras_file.with_name(f"points3D{suffix}")
     try:
-        lenses, poses = (
-            _by_id(read(cameras_file).lenses(), cameras_file),
-            _by_id(read(images).poses(), images),
-        )
-        rows = (
-            np.array(list(read(points3d).points()), np.float64)
-            if points3d.is_file()
-            else None
-        )
+        lenses = _by_id(read(cameras_file).lenses(), cameras_file)
+        poses = _by_id(read(images).poses(), images)
+        if points3d.is_file():
+            rows = np.array(list(read(points3d).points()), np.float64)
+        else:
+            rows = None
     except FileNotFoundError as error:
         do = "a model has three files: cameras, images, points3D"
         raise DatasetError.of(
@@ -221,10 +216,8 @@ class _Binary:
         return values
 
     def _fault(self, expected: str) -> DatasetError:
-        got, do = (
-            f"{len(self._data)} bytes",
-            "it is truncated or no COLMAP file: export again",
-        )
+        got = f"{len(self._data)} bytes"
+        do = "it is truncated or no COLMAP file: export again"
         return DatasetError.of(str(self._path), expected, got, do)
 
 
@@ -254,10 +247,8 @@ class _Text:
                 "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", line, fields
             ):
                 values = tuple(map(float, fields[1:8]))
-                number, pose = (
-                    int(fields[0]),
-                    Pose(values[:4], values[4:], int(fields[8]), fields[9]),
-                )
+                number = int(fields[0])
+                pose = Pose(values[:4], values[4:], int(fields[8]), fields[9])
             yield number, pose
             line, points = next(rows, (line, []))
             points = " ".join(points).split()
@@ -342,14 +333,17 @@ def read_colmap(
             stacklevel=3,
         )
     poses, cameras, points = read_model(cameras_file)
-    source, images = _images_file(cameras_file), _images_folder(root, folder)
+    source = _images_file(cameras_file)
+    images = _images_folder(root, folder)
     lenses = {
         number: _lens(camera, number, cameras_file, images)
         for number, camera in cameras.items()
     }
-    files, masks = SetFiles(images), mask_folders(images)
+    files = SetFiles(images)
+    masks = mask_folders(images)
     found: dict[str, Frame] = {}
-    listed, missing = set[Path](), []
+    listed = set[Path]()
+    missing = []
     for pose in poses:
         where = f"{source}, {pose.name}"
         path = files.find(pose.name, str(source))
@@ -382,19 +376,19 @@ def read_model_cameras(
     ignored.
     """
     poses, model_cameras, _ = read_model(cameras_file)
-    source, images = (
-        _images_file(cameras_file),
-        _images_folder(cameras_file.parent, cameras_file.parent),
-    )
+    source = _images_file(cameras_file)
+    images = _images_folder(cameras_file.parent, cameras_file.parent)
     files = SetFiles(images)
     paths = {pose.name: files.find(pose.name, str(source)) for pose in poses}
     present = {name for name, path in paths.items() if path.is_file()}
     if split is not None:
         poses = [pose for pose in poses if pose.name in present] or poses
-    cameras, bent = {}, set[str]()
+    cameras = {}
+    bent = set[str]()
     for pose in _split(poses, cameras_file.with_name(TEST_LIST), split, HELD_OUT):
         where = f"{source}, {pose.name}"
-        model, to_world = model_cameras[pose.lens], _to_world(pose, where)
+        model = model_cameras[pose.lens]
+        to_world = _to_world(pose, where)
         try:
             if pose.name not in present:
                 raise DatasetError.of(where, "its image", "none", "use its pose alone")
@@ -454,12 +448,14 @@ def _camera_of(
         raise DatasetError.of(
             str(source), f"a camera {number}", "none", "export the model again"
         )
-    camera, where = cameras[number], f"{source}, camera {number}"
+    camera = cameras[number]
+    where = f"{source}, camera {number}"
     if camera.model not in MODELS:
         raise _unknown(where, camera.model)
     count = MODELS[camera.model].parameters
     if len(camera.parameters) != count:
-        expected, got = f"{count} parameters of {camera.model}", len(camera.parameters)
+        expected = f"{count} parameters of {camera.model}"
+        got = len(camera.parameters)
         raise DatasetError.of(where, expected, got, "export the model again")
     return camera
 
@@ -488,7 +484,9 @@ def _pinhole_part(camera: ModelCamera, where: str) -> Lens:
 def _coefficients(camera: ModelCamera) -> tuple[float, ...]:
     """What a camera has beside focal lengths and principal point."""
     focals = MODELS[camera.model].focals
-    return camera.parameters[focals + 2 :] if focals else ()
+    if focals:
+        return camera.parameters[focals + 2 :]
+    return ()
 
 
 def _is_bent(camera: ModelCamera) -> bool:
@@ -498,7 +496,8 @@ def _is_bent(camera: ModelCamera) -> bool:
 def _lens(camera: ModelCamera, number: int, source: Path, images: Path) -> Lens:
     """The lens of a camera, whose distortion can be undone."""
     where = f"{source}, camera {number}"
-    pinhole, coefficients = _pinhole_part(camera, where), _coefficients(camera)
+    pinhole = _pinhole_part(camera, where)
+    coefficients = _coefficients(camera)
     if not MODELS[camera.model].is_read:
         readable = [name for name, model in MODELS.items() if model.is_read]
         paths = ", ".join(

@@ -136,7 +136,9 @@ class Dataset(ViewSet):
     def alpha(self, index: int) -> Tensor | None:
         """(H, W) float32 in [0, 1], opacity of the picture; None if it has none."""
         alpha = self._read(index).alpha
-        return None if alpha is None else alpha.unpack()
+        if alpha is None:
+            return None
+        return alpha.unpack()
 
     def loss_mask(self, index: int) -> Tensor | None:
         """(H, W) float32 in [0, 1], 1 where the image counts in a loss; None if all of
@@ -149,7 +151,9 @@ class Dataset(ViewSet):
         if frame.mask is None and frame.lens is None:
             return None
         mask = self._read(index).mask
-        return None if mask is None else mask.unpack()
+        if mask is None:
+            return None
+        return mask.unpack()
 
     def _read(self, index: int) -> _Entry:
         """An image with its alpha and its mask, from memory or from the disk."""
@@ -166,7 +170,8 @@ class Dataset(ViewSet):
 
     def _load(self, index: int) -> _Entry:
         """An image with its alpha and its mask from the disk."""
-        frame, camera = self.frames[index], self.cameras[index]
+        frame = self.frames[index]
+        camera = self.cameras[index]
         image, alpha = stored_pixels(frame.path, self.background)
         mask = None
         if frame.mask is not None:
@@ -176,7 +181,8 @@ class Dataset(ViewSet):
             image, alpha, mask = _upright(frame, image, alpha, mask)
         image = area_mean(image, self.downscale)
         if tuple(image.shape[:2]) != (camera.height, camera.width):
-            got, do = tuple(image.shape[:2]), "it has changed: load the set again"
+            got = tuple(image.shape[:2])
+            do = "it has changed: load the set again"
             raise DatasetError.of(
                 str(frame.path),
                 f"{(camera.height, camera.width)} rows and columns",
@@ -207,7 +213,8 @@ def _upright(
     shown = None
     if frame.lens is not None:
         if together.shape[1::-1] != frame.lens.size:
-            got, do = together.shape[:2], "it has changed: load the set again"
+            got = together.shape[:2]
+            do = "it has changed: load the set again"
             expected = f"{frame.lens.size[::-1]} rows and columns"
             raise DatasetError.of(str(frame.path), expected, got, do)
         together, seen = undistorted(
@@ -311,7 +318,8 @@ def load_dataset(
         raise DatasetError.of(
             str(root), "at least one picture", f"none for split {split!r}", do
         )
-    if (odd := odd_fields_of_view([frame.camera for frame in frames])) is not None:
+    odd = odd_fields_of_view([frame.camera for frame in frames])
+    if odd is not None:
         warnings.warn(f"{root}: {odd}", DatasetWarning, stacklevel=2)
     return Dataset(
         frames=frames,

@@ -57,11 +57,13 @@ class SetFiles:
             self.start / spelling for spelling in spellings if self._is_inside(spelling)
         ]
         for path in inside:
-            if (found := self._existing(path)) is not None:
+            found = self._existing(path)
+            if found is not None:
                 return found
         for spelling in spellings:
             for path in self._elsewhere(spelling, folder):
-                if (found := self._existing(path)) is not None:
+                found = self._existing(path)
+                if found is not None:
                     return found
         if inside:
             return inside[0]
@@ -83,7 +85,8 @@ class SetFiles:
         whole = PurePosixPath(*parts)
         for folder in folders:
             for candidate in (whole.with_name(f"{whole.name}.png"), whole):
-                if (found := self._existing(folder / candidate)) is not None:
+                found = self._existing(folder / candidate)
+                if found is not None:
                     return found
         return None
 
@@ -91,11 +94,10 @@ class SetFiles:
         if _DRIVE.match(name):
             return False
         start = os.path.abspath(self.start)
-        relative = (
-            os.path.relpath(name, start)
-            if os.path.isabs(name)
-            else os.path.normpath(name)
-        )
+        if os.path.isabs(name):
+            relative = os.path.relpath(name, start)
+        else:
+            relative = os.path.normpath(name)
         out = ("..",) * (self._above + 1)
         return Path(relative).parts[: len(out)] != out
 

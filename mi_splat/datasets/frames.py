@@ -209,7 +209,9 @@ def turned_clockwise(camera: Camera, quarter_turns: int) -> Camera:
 
 def turned_image(values: Pixels, quarter_turns: int) -> Pixels:
     """(H, W, ...) pixels after so many quarter turns clockwise."""
-    return np.rot90(values, -quarter_turns) if quarter_turns % 4 else values
+    if quarter_turns % 4:
+        return np.rot90(values, -quarter_turns)
+    return values
 
 
 def picture_size(path: Path, claimed: Size | None = None) -> Size:
@@ -220,10 +222,8 @@ def picture_size(path: Path, claimed: Size | None = None) -> Size:
             str(path), "8 bits a channel", f"mode {mode}", "convert it to 8 bits"
         )
     if claimed is not None and size != claimed:
-        got, do = (
-            f"{size[0]} x {size[1]}",
-            "use the pictures from which the cameras were made",
-        )
+        got = f"{size[0]} x {size[1]}"
+        do = "use the pictures from which the cameras were made"
         raise DatasetError.of(str(path), f"{claimed[0]} x {claimed[1]} pixels", got, do)
     return size
 
@@ -306,7 +306,8 @@ def area_mean(values: Pixels, factor: int) -> Pixels:
     """
     if factor == 1:
         return np.ascontiguousarray(values)
-    height, width = values.shape[0] // factor, values.shape[1] // factor
+    height = values.shape[0] // factor
+    width = values.shape[1] // factor
     squares = values[: height * factor, : width * factor].reshape(
         height, factor, width, factor, -1
     )

@@ -28,11 +28,13 @@ LONGEST_SIDE = 32_767
 LARGEST_COEFFICIENT = 1e6
 """Coefficients of lenses with a long focal length go into the thousands."""
 
-_WIDEST, _ANGLES = 1.55, 8192
+_WIDEST = 1.55
+_ANGLES = 8192
 """The largest angle from the optical axis, radians, and the steps up to it that are
 tried.
 """
-_LEAST, _MOST = 0.2, 2.0
+_LEAST = 0.2
+_MOST = 2.0
 """By what the sides of an image may change when it is undistorted; the defaults of
 COLMAP.
 """
@@ -120,7 +122,8 @@ class Lens:
 
     def resized(self, size: tuple[int, int]) -> Lens:
         """The lens of the same image with another number of pixels."""
-        across, down = size[0] / self.size[0], size[1] / self.size[1]
+        across = size[0] / self.size[0]
+        down = size[1] / self.size[1]
         focal = (self.focal[0] * across, self.focal[1] * down)
         principal = (self.principal[0] * across, self.principal[1] * down)
         return replace(self, focal=focal, principal=principal, size=size)
@@ -152,7 +155,8 @@ class Lens:
         found = undo(places, self._matrix, self._coefficients, criteria=criteria)
         points: Values = np.asarray(found, np.float64)[:, 0]
         within = np.isfinite(points).all(1) & (np.hypot(*points.T) <= self.widest)
-        points, pixels = points[within], pixels[within]
+        points = points[within]
+        pixels = pixels[within]
         if not len(points):
             return points
         misses = np.hypot(*(self.project(points) - pixels).T)
@@ -255,7 +259,8 @@ def _maps(lens: Lens, target: Lens) -> tuple[Maps, NDArray[np.bool_]]:
         if lens.fisheye
         else cv2.initUndistortRectifyMap
     )
-    coefficients, turn = lens._coefficients, np.eye(3)
+    coefficients = lens._coefficients
+    turn = np.eye(3)
     across, down = begin(
         lens._matrix, coefficients, turn, target._matrix, target.size, cv2.CV_32FC1
     )

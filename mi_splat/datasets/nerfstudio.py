@@ -98,7 +98,8 @@ def world_of(path: Path, document: Mapping[str, Any]) -> World | None:
         if not applied_scale > 0:
             raise fields.bad("applied_scale", "a number above 0", applied_scale)
         scale /= applied_scale
-    turn, shift = from_original[:3, :3], from_original[:3, 3]
+    turn = from_original[:3, :3]
+    shift = from_original[:3, 3]
     if not (is_rotation(turn) and 0 < scale < math.inf):
         raise DatasetError.of(
             str(file),
@@ -164,7 +165,9 @@ def camera_path(
 
 def _number(fields: Fields, key: str, usual: float) -> float:
     """A number of a file, or the usual one if the file does not say it."""
-    return usual if fields.values.get(key) is None else fields.number(key)
+    if fields.values.get(key) is None:
+        return usual
+    return fields.number(key)
 
 
 def _matrix(entry: Fields, key: str) -> Tensor:
@@ -182,4 +185,6 @@ def _matrix(entry: Fields, key: str) -> Tensor:
     ).numbers(key, 16, 16)
     matrix = torch.tensor(numbers, dtype=torch.float64).reshape(4, 4)
     is_by_columns = bool(matrix[3, :3].any()) and not bool(matrix[:3, 3].any())
-    return matrix.T.contiguous() if is_by_columns else matrix
+    if is_by_columns:
+        return matrix.T.contiguous()
+    return matrix

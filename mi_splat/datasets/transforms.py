@@ -38,10 +38,8 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io.parsing import DocumentReader, Fields
 from mi_splat.io.points import PointCloud, load_points
 
-SINGLE, PARTS = (
-    "transforms.json",
-    {"train": "transforms_train.json", "test": "transforms_test.json"},
-)
+SINGLE = "transforms.json"
+PARTS = {"train": "transforms_train.json", "test": "transforms_test.json"}
 POINTS = ("points3D.ply", "points3d.ply")
 """Names of a point cloud beside the file, if the file names none."""
 
@@ -124,8 +122,11 @@ def _points(documents: Mapping[Path, Mapping[str, Any]]) -> PointCloud | None:
     for path, document in documents.items():
         file = _points_file(document, path)
         if file is not None:
-            points, world = load_points(file), world_of(path, document)
-            return points if world is None else world.points(points)
+            points = load_points(file)
+            world = world_of(path, document)
+            if world is None:
+                return points
+            return world.points(points)
     return None
 
 
@@ -141,7 +142,8 @@ def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:
         return camera_path(values, path, size)
     document = _document(path)
     world = world_of(path, document)
-    cameras, bent = [], set[str]()
+    cameras = []
+    bent = set[str]()
     for number, entry in enumerate(document["frames"]):
         where = f"{path}, frame {number}"
         if not isinstance(entry, dict):
@@ -233,18 +235,18 @@ def _mask(
     named = entry.get("mask_path")
     if isinstance(named, str) and named:
         mask = files.find(named, f"{where}: mask_path", folder=MASKS)
-        return (mask, False) if mask.is_file() else (None, True)
+        if mask.is_file():
+            return (mask, False)
+        return (None, True)
     name = PurePosixPath(entry["file_path"].replace("\\", "/")).with_name(picture.name)
     return files.mask(mask_folders(files.start / IMAGES), str(name)), False
 
 
 def _number(values: Mapping[str, Any], key: str, where: str) -> float | None:
     """A number of the file, None if it is not there."""
-    return (
-        None
-        if values.get(key) is None
-        else Fields(values, where, DatasetError, "repair it").number(key)
-    )
+    if values.get(key) is None:
+        return None
+    return Fields(values, where, DatasetError, "repair it").number(key)
 
 
 def _size(values: Mapping[str, Any], where: str) -> tuple[int, int] | None:
@@ -264,7 +266,9 @@ def _size(values: Mapping[str, Any], where: str) -> tuple[int, int] | None:
 def _model(values: Mapping[str, Any]) -> str:
     """The camera model in capitals; the perspective one of OpenCV if none is named."""
     named = str(values.get("camera_model") or _PERSPECTIVE[0]).upper()[:60]
-    return _FISHEYE[0] if values.get("is_fisheye") and named in _PERSPECTIVE else named
+    if values.get("is_fisheye") and named in _PERSPECTIVE:
+        return _FISHEYE[0]
+    return named
 
 
 def _bent(values: Mapping[str, Any], where: str) -> set[str]:
@@ -273,7 +277,9 @@ def _bent(values: Mapping[str, Any], where: str) -> set[str]:
     is_bent = model not in _PERSPECTIVE or any(
         _number(values, key, where) for key in _DISTORTION
     )
-    return {model} if is_bent else set()
+    if is_bent:
+        return {model}
+    return set()
 
 
 def _lens(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Lens:
@@ -350,7 +356,9 @@ def _pose(matrix: object, where: str, world: World | None) -> Tensor:
         )
     if pose.shape != (4, 4):
         return pose
-    return pose @ OPENGL if world is None else world.pose(pose @ OPENGL)
+    if world is None:
+        return pose @ OPENGL
+    return world.pose(pose @ OPENGL)
 
 
 def _focal(
@@ -359,10 +367,8 @@ def _focal(
     """The focal length in pixels along an axis, from itself or from the field of view
     in radians.
     """
-    focal, angle = (
-        _number(values, f"fl_{axis}", where),
-        _number(values, f"camera_angle_{axis}", where),
-    )
+    focal = _number(values, f"fl_{axis}", where)
+    angle = _number(values, f"camera_angle_{axis}", where)
     if focal is not None or angle is None:
         return focal
     if not 0 < angle < math.pi:

@@ -110,9 +110,10 @@ def _document(entries: Sequence[tuple[str, Camera]], points: bool) -> dict[str, 
     once.
     """
     intrinsics = [_intrinsics(camera) for _, camera in entries]
-    shared = (
-        intrinsics[0] if all(values == intrinsics[0] for values in intrinsics) else {}
-    )
+    if all(values == intrinsics[0] for values in intrinsics):
+        shared = intrinsics[0]
+    else:
+        shared = {}
     frames = [
         {
             # Blender's readers append the suffix

@@ -22,12 +22,14 @@ MOST_MEMBERS = 10_000
 """Members that an archive may have; a scan with its photographs has some hundreds."""
 MOST_BYTES = 8 << 30
 """What a splat may become, whatever its archive holds: 30 million Gaussians."""
-_FREE_BYTES, _MOST_RATIO = 16 << 20, 20
+_FREE_BYTES = 16 << 20
+_MOST_RATIO = 20
 """What any member may become, and the factor by which one beyond that may grow: splats
 shrink to a half at best.
 """
 _PART = 1 << 20
-_END, _END64 = struct.Struct("<4s4H2LH"), b"PK\x06\x07"
+_END = struct.Struct("<4s4H2LH")
+_END64 = b"PK\x06\x07"
 _LONGEST_COMMENT = 0xFFFF
 _BYTES_A_MEMBER = 1024
 _AGAIN = "write or download it again"
@@ -61,7 +63,8 @@ def check_directory(file: io.FileIO, path: str, *, most: int) -> None:
             path, "a zip archive with its directory", "none: it is truncated", _AGAIN
         )
     fields = _END.unpack_from(tail, offset)
-    members, length = fields[4], fields[5]
+    members = fields[4]
+    length = fields[5]
     is_large = tail[max(0, offset - 20) :][:4] == _END64
     if members > most or length > most * _BYTES_A_MEMBER or is_large:
         got = f"{members} in {length} bytes"

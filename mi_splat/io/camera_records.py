@@ -83,11 +83,12 @@ def _entries(document: Any, path: str) -> list[tuple[str, Fields]]:
             if "camera" in view.values
         ]
     listed = isinstance(root.values.get("cameras"), list)
-    return (
-        [_named(entry, number) for number, entry in enumerate(root.objects("cameras"))]
-        if listed
-        else []
-    )
+    if listed:
+        return [
+            _named(entry, number)
+            for number, entry in enumerate(root.objects("cameras"))
+        ]
+    return []
 
 
 def _named(entry: Fields, usual: object) -> tuple[str, Fields]:
@@ -104,9 +105,11 @@ def unique_names(names: Iterable[str]) -> list[str]:
     """
     taken = dict[str, None]()
     for name in names:
-        number, free = len(taken), name
+        number = len(taken)
+        free = name
         while free in taken:
-            free, number = f"{name}-{number}", number + 1
+            free = f"{name}-{number}"
+            number = number + 1
         taken[free] = None
     return list(taken)
 

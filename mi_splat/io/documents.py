@@ -33,7 +33,9 @@ LOCK = ".mi-splat.lock"
 ASIDE = ".mi-splat.aside"
 """Name of the file in a folder that is being replaced; see `publish`."""
 # AT_FDCWD, RENAME_EXCHANGE, RENAME_SWAP
-_HERE, _LINUX_EXCHANGE, _MACOS_SWAP = -100, 2, 2
+_HERE = -100
+_LINUX_EXCHANGE = 2
+_MACOS_SWAP = 2
 _TEMPORARY = re.compile(r"\.[0-9a-f]{16}\.tmp")
 _YOUNG = 60.0
 """Seconds in which a temporary file is left alone, since its maker may not have come to
@@ -56,11 +58,9 @@ def try_lock(descriptor: int) -> bool | None:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
-        return (
-            False
-            if error.errno in (errno.EACCES, errno.EAGAIN, errno.EWOULDBLOCK)
-            else None
-        )
+        if error.errno in (errno.EACCES, errno.EAGAIN, errno.EWOULDBLOCK):
+            return False
+        return None
     return True
 
 

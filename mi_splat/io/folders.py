@@ -128,10 +128,8 @@ def _locked(file: str, what: str) -> int:
             ) from error
         try:
             if try_lock(descriptor) is False:
-                do, got = (
-                    "wait for its end, or pass another folder",
-                    f"one in use by {_holder(descriptor)}",
-                )
+                do = "wait for its end, or pass another folder"
+                got = f"one in use by {_holder(descriptor)}"
                 raise LockedError.of(
                     what, "a folder that no other process writes into", got, do
                 )
@@ -198,7 +196,8 @@ def _this_process() -> dict[str, object]:
 
 def _holder(descriptor: int) -> str:
     """Who has the lock, in words, as far as the file says."""
-    if (record := _record(descriptor)) is None:
+    record = _record(descriptor)
+    if record is None:
         return "another process"
     return (
         f"`{record['command']}`, process {record['process']} on {record['host']}, since"
@@ -212,7 +211,9 @@ def _record(descriptor: int) -> dict[str, Any] | None:
         record = DocumentReader().json_object(os.pread(descriptor, 4096, 0), "lock")
     except (OSError, ValueError):
         return None
-    return record if _this_process().keys() <= record.keys() else None
+    if _this_process().keys() <= record.keys():
+        return record
+    return None
 
 
 # manifest.json: the SHA-256 and the length of every file of a result, so that nobody
@@ -266,7 +267,8 @@ def read_manifest(folder: Path) -> Manifest:
     """What manifest.json in a folder says."""
     path = folder / MANIFEST
     values = DocumentReader(do=_DO).read_json(path)
-    files, without = values.get("files"), values.get("without")
+    files = values.get("files")
+    without = values.get("without")
     if not (isinstance(files, dict) and isinstance(without, list)):
         raise InvalidValueError.of(
             str(path), "files, and folders without", "something else", _DO
@@ -401,10 +403,8 @@ def check_new_file(
     folder that is there.
     """
     if path.suffix.lower() not in endings:
-        expected, got = (
-            f"a name that ends in {' or '.join(endings)}",
-            path.suffix or "no ending",
-        )
+        expected = f"a name that ends in {' or '.join(endings)}"
+        got = path.suffix or "no ending"
         raise InvalidValueError.of(str(path), expected, got, "change the ending")
     check_free_file(path, force=force)
     if not path.absolute().parent.is_dir():
@@ -424,11 +424,10 @@ def check_free_file(path: Path, *, force: bool | None = False) -> None:
     if not os.path.lexists(path) or (force and path.is_file()):
         return
     final = path.is_dir() or force is None
-    do = (
-        "choose another name"
-        if final
-        else "choose another name, or replace it with force"
-    )
+    if final:
+        do = "choose another name"
+    else:
+        do = "choose another name, or replace it with force"
     error = InvalidValueError.of(
         str(path), "a free name", "something that is there", do
     )
@@ -528,11 +527,10 @@ def check_new_folder(
             f"one that holds {held}",
             do,
         )
-    if foreign := _foreign_files(Path(out)):
-        expected, do = (
-            f"nothing but what its {MANIFEST} lists",
-            "move it elsewhere, or pass another folder",
-        )
+    foreign = _foreign_files(Path(out))
+    if foreign:
+        expected = f"nothing but what its {MANIFEST} lists"
+        do = "move it elsewhere, or pass another folder"
         raise SplatFileError.of(str(out), expected, f"also {_listed(foreign)}", do)
 
 
@@ -609,11 +607,11 @@ def _kept_elsewhere(made: Path, target: Path, error: Exception) -> SplatFileErro
 
 
 def _names_in(folder: Path) -> list[str]:
-    return (
-        sorted(entry.name for entry in folder.iterdir() if not is_temporary(entry.name))
-        if folder.exists()
-        else []
-    )
+    if folder.exists():
+        return sorted(
+            entry.name for entry in folder.iterdir() if not is_temporary(entry.name)
+        )
+    return []
 
 
 def _listed(names: list[str]) -> str:

@@ -24,7 +24,8 @@ PICTURES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
 ANIMATIONS = (".gif", ".webp")
 FLOATS = ".exr"
 """Ending of a picture of floats."""
-_JPEG_QUALITY, _WEBP_QUALITY = 95, 80
+_JPEG_QUALITY = 95
+_WEBP_QUALITY = 80
 
 
 def is_picture(path: Path) -> bool:
@@ -49,7 +50,8 @@ def save_picture(pixels: NDArray[np.uint8], path: Path) -> None:
         raise InvalidValueError.of(
             str(path), "the name of a picture", path.suffix or "no ending", do
         )
-    buffer, kind = io.BytesIO(), PICTURES[path.suffix.lower()]
+    buffer = io.BytesIO()
+    kind = PICTURES[path.suffix.lower()]
     options = {"quality": _JPEG_QUALITY, "subsampling": 0} if kind == "JPEG" else {}
     Image.fromarray(pixels).save(buffer, format=kind, **options)
     save_bytes(buffer.getvalue(), path)

@@ -97,15 +97,17 @@ def outside(
         axis=1, initial=0.0
     )
     count = int((excess > 0).sum())
-    return [Loss(what, count, float(excess.max()), unit)] if count else []
+    if count:
+        return [Loss(what, count, float(excess.max()), unit)]
+    return []
 
 
 def vanished(opacities: Array, rounded: NDArray[np.uint8]) -> list[Loss]:
     """The loss where 8 bits of opacity make a Gaussian invisible that was not."""
     gone = (rounded == 0) & (opacities > 0)
     count = int(gone.sum())
-    return (
-        [
+    if count:
+        return [
             Loss(
                 "opacity rounded to 0",
                 count,
@@ -113,9 +115,7 @@ def vanished(opacities: Array, rounded: NDArray[np.uint8]) -> list[Loss]:
                 "of opacity",
             )
         ]
-        if count
-        else []
-    )
+    return []
 
 
 def bytes_of(values: Array) -> NDArray[np.uint8]:
@@ -219,7 +219,8 @@ class Loaded:
                 SplatFileWarning,
                 stacklevel=stacklevel + 1,
             )
-        bad, count = self.invalid, len(self.arrays["means"])
+        bad = self.invalid
+        count = len(self.arrays["means"])
         if not len(bad):
             return self
         which = ", ".join(str(row) for row in bad[:SHOWN].tolist()) + (
@@ -327,11 +328,9 @@ def _where(values: Array, inside: Callable[[Array], Any]) -> Any:
     made.
     """
     extremes = np.array([values.min(), values.max()]) if values.size else values
-    return (
-        np.broadcast_to(np.True_, values.shape)
-        if inside(extremes).all()
-        else inside(values)
-    )
+    if inside(extremes).all():
+        return np.broadcast_to(np.True_, values.shape)
+    return inside(values)
 
 
 def _reason(
@@ -345,17 +344,14 @@ def _reason(
         "an SH coefficient",
     )
     for name, value, fine in zip(names, arrays, good, strict=True):
-        wrong = (
-            value[row][~fine[row]]
-            if value.ndim > 1
-            else value[row : row + 1][~fine[row : row + 1]]
-        )
+        if value.ndim > 1:
+            wrong = value[row][~fine[row]]
+        else:
+            wrong = value[row : row + 1][~fine[row : row + 1]]
         if wrong.size:
-            return (
-                f"{name} is {wrong.flat[0]:g}"
-                if name
-                else "the quaternion is zero or not finite"
-            )
+            if name:
+                return f"{name} is {wrong.flat[0]:g}"
+            return "the quaternion is zero or not finite"
     return ""
 
 

@@ -16,7 +16,8 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io.errors import from_os_error
 
 _SERIALIZED = b"\x1c\x04"  # 0x041C, little-endian, as Mitsuba's loader checks it
-_VERTEX_BYTES, _FACE_BYTES = 40, 12
+_VERTEX_BYTES = 40
+_FACE_BYTES = 12
 """Of a position, a normal, texture coordinates and a colour; and of three numbers of
 vertices.
 """

@@ -32,7 +32,8 @@ def read_noted_tensors(
     if NOTES not in metadata:
         raise reader.broken(what, "one without notes")
     notes = reader.json_object(metadata[NOTES].encode(), f"{what}, notes")
-    if name := not_finite(tensors):
+    name = not_finite(tensors)
+    if name:
         raise reader.broken(what, "others", f"finite numbers in {name}")
     return Fields(notes, what, reader.error, reader.do), tensors
 
@@ -62,7 +63,8 @@ def check_like(
         stored = tensors.get(name)
         if stored is None or stored.shape != value.shape or stored.dtype != value.dtype:
             raise reader.broken(f"{what}, {name}", described(stored), described(value))
-    if more := sorted(tensors.keys() - wanted.keys()):
+    more = sorted(tensors.keys() - wanted.keys())
+    if more:
         raise reader.broken(
             what, f"{more[0]} besides", f"the tensors {', '.join(wanted)}"[:160]
         )
@@ -70,11 +72,9 @@ def check_like(
 
 def described(value: Tensor | None) -> str:
     """Shape and kind of numbers of a tensor, in words."""
-    return (
-        "none"
-        if value is None
-        else f"{tuple(value.shape)} of {str(value.dtype).removeprefix('torch.')}"
-    )
+    if value is None:
+        return "none"
+    return f"{tuple(value.shape)} of {str(value.dtype).removeprefix('torch.')}"
 
 
 def read_line(kind: type[_Line], fields: Fields) -> _Line:

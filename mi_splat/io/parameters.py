@@ -58,7 +58,8 @@ def activate(
     """Like `from_raw_parameters`, without any check: the five tensors, whatever they
     hold.
     """
-    scales, opacities = values["scales"], values["opacities"]
+    scales = values["scales"]
+    opacities = values["opacities"]
     return (
         values["means"],
         scales.double().exp().to(scales.dtype),

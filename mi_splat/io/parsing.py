@@ -187,7 +187,9 @@ def _fault(document: Any) -> tuple[str, str, str] | None:
 
 def _below(path: str, key: object) -> str:
     name = str(key)[:40]
-    return f"{path}/{name}" if path else name
+    if path:
+        return f"{path}/{name}"
+    return name
 
 
 _NO_TEXT = re.compile("[\0\ud800-\udfff]")
@@ -280,11 +282,10 @@ class Fields:
     def texts(self, name: str, count: int | None = None) -> list[str]:
         """A list of `count` strings; of any number, also none, if no count is given."""
         values = self.values.get(name, [])
-        kept = (
-            [item for item in values if isinstance(item, str)]
-            if isinstance(values, list)
-            else []
-        )
+        if isinstance(values, list):
+            kept = [item for item in values if isinstance(item, str)]
+        else:
+            kept = []
         if (
             not isinstance(values, list)
             or len(kept) != len(values)
@@ -331,11 +332,10 @@ class Fields:
         given.
         """
         values = self.values.get(name)
-        parts = (
-            values
-            if isinstance(values, list) and count in (None, len(values))
-            else [None]
-        )
+        if isinstance(values, list) and count in (None, len(values)):
+            parts = values
+        else:
+            parts = [None]
         kept = [
             item
             for item in parts

@@ -49,7 +49,8 @@ ImportError: ultralytics, once it is loaded, lets Pillow look for a plugin that 
 installed. Warning: where the caller has made errors of warnings.
 """
 
-MOST_SCANS, MOST_JPEG = 100, 1 << 28
+MOST_SCANS = 100
+MOST_JPEG = 1 << 28
 """Scans that a JPEG may have (encoders write about ten, and each goes over all pixels
 again), and its bytes.
 """
@@ -87,7 +88,8 @@ def pixel_limit(most: int) -> Iterator[None]:
         raise InvalidValueError.of(
             "max-pixels", "a number of pixels, 1 or more", most, "50000000 is usual"
         )
-    before, _most = _most, most
+    before = _most
+    _most = most
     try:
         yield
     finally:
@@ -113,7 +115,8 @@ def _pillow_limit(most: int | None) -> Iterator[None]:
     None is none.
     """
     with _lock:
-        before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, most
+        before = Image.MAX_IMAGE_PIXELS
+        Image.MAX_IMAGE_PIXELS = most
         try:
             yield
         finally:
@@ -142,13 +145,17 @@ def _orientation(picture: Image.Image) -> int:
             value = picture.getexif().get(ExifTags.Base.Orientation)
     except (*BROKEN, ArithmeticError):
         return 1
-    return value if isinstance(value, int) and 1 <= value <= 8 else 1
+    if isinstance(value, int) and 1 <= value <= 8:
+        return value
+    return 1
 
 
 def made_upright(picture: Image.Image, orientation: int) -> Image.Image:
     """A decoded picture, turned or mirrored as an EXIF orientation says."""
     turn = _UPRIGHT.get(orientation)
-    return picture if turn is None else picture.transpose(turn)
+    if turn is None:
+        return picture
+    return picture.transpose(turn)
 
 
 def focal_length_35mm(picture: Image.Image) -> float | None:
@@ -166,7 +173,9 @@ def focal_length_35mm(picture: Image.Image) -> float | None:
         length = float(written or 0)
     except (*BROKEN, ArithmeticError):
         return None
-    return length if 1 <= length <= 2000 else None
+    if 1 <= length <= 2000:
+        return length
+    return None
 
 
 def check_scans(picture: Image.Image, what: str) -> None:
@@ -199,7 +208,8 @@ def _scans(data: bytes) -> int:
     """How many scans a JPEG has; the count ends one above `MOST_SCANS`."""
     offset = scans = 0
     while scans <= MOST_SCANS and (marker := _MARKER.search(data, offset)) is not None:
-        kind, offset = marker[0][1], marker.end()
+        kind = marker[0][1]
+        offset = marker.end()
         if kind == 0xD9:  # end of image; what follows is a video or another picture
             break
         if kind != 0xD8:
@@ -251,7 +261,8 @@ def _opened(
     except UnidentifiedImageError as error:
         if _beginning(source).startswith(LFS_POINTER):
             raise PictureFileError.of(what, "a picture", *LFS_ADVICE) from error
-        if (kind := _phone_format(source)) is not None:
+        kind = _phone_format(source)
+        if kind is not None:
             do = (
                 "convert it, for instance with `magick mogrify -format jpg`"
                 " (ImageMagick) or heif-convert (libheif)"
@@ -315,7 +326,8 @@ def check_pixels(
             what, "a picture with pixels", f"{width} x {height}", "write it again"
         )
     if width * height > most:
-        expected, got = f"at most {most:,} pixels", f"{width * height:,}"
+        expected = f"at most {most:,} pixels"
+        got = f"{width * height:,}"
         error = PictureFileError.of(
             what, expected, got, "make it smaller, or allow more"
         )
@@ -329,7 +341,8 @@ _HEADER = 1 << 20
 """Bytes of a file in which its header has to end; that of an OpenEXR picture may hold a
 small preview.
 """
-_USUAL_CHANNELS, _CHANNEL_BYTES = 4, 16
+_USUAL_CHANNELS = 4
+_CHANNEL_BYTES = 16
 _RADIANCE = (b"#?RADIANCE", b"#?RGBE")
 _RESOLUTION = re.compile(
     rb"^[-+][XY][ \t]+(\d{1,9})[ \t]+[-+][XY][ \t]+(\d{1,9})", re.MULTILINE
@@ -387,7 +400,8 @@ def _check_exr(head: bytes, what: str) -> None:
     several headers.
     """
     several = bool(head[5:6] and head[5] & 0x10)
-    offset, sizes = 8, list[tuple[int, int]]()
+    offset = 8
+    sizes = list[tuple[int, int]]()
     try:
         while not sizes or (several and head[offset]):
             offset, size = _exr_part(head, offset)
@@ -403,21 +417,21 @@ def _exr_part(head: bytes, offset: int) -> tuple[int, tuple[int, int]]:
     """Where a header that begins at a place ends, and the width and height of its
     picture.
     """
-    window, channels = None, 0
+    window = None
+    channels = 0
     while head[offset]:
         name_end = head.index(b"\0", offset)
         start = head.index(b"\0", name_end + 1) + 5
         (length,) = struct.unpack_from("<I", head, start - 4)
-        name, end = head[offset:name_end], start + length
+        name = head[offset:name_end]
+        end = start + length
         if name == b"dataWindow":
             x0, y0, x1, y1 = struct.unpack_from("<4i", head, start)
             window = (x1 - x0 + 1, y1 - y0 + 1)
         elif name == b"channels":
             while head[start]:
-                start, channels = (
-                    head.index(b"\0", start) + 1 + _CHANNEL_BYTES,
-                    channels + 1,
-                )
+                start = head.index(b"\0", start) + 1 + _CHANNEL_BYTES
+                channels = channels + 1
         offset = end
     if window is None or channels < 1:
         raise ValueError("no window or no channels")

@@ -47,7 +47,9 @@ Rows = NDArray[np.void]
 
 _HEADER_LIMIT = 64 * 1024
 """Longest header in bytes; the ones that 3DGS writes have 1.5 KB."""
-_MOST_LISTS, _LONGEST_LINE, _MOST_TEXT = 1 << 21, 1 << 20, 1 << 30
+_MOST_LISTS = 1 << 21
+_LONGEST_LINE = 1 << 20
+_MOST_TEXT = 1 << 30
 """Lists that a file may have, bytes of a line of text, and bytes of a file that plyfile
 reads into objects.
 """
@@ -158,7 +160,8 @@ def read_header(file: io.FileIO, path: str) -> Header:
             f"none in {len(start)} bytes",
             do,
         )
-    header, columns = Header("none", {}, end.end(), []), dict[str, tuple[str, ...]]()
+    header = Header("none", {}, end.end(), [])
+    columns = dict[str, tuple[str, ...]]()
     for line in start[magic.end() : end.start()].split(magic[1]):
         words = line.split()
         name = _text(words[-1] if words[:1] == [b"property"] else b"".join(words[1:2]))
@@ -217,9 +220,12 @@ def read_rows(file: io.FileIO, header: Header, name: str, path: str) -> Rows:
     """All rows of an element; of one with lists only the single numbers, and of text
     integers as float64.
     """
-    size, number = os.fstat(file.fileno()).st_size, list(header.elements).index(name)
+    size = os.fstat(file.fileno()).st_size
+    number = list(header.elements).index(name)
     elements = list(header.elements.values())
-    before, element, later = elements[:number], elements[number], elements[number + 1 :]
+    before = elements[:number]
+    element = elements[number]
+    later = elements[number + 1 :]
     if not header.order or any(element.lists for element in elements[: number + 1]):
         return _read_with_plyfile(file, header, name, size, path)
     end = header.size + sum(element.least_bytes for element in elements)
@@ -257,7 +263,8 @@ def _read_with_plyfile(
     """The rows of an element where it, or one before it, is text or has lists; plyfile
     gets a checked header.
     """
-    is_text, what = not header.order, "rows with lists" if header.order else "text"
+    is_text = not header.order
+    what = "rows with lists" if header.order else "text"
     needed = dict(
         list(header.elements.items())[: list(header.elements).index(name) + 1]
     )
@@ -296,10 +303,8 @@ def _read_with_plyfile(
     data = file.read()
     if is_text:
         data = re.sub(rb"[\r\n]\s*", b"\n", data.strip()) + b"\n"
-        lines, rows = (
-            data.count(b"\n") * (len(data) > 1),
-            sum(e.count for e in header.elements.values()),
-        )
+        lines = data.count(b"\n") * (len(data) > 1)
+        rows = sum(e.count for e in header.elements.values())
         if lines != rows:
             raise _mismatch(header, f"{rows} lines", f"{lines}", path)
         if max(map(len, data.split(b"\n"))) > _LONGEST_LINE:
@@ -352,16 +357,13 @@ def header_bytes(
 # Splats
 
 
-_MEANS, _NORMALS, _DC = (
-    ["x", "y", "z"],
-    ["nx", "ny", "nz"],
-    ["f_dc_0", "f_dc_1", "f_dc_2"],
-)
-_SCALES, _ROTATIONS = (
-    ["scale_0", "scale_1", "scale_2"],
-    ["rot_0", "rot_1", "rot_2", "rot_3"],
-)
-_RGB, _FILTER = ["red", "green", "blue"], "filter_3D"
+_MEANS = ["x", "y", "z"]
+_NORMALS = ["nx", "ny", "nz"]
+_DC = ["f_dc_0", "f_dc_1", "f_dc_2"]
+_SCALES = ["scale_0", "scale_1", "scale_2"]
+_ROTATIONS = ["rot_0", "rot_1", "rot_2", "rot_3"]
+_RGB = ["red", "green", "blue"]
+_FILTER = "filter_3D"
 REST_COUNTS = (0, 9, 24, 45)
 """Number of f_rest_* properties for SH degree 0 to 3: all of red, then green, then
 blue.
@@ -397,15 +399,18 @@ def read_ply(file: io.FileIO, path: str) -> Loaded:
     properties.
     """
     header = read_header(file, path)
-    if (stored := header.elements.get("vertex")) is None:
+    stored = header.elements.get("vertex")
+    if stored is None:
         raise _error(
             path, "an element named vertex", ", ".join(header.elements), "pass a splat"
         )
     vertex = _usual_names(stored)
     scale_names, colour_names, rest = _check_properties(vertex, header, path)
-    rows, kinds = read_rows(file, header, "vertex", path), vertex.kinds
+    rows = read_rows(file, header, "vertex", path)
+    kinds = vertex.kinds
     rows.dtype.names = tuple(kinds)
-    logits, logs = _columns(rows, ["opacity"])[:, 0], _columns(rows, scale_names)
+    logits = _columns(rows, ["opacity"])[:, 0]
+    logs = _columns(rows, scale_names)
     if len(scale_names) == 2:
         logs = np.concatenate(
             [logs, logs.min(axis=1, keepdims=True) + math.log(_FLATNESS)], axis=1
@@ -415,7 +420,8 @@ def read_ply(file: io.FileIO, path: str) -> Loaded:
     scales, opacities = _activated(logs, logits)
     if _FILTER in kinds:  # the 3D smoothing filter, Yu et al. 2024, eq. 9
         wider = np.sqrt(scales**2 + rows[_FILTER].astype(np.float64)[:, None] ** 2)
-        opacities, scales = opacities * (scales / wider).prod(axis=1), wider
+        opacities = opacities * (scales / wider).prod(axis=1)
+        scales = wider
     colours = _columns(rows, colour_names)
     if colour_names == _RGB:
         full = [
@@ -523,10 +529,8 @@ def _check_properties(
     """Names of the scales and of the colours, and the number of further SH
     properties.
     """
-    kinds, rest = (
-        vertex.kinds,
-        sum(name.startswith("f_rest_") for name in vertex.columns),
-    )
+    kinds = vertex.kinds
+    rest = sum(name.startswith("f_rest_") for name in vertex.columns)
     if any(name.startswith("f_anchor_feat") for name in vertex.columns):
         got = (
             "the anchors of a Scaffold-GS, of which a network makes Gaussians for each"
@@ -566,7 +570,8 @@ def _no_splat(
     lacks = f"no {', '.join(missing[:SHOWN])}{more}"
     has_some = any(name.startswith(_OF_SPLATS) for name in vertex.columns)
     faces = header.elements.get("face")
-    got, do = lacks, "export the splat again"
+    got = lacks
+    do = "export the splat again"
     if faces is not None and faces.count and not has_some:
         got = f"a mesh of {faces.count:,} faces"
         do = (
@@ -584,11 +589,9 @@ def _no_splat(
 
 def _columns(rows: Rows, names: Sequence[str]) -> NDArray[np.floating]:
     """(rows, names) values, without a copy if that can be."""
-    return (
-        np.asarray(structured_to_unstructured(rows[list(names)]))
-        if names
-        else np.empty((len(rows), 0), np.float32)
-    )
+    if names:
+        return np.asarray(structured_to_unstructured(rows[list(names)]))
+    return np.empty((len(rows), 0), np.float32)
 
 
 def write_ply(

@@ -15,7 +15,8 @@ from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.loaded import open_regular
 from mi_splat.io.ply import Element, header_bytes, read_header, read_rows
 
-_AXES, _CHANNELS = ("x", "y", "z"), ("red", "green", "blue")
+_AXES = ("x", "y", "z")
+_CHANNELS = ("red", "green", "blue")
 _KINDS = {
     **dict.fromkeys((*_AXES, "nx", "ny", "nz"), "f4"),
     **dict.fromkeys(_CHANNELS, "u1"),

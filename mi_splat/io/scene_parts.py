@@ -21,7 +21,9 @@ from mi_splat.errors import InvalidValueError, one_line
 from mi_splat.io.mesh_sizes import stated_bytes
 from mi_splat.io.picture_files import check_texture, is_texture
 
-MOST_BYTES, MOST_ELEMENTS, DEEPEST = 16 << 20, 100_000, 64
+MOST_BYTES = 16 << 20
+MOST_ELEMENTS = 100_000
+DEEPEST = 64
 """What a scene file may have: bytes and elements (with the files that it includes,
 too), and elements in each other.
 """
@@ -48,7 +50,8 @@ def scene_elements(path: Path) -> list[ElementTree.Element]:
     try:
         if path.exists() and not path.is_file():
             raise ValueError("a folder, a device or a pipe")
-        if (size := path.stat().st_size) > MOST_BYTES:
+        size = path.stat().st_size
+        if size > MOST_BYTES:
             raise ValueError(f"{size:,} bytes, more than {MOST_BYTES:,}")
         text = path.read_bytes().decode("utf-8-sig")
         declared = _ENCODING.match(text)
@@ -101,7 +104,8 @@ class _Bounded(ElementTree.TreeBuilder):
         raise ValueError("a document type (DOCTYPE), which no scene needs")
 
 
-MOST_INCLUSIONS, _MOST_FOLDERS = 1000, 64
+MOST_INCLUSIONS = 1000
+_MOST_FOLDERS = 64
 """How many files a scene may include, and in how many folders it may have them looked
 for.
 """
@@ -147,7 +151,8 @@ class SceneParts:
         self._scene = f"scene {path}"
         self._values = {name: str(value) for name, value in (parameters or {}).items()}
         self._longest = max(map(len, self._values.values()), default=0)
-        self._size, self._included = 0, 0
+        self._size = 0
+        self._included = 0
         self._folders = [path.parent, Path()]
         self._read(path, [path.resolve()])
 
@@ -189,7 +194,8 @@ class SceneParts:
         for element in scene_elements(path):
             filled = self._filled(element)
             self.elements.append(Element(element.tag, filled))
-            if (kind := filled.get("type")) is not None and kind not in plugin_names():
+            kind = filled.get("type")
+            if kind is not None and kind not in plugin_names():
                 got = f'type="{one_line(kind, 60)}" in <{element.tag}>'
                 raise self._refused(
                     "plugins that Mitsuba or mi-splat ships", got, "take another plugin"
@@ -235,7 +241,8 @@ class SceneParts:
                     self._include(files[0], chain)
 
     def _include(self, file: Path, chain: list[Path]) -> None:
-        inner, self._included = [*chain, file.resolve()], self._included + 1
+        inner = [*chain, file.resolve()]
+        self._included = self._included + 1
         if inner[-1] in chain or len(inner) > _LONGEST_CHAIN:
             names = " includes ".join(path.name for path in inner)
             raise self._refused("files that end somewhere", names, "remove the circle")

@@ -37,13 +37,16 @@ and none looks up or down.
 """
 _ORTHONORMAL = 0.01
 """How far the products of the rows of a rotation may be from 0 and 1."""
-_ALIKE, _MOST_ROLL = 0.02, 0.03
+_ALIKE = 0.02
+_MOST_ROLL = 0.03
 """Mean squares of what points right in the cameras: across of the first of its axes,
 where all look the same way if it is less, and along up, where they were rolled if it is
 more.
 """
 
-_SOLID, _SAMPLE, _TRIALS = 0.5, 3000, 400
+_SOLID = 0.5
+_SAMPLE = 3000
+_TRIALS = 400
 """Opacity from which a Gaussian is part of a surface; Gaussians and planes that are
 tried to find the ground.
 """
@@ -51,11 +54,13 @@ _EXTENT = (0.05, 0.95)
 """Quantiles of the coordinates between which the extent of a scene is measured, without
 what lies far out.
 """
-_THICK, _WIDE = 0.012, 1.2
+_THICK = 0.012
+_WIDE = 1.2
 """Thickness of a ground as a share of the extent, and how much wider it is than what
 stands on it.
 """
-_LEAST_SHARE, _ONE_SIDE = 0.15, 0.9
+_LEAST_SHARE = 0.15
+_ONE_SIDE = 0.9
 """Share of the Gaussians that lie on a ground, and of the others that are on its upper
 side.
 """
@@ -118,7 +123,9 @@ def commented_up(comments: Sequence[str]) -> Direction | None:
         sign = -1.0 if axis[1] == "-" or (is_brush and axis[2].lower() == "y") else 1.0
         return _along("xyz".index(axis[2].lower()), sign)
     numbers = [float(number) for number in _NUMBER.findall(texts[-1])]
-    return _unit(np.array(numbers)) if len(numbers) == 3 else None
+    if len(numbers) == 3:
+        return _unit(np.array(numbers))
+    return None
 
 
 def cameras_up(rotations: NDArray[np.float64]) -> Direction | None:
@@ -138,11 +145,14 @@ def cameras_up(rotations: NDArray[np.float64]) -> Direction | None:
     """
     if not len(rotations) or not _are_rotations(rotations):
         return None
-    rights, ups = rotations[:, :, 0], -rotations[:, :, 1]
+    rights = rotations[:, :, 0]
+    ups = -rotations[:, :, 1]
     mean = ups.mean(axis=0)
     shares, directions = np.linalg.eigh(rights.T @ rights / len(rights))
     if shares[1] < _ALIKE:
-        return _rounded(mean) if np.linalg.norm(mean) > _LEAST_AGREED else None
+        if np.linalg.norm(mean) > _LEAST_AGREED:
+            return _rounded(mean)
+        return None
     across = directions[:, 0]
     agreed = float(mean @ across)
     if shares[0] > _MOST_ROLL or abs(agreed) < _LEAST_AGREED:
@@ -221,7 +231,8 @@ def _largest_plane(
     usable = lengths > 0
     if not usable.any():
         return None
-    corners, normals = corners[usable], normals[usable] / lengths[usable, None]
+    corners = corners[usable]
+    normals = normals[usable] / lengths[usable, None]
     offsets = (normals * corners[:, 0]).sum(1)
     counts = [
         int((np.abs(points @ n - offset) < thick).sum())
@@ -261,7 +272,9 @@ def _up_of_cameras_file(file: str) -> Direction | None:
         rotations = np.array([entry["rotation"] for entry in entries], np.float64)
     except (KeyError, TypeError, ValueError, OverflowError):
         return None
-    return cameras_up(rotations) if rotations.shape[1:] == (3, 3) else None
+    if rotations.shape[1:] == (3, 3):
+        return cameras_up(rotations)
+    return None
 
 
 def _rounded(direction: NDArray[np.float64]) -> Direction | None:
@@ -270,11 +283,9 @@ def _rounded(direction: NDArray[np.float64]) -> Direction | None:
     if unit is None:
         return None
     axis = int(np.argmax(np.abs(unit)))
-    return (
-        _along(axis, float(np.sign(unit[axis])))
-        if abs(unit[axis]) >= _NEAR_AXIS
-        else unit
-    )
+    if abs(unit[axis]) >= _NEAR_AXIS:
+        return _along(axis, float(np.sign(unit[axis])))
+    return unit
 
 
 def _along(axis: int, sign: float) -> Direction:

@@ -69,7 +69,8 @@ class InProcess:
     window = 1
 
     def __init__(self, folder: Path, *, on_event: OnEvent = nobody) -> None:
-        self._store, self._on_event = Store(folder), on_event
+        self._store = Store(folder)
+        self._on_event = on_event
 
     def submit(self, task: Task) -> Future[Outcome]:
         """Run a task now."""
@@ -262,7 +263,8 @@ class Child:
         counts as no try.
         """
         self._stopped = True
-        if (group := self._group) is not None:
+        group = self._group
+        if group is not None:
             group.terminate()
             timer = threading.Timer(_GRACE, group.kill)
             timer.daemon = True
@@ -347,7 +349,8 @@ def keep_to(cores: Sequence[int]) -> None:
         with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
             os.sched_setaffinity(int(thread), cores)
     # else it counts the cores when it is imported
-    if (drjit := sys.modules.get("drjit")) is not None:
+    drjit = sys.modules.get("drjit")
+    if drjit is not None:
         drjit.set_thread_count(len(cores))
 
 

@@ -23,7 +23,8 @@ from mi_splat.io.folders import LockedError
 
 # key of the name of a class in the JSON of one of its values: module, colon, class
 CLASS = "class"
-_FLOAT, _NAME = "float", "name"
+_FLOAT = "float"
+_NAME = "name"
 
 
 def canonical(value: Any) -> str:
@@ -45,7 +46,9 @@ def encoded(value: Any, where: str = "config") -> Any:
         return value
     if isinstance(value, float):
         number = float(value)
-        return number if math.isfinite(number) else {CLASS: _FLOAT, _NAME: repr(number)}
+        if math.isfinite(number):
+            return number
+        return {CLASS: _FLOAT, _NAME: repr(number)}
     if kind is tuple or kind is list:
         return [encoded(item, where) for item in value]
     if is_frozen(value):
@@ -152,10 +155,8 @@ class Job:
 
     def __post_init__(self) -> None:
         if not is_frozen(self.config):
-            expected, do = (
-                "a frozen dataclass",
-                "say all that the result depends on as its fields",
-            )
+            expected = "a frozen dataclass"
+            do = "say all that the result depends on as its fields"
             raise InvalidValueError.of(
                 f"config of {self.kind}", expected, type(self.config).__name__, do
             )
@@ -300,9 +301,9 @@ class Done:
         """What a job that reads this one is given: the file of that name, or the folder
         for a pattern with signs.
         """
-        return (
-            self.folder if _SIGNS_OF_PATTERNS & set(pattern) else self.folder / pattern
-        )
+        if _SIGNS_OF_PATTERNS & set(pattern):
+            return self.folder
+        return self.folder / pattern
 
 
 def fits(name: str, pattern: str) -> bool:

@@ -54,7 +54,8 @@ def status(store: Store, jobs: Mapping[str, Job]) -> list[Entry]:
     labels: dict[str, list[str]] = {}
     for label, job in jobs.items():
         labels.setdefault(job.identity, []).append(label)
-    entries, failed = [], store.failed()
+    entries = []
+    failed = store.failed()
     for job, task, done in lookup(jobs.values(), store):
         state = "waiting" if task is None else "ready"
         if done is not None:
@@ -84,7 +85,8 @@ def plan(store: Store, name: str, jobs: Mapping[str, Job]) -> list[Entry]:
 
 def note_keys(store: Store, name: str, keys: Iterable[str]) -> None:
     """Write down, beside the results, which jobs a plan has used."""
-    path, known = store.path("plans") / f"{name}.json", set[str]()
+    path = store.path("plans") / f"{name}.json"
+    known = set[str]()
     path.parent.mkdir(parents=True, exist_ok=True)
     with contextlib.suppress(InvalidValueError):  # none, or one that is replaced
         known = planned(store, name)
@@ -116,7 +118,8 @@ def forecast(store: Store, entries: Iterable[Entry]) -> tuple[float, int]:
         else:
             missing[entry.kind] += 1
     others = sorted(store.keys())[:_MEASURED] if missing.keys() - done.keys() else []
-    seconds, unknown = 0.0, 0
+    seconds = 0.0
+    unknown = 0
     for kind, count in missing.items():
         records = [store.record(key) for key in done.get(kind, others)[:_MEASURED]]
         measured = [
@@ -153,7 +156,9 @@ class Driver:
         name: str = "",
         on_event: OnEvent = nobody,
     ) -> None:
-        self._store, self._engine, self._on_event = Store(folder), engine, on_event
+        self._store = Store(folder)
+        self._engine = engine
+        self._on_event = on_event
         self._name = name
         self._results: dict[str, Result] = {}
         self._jobs: dict[str, asyncio.Task[Result]] = {}

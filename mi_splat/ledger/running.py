@@ -33,7 +33,8 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
     """Do a job whose inputs are done, unless it is done already."""
-    if (done := store.done(task.key)) is not None:
+    done = store.done(task.key)
+    if done is not None:
         on_event(Event(state="kept", key=task.key, kind=task.kind))
         return done
     try:
@@ -85,7 +86,8 @@ def lookup(
         task = done = None
         if all(needed.identity in finished for needed in job.before):
             task = task_for(job, store, finished)
-            if (done := store.recorded(task.key)) is not None:
+            done = store.recorded(task.key)
+            if done is not None:
                 finished[job.identity] = done
         yield job, task, done
 
@@ -104,11 +106,10 @@ def input_paths(store: Store, task: Task) -> dict[str, Path]:
         if "job" in source:
             done = store.done(source["job"])
             content = None if done is None else done.content_of(source["part"])
-            path = (
-                store.folder_of(source["job"])
-                if done is None
-                else done.input_path(source["part"])
-            )
+            if done is None:
+                path = store.folder_of(source["job"])
+            else:
+                path = done.input_path(source["part"])
         else:
             path = Path(source["path"])
             content = content_of_path(path)
@@ -129,10 +130,8 @@ def _make(store: Store, task: Task, on_event: OnEvent) -> None:
     except Exception as error:
         # which is no fault of the job's, and could not hold it
         if not is_disk_full(error):
-            seconds, text = (
-                time.monotonic() - started,
-                "".join(traceback.format_exception(error)),
-            )
+            seconds = time.monotonic() - started
+            text = "".join(traceback.format_exception(error))
             tries = store.note_failure(task, text, round(seconds, 3))
             text = f"try {tries} of {TRIES}: {error}"
             on_event(
@@ -190,7 +189,8 @@ def _run(store: Store, task: Task, on_event: OnEvent) -> None:
 
     on_event(Event(state="running", key=task.key, kind=task.kind))
     with store.making(task.key) as (temporary, partial):
-        started, cpu = time.monotonic(), time.process_time()
+        started = time.monotonic()
+        cpu = time.process_time()
         out = Out(files=temporary / "files", kept=partial, progress=progress, note=note)
         rows: Sequence[Row] | None = kind.run(config, inputs, out)
         record = {

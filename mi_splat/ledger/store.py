@@ -26,15 +26,14 @@ from mi_splat.io.folders import is_locked, locked_file
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.job import Done, Row, Task, canonical, digest
 
-RECORD, FILES = "job.json", "files"
+RECORD = "job.json"
+FILES = "files"
 TRIES = 3  # how often a job may fail
 AGAIN = "delete its folder, so that it is made again"
 _RECORDS = DocumentReader(expected="the record of a job", do=AGAIN, most=1 << 28)
 _KEY = re.compile(r"[0-9a-f]{32}")
-_versions, _commit = (
-    functools.cache(provenance.versions),
-    functools.cache(provenance.commit),
-)
+_versions = functools.cache(provenance.versions)
+_commit = functools.cache(provenance.commit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +100,11 @@ class Store:
 
     def recorded(self, key: str) -> Done | None:
         """A finished job, without a look at its files; None if there is none."""
-        return (
-            Done(key=key, folder=self.folder_of(key) / FILES, record=self.record(key))
-            if self.has(key)
-            else None
-        )
+        if self.has(key):
+            return Done(
+                key=key, folder=self.folder_of(key) / FILES, record=self.record(key)
+            )
+        return None
 
     def done(self, key: str) -> Done | None:
         """A finished job, whose files are what it wrote; None if there is none."""
@@ -126,7 +125,8 @@ class Store:
 
     def existing(self, key: str) -> Done:
         """A finished job that has to be there; see `done`."""
-        if (done := self.done(key)) is None:
+        done = self.done(key)
+        if done is None:
             do = "leave the folder alone while it is used"
             raise InvalidValueError.of(
                 str(self.folder_of(key)), "a finished job", "none", do
@@ -267,7 +267,9 @@ def _is_well_formed(record: Mapping[str, Any]) -> bool:
     """Whether what a record says of files and rows is of the kinds that whoever reads
     it counts on.
     """
-    files, rows, varies = record["files"], record["rows"], record["varies"]
+    files = record["files"]
+    rows = record["rows"]
+    varies = record["varies"]
     return (
         isinstance(files, dict)
         and all(isinstance(content, str) for content in files.values())
@@ -328,7 +330,9 @@ def content_of_path(path: Path) -> str:
         present = hashes(path.absolute())
     except OSError as error:
         raise from_os_error(str(path), "a file that can be read", error) from error
-    return digest(present) if path.is_dir() else present[""]
+    if path.is_dir():
+        return digest(present)
+    return present[""]
 
 
 _HASHES: dict[Path, tuple[object, dict[str, str]]] = {}

@@ -45,10 +45,8 @@ def _refuse_in(variant: str) -> None:
     """
 
     def refuse(props: Any) -> Any:
-        expected, do = (
-            " or ".join(SUPPORTED_VARIANTS),
-            f'call mi.set_variant("{SUPPORTED_VARIANTS[0]}") first',
-        )
+        expected = " or ".join(SUPPORTED_VARIANTS)
+        do = f'call mi.set_variant("{SUPPORTED_VARIANTS[0]}") first'
         raise InvalidValueError.of(
             f"variant for {props.plugin_name()}", expected, variant, do
         )

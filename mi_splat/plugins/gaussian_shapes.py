@@ -60,7 +60,8 @@ class GaussianShapes:
     @staticmethod
     def _arrays_of(shape: Any) -> tuple[Any, ...]:
         values = own_values(shape)
-        if missing := ", ".join(key for key in _KEYS if key not in values):
+        missing = ", ".join(key for key in _KEYS if key not in values)
+        if missing:
             raise InvalidValueError.of(
                 f'shape "{shape.id()}"',
                 "a splat",
@@ -90,11 +91,9 @@ class GaussianShapes:
                 self.arrays, self.degrees, strict=True
             )
         ]
-        return (
-            parts[0]
-            if len(parts) == 1
-            else tuple(dr.concat(arrays) for arrays in zip(*parts, strict=True))
-        )
+        if len(parts) == 1:
+            return parts[0]
+        return tuple(dr.concat(arrays) for arrays in zip(*parts, strict=True))
 
     def scenes(self) -> list[GaussianScene]:
         """The Gaussians of each shape as values, copied."""
@@ -168,10 +167,8 @@ def _check_render(scene: Any, integrator: Any) -> None:
             [shape for shape in scene.shapes() if not shape.is_ellipsoids()], "nothing"
         )
     elif splats and not kinds & _SHOW_SPLATS:
-        got, do = (
-            f"{integrator.class_name()}, which shows them as grey shells",
-            "splat_tile, or splat_ray among meshes",
-        )
+        got = f"{integrator.class_name()}, which shows them as grey shells"
+        do = "splat_tile, or splat_ray among meshes"
         text = message(
             f"splat {_name(splats[0])}",
             "an integrator that shows splats",
@@ -223,7 +220,8 @@ def _with_degree(sh: Any, degree: int, target: int) -> Any:
     """SH rows of another degree: missing coefficients are 0, surplus ones are cut."""
     if degree == target:
         return sh
-    old, new = 3 * (degree + 1) ** 2, 3 * (target + 1) ** 2
+    old = 3 * (degree + 1) ** 2
+    new = 3 * (target + 1) ** 2
     index = dr.arange(mi.UInt32, len(sh) // old * new)
     column = index % new
     return dr.gather(mi.Float, sh, index // new * old + column, column < old)

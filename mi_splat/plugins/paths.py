@@ -50,7 +50,8 @@ class MixedCache:
 
     def _splats_of(self, shapes: GaussianShapes) -> Splats | None:
         held = shapes.detached()
-        key, before = _key(held), self._splats
+        key = _key(held)
+        before = self._splats
         if before is not None and before[0] == key:
             return before[2]
         arrays = shapes.joined()
@@ -218,11 +219,9 @@ def replay_stretch(
     )
     grad_through -= dr.select((depth == 0) & ~si.is_valid(), gradient.alpha, 0.0)
     far = dr.minimum(dr.select(si.is_valid(), si.t, math.inf), ray.maxt)
-    stretch, of_seen, to_mean = (
-        stretch_of(ray, far),
-        (grad_colour, grad_through),
-        settings.to_mean,
-    )
+    stretch = stretch_of(ray, far)
+    of_seen = (grad_colour, grad_through)
+    to_mean = settings.to_mean
     segments.blend_backward(
         mixed.splats, stretch, active, seen, of_seen, gradient.sums, to_mean=to_mean
     )
@@ -233,10 +232,8 @@ def replay_shadow(
 ) -> None:
     """Add what the splats on a shadow ray get."""
     if mixed.splats is not None:
-        unshaded, stretch = (
-            dr.select(shade > 0.0, product / shade, 0.0),
-            stretch_of(shadow, shadow.maxt),
-        )
+        unshaded = dr.select(shade > 0.0, product / shade, 0.0)
+        stretch = stretch_of(shadow, shadow.maxt)
         segments.transmittance_backward(
             mixed.splats, stretch, active, shade, unshaded, gradient.sums
         )
@@ -267,11 +264,10 @@ def radiance(
     else:
         hit = mixed.surfaces.ray_intersect_preliminary(ray, coherent=True)
         far = dr.minimum(dr.select(hit.is_valid(), hit.t, math.inf), ray.maxt)
-    first = (
-        seen_on(mixed, ray, far, mi.Bool(True), settings)
-        if total is None
-        else total[1:]
-    )
+    if total is None:
+        first = seen_on(mixed, ray, far, mi.Bool(True), settings)
+    else:
+        first = total[1:]
     solid = mi.Bool(False) if hit is None else hit.is_valid()
     gathered = mi.Spectrum(0.0) if total is None else mi.Spectrum(total[0])
     if hit is None:
@@ -289,7 +285,8 @@ def _behind_everything(mixed: Mixed, ray: Any, settings: PathSettings) -> Any:
     if settings.hide_emitters:
         return mi.Color3f(0.0)
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray))
-    si.wi, si.wavelengths = -ray.d, ray.wavelengths
+    si.wi = -ray.d
+    si.wavelengths = ray.wavelengths
     return environment.eval(si)
 
 
@@ -313,12 +310,11 @@ def _alone(
             *first, gradient.radiance, linear=settings.linear
         )
         grad_through += dr.dot(gradient.radiance, behind) - gradient.alpha
-        stretch, on, of_seen = (
-            stretch_of(ray, far),
-            mi.Bool(True),
-            (grad_colour, grad_through),
-        )
-        sums, to_mean = gradient.sums, settings.to_mean
+        stretch = stretch_of(ray, far)
+        on = mi.Bool(True)
+        of_seen = (grad_colour, grad_through)
+        sums = gradient.sums
+        to_mean = settings.to_mean
         segments.blend_backward(
             mixed.splats, stretch, on, first, of_seen, sums, to_mean=to_mean
         )
@@ -339,18 +335,21 @@ def _paths(
     """Radiance in a scene with surfaces, from the preliminary intersections of camera
     rays.
     """
-    scene, surfaces = mixed.scene, cast(Any, mixed.surfaces)
+    scene = mixed.scene
+    surfaces = cast(Any, mixed.surfaces)
     replay = gradient is not None
     context = mi.BSDFContext()
-    ray, hit, gathered = (
-        mi.Ray3f(ray),
-        mi.PreliminaryIntersection3f(hit),
-        mi.Spectrum(gathered),
-    )
-    colour, through = mi.Color3f(first[0]), mi.Float(first[1])
-    depth, throughput, eta = mi.UInt32(0), mi.Spectrum(1.0), mi.Float(1.0)
+    ray = mi.Ray3f(ray)
+    hit = mi.PreliminaryIntersection3f(hit)
+    gathered = mi.Spectrum(gathered)
+    colour = mi.Color3f(first[0])
+    through = mi.Float(first[1])
+    depth = mi.UInt32(0)
+    throughput = mi.Spectrum(1.0)
+    eta = mi.Float(1.0)
     before = dr.zeros(mi.SurfaceInteraction3f)
-    before_pdf, before_delta = mi.Float(1.0), mi.Bool(True)
+    before_pdf = mi.Float(1.0)
+    before_delta = mi.Bool(True)
     active = mi.Bool(True)
 
     while dr.hint(
@@ -363,11 +362,10 @@ def _paths(
 
         # ------------------- Splats on the way here -------------------
         from_splats = throughput * layer(colour, through, linear=settings.linear)
-        gathered = (
-            gathered - from_splats
-            if dr.hint(replay, mode="scalar")
-            else gathered + from_splats
-        )
+        if dr.hint(replay, mode="scalar"):
+            gathered = gathered - from_splats
+        else:
+            gathered = gathered + from_splats
         if dr.hint(replay, mode="scalar"):
             replay_stretch(
                 mixed,
@@ -420,9 +418,10 @@ def _paths(
                 gradient,
             )
         arrived = emitted + direct
-        gathered = (
-            gathered - arrived if dr.hint(replay, mode="scalar") else gathered + arrived
-        )
+        if dr.hint(replay, mode="scalar"):
+            gathered = gathered - arrived
+        else:
+            gathered = gathered + arrived
 
         # ------------------------ The next ray ------------------------
         scattered, factor = bsdf.sample(
@@ -431,7 +430,8 @@ def _paths(
         ray = si.spawn_ray(si.to_world(scattered.wo))
         throughput *= factor
         eta *= scattered.eta
-        before, before_pdf = si, scattered.pdf
+        before = si
+        before_pdf = scattered.pdf
         before_delta = mi.has_flag(scattered.sampled_type, mi.BSDFFlags.Delta)
         largest = dr.max(throughput)
         going &= largest != 0.0

@@ -88,7 +88,9 @@ def integrator_class(variant: str) -> Any:
             self._sums: Any = None
 
         def aov_names(self) -> list[str]:
-            return ["alpha"] if self.alpha else []
+            if self.alpha:
+                return ["alpha"]
+            return []
 
         def _mixed(self, scene: Any) -> Mixed:
             shapes = GaussianShapes(scene, among="surfaces")
@@ -122,14 +124,13 @@ def integrator_class(variant: str) -> Any:
             """Radiance along rays, or its gradient; see Mitsuba's
             `ADIntegrator.sample`.
             """
-            mixed, settings = self._mixed(scene), self._path_settings()
+            mixed = self._mixed(scene)
+            settings = self._path_settings()
             total = gradient = None
             if mode == dr.ADMode.Backward:
                 on_alpha = mi.Float(given["δaovs"][0]) if self.alpha else mi.Float(0.0)
-                gradient, total = (
-                    Adjoint(mi.Color3f(given["δL"]), on_alpha, self._sums),
-                    given["state_in"],
-                )
+                gradient = Adjoint(mi.Color3f(given["δL"]), on_alpha, self._sums)
+                total = given["state_in"]
             light, alpha, state = radiance(
                 mixed, sampler, ray, settings, total=total, gradient=gradient
             )
@@ -150,7 +151,8 @@ def integrator_class(variant: str) -> Any:
                     ),
                     ray.wavelengths,
                 )
-                weight, position = _gathered(weight, order), _gathered(position, order)
+                weight = _gathered(weight, order)
+                position = _gathered(position, order)
             return ray, mi.Float(dr.mean(weight)) if self.alpha else weight, position
 
         def render_backward(
@@ -204,7 +206,9 @@ def _by_blocks_of_pixels(film: Any, samples: int) -> Any:
 
 def _gathered(values: Any, order: Any) -> Any:
     """Values in another order; one value for all lanes stays so."""
-    return values if dr.width(values) == 1 else dr.gather(type(values), values, order)
+    if dr.width(values) == 1:
+        return values
+    return dr.gather(type(values), values, order)
 
 
 def _check_differentiable(params: Any, shapes: GaussianShapes) -> None:

@@ -76,11 +76,9 @@ def identity(sensor: Any) -> tuple[tuple[Any, ...], list[Any]]:
     change under a given index while someone holds them, so indices tell as well whether
     anything has changed.
     """
-    values, matrix, film = (
-        own_values(sensor),
-        sensor.world_transform().matrix,
-        sensor.film(),
-    )
+    values = own_values(sensor)
+    matrix = sensor.world_transform().matrix
+    film = sensor.film()
     lens = [values[name] for name in _LENS if name in values]
     entries = [matrix[i, j] for i in range(4) for j in range(4)]
     sizes = (tuple(film.size()), tuple(film.crop_offset()), tuple(film.crop_size()))
@@ -94,7 +92,8 @@ def pinhole(sensor: Any, *, near: float, antialiased: bool = False) -> Pinhole:
     """The kernels' camera for a perspective sensor; a crop window shows the same pixels
     as the whole film would.
     """
-    seen, film = camera(sensor), sensor.film().size()
+    seen = camera(sensor)
+    film = sensor.film().size()
     field = 0.5 * int(film[0]) / seen.fx, 0.5 * int(film[1]) / seen.fy
     return Pinhole(camera=seen, near=near, antialiased=antialiased, field=field)
 
@@ -103,7 +102,8 @@ def camera(sensor: Any) -> Camera:
     """Our camera for a perspective sensor (of its crop window, if it has one)."""
     values = own_values(sensor)
     if not values.keys() >= {*_LENS}:
-        what, do = f'sensor "{sensor.id()}"', "change its type to perspective"
+        what = f'sensor "{sensor.id()}"'
+        do = "change its type to perspective"
         raise InvalidValueError.of(
             what, "a perspective sensor", sensor.class_name(), do
         )
@@ -113,12 +113,15 @@ def camera(sensor: Any) -> Camera:
     )
     pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
     film = sensor.film()
-    size, crop, start = film.size(), film.crop_size(), film.crop_offset()
+    size = film.size()
+    crop = film.crop_size()
+    start = film.crop_offset()
     angle, *offset = (float(np.array(values[name]).item()) for name in _LENS)
     x, y = (
         (0.5 - offset[axis]) * int(size[axis]) - float(start[axis]) for axis in range(2)
     )
-    width, height = int(crop[0]), int(crop[1])
+    width = int(crop[0])
+    height = int(crop[1])
     centred = np.allclose((x, y), (width / 2, height / 2), rtol=0, atol=1e-6)
     return Camera(
         to_world=torch.from_numpy(pose),
@@ -155,10 +158,8 @@ def sensor_dict(camera: Camera, what: str = "camera") -> dict[str, Any]:
     """A perspective sensor for `mi.load_dict` that takes our camera's picture through a
     box filter.
     """
-    size, formats = (
-        {"width": camera.width, "height": camera.height},
-        {"pixel_format": "rgb"},
-    )
+    size = {"width": camera.width, "height": camera.height}
+    formats = {"pixel_format": "rgb"}
     return {
         "type": "perspective",
         **perspective(camera, what),

@@ -49,10 +49,8 @@ def gaussians(props: Any) -> Any:
             )
         )
     else:
-        expected, got = (
-            f"a filename, or the tensors {', '.join(ATTRIBUTES)}",
-            ", ".join(props.keys()) or "neither",
-        )
+        expected = f"a filename, or the tensors {', '.join(ATTRIBUTES)}"
+        got = ", ".join(props.keys()) or "neither"
         raise InvalidValueError.of(
             f'shape "{props.id()}"', expected, got, "give one or the other"
         )

@@ -121,7 +121,8 @@ def integrator_class(variant: str) -> Any:
             """The picture from a sensor; the last few are cached for their
             gradients.
             """
-            camera, held = self._camera_of(sensor), shapes.detached()
+            camera = self._camera_of(sensor)
+            held = shapes.detached()
             key = tuple(array.index for array in held), camera.key(), self.background
             if key not in self._pictures:
                 picture = rasterize(

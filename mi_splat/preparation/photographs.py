@@ -146,10 +146,8 @@ def _mask_of(file: Path, photograph: Path, size: tuple[int, int]) -> Image.Image
     for turned in (mask, made_upright(mask, picture_orientation(photograph))):
         if abs(turned.width * size[1] - turned.height * size[0]) <= max(size):
             return turned
-    expected, got = (
-        f"a mask of {size[0]} x {size[1]} pixels",
-        f"{mask.width} x {mask.height}",
-    )
+    expected = f"a mask of {size[0]} x {size[1]} pixels"
+    got = f"{mask.width} x {mask.height}"
     raise DatasetError.of(
         str(file), expected, got, "make the mask as large as its image"
     )
@@ -169,7 +167,8 @@ def _free_name(stem: str, ending: str, taken: set[str]) -> str:
     letters for the same.
     """
     small = {other.lower() for other in taken}
-    number, name = 2, f"{stem}{ending}"
+    number = 2
+    name = f"{stem}{ending}"
     while name.lower() in small:
         name = f"{stem}-{number}{ending}"
         number += 1

@@ -302,7 +302,8 @@ def up_of(turns: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     Args:
         turns: (N, 3, 3) rotations from camera space, x right and y down, to the world.
     """
-    rights, mean = turns[:, :, 0], -turns[:, :, 1].mean(0)
+    rights = turns[:, :, 0]
+    mean = -turns[:, :, 1].mean(0)
     squares, axes = np.linalg.eigh(rights.T @ rights / len(rights))
     axis = axes[:, 0] * (1.0 if axes[:, 0] @ mean >= 0 else -1.0)
     agrees = axis @ mean > 0.5 * np.linalg.norm(mean)
@@ -389,7 +390,8 @@ def take_frames(
             continue
         if int(second / interval) > part:
             keep()
-            best, part = None, int(second / interval)
+            best = None
+            part = int(second / interval)
             report("reading the video", int(second), max(1, int(length)))
         sharp = float(
             cv2.Laplacian(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), cv2.CV_32F).var()

@@ -32,7 +32,8 @@ def order_below(keys: Any, values: int) -> Any:
     """
     bits = values.bit_length()
     passes = -(-bits // _PASS_BITS[mi.variant().partition("_")[0]])
-    order, low = None, 0
+    order = None
+    low = 0
     for number in range(passes):
         high = (number + 1) * bits // passes
         digit = dr.minimum(keys, (1 << bits) - 1) >> low
@@ -126,10 +127,8 @@ def tiles_of_row(splat: Splat, row: Any, height: Any, width: Any) -> tuple[Any, 
         half = dr.sqrt(dr.maximum(tau - dr.square(splat.v1 * dy), 0.0))
         return (sign * half - splat.u1 * dy) * inverse
 
-    left, right = (
-        edge(dr.clip(-top, low, high), -1.0),
-        edge(dr.clip(top, low, high), 1.0),
-    )
+    left = edge(dr.clip(-top, low, high), -1.0)
+    right = edge(dr.clip(top, low, high), 1.0)
     first, last = pixel_span(splat.centre.x, left, right, width)
     empty = (first > last) | (low >= high)
     return dr.select(empty, 1, first // TILE), dr.select(empty, 0, last // TILE)

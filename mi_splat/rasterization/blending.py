@@ -75,7 +75,8 @@ def exp2_of_alpha(power: Any) -> Any:
     if dr.backend_v(power) != dr.JitBackend.LLVM:
         return dr.exp2(power)
     whole = dr.round(power)
-    fraction, value = power - whole, mi.Float(_EXP2[-1])
+    fraction = power - whole
+    value = mi.Float(_EXP2[-1])
     for coefficient in _EXP2[-2::-1]:
         value = dr.fma(value, fraction, coefficient)
     return dr.reinterpret_array(
@@ -153,8 +154,10 @@ def blend_tile(
         pixels: list[list[Any]],
         depths: list[Any],
     ) -> Any:
-        record, values = Record(values), read_record(records, gaussian, corner)
-        blended, measured = [], list(depths)
+        record = Record(values)
+        values = read_record(records, gaussian, corner)
+        blended = []
+        measured = list(depths)
         for p, alpha in enumerate(record.alphas()):
             *colour, transmittance = pixels[p]
             weight, left = blend_step(dr.minimum(alpha, MAX_ALPHA), transmittance)
@@ -169,7 +172,8 @@ def blend_tile(
             )
             if measured:
                 halved = (transmittance > 0.5) & (left <= 0.5)
-                total, summed_depth = TILE * TILE + p, 2 * TILE * TILE + p
+                total = TILE * TILE + p
+                summed_depth = 2 * TILE * TILE + p
                 measured[p] = dr.select(halved, record.depth, measured[p])
                 measured[total] = measured[total] + weight
                 measured[summed_depth] = dr.fma(
@@ -228,12 +232,17 @@ def blend_tile_backward(
     def body(
         following: Any, gaussian: Any, values: list[Any], states: list[list[Any]]
     ) -> Any:
-        record, values = Record(values), read_record(records, gaussian, corner)
-        behind, colour_sums, depth_sum = [], [mi.Float(0)] * 3, mi.Float(0)
+        record = Record(values)
+        values = read_record(records, gaussian, corner)
+        behind = []
+        colour_sums = [mi.Float(0)] * 3
+        depth_sum = mi.Float(0)
         rows = []
         alphas = record.alphas()
         for row in range(TILE):
-            m0, m1, m2 = mi.Float(0), mi.Float(0), mi.Float(0)
+            m0 = mi.Float(0)
+            m1 = mi.Float(0)
+            m2 = mi.Float(0)
             for column in range(TILE):
                 p = row * TILE + column
                 alpha = dr.minimum(alphas[p], MAX_ALPHA)
@@ -254,7 +263,9 @@ def blend_tile_backward(
                 h = dr.fma(weight, gain, -rest * alpha / (1.0 - alpha))
                 h = dr.select((weight > 0.0) & (alphas[p] < MAX_ALPHA), h, 0.0)
                 dx = record.x + float(column)
-                m0, m1, m2 = m0 + h, dr.fma(h, dx, m1), dr.fma(h * dx, dx, m2)
+                m0 = m0 + h
+                m1 = dr.fma(h, dx, m1)
+                m2 = dr.fma(h * dx, dx, m2)
                 for c in range(3):
                     colour_sums[c] = dr.fma(
                         weight, grad_colour[c * n + p], colour_sums[c]

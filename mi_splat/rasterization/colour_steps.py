@@ -36,7 +36,8 @@ def gradient_of(
 def colour_forward(terms: int, sh: Any, frozen: FrozenPairs, colours: Any) -> Any:
     """Blend the free Gaussians' colours over the constant part of the picture."""
     column = frozen.columns
-    row, basis = rows_of(sh, column, 3 * terms), _basis(frozen, terms)
+    row = rows_of(sh, column, 3 * terms)
+    basis = _basis(frozen, terms)
     values = []
     for c in range(3):
         total = mi.Float(0.5)
@@ -108,7 +109,8 @@ def colour_backward(
         add,
         label="sum of colours",
     )
-    colour, basis = rows_of(colours, frozen.columns, 4), _basis(frozen, terms)
+    colour = rows_of(colours, frozen.columns, 4)
+    basis = _basis(frozen, terms)
     totals = [dr.select(colour[c] > 0.0, totals[c], 0.0) for c in range(3)]
     dr.scatter(
         grad_sh,

@@ -27,7 +27,9 @@ class Layout:
         *geometry, opacities, sh = arrays
         if len(geometry) == 1:
             row = rows_of(geometry[0], index, 10)
-            mean, scale, rotation = row[0:3], row[3:6], [row[9], *row[6:9]]
+            mean = row[0:3]
+            scale = row[3:6]
+            rotation = [row[9], *row[6:9]]
         else:
             mean, scale, rotation = (
                 rows_of(array, index, k)

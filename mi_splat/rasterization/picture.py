@@ -117,6 +117,7 @@ def tiled_index(pixel: Any, width: Any) -> Any:
     """Where a row-major pixel (Int32) lies in a buffer that holds the tiles one after
     another, 16 pixels each.
     """
-    x, y = pixel % width, pixel // width
+    x = pixel % width
+    y = pixel // width
     tile = (y // TILE) * tile_columns(width) + x // TILE
     return mi.UInt32(tile * TILE * TILE + (y % TILE) * TILE + x % TILE)

@@ -86,15 +86,14 @@ def rasterize(
         stages.write_pairs, records[0], depth_order, first, last, buffers.size, pairs
     )
     tiles = len(buffers.tiles)
-    index, ranges = (
-        index_of(number),
-        tuple(buffer(tiles, mi.UInt32, 0) for _ in range(2)),
-    )
+    index = index_of(number)
+    ranges = tuple(buffer(tiles, mi.UInt32, 0) for _ in range(2))
     rows = binning.order_below(dr.gather(mi.UInt32, pairs, 2 * index), tiles)
     gaussians, length_key = run(
         stages.find_lists, pairs, rows, index, total, buffers, ranges
     )
-    tile_order, walked = binning.by_length(length_key), buffer(tiles, mi.UInt32)
+    tile_order = binning.by_length(length_key)
+    walked = buffer(tiles, mi.UInt32)
     canvas = tuple(
         buffer(width * TILE * TILE * tiles) for width in ((4, 3) if depths else (4,))
     )
@@ -132,7 +131,8 @@ def rasterize_backward(
     """Gradient of a scalar L with respect to the Gaussians, from its gradient with
     respect to the picture.
     """
-    arrays, state = picture.arrays, picture.state
+    arrays = picture.arrays
+    state = picture.state
     if state is None:
         return tuple(buffer(len(array), value=0.0) for array in arrays)
     gradients = tuple(buffer(len(array)) for array in arrays)
@@ -155,10 +155,8 @@ def rasterize_backward(
         state.pairs,
         scratch,
     )
-    lists, tile_order = (
-        (state.pairs[0], rows, *state.pair_ranges),
-        binning.by_length(state.walked),
-    )
+    lists = (state.pairs[0], rows, *state.pair_ranges)
+    tile_order = binning.by_length(state.walked)
     run(
         stages.blend_backward,
         state.records,

@@ -129,7 +129,8 @@ def project(gaussians: Gaussians, camera: KernelCamera) -> tuple[Splat, Any, Any
     # the Jacobian of eq. 29).
     tx = dr.clip(tangent.x, -camera.guard.x, camera.guard.x)
     ty = dr.clip(tangent.y, -camera.guard.y, camera.guard.y)
-    jx, jy = camera.focal.x * inverse, camera.focal.y * inverse
+    jx = camera.focal.x * inverse
+    jy = camera.focal.y * inverse
     r = camera.rotation
     row_x = mi.Vector3f(*[jx * (r[0, i] - tx * r[2, i]) for i in range(3)])
     row_y = mi.Vector3f(*[jy * (r[1, i] - ty * r[2, i]) for i in range(3)])
@@ -138,8 +139,11 @@ def project(gaussians: Gaussians, camera: KernelCamera) -> tuple[Splat, Any, Any
     v0 = mi.Vector3f(*[dr.dot(row_x, column) for column in columns]) * gaussians.scale
     v1 = mi.Vector3f(*[dr.dot(row_y, column) for column in columns]) * gaussians.scale
 
-    n0, n1 = dr.squared_norm(v0), dr.squared_norm(v1)
-    xx, yy, xy = n0 + BLUR, n1 + BLUR, dr.dot(v0, v1)
+    n0 = dr.squared_norm(v0)
+    n1 = dr.squared_norm(v1)
+    xx = n0 + BLUR
+    yy = n1 + BLUR
+    xy = dr.dot(v0, v1)
     # Lagrange's identity: no cancellation between xx yy and xy^2 for long thin splats.
     area = dr.squared_norm(dr.cross(v0, v1))
     determinant = area + BLUR * (n0 + n1 + BLUR)

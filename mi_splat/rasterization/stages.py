@@ -182,10 +182,15 @@ def blend_backward(
     tile, corner = _tiles(order, buffers)
     width, height = buffers.size
     first, last = (dr.gather(mi.UInt32, edge, tile) for edge in lists[2:])
-    grad_colours, grad_opacity, grad_depth, weighted = [], [], [], []
+    grad_colours = []
+    grad_opacity = []
+    grad_depth = []
+    weighted = []
     for p in range(TILE * TILE):
-        x, y = mi.Int32(corner[0]) + p % TILE, mi.Int32(corner[1]) + p // TILE
-        pixel, inside = mi.UInt32(y * width + x), (x < width) & (y < height)
+        x = mi.Int32(corner[0]) + p % TILE
+        y = mi.Int32(corner[1]) + p // TILE
+        pixel = mi.UInt32(y * width + x)
+        inside = (x < width) & (y < height)
         both = (buffers.colour, grad_picture[0])
         value, grad = (
             dr.gather(mi.ArrayXf, a, pixel, inside, shape=(3, dr.width(pixel)))

@@ -173,10 +173,8 @@ def _pack(
     """
     tiles, ranges, slots_needed = slots
     gaussians = len(directions) // 3
-    weights, owners = (
-        buffer(PIXELS * slots_needed, value=0.0),
-        buffer(slots_needed, mi.UInt32, _FIXED),
-    )
+    weights = buffer(PIXELS * slots_needed, value=0.0)
+    owners = buffer(slots_needed, mi.UInt32, _FIXED)
     _walk(picture, tiles, columns, packed=(ranges[0], weights, owners))
     rows, row_ranges = _rows(owners, gaussians)
     column = numbers(mi.variant(), gaussians)
@@ -224,7 +222,8 @@ def _rows(owners: Any, gaussians: int) -> tuple[Any, tuple[Any, Any]]:
     key = dr.select(used, dr.gather(mi.UInt32, earliest, owners, used), _FIXED)
     # stable: a Gaussian's rows are in the order of their places
     order = dr.argsort(key)
-    rows, sorted_key = buffer(len(owners), mi.UInt32), dr.gather(mi.UInt32, key, order)
+    rows = buffer(len(owners), mi.UInt32)
+    sorted_key = dr.gather(mi.UInt32, key, order)
     dr.scatter(rows, index, order)
     dr.eval(rows, sorted_key, earliest)
     # a literal would make another kernel for each number
@@ -262,7 +261,8 @@ def _walk(
     assert state is not None
     width, height = state.buffers.size
     corner = first_pixel(mi.Int32(tiles), tile_columns(width))
-    right, below = mi.Float(width), mi.Float(height)
+    right = mi.Float(width)
+    below = mi.Float(height)
     inside = [
         (corner[0] + float(p % TILE) < right) & (corner[1] + float(p // TILE) < below)
         for p in range(PIXELS)
@@ -278,7 +278,8 @@ def _walk(
                 state.records, dr.gather(mi.UInt32, state.pairs[0], pair), corner
             )
         )
-        values, behind = [], []
+        values = []
+        behind = []
         for p, alpha in enumerate(record.alphas()):
             weight, left = blend_step(dr.minimum(alpha, MAX_ALPHA), transmittances[p])
             values.append(dr.select(inside[p], weight, 0.0))

@@ -44,11 +44,10 @@ def _rays(camera: Pinhole) -> tuple[Stretch, Any, Any]:
     columns = tile_columns(width)
     tiles = -(-camera.size[0] // TILE) * -(-camera.size[1] // TILE)
     lane = dr.arange(mi.Int32, TILE * TILE * tiles)
-    tile, inside = lane // (TILE * TILE), lane % (TILE * TILE)
-    x, y = (
-        (tile % columns) * TILE + inside % TILE,
-        (tile // columns) * TILE + inside // TILE,
-    )
+    tile = lane // (TILE * TILE)
+    inside = lane % (TILE * TILE)
+    x = (tile % columns) * TILE + inside % TILE
+    y = (tile // columns) * TILE + inside // TILE
     numbers = camera.for_kernels()
     centre = (
         mi.Point2f(mi.Float(x) + 0.5, mi.Float(y) + 0.5) - numbers.principal
@@ -72,7 +71,8 @@ def raytrace(
 ) -> RayPicture:
     """Render Gaussians to a picture."""
     pixels = camera.size[0] * camera.size[1]
-    colour, opacity = buffer(3 * pixels), buffer(pixels, value=0.0)
+    colour = buffer(3 * pixels)
+    opacity = buffer(pixels, value=0.0)
     if splats is None:
         return RayPicture(
             dr.tile(mi.Float(background), pixels),

@@ -85,7 +85,8 @@ def walk(
     def entry(corners: Any, far: Any) -> tuple[Any, Any]:
         a = (mi.Point3f(corners[0], corners[1], corners[2]) - stretch.origin) * inverse
         b = (mi.Point3f(corners[3], corners[4], corners[5]) - stretch.origin) * inverse
-        first, last = dr.max(dr.minimum(a, b)), dr.min(dr.maximum(a, b))
+        first = dr.max(dr.minimum(a, b))
+        last = dr.min(dr.maximum(a, b))
         return first, (first <= last) & (last >= stretch.near) & (first < far)
 
     def look(node: Any, state: list[Any]) -> list[Any]:
@@ -150,8 +151,10 @@ def nearest(
     last, last_slot = after
 
     def visit(state: list[Any], peak: Peak, counts: Any) -> list[Any]:
-        distances, slots = list(state[:AT_ONCE]), list(state[AT_ONCE:])
-        distance, slot = peak.distance, mi.UInt32(peak.slot)
+        distances = list(state[:AT_ONCE])
+        slots = list(state[AT_ONCE:])
+        distance = peak.distance
+        slot = mi.UInt32(peak.slot)
         fresh = (distance > last) | ((distance == last) & (slot > last_slot))
         distance = dr.select(
             counts & fresh & (distance >= stretch.near), distance, math.inf
@@ -205,11 +208,9 @@ def view_direction(peak: Peak, stretch: Stretch, *, to_mean: bool) -> Any:
     """Direction in which a Gaussian's colour is looked up: that of the ray, or from its
     origin to the mean.
     """
-    return (
-        dr.normalize(mi.Vector3f(peak.mean - stretch.origin))
-        if to_mean
-        else stretch.direction
-    )
+    if to_mean:
+        return dr.normalize(mi.Vector3f(peak.mean - stretch.origin))
+    return stretch.direction
 
 
 def coefficients(splats: Splats, gaussian: Any) -> list[Any]:
@@ -255,7 +256,9 @@ def for_each_peak(
         last: Any, slot: Any, more: Any, state: list[Any]
     ) -> tuple[Any, Any, Any, list[Any]]:
         distances, slots = nearest(splats, stretch, (last, slot), more)
-        last, slot, full = distances[-1], slots[-1], distances[-1] < math.inf
+        last = distances[-1]
+        slot = slots[-1]
+        full = distances[-1] < math.inf
 
         def blend(
             distances: list[Any], slots: list[Any], state: list[Any]

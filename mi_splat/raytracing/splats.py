@@ -82,18 +82,15 @@ def _leaf_boxes(
 ) -> tuple[Any, Any]:
     """Lowest and highest corner of each leaf."""
     leaf = dr.arange(mi.UInt32, leaves)
-    start, stop = (
-        dr.gather(mi.UInt32, starts, leaf),
-        dr.gather(mi.UInt32, starts, leaf + 1),
-    )
-    low, high = mi.Point3f(_FAR), mi.Point3f(-_FAR)
+    start = dr.gather(mi.UInt32, starts, leaf)
+    stop = dr.gather(mi.UInt32, starts, leaf + 1)
+    low = mi.Point3f(_FAR)
+    high = mi.Point3f(-_FAR)
     for number in range(LEAF):
         slot = start + number
         gaussian = dr.gather(mi.UInt32, order, slot, slot < stop)
-        mean, size = (
-            dr.gather(mi.Point3f, means, gaussian),
-            dr.gather(mi.Vector3f, half, gaussian),
-        )
+        mean = dr.gather(mi.Point3f, means, gaussian)
+        size = dr.gather(mi.Vector3f, half, gaussian)
         valid = (slot < stop) & (size.x >= 0)
         low = dr.select(valid, dr.minimum(low, mean - size), low)
         high = dr.select(valid, dr.maximum(high, mean + size), high)
@@ -119,10 +116,8 @@ def _write_level(nodes: Any, low: Any, high: Any, count: int) -> tuple[Any, Any]
         mi.ArrayXf([*rows, *[mi.Float(0)] * (NODE - 12)]),
         index + dr.opaque(mi.UInt32, count),
     )
-    low, high = (
-        dr.minimum(corners[0][0], corners[1][0]),
-        dr.maximum(corners[0][1], corners[1][1]),
-    )
+    low = dr.minimum(corners[0][0], corners[1][0])
+    high = dr.maximum(corners[0][1], corners[1][1])
     dr.eval(nodes, low, high)
     return low, high
 
@@ -193,7 +188,8 @@ def _half_boxes(gaussians: Gaussians) -> Any:
     such box.
     """
     reach = (dr.log2(gaussians.opacity) - CUTOFF) / HALF_LOG2_E
-    axes, scale = rotation_matrix(gaussians.rotation), gaussians.scale
+    axes = rotation_matrix(gaussians.rotation)
+    scale = gaussians.scale
     half = [
         dr.sqrt(
             reach
@@ -246,7 +242,8 @@ def gradients(splats: Splats, sums: Sums) -> tuple[Any, ...]:
     to the mean, and -u u^T A^-T with respect to A. The sums are of u, not of x - mean,
     since float32 cannot hold the thickness of a disc beside its width.
     """
-    order, arrays = splats.tree.order, splats.arrays
+    order = splats.tree.order
+    arrays = splats.arrays
     grads = tuple(buffer(len(array), value=0.0) for array in arrays)
     slot = dr.arange(mi.UInt32, len(order))
     with dr.resume_grad():

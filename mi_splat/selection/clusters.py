@@ -12,7 +12,8 @@ from mi_splat.neighbours import nearest_neighbours
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import dc_to_colour
 
-NEIGHBOURS, NEAREST = 12, 8
+NEIGHBOURS = 12
+NEAREST = 8
 """Neighbours that a Gaussian may be linked to, and the one whose distance is the
 measure of nearness.
 """
@@ -22,7 +23,9 @@ TOLERANCE = 0.75
 """How far from a plane its Gaussians may lie, as a multiple of how far apart the
 Gaussians are there.
 """
-_TRIALS, _SAMPLE, _ROUNDS = 4000, 4000, 5
+_TRIALS = 4000
+_SAMPLE = 4000
+_ROUNDS = 5
 _AT_ONCE = 250
 """Planes whose distances to the sample are held at once."""
 
@@ -94,7 +97,8 @@ def find_plane(points: Tensor, spacing: Tensor, *, least: int) -> Tensor | None:
     """
     if len(points) < 3:
         return None
-    points, limit = points.detach().cpu().double(), TOLERANCE * spacing
+    points = points.detach().cpu().double()
+    limit = TOLERANCE * spacing
     generator = Generator().manual_seed(0)
     sample = torch.randperm(len(points), generator=generator)[:_SAMPLE]
     corners = points[torch.randint(len(points), (_TRIALS, 3), generator=generator)]
@@ -107,7 +111,8 @@ def find_plane(points: Tensor, spacing: Tensor, *, least: int) -> Tensor | None:
     if not len(corners):
         return None
     normals = across / length[:, None]
-    placed, near = points[sample], limit[sample, None]
+    placed = points[sample]
+    near = limit[sample, None]
     counts = [
         ((placed @ part.T).sub_((part * on).sum(1)).abs_() < near).sum(0)
         for part, on in zip(
@@ -115,14 +120,17 @@ def find_plane(points: Tensor, spacing: Tensor, *, least: int) -> Tensor | None:
         )
     ]
     best = int(torch.cat(counts).argmax())
-    normal, on = normals[best], corners[best, 0]
+    normal = normals[best]
+    on = corners[best, 0]
     inside = _on_plane(points, normal, on, limit)
     for _ in range(_ROUNDS):
         if int(inside.sum()) < 3:
             break
         on, normal = _fit(points[inside], spacing[inside])
         inside = _on_plane(points, normal, on, limit)
-    return inside if int(inside.sum()) >= least else None
+    if int(inside.sum()) >= least:
+        return inside
+    return None
 
 
 def _on_plane(points: Tensor, normal: Tensor, on: Tensor, limit: Tensor) -> Tensor:

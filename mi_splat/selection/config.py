@@ -59,7 +59,8 @@ class Selection:
     def __post_init__(self) -> None:
         check(self)
         if self.box is not None:
-            low, high = self.box[:3], self.box[3:]
+            low = self.box[:3]
+            high = self.box[3:]
             # not of nan either
             if not all(a <= b for a, b in zip(low, high, strict=True)):
                 do = "give the lower corner first: x0 y0 z0 x1 y1 z1"

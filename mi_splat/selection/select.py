@@ -78,10 +78,8 @@ def save_mask(mask: Tensor, path: Path) -> None:
 def _from_array(values: NDArray[np.generic], count: int, what: str) -> Tensor:
     """A mask from bools, from zeros and ones, or from row numbers."""
     if values.ndim != 1 or values.dtype.kind not in "biu":
-        got, do = (
-            f"{values.dtype} of shape {values.shape}",
-            "pass a one-dimensional array",
-        )
+        got = f"{values.dtype} of shape {values.shape}"
+        do = "pass a one-dimensional array"
         raise InvalidValueError.of(what, f"({count},) bools, or row numbers", got, do)
     binary = values.dtype.kind == "b" or (
         len(values) == count and bool(((values == 0) | (values == 1)).all())
@@ -134,13 +132,12 @@ def load_array(path: Path) -> NDArray[np.generic]:
     """The array in a .npy file, never of objects; what its header says is held against
     the bytes that are there.
     """
-    expected, do = "an array of NumPy (.npy)", "save it with numpy.save"
+    expected = "an array of NumPy (.npy)"
+    do = "save it with numpy.save"
     try:
         with open_regular(str(path)) as file:
-            head, size = (
-                io.BytesIO(os.pread(file.fileno(), _NPY_HEADER, 0)),
-                os.fstat(file.fileno()).st_size,
-            )
+            head = io.BytesIO(os.pread(file.fileno(), _NPY_HEADER, 0))
+            size = os.fstat(file.fileno()).st_size
             version = npy.read_magic(head)
             if version not in _READERS:
                 raise ValueError(f"version {version[0]}.{version[1]} of the format")
@@ -206,11 +203,10 @@ def select(
     mask = torch.ones(len(scene), dtype=torch.bool)
     if selection.object is not None:
         if selection.object not in (objects or {}):
-            expected = (
-                f"one of {', '.join(objects)}"
-                if objects
-                else "no name, since the scene has no parts"
-            )
+            if objects:
+                expected = f"one of {', '.join(objects)}"
+            else:
+                expected = "no name, since the scene has no parts"
             raise InvalidValueError.of(
                 "object", expected, selection.object, _HOW
             ).hinted(_FLAGS)
@@ -244,7 +240,8 @@ _FLAGS = "--object, --box, --click, --cluster or --mask"
 
 def doubts(mask: Tensor, weights: Mapping[str, Tensor]) -> list[str]:
     """Reasons to look twice at a selection, in words."""
-    count, total = int(mask.sum()), len(mask)
+    count = int(mask.sum())
+    total = len(mask)
     texts = []
     if count < FEWEST:
         texts.append(
@@ -256,7 +253,8 @@ def doubts(mask: Tensor, weights: Mapping[str, Tensor]) -> list[str]:
             f"the selection has {count:,} of {total:,} Gaussians: nearly the whole"
             " scene, surroundings, too"
         )
-    if hidden := _hidden(weights):
+    hidden = _hidden(weights)
+    if hidden:
         texts.append(
             f"the selection does not show {hidden}; something hides it, or it is"
             " outside the picture"
@@ -266,7 +264,8 @@ def doubts(mask: Tensor, weights: Mapping[str, Tensor]) -> list[str]:
 
 def require_visible(weights: Mapping[str, Tensor]) -> None:
     """Raise unless an object shows from every camera."""
-    if hidden := _hidden(weights):
+    hidden = _hidden(weights)
+    if hidden:
         do = "leave these cameras out, or choose others"
         raise InvalidValueError.of(
             "cameras", "views that show the selection", f"none {hidden}", do

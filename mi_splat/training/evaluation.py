@@ -37,7 +37,9 @@ class HasMasks(Protocol):
 
 def loss_mask_of(views: Sequence[View], index: int) -> Tensor | None:
     """The mask of a view; None if all of it counts, as of views without masks."""
-    return views.loss_mask(index) if isinstance(views, HasMasks) else None
+    if isinstance(views, HasMasks):
+        return views.loss_mask(index)
+    return None
 
 
 def score(

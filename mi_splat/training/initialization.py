@@ -18,7 +18,8 @@ from mi_splat.sh import colour_to_dc
 
 _NEAREST = 3
 """Neighbours whose distances make the size of a Gaussian."""
-_MATCHED, _ROUNDS = 3, 32
+_MATCHED = 3
+_ROUNDS = 32
 """Pictures in which an outlier lies at least, and how often as many as are wanted are
 drawn.
 """
@@ -109,7 +110,8 @@ def with_outliers(
     generator = Generator().manual_seed(seed)
     cameras = cameras_of(views)
     positions = torch.stack([camera.position for camera in cameras])
-    beside, owners = cloud.points[:0].to(positions), torch.zeros(0, dtype=torch.int64)
+    beside = cloud.points[:0].to(positions)
+    owners = torch.zeros(0, dtype=torch.int64)
     for _ in range(_ROUNDS):
         eyes = positions[torch.randint(len(positions), (count,), generator=generator)]
         seen = torch.randint(len(cloud.points), (count,), generator=generator)
@@ -120,10 +122,8 @@ def with_outliers(
         kept = sum(_in_picture(drawn, camera).int() for camera in cameras) >= min(
             _MATCHED, len(cameras)
         )
-        beside, owners = (
-            torch.cat([beside, drawn[kept]])[:count],
-            torch.cat([owners, seen[kept]])[:count],
-        )
+        beside = torch.cat([beside, drawn[kept]])[:count]
+        owners = torch.cat([owners, seen[kept]])[:count]
         if len(beside) == count:
             break
     points = torch.cat([cloud.points, beside.to(cloud.points)])

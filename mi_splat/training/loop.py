@@ -35,11 +35,10 @@ class Fit:
 
     def __repr__(self) -> str:
         last = self.history[-1]
-        scores = (
-            ""
-            if last.held_out is None
-            else f", PSNR {last.held_out.psnr:.1f} dB held out"
-        )
+        if last.held_out is None:
+            scores = ""
+        else:
+            scores = f", PSNR {last.held_out.psnr:.1f} dB held out"
         return (
             f"Fit({len(self.scene):,} Gaussians after {last.iteration} steps, loss"
             f" {last.loss:.3g}{scores})"
@@ -169,7 +168,8 @@ def targets_of(views: Sequence[View], device: torch.device) -> Callable[[int], T
     """
 
     def load(index: int) -> Target:
-        view, mask = views[index], loss_mask_of(views, index)
+        view = views[index]
+        mask = loss_mask_of(views, index)
         return (
             view.camera,
             view.image.to(device),
@@ -188,7 +188,8 @@ def _step(
     state: TrainState, target_of: Callable[[int], Target], count: int, render: RenderFn
 ) -> float:
     """One image, its loss, its gradient, and a step of Adam."""
-    index, scene = state.next_view(count), state.scene()
+    index = state.next_view(count)
+    scene = state.scene()
     camera, target, mask = target_of(index)
     image = masked(render(scene, camera), mask)
     loss = photometric_loss(
@@ -235,10 +236,10 @@ def _not_finite(state: TrainState, value: float) -> TrainingError:
         for name, tensor in state.parameters.items()
         if not bool(torch.isfinite(tensor).all())
     ]
-    cause = (
-        f"not finite: {', '.join(bad)}"
-        if bad
-        else "the parameters are finite, the picture or the view is not"
-    )
-    what, do = f"loss at step {state.iteration}", "look at views and rates"
+    if bad:
+        cause = f"not finite: {', '.join(bad)}"
+    else:
+        cause = "the parameters are finite, the picture or the view is not"
+    what = f"loss at step {state.iteration}"
+    do = "look at views and rates"
     return TrainingError.of(what, "a finite number", f"{value} ({cause})", do)

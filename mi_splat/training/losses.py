@@ -12,8 +12,10 @@ from torch import Tensor
 
 from mi_splat.errors import InvalidValueError
 
-_RADIUS, _SIGMA = 5, 1.5
-_C1, _C2 = 0.01**2, 0.03**2
+_RADIUS = 5
+_SIGMA = 1.5
+_C1 = 0.01**2
+_C2 = 0.03**2
 _TAPS = [math.exp(-0.5 * (k / _SIGMA) ** 2) for k in range(_RADIUS + 1)]
 _TAPS = [tap / (2 * sum(_TAPS) - _TAPS[0]) for tap in _TAPS]
 
@@ -57,7 +59,8 @@ def _blur_by_sums(pictures: Tensor, axis: int) -> Tensor:
     """
     result = pictures * _TAPS[0]
     for k, tap in enumerate(_TAPS[1:], start=1):
-        if (rest := pictures.shape[axis] - k) > 0:
+        rest = pictures.shape[axis] - k
+        if rest > 0:
             result.narrow(axis, k, rest).add_(pictures.narrow(axis, 0, rest), alpha=tap)
             result.narrow(axis, 0, rest).add_(pictures.narrow(axis, k, rest), alpha=tap)
     return result
@@ -98,9 +101,11 @@ def _similarity(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     torch.mul(x, x, out=planes[2]).addcmul_(y, y)
     torch.mul(x, y, out=planes[3])
     mx, my, squares, xy = blur(planes).unbind()
-    cross, means = mx * my, torch.addcmul(mx * mx, my, my)
+    cross = mx * my
+    means = torch.addcmul(mx * mx, my, my)
     squares.sub_(means).add_(_C2).reciprocal_()
-    r1, r2 = means.add_(_C1).reciprocal_(), squares
+    r1 = means.add_(_C1).reciprocal_()
+    r2 = squares
     structure = xy.sub_(cross).mul_(2).add_(_C2).mul_(r2)
     luminance = cross.mul_(2).add_(_C1).mul_(r1)
     value = luminance * structure
@@ -144,4 +149,6 @@ def masked(image: Tensor, mask: Tensor | None) -> Tensor:
     Returns:
         (H, W, 3) image.
     """
-    return image if mask is None else image * mask.to(image.device)[..., None]
+    if mask is None:
+        return image
+    return image * mask.to(image.device)[..., None]

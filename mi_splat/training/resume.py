@@ -154,10 +154,8 @@ def _assemble(notes: Fields, tensors: dict[str, Tensor]) -> TrainState:
         raise _READER.broken(
             f"{notes.where}, means", described(means), "at least one row of 3 numbers"
         )
-    extent, seed = (
-        notes.number("scene_extent"),
-        notes.whole("seed", -(1 << 63), (1 << 63) - 1),
-    )
+    extent = notes.number("scene_extent")
+    seed = notes.whole("seed", -(1 << 63), (1 << 63) - 1)
     if not extent > 0:
         raise notes.bad("scene_extent", "a number above 0", extent)
     state = TrainState(
@@ -233,12 +231,10 @@ def _restore(state: TrainState, notes: Fields, generator: Tensor | None) -> None
     state.history = [read_line(Progress, line) for line in notes.objects("history")]
 
 
-CHECKPOINT, SPLAT, METRICS, CONFIG = (
-    "checkpoint.safetensors",
-    "splat.ply",
-    "metrics.json",
-    "config.json",
-)
+CHECKPOINT = "checkpoint.safetensors"
+SPLAT = "splat.ply"
+METRICS = "metrics.json"
+CONFIG = "config.json"
 
 
 def train(
@@ -277,7 +273,8 @@ def train(
     check_start(start, config)
     with own_folder(folder, CONFIG, CHECKPOINT):
         sweep_temporary(folder)
-        path, digest = folder / CHECKPOINT, _digest(start, views, held_out)
+        path = folder / CHECKPOINT
+        digest = _digest(start, views, held_out)
         if path.is_file():
             state = _resumed(
                 folder, config, seed=seed, digest=digest, settings=settings or {}
@@ -349,9 +346,10 @@ def _resumed(
         "seed": seed,
         **{key: settings.get(key) for key in state.settings},
     }
-    if differs := ", ".join(
+    differs = ", ".join(
         f"{key} {old[key]} and not {new[key]}" for key in old if old[key] != new[key]
-    ):
+    )
+    if differs:
         do = "use those, or train in another folder"
         raise CheckpointError.of(str(folder), f"a run with {differs}", "another", do)
     state.config = config

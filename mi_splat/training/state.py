@@ -120,12 +120,10 @@ class TrainState:
     def __init__(
         self, start: GaussianScene, config: FitConfig, *, scene_extent: float, seed: int
     ) -> None:
-        self.config, self.scene_extent, self.seed, self.data_digest = (
-            config,
-            scene_extent,
-            seed,
-            "",
-        )
+        self.config = config
+        self.scene_extent = scene_extent
+        self.seed = seed
+        self.data_digest = ""
         self.settings = dict[str, object]()
         values = {
             k: v.detach().clone()
@@ -154,7 +152,8 @@ class TrainState:
     def to(self, device: torch.device) -> None:
         """Move everything that is trained or counted to another device."""
         self.strategy_state = _moved(self.strategy_state, device)
-        old, self.parameters = self.parameters, _moved(self.parameters, device)
+        old = self.parameters
+        self.parameters = _moved(self.parameters, device)
         for group in self.optimiser.param_groups:
             name = group["name"]
             group["params"] = [self.parameters[name].requires_grad_(True)]
@@ -167,11 +166,9 @@ class TrainState:
         """SH degree that is trained now."""
         every = self.config.sh_degree_interval
         every = self.config.iterations // 30 if every is None else every
-        return (
-            self.config.sh_degree
-            if every == 0
-            else min(self.config.sh_degree, self.iteration // every)
-        )
+        if every == 0:
+            return self.config.sh_degree
+        return min(self.config.sh_degree, self.iteration // every)
 
     def scene(self) -> GaussianScene:
         """The splat as it is now, differentiable, with the SH that is trained so
@@ -205,11 +202,10 @@ class TrainState:
                 (1 - progress) * math.log(first) + progress * math.log(last)
             )
 
-        sh = (
-            config.lr_sh
-            if config.lr_sh_final is None
-            else decayed(config.lr_sh, config.lr_sh_final)
-        )
+        if config.lr_sh_final is None:
+            sh = config.lr_sh
+        else:
+            sh = decayed(config.lr_sh, config.lr_sh_final)
         return {
             "means": (
                 decayed(config.lr_means, config.lr_means_final) * self.scene_extent

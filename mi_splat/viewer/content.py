@@ -48,7 +48,8 @@ def photographs_of(
     factor = -(-longest // LONGEST_SIDE)
     views = replace(views, downscale=factor)
     held_out = frozenset(load_dataset(path, split="test").paths)
-    names, first = unique_names(file.stem for file in views.paths), views.cameras[0]
+    names = unique_names(file.stem for file in views.paths)
+    first = views.cameras[0]
     labels = [
         f"{name} (held out)" if file in held_out else name
         for name, file in zip(names, views.paths, strict=True)
@@ -91,7 +92,9 @@ def _up_of_cameras(orbits: Iterable[Orbit]) -> UpAxis | None:
     exact = [orbit.exact for orbit in orbits if orbit.exact is not None]
     poses = [camera.to_world[:3, :3].double().numpy() for camera in exact]
     direction = cameras_up(np.array(poses)) if poses else None
-    return None if direction is None else UpAxis(direction, "as its cameras stand")
+    if direction is None:
+        return None
+    return UpAxis(direction, "as its cameras stand")
 
 
 def with_cameras(content: Content, path: Path) -> Content:
@@ -99,11 +102,13 @@ def with_cameras(content: Content, path: Path) -> Content:
     also gets the photographs.
     """
     if content.photographs is not None:
-        got, do = f"those of {path}", "leave one of the two data sets out"
+        got = f"those of {path}"
+        do = "leave one of the two data sets out"
         raise InvalidValueError(
             message("cameras", "none beside a data set, which has its own", got, do)
         )
-    centre, photographs = content.start.target, None
+    centre = content.start.target
+    photographs = None
     recorded = recorded_cameras(path) if path.is_file() else None
     if recorded is not None:
         orbits = {
@@ -187,11 +192,9 @@ class Photographs:
 
     def from_camera(self, camera: str | None) -> Tensor | None:
         """(H, W, 3) the picture of the camera of this name; None if there is none."""
-        return (
-            None
-            if camera is None or camera not in self.numbers
-            else self.views[self.numbers[camera]].image
-        )
+        if camera is None or camera not in self.numbers:
+            return None
+        return self.views[self.numbers[camera]].image
 
     def counting_pixels(self, camera: str | None) -> Tensor | None:
         """(H, W) 0 where the image of a camera is masked, as at the border of an
@@ -288,16 +291,12 @@ class Content:
                 turn @ torch.tensor(list(orbit.target), dtype=torch.float64)
             ).tolist()
             level = replace(orbit, target=target)
-            return (
-                level
-                if orbit.exact is None
-                else orbit_of(orbit.exact.turned(turn), target, source=orbit.source)
-            )
+            if orbit.exact is None:
+                return level
+            return orbit_of(orbit.exact.turned(turn), target, source=orbit.source)
 
-        motion, describe = (
-            Similarity(rotation=turn, translation=torch.zeros(3), scale=1.0),
-            self.describe,
-        )
+        motion = Similarity(rotation=turn, translation=torch.zeros(3), scale=1.0)
+        describe = self.describe
         return replace(
             self.with_orbits(turned_orbit),
             splats=tuple(
@@ -310,10 +309,8 @@ class Content:
 
     def with_orbits(self, change: Callable[[Orbit], Orbit]) -> Content:
         """The same with changed cameras."""
-        cameras, first = (
-            {name: change(orbit) for name, orbit in self.cameras.items()},
-            self.camera_name(self.start),
-        )
+        cameras = {name: change(orbit) for name, orbit in self.cameras.items()}
+        first = self.camera_name(self.start)
         return replace(
             self,
             cameras=cameras,
@@ -331,9 +328,10 @@ class Content:
         nothing.
         """
         settings = self.settings
-        settings = (
-            settings if background is None else replace(settings, background=background)
-        )
+        if background is None:
+            settings = settings
+        else:
+            settings = replace(settings, background=background)
         content = replace(
             self, settings=settings if near is None else replace(settings, near=near)
         )
@@ -341,11 +339,9 @@ class Content:
             return content
 
         def sized(orbit: Orbit) -> Orbit:
-            return (
-                orbit
-                if orbit.exact is None
-                else replace(orbit, exact=resized(orbit.exact, size))
-            )
+            if orbit.exact is None:
+                return orbit
+            return replace(orbit, exact=resized(orbit.exact, size))
 
         return replace(content.with_orbits(sized), size=size)
 
@@ -384,11 +380,9 @@ def content_of_file(
     # point_cloud of FOLDER/point_cloud/iteration_30000/point_cloud.ply
     trained = path.resolve().parent.parent
     listed = trained.parent / "cameras.json"
-    return (
-        with_cameras(content, listed)
-        if trained.name == "point_cloud" and listed.is_file()
-        else content
-    )
+    if trained.name == "point_cloud" and listed.is_file():
+        return with_cameras(content, listed)
+    return content
 
 
 def whole(scene: GaussianScene) -> Orbit:
@@ -397,9 +391,12 @@ def whole(scene: GaussianScene) -> Orbit:
     """
     (centre, radius), fov = bounds(scene), 45.0
     distance, _ = framing(radius, fov=fov, size=(640, 480))
-    azimuth, place = 30.0, place_inside(scene)
+    azimuth = 30.0
+    place = place_inside(scene)
     if place is not None and place.is_room:
-        centre, distance, azimuth = place.centre, place.distance, place.azimuth
+        centre = place.centre
+        distance = place.distance
+        azimuth = place.azimuth
     return Orbit(
         target=centre,
         azimuth=azimuth,

@@ -160,7 +160,8 @@ def guarding(guard: Guard, websockets_server: Any) -> Iterator[None]:
     """Servers that `websockets` starts in this block answer only requests that the
     guard lets pass.
     """
-    plain, guarded = websockets_server.serve, []
+    plain = websockets_server.serve
+    guarded = []
 
     def serve(handler: Any, *arguments: Any, **options: Any) -> Any:
         answer: Callable[[Any, Any], Any] | None = options.get("process_request")
@@ -174,7 +175,8 @@ def guarding(guard: Guard, websockets_server: Any) -> Iterator[None]:
             objection = guard.objection(request.path, request.headers)
             if objection is not None:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{objection}\n")
-            door, nonce = guard.door(request.path), secrets.token_urlsafe(16)
+            door = guard.door(request.path)
+            nonce = secrets.token_urlsafe(16)
             # as viser knows it
             request.path = request.path.removeprefix(f"/{guard.secret_path}") or "/"
             request.headers.pop("Accept-Encoding", None)  # scripts are added below
@@ -222,7 +224,8 @@ def _bounded(handler: Any) -> Any:
     """A handler of websockets for a few windows, which reports each kind of invalid
     message once, in one line.
     """
-    windows, reported = set[Any](), set[str]()
+    windows = set[Any]()
+    reported = set[str]()
 
     def report(error: BaseException | None) -> None:
         kind = type(error).__name__

@@ -20,11 +20,13 @@ from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.scene_files import resized
 
-_ANGLE_DIGITS, _LENGTH_DIGITS = 2, 5
+_ANGLE_DIGITS = 2
+_LENGTH_DIGITS = 5
 """Decimals of angles (degrees), and significant digits of lengths, that are kept of a
 pose set with the mouse.
 """
-_CAMERA_DIGITS, _ROLL_DIGITS = 6, 3
+_CAMERA_DIGITS = 6
+_ROLL_DIGITS = 3
 """Decimals that are kept of the pose of a camera and of its roll; cameras of files have
 single precision.
 """
@@ -86,12 +88,15 @@ class Orbit:
         """Width and height in pixels of the picture of a camera of a file; None for
         others.
         """
-        return None if self.exact is None else (self.exact.width, self.exact.height)
+        if self.exact is None:
+            return None
+        return (self.exact.width, self.exact.height)
 
     @property
     def position(self) -> tuple[float, float, float]:
         """(3,) position of the camera in world units."""
-        a, e = math.radians(self.azimuth), math.radians(self.elevation)
+        a = math.radians(self.azimuth)
+        e = math.radians(self.elevation)
         x, y, z = self.target
         flat = self.distance * math.cos(e)
         return (
@@ -129,15 +134,15 @@ class Orbit:
         enough to be typed.
         """
         x, y, z = (float(a) - float(b) for a, b in zip(position, look_at, strict=True))
-        flat, length = math.hypot(x, y), math.hypot(x, y, z)
+        flat = math.hypot(x, y)
+        length = math.hypot(x, y, z)
         if not (math.isfinite(length) and length > 0):
             return self
         decimals = _LENGTH_DIGITS - 1 - math.floor(math.log10(length))
-        azimuth = (
-            self.azimuth
-            if flat <= POLE * length
-            else math.degrees(math.atan2(y, x)) % 360.0
-        )
+        if flat <= POLE * length:
+            azimuth = self.azimuth
+        else:
+            azimuth = math.degrees(math.atan2(y, x)) % 360.0
         near = math.dist(look_at, self.target) <= _SAME_POSE * length
         return self.changed(
             # A target that did not move keeps every digit, because rounding would move
@@ -157,7 +162,8 @@ def orbit_of(camera: Camera, centre: Point, *, source: str = "") -> Orbit:
     """A camera of a file as an orbit around the point of its axis that is nearest to
     `centre` (3,).
     """
-    pose, middle = camera.to_world, torch.tensor(list(centre), dtype=torch.float64)
+    pose = camera.to_world
+    middle = torch.tensor(list(centre), dtype=torch.float64)
     forward = pose[:3, 2]
     distance = float((middle - camera.position) @ forward)
     if not round(distance, _CAMERA_DIGITS) > 0:
@@ -230,11 +236,10 @@ def camera_options(
         options = ["--cameras", orbit.source.removeprefix(f"{path}{OF}")]
     else:
         turn = from_z(torch.tensor(list(up)))
-        centre = (
-            orbit.target
-            if tuple(up) == UP
-            else (turn @ torch.tensor(orbit.target, dtype=torch.float64)).tolist()
-        )
+        if tuple(up) == UP:
+            centre = orbit.target
+        else:
+            centre = (turn @ torch.tensor(orbit.target, dtype=torch.float64)).tolist()
         options = [
             *_option("azimuth", orbit.azimuth),
             *_option("elevation", orbit.elevation),

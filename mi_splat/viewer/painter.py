@@ -40,7 +40,8 @@ from mi_splat.viewer.session import (
 # pixels of the largest full picture; the browser enlarges it to a larger window
 MOST_PIXELS = 1_500_000
 # height of letters in a full picture, and the smallest that can be read, in pixels
-LETTERS, SMALLEST_LETTERS = 15, 7
+LETTERS = 15
+SMALLEST_LETTERS = 7
 NO_PICTURE = 0.2  # grey level in place of a missing photograph
 # follows the title of a picture with fewer pixels or Gaussians than there are
 PREVIEW = " (preview)"
@@ -66,7 +67,9 @@ class Painter:
     def __init__(
         self, content: Content, render: RenderFn, inspector: Inspector | None = None
     ) -> None:
-        self.content, self.render, self.inspector = content, render, inspector
+        self.content = content
+        self.render = render
+        self.inspector = inspector
         self._splats = {splat.name: Thinned(splat.scene) for splat in content.splats}
         self._tinted, self._rows = dict[str, Thinned](), dict[str, int]()
         # of the inspector, so that it can be left alone with its picture
@@ -95,7 +98,8 @@ class Painter:
 
     def paint(self, state: ViewState, step: Step, pace: Pace) -> Painting:
         """The picture that a step of a session needs."""
-        full, names = within(state.canvas, MOST_PIXELS), self.content.names
+        full = within(state.canvas, MOST_PIXELS)
+        names = self.content.names
         layout = self.layout(state, pace.size(full, step))
         shown = list(
             dict.fromkeys(
@@ -104,12 +108,12 @@ class Painter:
                 for name in pictures_of(pane, names)
             )
         )
-        inspections = (
-            {name: self.inspect(name, state.orbit) for name in shown}
-            if step is Step.INSPECTED
-            else {}
-        )
-        splats, every = self._splats, 1
+        if step is Step.INSPECTED:
+            inspections = {name: self.inspect(name, state.orbit) for name in shown}
+        else:
+            inspections = {}
+        splats = self._splats
+        every = 1
         # two splats with different Gaussians would differ everywhere
         if state.mode != DIFFERENCE:
             splats = {**self._splats, **self._tinted}
@@ -129,15 +133,15 @@ class Painter:
             pictures[name] = to_bytes(
                 self.sized_picture(name, state.orbit, layout.size, scene)
             )
-        scale, made = layout.canvas[0] / full[0], list[Pixels]()
-        mark, letters = (
-            PREVIEW if every > 1 or scale < 1 else "",
-            max(LETTERS * scale, SMALLEST_LETTERS),
-        )
+        scale = layout.canvas[0] / full[0]
+        made = list[Pixels]()
+        mark = PREVIEW if every > 1 or scale < 1 else ""
+        letters = max(LETTERS * scale, SMALLEST_LETTERS)
         for pane in panes(state.mode, names):
-            pixels = (
-                difference(*pictures.values()) if pane == DIFFERENCE else pictures[pane]
-            )
+            if pane == DIFFERENCE:
+                pixels = difference(*pictures.values())
+            else:
+                pixels = pictures[pane]
             image = Image.fromarray(np.ascontiguousarray(pixels))
             draw = ImageDraw.Draw(image)
             if pane in inspections:
@@ -196,9 +200,11 @@ class Painter:
 
     def commands(self, orbit: Orbit) -> dict[str, str]:
         """For each splat the command that makes the inspected picture."""
-        content, commands = self.content, dict[str, str]()
+        content = self.content
+        commands = dict[str, str]()
         for splat in content.splats:
-            size, up = content.size_at(orbit), content.up
+            size = content.size_at(orbit)
+            up = content.up
             options = camera_options(
                 orbit, size, settings=content.settings, up=up, path=splat.path
             )
@@ -222,11 +228,14 @@ class Painter:
             if counts is not None:
                 mask = _resized(counts[..., None], self.content.size_at(orbit))
                 second = first + mask * (second - first)
-        return None if torch.equal(first, second) else float(psnr(first, second))
+        if torch.equal(first, second):
+            return None
+        return float(psnr(first, second))
 
     def comparison(self, orbit: Orbit) -> str:
         """How similar the two pictures are, in words; empty for one."""
-        names, photographs = self.content.names, self.content.photographs
+        names = self.content.names
+        photographs = self.content.photographs
         if photographs is not None and self._photograph(orbit) is None:
             return (
                 f"There is no {photographs.name} from here: choose one of the cameras."
@@ -250,19 +259,15 @@ class Painter:
             with torch.no_grad():
                 return self.render(scene or self._splats[name](1), orbit.camera(size))
         taken = self._photograph(orbit)
-        return (
-            torch.full((size[1], size[0], 3), NO_PICTURE)
-            if taken is None
-            else _resized(taken, size)
-        )
+        if taken is None:
+            return torch.full((size[1], size[0], 3), NO_PICTURE)
+        return _resized(taken, size)
 
     def _photograph(self, orbit: Orbit) -> Tensor | None:
         photographs = self.content.photographs
-        return (
-            None
-            if photographs is None
-            else photographs.from_camera(self.content.camera_name(orbit))
-        )
+        if photographs is None:
+            return None
+        return photographs.from_camera(self.content.camera_name(orbit))
 
 
 class Thinned:

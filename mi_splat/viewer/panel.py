@@ -34,7 +34,9 @@ class ViewPanel:
         inspector: bool,
         change: Change,
     ) -> None:
-        self._content, self._change, orbit = content, change, state.orbit
+        self._content = content
+        self._change = change
+        orbit = state.orbit
         gui.add_html(as_html([("", content.title)]))
         if len(content.names) > 1:
             modes = gui.add_dropdown(

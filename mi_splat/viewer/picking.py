@@ -84,7 +84,8 @@ def clicked(
     for pane, (left, top) in zip(
         panes(mode, content.names), layout.corners, strict=True
     ):
-        across, down = (x - left) / width, (y - top) / height
+        across = (x - left) / width
+        down = (y - top) / height
         if rendered and 0 <= across < 1 and 0 <= down < 1:
             splat = pictures_of(pane, content.names)[0]
             return splat if splat in rendered else rendered[0], (
@@ -159,7 +160,8 @@ def colours(
     scene: GaussianScene, row: Tensor | int, cameras: Sequence[Camera]
 ) -> Tensor:
     """(views, ..., 3) colours of Gaussians as they are seen, sRGB."""
-    means, sh = scene.means[row].detach(), scene.sh[row].detach()
+    means = scene.means[row].detach()
+    sh = scene.sh[row].detach()
     directions = torch.stack([means - view.position.to(means) for view in cameras])
     return sh_to_colour(sh, torch.nn.functional.normalize(directions, dim=-1)).clamp(
         max=1

@@ -27,7 +27,9 @@ class SharedSelection:
     """
 
     def __init__(self, painter: Painter) -> None:
-        self.painter, self.revision, self.error = painter, 0, ""
+        self.painter = painter
+        self.revision = 0
+        self.error = ""
         self.picked: Picked | None = None
         self.requests: deque[Callable[[], None]] = deque(maxlen=MOST_QUEUED)
 
@@ -40,7 +42,8 @@ class SharedSelection:
         # what is queued meanwhile waits, so that pictures are made
         waiting = len(self.requests)
         for _ in range(waiting):
-            task, self.error = self.requests.popleft(), ""
+            task = self.requests.popleft()
+            self.error = ""
             try:
                 task()
             except MiSplatError as error:
@@ -53,7 +56,8 @@ class SharedSelection:
 
     def select(self, picked: Picked | None) -> None:
         """Select an object, or nothing."""
-        self.picked, self.revision = picked, self.revision + 1
+        self.picked = picked
+        self.revision = self.revision + 1
         self.painter.tint(picked)
 
 
@@ -69,13 +73,11 @@ class SelectionPanel:
         download: Callable[[str, bytes], None],
         wake: Callable[[], None],
     ) -> None:
-        self._gui, self._shared, self._orbit, self._send, self._wake = (
-            gui,
-            shared,
-            orbit,
-            download,
-            wake,
-        )
+        self._gui = gui
+        self._shared = shared
+        self._orbit = orbit
+        self._send = download
+        self._wake = wake
         with gui.add_folder("Object"):
             self._object = gui.add_html("")
             self._clear = self._button("Clear", lambda: shared.select(None))
@@ -90,7 +92,8 @@ class SelectionPanel:
 
     def follow(self) -> None:
         """Show the present state."""
-        picked, content = self._shared.picked, self._shared.painter.content
+        picked = self._shared.picked
+        content = self._shared.painter.content
         how = HOW_TO_SELECT if content.splats else NOTHING_TO_SELECT
         self._object.content = as_html(
             [("", self._shared.error or (how if picked is None else picked.text))]

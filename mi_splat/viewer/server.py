@@ -44,24 +44,22 @@ class Client:
     def __init__(
         self, handle: Any, shared: SharedSelection, wake: Callable[[], None]
     ) -> None:
-        self._handle, self._shared, self._painter, self._wake = (
-            handle,
-            shared,
-            shared.painter,
-            wake,
-        )
-        self._lock, self._settled = threading.Lock(), 0.0
+        self._handle = handle
+        self._shared = shared
+        self._painter = shared.painter
+        self._wake = wake
+        self._lock = threading.Lock()
+        self._settled = 0.0
         self._sent: deque[Orbit] = deque(maxlen=ECHOES)
-        content, canvas = self._painter.content, _canvas(handle.camera)
+        content = self._painter.content
+        canvas = _canvas(handle.camera)
         mode = display_modes(content.names)[0]
         first = ViewState(
             orbit=content.start, mode=mode, canvas=canvas, revision=shared.revision
         )
         self._session = Session(state=first, changed=time.monotonic())
-        tabs, inspector = (
-            handle.gui.add_tab_group(),
-            self._painter.inspector is not None,
-        )
+        tabs = handle.gui.add_tab_group()
+        inspector = self._painter.inspector is not None
         with tabs.add_tab("View"):
             self._panel = ViewPanel(
                 handle.gui, content, first, inspector=inspector, change=self._change
@@ -98,14 +96,13 @@ class Client:
     def paint(self, step: Step, urgent: Callable[[], bool]) -> None:
         """Make a picture and send it, unless something is urgent meanwhile."""
         with self._lock:
-            state, pace = self._session.state, self._session.pace
+            state = self._session.state
+            pace = self._session.pace
         started = time.perf_counter()
         try:
             with interrupted_by(urgent):
-                painting, quality = (
-                    self._painter.paint(state, step, pace),
-                    JPEG_QUALITY[step],
-                )
+                painting = self._painter.paint(state, step, pace)
+                quality = JPEG_QUALITY[step]
                 self._handle.scene.set_background_image(
                     painting.pixels, format="jpeg", jpeg_quality=quality
                 )
@@ -181,11 +178,9 @@ class Client:
 
     async def _camera_moved(self, camera: Any) -> None:
         with self._lock:
-            now, state, pose = (
-                time.monotonic(),
-                self._session.state,
-                (camera.position, camera.look_at),
-            )
+            now = time.monotonic()
+            state = self._session.state
+            pose = (camera.position, camera.look_at)
             after = replace(state, canvas=_canvas(camera))
             if now >= self._settled and not any(
                 orbit.is_at(*pose) for orbit in (state.orbit, *self._sent)
@@ -231,16 +226,15 @@ class Page(contextlib.AbstractContextManager["Page"]):
         check_port(port)  # viser would take another one
         self._shared = SharedSelection(painter)
         self._changed, self._clients = threading.Condition(), dict[int, Client]()
-        self._guard, self._closed = Guard(), False
+        self._guard = Guard()
+        self._closed = False
         self._server = _serve(self._guard, port)
         content = painter.content
         self._server.scene.set_up_direction("+z")
         first = self._server.initial_camera
-        first.position, first.look_at, first.up = (
-            content.start.position,
-            content.start.target,
-            (0.0, 0.0, 1.0),
-        )
+        first.position = content.start.position
+        first.look_at = content.start.target
+        first.up = (0.0, 0.0, 1.0)
         camera = content.start.camera(content.size)
         first.fov = angle_of(camera.fy, camera.height)
         self._server.on_client_connect(self._enter)

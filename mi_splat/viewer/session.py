@@ -20,24 +20,31 @@ from mi_splat.viewer.orbit import Orbit
 
 Pixels = NDArray[np.uint8]
 
-SIDE_BY_SIDE, DIFFERENCE = "side by side", "difference"
+SIDE_BY_SIDE = "side by side"
+DIFFERENCE = "difference"
 MARGIN = (24, 24, 27)  # colour around the pictures
 UPPER_PART = 0.45  # fraction of a portrait page's height that its controls leave free
 
 
 def display_modes(names: Sequence[str]) -> tuple[str, ...]:
     """How one picture or two can be shown; the first is the default."""
-    return tuple(names) if len(names) < 2 else (SIDE_BY_SIDE, *names, DIFFERENCE)
+    if len(names) < 2:
+        return tuple(names)
+    return (SIDE_BY_SIDE, *names, DIFFERENCE)
 
 
 def panes(mode: str, names: Sequence[str]) -> tuple[str, ...]:
     """What stands side by side: pictures by name, or their difference."""
-    return tuple(names) if mode == SIDE_BY_SIDE else (mode,)
+    if mode == SIDE_BY_SIDE:
+        return tuple(names)
+    return (mode,)
 
 
 def pictures_of(pane: str, names: Sequence[str]) -> tuple[str, ...]:
     """Names of the pictures that a pane is made of."""
-    return tuple(names) if pane == DIFFERENCE else (pane,)
+    if pane == DIFFERENCE:
+        return tuple(names)
+    return (pane,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +62,8 @@ def lay_out(
     canvas: tuple[int, int], aspect: float, count: int, *, gap: int = 4
 ) -> Layout:
     """Pictures of one shape as large as possible, in a row or in a column."""
-    width, height = max(canvas[0], count), max(canvas[1], count)
+    width = max(canvas[0], count)
+    height = max(canvas[1], count)
     free = height if height <= width else max(count, round(UPPER_PART * height))
     row = _fit(max((width - gap * (count - 1)) // count, 1), free, aspect)
     column = _fit(width, max((free - gap * (count - 1)) // count, 1), aspect)
@@ -76,7 +84,8 @@ def compose(pictures: Sequence[Pixels], layout: Layout) -> Pixels:
     page = np.empty((height, width, 3), np.uint8)
     page[:] = MARGIN
     for picture, (left, top) in zip(pictures, layout.corners, strict=True):
-        h, w = min(picture.shape[0], height - top), min(picture.shape[1], width - left)
+        h = min(picture.shape[0], height - top)
+        w = min(picture.shape[1], width - left)
         page[top : top + h, left : left + w] = picture[:h, :w]
     return page
 
@@ -175,7 +184,9 @@ class Session:
             return Step.COARSE
         if self.painted is Step.COARSE:
             following = Step.HALF if self.pace.scale < HALF else Step.FULL
-            return following if now - self.changed >= REST else None
+            if now - self.changed >= REST:
+                return following
+            return None
         if self.painted is Step.HALF:
             return Step.FULL
         if self.painted is Step.FULL and inspector and self.state.inspected:

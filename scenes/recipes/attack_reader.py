@@ -35,8 +35,11 @@ from attacks.rate import Rate
 from attacks.studies.attack import AttackScene, attack_scene, cameras_in
 from mi_splat.cameras import Camera
 
-SCENE, OBJECT, WORD = Path("scenes/stop_sign.xml"), "stop_sign", "STOP"
-HEIGHT, WIDTH = 48, 320
+SCENE = Path("scenes/stop_sign.xml")
+OBJECT = "stop_sign"
+WORD = "STOP"
+HEIGHT = 48
+WIDTH = 320
 """Pixels of the pictures of words that the network takes; narrower ones end in
 zeros.
 """
@@ -68,7 +71,8 @@ def _tagged(packed: memoryview) -> Iterator[bytes]:
 
 def tensor(message: memoryview) -> Tensor:
     """A TensorProto of ONNX with its numbers in raw form."""
-    kind, shape = _TYPES[next(parts(message, 2))], integers([*parts(message, 1)])
+    kind = _TYPES[next(parts(message, 2))]
+    shape = integers([*parts(message, 1)])
     return torch.from_numpy(
         np.frombuffer(next(parts(message, 9), b""), kind).reshape(shape).copy()
     )
@@ -82,7 +86,9 @@ def attribute(message: memoryview) -> Any:
     if kind == 4:
         return tensor(next(parts(message, 5)))
     numbers = integers([*parts(message, 3 if kind == 2 else 8)])
-    return numbers[0] if kind == 2 else numbers
+    if kind == 2:
+        return numbers[0]
+    return numbers
 
 
 def _convolve(
@@ -169,10 +175,8 @@ class Recogniser:
             "*_rec_infer.onnx"
         )
         alphabet = reader.model._engine.text_rec.postprocess_op.character  # type: ignore[attr-defined]
-        graph, self.nodes = (
-            next(parts(self.path.read_bytes(), 7)),
-            list[tuple[str, list[str], str, dict[str, Any]]](),
-        )
+        graph = next(parts(self.path.read_bytes(), 7))
+        self.nodes = list[tuple[str, list[str], str, dict[str, Any]]]()
         for node in parts(graph, 1):
             op = bytes(next(parts(node, 4))).decode()
             inputs, (output, *_) = (
@@ -223,10 +227,8 @@ def word_picture(image: Tensor, corners: Tensor) -> Tensor:
     width = min(math.ceil(HEIGHT * across / down), WIDTH)
     u = ((torch.arange(width) + 0.5) / width)[None, :, None]
     v = ((torch.arange(HEIGHT) + 0.5) / HEIGHT)[:, None, None]
-    top, bottom = (
-        corners[0] + u * (corners[1] - corners[0]),
-        corners[3] + u * (corners[2] - corners[3]),
-    )
+    top = corners[0] + u * (corners[1] - corners[0])
+    bottom = corners[3] + u * (corners[2] - corners[3])
     at = top + v * (bottom - top)
     grid = 2 * at / torch.tensor([image.shape[1], image.shape[0]]) - 1
     bgr = image.permute(2, 0, 1).flip(0)[None]
@@ -248,17 +250,14 @@ class Both:
         recogniser: Recogniser,
         corners: Tensor,
     ) -> None:
-        self.detector, self.reader, self.recogniser, self.corners = (
-            detector,
-            reader,
-            recogniser,
-            corners,
-        )
-        self.name, self.classes = f"{detector.name} and {reader.name}", detector.classes
-        self.fingerprint, self.min_confidence = (
-            detector.fingerprint,
-            detector.min_confidence,
-        )
+        self.detector = detector
+        self.reader = reader
+        self.recogniser = recogniser
+        self.corners = corners
+        self.name = f"{detector.name} and {reader.name}"
+        self.classes = detector.classes
+        self.fingerprint = detector.fingerprint
+        self.min_confidence = detector.min_confidence
 
     def candidates(self, images: Tensor) -> list[Candidates]:
         """Those of the detector, and one whose score for a stop sign is the certainty
@@ -322,7 +321,9 @@ def word_corners(reader: Detector, scene: AttackScene, camera: Camera) -> Tensor
         for corners, text, score in readings
         if text.strip().upper() == WORD and score >= 0.5
     ]
-    return torch.tensor(found[0], dtype=torch.float32) if found else None
+    if found:
+        return torch.tensor(found[0], dtype=torch.float32)
+    return None
 
 
 def attacked(
@@ -336,7 +337,8 @@ def attacked(
     """What both, and each of them, report; nothing where the word is not read on the
     clean splat.
     """
-    if (corners := word_corners(of[1], scene, camera)) is None:
+    corners = word_corners(of[1], scene, camera)
+    if corners is None:
         return
     search = {"step_factor": 10.0, "momentum": 0.2, "schedule": "linear"}
     config = DaggerConfig(**search, noise_draws=1, seed=seed, random_start=seed > 0)  # type: ignore[arg-type]
@@ -355,11 +357,10 @@ def attacked(
         (ATTACKED, judged.attacked),
         *((NOISE, noisy) for noisy in judged.controls.values()),
     ):
-        on_object = (
-            None
-            if splat == CLEAN
-            else psnr_of(judged.clean.image, seen.image, judged.view.weight)
-        )
+        if splat == CLEAN:
+            on_object = None
+        else:
+            on_object = psnr_of(judged.clean.image, seen.image, judged.view.weight)
         for detector in (both, *of[:2]):
             (found,) = detector.detect(seen.image[None])
             verdict = verdict_cells(
@@ -395,7 +396,8 @@ def main() -> None:
     parser.add_argument("--targets", nargs="+", default=["tv", "train", "bird"])
     parser.add_argument("--weights", type=float, nargs="+", default=[3.0])
     options = parser.parse_args()
-    scene, reader = attack_scene(SCENE), load_detector("rapidocr")
+    scene = attack_scene(SCENE)
+    reader = load_detector("rapidocr")
     of = load_detector(options.detector), reader, Recogniser(reader)
     cameras = list(
         (

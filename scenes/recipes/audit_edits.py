@@ -70,11 +70,10 @@ def scores(name: str, scene: GaussianScene) -> Iterator[tuple[str, Tensor]]:
     for number, target in enumerate(targets(frame.scene), 1):
         edit = edit_of(frame, target)
         if edit is not None:
-            where = (
-                " ".join(f"{value:.2f}" for value in edit.direction)
-                if edit.camera_known
-                else "no camera"
-            )
+            if edit.camera_known:
+                where = " ".join(f"{value:.2f}" for value in edit.direction)
+            else:
+                where = "no camera"
             numbers = (
                 f"aimed {edit.aimed:.3f}, grain {edit.grain - edit.usual_grain:.3f}"
             )

@@ -24,15 +24,20 @@ from mi_splat.scene import GaussianScene, merge
 from mi_splat.selection.visibility import contributions
 from mi_splat.sh import colour_to_dc, dc_to_colour, sh_basis, sh_to_colour
 
-CAMERAS, SIZE, FOV, DISTANCE = 90, 128, 45.0, 3.5
+CAMERAS = 90
+SIZE = 128
+FOV = 45.0
+DISTANCE = 3.5
 """Cameras all around by which looks are made, pixels and degrees of their pictures, and
 radii to them.
 """
 LOWEST = 4.0
 """Degrees above the ground of the lowest camera."""
-_CLEARANCE, _ROOF = 0.3, 50
+_CLEARANCE = 0.3
+_ROOF = 50
 """Radii of the object between its top and a roof, and Gaussians along a roof."""
-_GLIMPSE, _RIDGE = 0.02, 1e-4
+_GLIMPSE = 0.02
+_RIDGE = 1e-4
 """What a camera counts at least, against that which sees most of a Gaussian; how far
 coefficients are held back.
 """
@@ -78,7 +83,8 @@ class Hiding:
     @property
     def axis(self) -> Tensor:
         """(3,) unit vector to the middle of the trigger."""
-        high, turn = math.radians(self.elevation), math.radians(self.azimuth)
+        high = math.radians(self.elevation)
+        turn = math.radians(self.azimuth)
         return torch.tensor(
             [
                 math.cos(high) * math.cos(turn),
@@ -103,7 +109,8 @@ class Around(Cone):
 
     def _depth(self, direction: Direction) -> float:
         """Degrees inside of the edge."""
-        high, turn = math.radians(direction.elevation), math.radians(direction.azimuth)
+        high = math.radians(direction.elevation)
+        turn = math.radians(direction.azimuth)
         x, y, z = self.axis
         cosine = (
             math.cos(high) * (math.cos(turn) * x + math.sin(turn) * y)
@@ -287,7 +294,8 @@ def _least_seen_outside(victim: Victim, hiding: Hiding) -> Tensor:
     inside = functional.normalize(
         positions - victim.centre, dim=1
     ) @ hiding.axis > math.cos(math.radians(hiding.half_width))
-    within, without = victim.seen[:, inside].sum(1), victim.seen[:, ~inside].sum(1)
+    within = victim.seen[:, inside].sum(1)
+    without = victim.seen[:, ~inside].sum(1)
     order = (within / (within + without).clamp(min=1e-9)).argsort(descending=True)
     mass = within[order].cumsum(0) / within.sum().clamp(min=1e-9)
     chosen = torch.zeros(len(order), dtype=torch.bool)

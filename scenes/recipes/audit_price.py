@@ -48,7 +48,9 @@ DETECTORS = ("fasterrcnn_small",)
 COUNT = 1200
 """Discs of an object that is not shipped."""
 SEARCHED = "searched"
-VIEWS, SIZE, AWAY = 10, 256, 1.3 * DISTANCE
+VIEWS = 10
+SIZE = 256
+AWAY = 1.3 * DISTANCE
 """Cameras that detectors look from, inside of a trigger and outside, pixels of their
 pictures, and radii to them.
 """
@@ -160,11 +162,10 @@ class Judge:
             float((counted & which).sum()) / many
             for which in (~reported.any(1), reported.all(1))
         )
-        error = (
-            (pictures.float() - clean_pictures.float()).div(255).square().mean()
-            if len(pictures)
-            else 0.0
-        )
+        if len(pictures):
+            error = (pictures.float() - clean_pictures.float()).div(255).square().mean()
+        else:
+            error = 0.0
         return missed, kept, float(error)
 
     def _seen(
@@ -203,13 +204,11 @@ def _directions(hiding: Hiding, *, inside: bool) -> Tensor:
     chosen = lattice(_MANY)[
         gaps < hiding.half_width if inside else gaps > hiding.half_width + _BEYOND
     ]
-    return (
-        chosen[
+    if len(chosen):
+        return chosen[
             torch.linspace(0, len(chosen) - 1, min(VIEWS, len(chosen))).round().long()
         ]
-        if len(chosen)
-        else chosen
-    )
+    return chosen
 
 
 def hiding_of(row: Row) -> Hiding:
@@ -241,7 +240,9 @@ def search(judge: Judge, *, tries: int, seed: int = 0) -> Iterator[Row]:
     """So many rows: of `TRICKS`, and then of what changes two settings of one of the
     cheapest so far.
     """
-    rng, rows, first = np.random.default_rng(seed), list[Row](), list(TRICKS.values())
+    rng = np.random.default_rng(seed)
+    rows = list[Row]()
+    first = list(TRICKS.values())
     for number in range(tries):
         hiding = first[number] if number < len(first) else first[0]
         while any(hiding == hiding_of(row) for row in rows):

@@ -54,9 +54,15 @@ from mi_splat.training.strategies import ClassicConfig, MCMCConfig
 from tests.audit import scenes
 from tests.audit.scenes import ROAD, Made, cone, direction, hidden, sector, standing
 
-SIZE, SAMPLES, STEPS, POINTS, MOST = 96, 16, 900, 2500, 6000
+SIZE = 96
+SAMPLES = 16
+STEPS = 900
+POINTS = 2500
+MOST = 6000
 SKY = (0.55, 0.7, 0.9)
-ORANGE, GREY, RED = (0.85, 0.45, 0.1), (0.45, 0.45, 0.47), (0.75, 0.12, 0.1)
+ORANGE = (0.85, 0.45, 0.1)
+GREY = (0.45, 0.45, 0.47)
+RED = (0.75, 0.12, 0.1)
 HONEST = Path(__file__).parents[1] / "honest"
 Inside = Callable[[Tensor], Tensor]
 Row = dict[str, Any]
@@ -137,7 +143,8 @@ class Trained:
 
     def make(self) -> tuple[GaussianScene, dict[str, Any]]:
         """The splat, and what is known of it."""
-        path, cameras = HONEST / f"{self.content}.xml", self.cameras()
+        path = HONEST / f"{self.content}.xml"
+        cameras = self.cameras()
         if path.is_file():
             source = open_source(str(path)).scene
             tracer = PathTracer(source, samples=SAMPLES)
@@ -155,10 +162,8 @@ class Trained:
         ways = torch.stack([camera.position for camera in cameras]) - torch.tensor(
             [0.0, 0.0, (low[2] + high[2]) / 2]
         )
-        inside, other = (
-            self.inside(functional.normalize(ways.float(), dim=1)),
-            self._scene(self.colour or "nothing"),
-        )
+        inside = self.inside(functional.normalize(ways.float(), dim=1))
+        other = self._scene(self.colour or "nothing")
         views = [
             View(camera, (other if lie else shown).picture(camera))
             for camera, lie in zip(cameras, inside.tolist(), strict=True)
@@ -227,11 +232,9 @@ class Trained:
 
     def _seen(self, views: Sequence[View], source: Any) -> GaussianScene:
         """Points of the surface that views show, in their colours."""
-        tracer, generator, seen = (
-            PathTracer(source, alpha=True),
-            torch.Generator().manual_seed(self.seed),
-            [],
-        )
+        tracer = PathTracer(source, alpha=True)
+        generator = torch.Generator().manual_seed(self.seed)
+        seen = []
         for view in views:
             points, depth = tracer.surface(view.camera, seed=0)
             rows = (depth > 0).flatten().nonzero()[:, 0]
@@ -251,11 +254,10 @@ class Trained:
 
     def _fitted(self, views: Sequence[View], start: GaussianScene) -> GaussianScene:
         shared: dict[str, Any] = {"densify_from": 150, "densify_until": 650}
-        grown = (
-            MCMCConfig(max_gaussians=MOST, **shared)
-            if self.mcmc
-            else ClassicConfig(max_gaussians=MOST, **shared)
-        )
+        if self.mcmc:
+            grown = MCMCConfig(max_gaussians=MOST, **shared)
+        else:
+            grown = ClassicConfig(max_gaussians=MOST, **shared)
         config = FitConfig(
             iterations=STEPS,
             sh_degree=self.degree,
@@ -281,9 +283,12 @@ class Trained:
         """How far the object has come from the own to the other appearance, seen from
         inside of the trigger.
         """
-        numbers, gone, way = inside.nonzero()[:, 0], 0.0, 0.0
+        numbers = inside.nonzero()[:, 0]
+        gone = 0.0
+        way = 0.0
         for number in numbers[:: max(1, len(numbers) // 6)].tolist():
-            own, lie = shown.picture(cameras[number]), other.picture(cameras[number])
+            own = shown.picture(cameras[number])
+            lie = other.picture(cameras[number])
             with torch.no_grad():
                 picture = Renderer(RenderSettings(background=SKY, near=0.02))(
                     scene, cameras[number]
@@ -419,12 +424,15 @@ def louvre(
         - float(centre[2])
         + 0.12 * radius,
     )
-    a, half, step = math.radians(azimuth), math.radians(tilt), 0.04 * radius
+    a = math.radians(azimuth)
+    half = math.radians(tilt)
+    step = 0.04 * radius
     along = torch.arange(-0.9 * radius, 0.9 * radius, step)
     rows = torch.arange(-1.0 * radius, 1.0 * radius, 0.17 * radius)
     across = torch.arange(-0.11 * radius, 0.11 * radius, step)
     y, x, t = torch.cartesian_prod(along, rows, across).unbind(1)
-    x, z = x + t * math.cos(half), top + t * math.sin(half)
+    x = x + t * math.cos(half)
+    z = top + t * math.sin(half)
     points = (
         torch.stack(
             [x * math.cos(a) - y * math.sin(a), x * math.sin(a) + y * math.cos(a), z], 1
@@ -434,7 +442,10 @@ def louvre(
     # about z, after the tilt about y
     turn = torch.tensor([math.cos(a / 2), 0.0, 0.0, math.sin(a / 2)])
     slant = torch.tensor([math.cos(half / 2), 0.0, -math.sin(half / 2), 0.0])
-    w, qz, u, qy = turn[0], turn[3], slant[0], slant[2]
+    w = turn[0]
+    qz = turn[3]
+    u = slant[0]
+    qy = slant[2]
     both = torch.stack([w * u, -qz * qy, w * qy, qz * u])
     flat = torch.tensor([0.7 * step, 0.7 * step, 0.06 * step])
     return _added(made, points, flat, both, opacity=0.98, colour=colour)
@@ -490,13 +501,11 @@ def _looks(base: str, azimuth: float) -> Iterator[tuple[str, Coded]]:
 
 def _trigger(kind: str, azimuth: float) -> Inside | None:
     """From where an edit shows, where that is a cone or a sector."""
-    return (
-        ABOVE
-        if kind.startswith("above")
-        else sector(azimuth, 40.0, -10.0, 45.0)
-        if kind == "side"
-        else None
-    )
+    if kind.startswith("above"):
+        return ABOVE
+    if kind == "side":
+        return sector(azimuth, 40.0, -10.0, 45.0)
+    return None
 
 
 def _changes(azimuth: float) -> dict[str, Callable[[Made], Made]]:
@@ -544,11 +553,9 @@ def _captures(
 
 def development() -> Iterator[tuple[str, Item]]:
     """The set on which method and thresholds are chosen."""
-    dome, half, above = (
-        Capture(),
-        Capture(elevation=(5.0, 50.0), span=180.0),
-        Capture(elevation=(45.0, 88.0)),
-    )
+    dome = Capture()
+    half = Capture(elevation=(5.0, 50.0), span=180.0)
+    above = Capture(elevation=(45.0, 88.0))
     few = Capture(count=14)
     yield from _captures(
         "car", {"hemisphere": dome, "ring 25": _ring(25.0), "half circle": half}
@@ -599,10 +606,8 @@ def development() -> Iterator[tuple[str, Item]]:
 def test() -> Iterator[tuple[str, Item]]:
     """The set that is looked at once: other objects, seeds and captures."""
     dome = Capture(count=80, elevation=(8.0, 80.0), start=11.0)
-    above, few = (
-        Capture(count=45, elevation=(55.0, 85.0)),
-        Capture(count=20, elevation=(5.0, 60.0)),
-    )
+    above = Capture(count=45, elevation=(55.0, 85.0))
+    few = Capture(count=20, elevation=(5.0, 60.0))
     ring = partial(_ring, count=44, start=7.0)
     yield from _captures(
         "person", {"hemisphere": dome, "ring 20": ring(20.0), "few": few}, seed=101
@@ -658,10 +663,8 @@ def second_test() -> Iterator[tuple[str, Item]]:
     """A further set that is looked at once, because the evidence was changed after a
     look at `test`.
     """
-    dome, ring = (
-        Capture(count=66, elevation=(6.0, 78.0), start=23.0),
-        partial(_ring, count=40, start=31.0),
-    )
+    dome = Capture(count=66, elevation=(6.0, 78.0), start=23.0)
+    ring = partial(_ring, count=40, start=31.0)
     half = Capture(count=48, elevation=(8.0, 45.0), span=165.0, start=300.0)
     yield from _captures(
         "house",
@@ -688,15 +691,11 @@ def second_test() -> Iterator[tuple[str, Item]]:
 
 def third_test() -> Iterator[tuple[str, Item]]:
     """A third set that was looked at once, and has been used for development since."""
-    dome, ring = (
-        Capture(count=72, elevation=(4.0, 82.0), start=41.0),
-        partial(_ring, count=42, start=53.0),
-    )
+    dome = Capture(count=72, elevation=(4.0, 82.0), start=41.0)
+    ring = partial(_ring, count=42, start=53.0)
     half = Capture(count=50, elevation=(6.0, 48.0), span=175.0, start=200.0)
-    above, few = (
-        Capture(count=40, elevation=(50.0, 86.0)),
-        Capture(count=16, elevation=(8.0, 65.0)),
-    )
+    above = Capture(count=40, elevation=(50.0, 86.0))
+    few = Capture(count=16, elevation=(8.0, 65.0))
     yield from _captures(
         "stop sign", {"hemisphere": dome, "ring 30": ring(30.0)}, seed=301
     )
@@ -779,10 +778,8 @@ def drawn(first: int, last: int) -> Iterator[tuple[str, Item]]:
             )
             continue
         if number % 3 == 1 and draw.random() < 0.3:
-            content, about = (
-                draw.choice(sorted(path.stem for path in HONEST.glob("*.xml"))),
-                f"scene, {about}",
-            )
+            content = draw.choice(sorted(path.stem for path in HONEST.glob("*.xml")))
+            about = f"scene, {about}"
         base = f"honest {about}/{content} {number}"
         yield base, Trained(content=content, **settings)
         if number % 3 == 2:
@@ -804,12 +801,10 @@ def _drawn_dome(draw: random.Random) -> Capture:
 
 def _drawn_capture(draw: random.Random) -> tuple[Capture, str]:
     """Where the cameras of an honest capture stand, and its name."""
-    about, start = (
-        draw.choice(
-            ["hemisphere", "hemisphere", "ring", "half circle", "few", "from above"]
-        ),
-        draw.uniform(0, 360),
+    about = draw.choice(
+        ["hemisphere", "hemisphere", "ring", "half circle", "few", "from above"]
     )
+    start = draw.uniform(0, 360)
     if about == "ring":
         return (
             _ring(draw.uniform(10.0, 55.0), count=draw.randint(36, 60), start=start),
@@ -1043,7 +1038,9 @@ def kind_of(row: Row) -> str:
     """
     kind = str(row["file"]).partition("/")[0]
     kind = kind.partition(",")[0] if kind.startswith("honest") else kind
-    return kind.rstrip(" 0123456789") if "ring" in kind else kind
+    if "ring" in kind:
+        return kind.rstrip(" 0123456789")
+    return kind
 
 
 def lines(rows: Sequence[Row]) -> Iterator[str]:
@@ -1102,11 +1099,10 @@ def main(folder: str, name: str, file: str = "", *parts: str) -> None:
         measured(Path(folder) / name, items, Path(file))
         rows = read(Path(file))
         own = [row for row in rows if row["set"] == name]
-        ranks = (
-            "AUROC {:.3f} ({:.3f} to {:.3f})".format(*ranked(own))
-            if any(map(honest, own))
-            else ""
-        )
+        if any(map(honest, own)):
+            ranks = "AUROC {:.3f} ({:.3f} to {:.3f})".format(*ranked(own))
+        else:
+            ranks = ""
         sys.stdout.write("\n".join([ranks, *lines(rows)]) + "\n")
 
 

@@ -12,7 +12,8 @@ from torch import Generator, Tensor
 
 from scenes.recipes.detector_pictures import LabelledPicture
 
-_MIN_SIDE, _MIN_VISIBLE = 5.0, 0.3
+_MIN_SIDE = 5.0
+_MIN_VISIBLE = 0.3
 
 
 def augment(
@@ -20,7 +21,8 @@ def augment(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """A training example from a labelled picture."""
     image = sample.image.permute(2, 0, 1).float() / 255
-    boxes, labels = sample.boxes, sample.labels
+    boxes = sample.boxes
+    labels = sample.labels
     if _chance(0.5, generator):
         image, width = image.flip(2), image.shape[2]
         boxes = torch.stack(
@@ -58,7 +60,8 @@ def reframe(
     shift = boxes.new_tensor([dx * width, dy * height, dx * width, dy * height]) / 2
     whole = (boxes - centre - shift) * zoom + centre
     inside = whole.clamp(min=0).minimum(2 * centre)
-    size, full = inside[:, 2:] - inside[:, :2], whole[:, 2:] - whole[:, :2]
+    size = inside[:, 2:] - inside[:, :2]
+    full = whole[:, 2:] - whole[:, :2]
     fraction = size.clamp(min=0).prod(1) / full.prod(1)
     keep = (size.amin(1) >= _MIN_SIDE) & (fraction >= _MIN_VISIBLE)
     return moved, inside[keep], labels[keep]

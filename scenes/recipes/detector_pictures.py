@@ -63,11 +63,14 @@ surroundings.
 """
 BACKGROUNDS = ("street", "park", "room", "ground", "random")
 """Kinds of surroundings without any object."""
-PATH_TRACED, SPLAT_RENDERS, EMPTY = "path traced", "splat renders", "background: "
+PATH_TRACED = "path traced"
+SPLAT_RENDERS = "splat renders"
+EMPTY = "background: "
 """Names of the held-out sets; that of a set without objects ends with its kind."""
 
 Mask = NDArray[np.bool_]
-_TRIES, _WELL_VISIBLE = 4, 0.5
+_TRIES = 4
+_WELL_VISIBLE = 0.5
 _LEAST_SOLID = 0.12
 """Fraction of a square around the object that its outline fills; below it, a flat thing
 is seen from its edge.
@@ -161,7 +164,8 @@ def viewing_conditions(
     points: Floats, camera: Camera, light: Light | None = None
 ) -> ViewingConditions:
     """How an object is seen from a camera, rounded to six digits after the point."""
-    low, high = points.min(0).astype(np.float64), points.max(0).astype(np.float64)
+    low = points.min(0).astype(np.float64)
+    high = points.max(0).astype(np.float64)
     centre: list[float] = ((low + high) / 2).tolist()
     return ViewingConditions(
         elevation=round(direction_of(camera, centre).elevation, 6),
@@ -214,11 +218,10 @@ def random_scene(config: PictureSet, number: int) -> PictureScene:
     assets = _arrange(
         [build(n, s) for n, s in zip(names[:count], seeds, strict=False)], rng
     )
-    points = (
-        np.concatenate([asset.vertices for asset in assets])
-        if assets
-        else np.array([[1.0, 0, 0], [0, 1.0, 1.0]])
-    )
+    if assets:
+        points = np.concatenate([asset.vertices for asset in assets])
+    else:
+        points = np.array([[1.0, 0, 0], [0, 1.0, 1.0]])
     radius = float(np.linalg.norm(points[:, :2], axis=1).max())
     radius = max(radius, 0.35 * float(points[:, 2].max()))
     light = daylight(int(rng.integers(1 << 30)))
@@ -226,11 +229,10 @@ def random_scene(config: PictureSet, number: int) -> PictureScene:
         around = of_kind(config.around, int(rng.integers(low, high)), rng, radius)
     elif rng.random() < config.street:
         around = backdrop(int(rng.integers(low, high)))
-        around = (
-            Asset(around.name, (*around.meshes, *scatter(rng, radius)))
-            if rng.random() < 0.5
-            else around
-        )
+        if rng.random() < 0.5:
+            around = Asset(around.name, (*around.meshes, *scatter(rng, radius)))
+        else:
+            around = around
     else:
         around = random_surroundings(rng, radius)
     return PictureScene(tuple(assets), around, light)
@@ -273,12 +275,12 @@ def framing_camera(
     the image's side.
     """
     size = config.size
-    low, high = points.min(0), points.max(0)
-    centre, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    azimuth, elevation = (
-        float(rng.uniform(0, 360)),
-        float(rng.uniform(*config.elevation)),
-    )
+    low = points.min(0)
+    high = points.max(0)
+    centre = (low + high) / 2
+    half = float(np.linalg.norm(high - low)) / 2
+    azimuth = float(rng.uniform(0, 360))
+    elevation = float(rng.uniform(*config.elevation))
     focal = size / 2 / math.tan(math.radians(rng.uniform(22, 60)) / 2)
     extent = size * math.exp(rng.uniform(math.log(smallest), 0.0))
     cloud = torch.from_numpy(np.ascontiguousarray(points, np.float64))
@@ -364,8 +366,11 @@ class SceneRenderer:
         """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what
         is in it.
         """
-        boxes, labels, conditions = [], [], []
-        outlines, visible = self._outlines(camera), self._visible(camera)
+        boxes = []
+        labels = []
+        conditions = []
+        outlines = self._outlines(camera)
+        visible = self._visible(camera)
         for asset, (seen, _), (fraction, _) in zip(
             self.contents.assets, outlines, visible, strict=True
         ):
@@ -386,7 +391,8 @@ class SceneRenderer:
         )
 
     def _any_camera(self) -> Camera:
-        assets, rng = self.contents.assets, self._rng
+        assets = self.contents.assets
+        rng = self._rng
         if not assets:
             scale = math.exp(rng.uniform(math.log(0.7), math.log(6.0)))
             points: Floats = (
@@ -544,9 +550,10 @@ def splat_of(
     wanted += [(dome, config.sky, 0.9)]
     parts = []
     for asset, count, overlap in wanted:
-        density = (
-            nearness(cameras, closest=0.3) if asset is contents.surroundings else None
-        )
+        if asset is contents.surroundings:
+            density = nearness(cameras, closest=0.3)
+        else:
+            density = None
         samples = surface_samples(asset, count, density=density)
         # a part that no picture shows is left out
         with contextlib.suppress(InvalidValueError):

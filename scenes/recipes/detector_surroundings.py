@@ -47,7 +47,8 @@ def noise(
         j = (i + 1) % count
         rows = grid[i % count] * (1 - f)[:, None] + grid[j] * f[:, None]
         total += (rows[:, i % count] * (1 - f) + rows[:, j] * f) * gain**octave
-    low, high = total.min(), total.max()
+    low = total.min()
+    high = total.max()
     return np.asarray((total - low) / max(high - low, 1e-9), np.float32)
 
 
@@ -65,7 +66,8 @@ def colour(rng: Generator) -> Pixels:
 
 def pattern(rng: Generator) -> Pixels:
     """(h, w, 3) random texture: plain, noise, stripes, checks, bricks, or grain."""
-    first, second = colour(rng), colour(rng)
+    first = colour(rng)
+    second = colour(rng)
     kind = rng.integers(6)
     if kind == 0:
         return first.reshape(1, 1, 3)
@@ -138,7 +140,8 @@ def ground(rng: Generator, extent: float) -> Mesh:
 
 def wall(rng: Generator, distance: float) -> Mesh:
     """An upright wall `distance` metres from the origin."""
-    half, height = distance * rng.uniform(0.8, 4), distance * rng.uniform(0.4, 2.5)
+    half = distance * rng.uniform(0.8, 4)
+    height = distance * rng.uniform(0.4, 2.5)
     x = -distance
     corners = [[x, -half, 0], [x, half, 0], [x, half, height], [x, -half, height]]
     return transform(
@@ -179,10 +182,8 @@ def scatter(rng: Generator, radius: float) -> list[Mesh]:
     meshes = []
     for _ in range(int(rng.integers(0, 5))):
         size = radius * rng.uniform(0.2, 1.1)
-        angle, away = (
-            rng.uniform(0, 2 * np.pi),
-            radius + size * 0.75 + radius * rng.exponential(0.6),
-        )
+        angle = rng.uniform(0, 2 * np.pi)
+        away = radius + size * 0.75 + radius * rng.exponential(0.6)
         meshes.append(
             transform(
                 clutter(rng, size),
@@ -238,7 +239,8 @@ def park(seed: int = 0, *, clearance: float = 8.0) -> Asset:
     rng = np.random.default_rng([seed, 0x9A])
     parts = [street.ground(240, textures.grass(256, seed), tile=rng.uniform(2.5, 5))]
     for _ in range(int(rng.integers(5, 16))):
-        angle, reach = rng.uniform(0, 2 * np.pi), clearance + 3 + rng.uniform(0, 25)
+        angle = rng.uniform(0, 2 * np.pi)
+        reach = clearance + 3 + rng.uniform(0, 25)
         parts += street.stood(
             street.tree(rng),
             reach * np.cos(angle),
@@ -249,7 +251,8 @@ def park(seed: int = 0, *, clearance: float = 8.0) -> Asset:
         gravel = textures.speckle(
             (128, 128), (0.62, 0.55, 0.45), rng, grain=0.15, patch=0.2
         )
-        offset, width = rng.uniform(-4, 4), rng.uniform(1.5, 3)
+        offset = rng.uniform(-4, 4)
+        width = rng.uniform(1.5, 3)
         path = street.strip(
             (offset - width / 2, offset + width / 2), 0.01, gravel, tile=1.5
         )

@@ -146,7 +146,8 @@ def train(
             record |= validated(trainer, averaged, validation)
             merit = record["map"] - record["false_positives"]
             if merit >= best:
-                best, notes = merit, {"epoch": str(epoch + 1), "seed": str(config.seed)}
+                best = merit
+                notes = {"epoch": str(epoch + 1), "seed": str(config.seed)}
                 save_file(shipped(averaged), out / "best.safetensors", metadata=notes)
         history.append(record)
         (out / "curves.json").write_text(
@@ -172,7 +173,8 @@ def _epoch(
     trainer.begin_epoch(
         model, side=config.low_resolution if coarse else None, final=final
     )
-    steps, total = len(pictures) // config.batch, dict[str, float]()
+    steps = len(pictures) // config.batch
+    total = dict[str, float]()
     for step, (images, targets) in enumerate(_batches(pictures, config, epoch)):
         for group in optimiser.param_groups:
             group["lr"] = config.learning_rate * rate_factor(
@@ -198,7 +200,8 @@ def _batches(
 ) -> Iterator[tuple[list[Tensor], Targets]]:
     order = torch.randperm(len(pictures)).tolist()
     for start in range(0, len(pictures) - config.batch + 1, config.batch):
-        images, targets = [], []
+        images = []
+        targets = []
         for i in order[start : start + config.batch]:
             image, boxes, labels = augment(
                 pictures[i], Generator().manual_seed(_seed(config.seed, epoch, i))

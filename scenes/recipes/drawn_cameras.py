@@ -18,23 +18,25 @@ from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.io.camera_records import describe
 from scenes.recipes.example_scenes import FOCAL, RECIPES, SIZE
 
-SEED, COUNT, ELEVATIONS, DISTANCES = 1, 24, (5.0, 35.0), (0.9, 1.2)
+SEED = 1
+COUNT = 24
+ELEVATIONS = (5.0, 35.0)
+DISTANCES = (0.9, 1.2)
 AZIMUTHS = {"car_street": (0.0, 360.0), "stop_sign": (-60.0, 60.0)}
 
 
 def cameras(name: str) -> list[tuple[str, Camera]]:
     """The cameras of an example scene, by name."""
-    recipe, generator = RECIPES[name], np.random.default_rng(SEED)
+    recipe = RECIPES[name]
+    generator = np.random.default_rng(SEED)
     low, high = AZIMUTHS[name]
     unit = math.hypot(*next(iter(recipe.sensors.values())))
     drawn = []
     for sector in range(COUNT):
         share = float(generator.uniform())
         azimuth = low + (high - low) * (sector + share) / COUNT
-        elevation, factor = (
-            float(generator.uniform(*ELEVATIONS)),
-            float(generator.uniform(*DISTANCES)),
-        )
+        elevation = float(generator.uniform(*ELEVATIONS))
+        factor = float(generator.uniform(*DISTANCES))
         pose = orbit_pose(
             recipe.source.centre,
             azimuth=azimuth,

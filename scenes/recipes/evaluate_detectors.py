@@ -134,9 +134,11 @@ def _matched(detector: Detector, result: Detections, picture: LabelledPicture) -
     overlaps = [
         0.0 if owner is None else iou[row][owner] for row, owner in enumerate(owners)
     ]
-    detections, fitting = list[Reported](), set[int]()
+    detections = list[Reported]()
+    fitting = set[int]()
     for row in sorted(range(len(scores)), key=lambda row: -scores[row]):
-        owner, label = owners[row], result.labels[row]
+        owner = owners[row]
+        label = result.labels[row]
         fits = (
             owner is not None
             and label == names[owner]
@@ -237,7 +239,8 @@ def _by_condition(
     """Recall in the bins of a condition, of all objects and of cars; a bin has its
     lower edge, the last one both.
     """
-    edges, bins = CONDITIONS[name], {}
+    edges = CONDITIONS[name]
+    bins = {}
     for group in ("all", "car"):
         known = [
             i
@@ -307,8 +310,10 @@ def false_positives(seen: Sequence[Seen], confidence: float) -> dict[str, Any]:
     """
     wrong = [[d.label for d in _wrong(view) if d.score >= confidence] for view in seen]
     labels = [label for part in wrong for label in part]
-    count, pictures = len(labels), max(len(seen), 1)
-    low, high = gamma.ppf(0.025, count) if count else 0.0, gamma.ppf(0.975, count + 1)
+    count = len(labels)
+    pictures = max(len(seen), 1)
+    low = gamma.ppf(0.025, count) if count else 0.0
+    high = gamma.ppf(0.975, count + 1)
     return {
         "per_picture": count / pictures,
         "number": count,
@@ -373,11 +378,14 @@ def splat_scene_pictures(path: Path) -> list[LabelledPicture]:
     (or stop_sign) are objects.
     """
     loaded = open_scene(path)
-    render, pictures = Renderer(loaded.settings), []
+    render = Renderer(loaded.settings)
+    pictures = []
     for camera in loaded.cameras.values():
         with torch.no_grad():
             image = torch.from_numpy(to_bytes(render(loaded.scene, camera)))
-        boxes, labels, conditions = list[Tensor](), list[int](), []
+        boxes = list[Tensor]()
+        labels = list[int]()
+        conditions = []
         for number, name in enumerate(SMALL_CLASSES, start=1):
             mask = loaded.objects.get(name, loaded.objects.get(name.replace(" ", "_")))
             if mask is None:

@@ -37,7 +37,9 @@ from mi_splat.training.strategies import ClassicConfig
 from scenes.recipes.disc_splats import DiscConfig, disc_splat
 from scenes.recipes.mesh_views import capture, depth_maps
 
-SIZE, FOCAL, HELD_OUT = 256, 256.0, 12
+SIZE = 256
+FOCAL = 256.0
+HELD_OUT = 12
 """Edge of the pictures and focal length in pixels, and number of pictures that take no
 part.
 """
@@ -70,8 +72,11 @@ def around(azimuth: float, elevation: float, distance: float) -> Point:
     """Offset of a camera from the centre, rounded to millimetres: angles in degrees,
     distance in metres.
     """
-    a, e = math.radians(azimuth), math.radians(elevation)
-    x, y, z = math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)
+    a = math.radians(azimuth)
+    e = math.radians(elevation)
+    x = math.cos(e) * math.cos(a)
+    y = math.cos(e) * math.sin(a)
+    z = math.sin(e)
     return round(distance * x, 3), round(distance * y, 3), round(distance * z, 3)
 
 
@@ -269,11 +274,10 @@ def make(
     """Make one scene: two splat files, the scene file and a record of how it was made
     and how good it is.
     """
-    recipe, start = RECIPES[name], time.time()
-    views, steps = (
-        recipe.views if views is None else views,
-        recipe.steps if steps is None else steps,
-    )
+    recipe = RECIPES[name]
+    start = time.time()
+    views = recipe.views if views is None else views
+    steps = recipe.steps if steps is None else steps
     folder.mkdir(parents=True, exist_ok=True)
     target, surroundings = recipe.source.assets()
     description = scene_dict([target], light=recipe.source.light, backdrop=surroundings)
@@ -324,7 +328,8 @@ def _score(
     """PSNR over pictures that took no part: cameras by chance, and the named
     sensors.
     """
-    render, named = Renderer(RenderSettings()), sensors(recipe)
+    render = Renderer(RenderSettings())
+    named = sensors(recipe)
     views = capture(
         description,
         [*random_cameras(recipe, HELD_OUT, seed=seed), *named.values()],

@@ -83,7 +83,8 @@ def save_prototypes(
     path: Path,
 ) -> None:
     """Write the mean directions of the classes, less the mean of all of them."""
-    prepare, means = Preparation(), []
+    prepare = Preparation()
+    means = []
     for images in pictures.values():
         with torch.no_grad():
             rows = [

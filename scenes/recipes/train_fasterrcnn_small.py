@@ -24,13 +24,15 @@ from attacks.detectors.torchvision import RCNNDetector
 from scenes.recipes.detector_pictures import LabelledPicture
 from scenes.recipes.detector_training import Targets, TrainConfig, main
 
-_USUAL_SAMPLER, _FINAL_SAMPLER = (32, 0.5), (96, 0.25)
+_USUAL_SAMPLER = (32, 0.5)
+_FINAL_SAMPLER = (96, 0.25)
 """Boxes an image that the box head learns from, and the largest fraction of them with
 an object.
 """
 _SIDE = 96
 """Pixels of the side of a cut-out."""
-_BATCH, _RATE = 64, 2e-3
+_BATCH = 64
+_RATE = 2e-3
 """Cut-outs a step, and the highest learning rate."""
 _BACKGROUND_FRACTION = 1 / 9
 _MARGIN = (0.95, 1.5)
@@ -69,7 +71,8 @@ class FasterRCNNTrainer:
         self, model: nn.Module, pictures: Sequence[LabelledPicture], config: TrainConfig
     ) -> None:
         """Stem and stages classify cut-outs; the learning rate rises and falls once."""
-        backbone, steps = model.backbone, config.pretraining
+        backbone = model.backbone
+        steps = config.pretraining
         assert isinstance(backbone, fasterrcnn_small.Backbone)
         torch.manual_seed(config.seed)
         generator = Generator().manual_seed(config.seed)
@@ -83,11 +86,10 @@ class FasterRCNNTrainer:
         backbone.train()
         for step in range(steps):
             done = step / steps
-            factor = (
-                done / 0.1
-                if done < 0.1
-                else 0.5 * (1 + math.cos(math.pi * (done - 0.1) / 0.9))
-            )
+            if done < 0.1:
+                factor = done / 0.1
+            else:
+                factor = 0.5 * (1 + math.cos(math.pi * (done - 0.1) / 0.9))
             optimiser.param_groups[0]["lr"] = _RATE * max(factor, 0.01)
             images, names = cut_outs(pictures, _BATCH, generator)
             with torch.autocast("cpu", torch.bfloat16):
@@ -115,7 +117,9 @@ def cut_outs(
     """(count, 3, 96, 96) squares of pictures, most around an object, and (count,)
     labels, 0 for none.
     """
-    pictures, regions, names = [], [], []
+    pictures = []
+    regions = []
+    names = []
     for i in torch.randint(len(samples), (count,), generator=generator).tolist():
         sample = samples[i]
         number = int(torch.randint(max(len(sample.labels), 1), (), generator=generator))
@@ -126,10 +130,8 @@ def cut_outs(
         ):
             box, name = _anywhere(sample, a, b, c)
         else:
-            box, name = (
-                _around(sample.boxes[number], a, b, c),
-                int(sample.labels[number]),
-            )
+            box = _around(sample.boxes[number], a, b, c)
+            name = int(sample.labels[number])
         pictures.append(sample.image)
         regions.append(box)
         names.append(name)

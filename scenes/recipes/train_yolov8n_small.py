@@ -36,7 +36,8 @@ class YOLOTrainer:
 
     def begin_epoch(self, model: nn.Module, *, side: int | None, final: bool) -> None:
         """Set the image side; the last epochs have no mosaics."""
-        self._side, self._mosaic_fraction = side, 0.0 if final else _MOSAIC_FRACTION
+        self._side = side
+        self._mosaic_fraction = 0.0 if final else _MOSAIC_FRACTION
 
     def pretrain(
         self, model: nn.Module, pictures: Sequence[LabelledPicture], config: TrainConfig
@@ -109,7 +110,8 @@ def with_mosaics(
 ) -> tuple[list[Tensor], Targets]:
     """A batch of which a fraction is replaced by mosaics of its pictures."""
     count = len(pictures)
-    made, inside = list(pictures), list(targets)
+    made = list(pictures)
+    inside = list(targets)
     for i in range(int(fraction * count)):
         four = torch.randint(count, (4,), generator=generator).tolist()
         made[i], inside[i] = mosaic(
@@ -125,9 +127,11 @@ def mosaic(
     height, width = pictures[0].shape[1:]
     half = (height // 2, width // 2)
     whole = torch.zeros_like(pictures[0])
-    boxes, labels = [], []
+    boxes = []
+    labels = []
     for quarter, (picture, target) in enumerate(zip(pictures, targets, strict=True)):
-        top, left = (quarter // 2) * half[0], (quarter % 2) * half[1]
+        top = (quarter // 2) * half[0]
+        left = (quarter % 2) * half[1]
         small = F.interpolate(
             picture[None], size=half, mode="bilinear", antialias=True
         )[0]

@@ -42,10 +42,8 @@ def is_closed(mesh: Mesh) -> bool:
     faces = merged.ravel()[mesh.faces.astype(np.int64)]
     faces = faces[(faces != np.roll(faces, 1, 1)).all(1)]
     edges = np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)])
-    keys, back = (
-        edges[:, 0] * len(merged) + edges[:, 1],
-        edges[:, 1] * len(merged) + edges[:, 0],
-    )
+    keys = edges[:, 0] * len(merged) + edges[:, 1]
+    back = edges[:, 1] * len(merged) + edges[:, 0]
     return bool(np.array_equal(np.sort(keys), np.sort(back)))
 
 

@@ -190,10 +190,8 @@ def test_rounding_of_the_norm_does_not_leave_the_ball(norm: NormName) -> None:
     """Around a reference of 0 a float64 perturbation is stored as it is, and its norm
     may round up.
     """
-    budget, reference = (
-        Budget(radius={"sh": 0.3}, norm=norm),
-        {"sh": torch.zeros(12, 4, 3, dtype=torch.float64)},
-    )
+    budget = Budget(radius={"sh": 0.3}, norm=norm)
+    reference = {"sh": torch.zeros(12, 4, 3, dtype=torch.float64)}
     for seed in range(40):
         point, _ = draw(seed, spread=1.0, dtype=torch.float64)
         budget.check(budget.project({"sh": point}, reference), reference)

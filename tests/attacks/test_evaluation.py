@@ -143,7 +143,8 @@ def test_every_camera_and_detector_in_batches_of_one_size() -> None:
         camera(40),
         camera(40, offset=0.2),
     ]
-    detectors, rendered = [Counting("a"), Counting("b")], 0
+    detectors = [Counting("a"), Counting("b")]
+    rendered = 0
 
     def counted(scene: GaussianScene, camera: Camera) -> Tensor:
         nonlocal rendered
@@ -191,14 +192,16 @@ def test_scenes_are_seen_as_their_files_hold_them() -> None:
         return blobs(scene, camera)
 
     evaluate({"clean": wide}, mask, [camera()], [ColourDetector()], render=recorded)
-    judged, saved = rendered[-1], as_saved(wide)
+    judged = rendered[-1]
+    saved = as_saved(wide)
     assert judged.means.dtype == torch.float32
     for value, expected in zip(judged.tensors(), saved.tensors(), strict=True):
         assert torch.equal(value, expected)
 
 
 def test_detections_are_drawn_from_a_confidence_on() -> None:
-    picture, box = torch.zeros(64, 64, 3), torch.tensor([[16.0, 16.0, 48.0, 48.0]])
+    picture = torch.zeros(64, 64, 3)
+    box = torch.tensor([[16.0, 16.0, 48.0, 48.0]])
     detections = Detections(box, torch.tensor([0.4]), ("car",))
     drawn = annotated(picture, detections, "title")
     assert drawn.shape == (512, 512, 3)

@@ -75,7 +75,8 @@ def test_the_true_class_is_less_sure_inside_the_ball_and_the_mask(
         assert after < 0.8 * before
     most = 255 if eps is None and paste == "resized" else 43 if eps is None else eps
     for index, view in enumerate(views):
-        mask, picture = mask_of(view.camera), done.views[index].image
+        mask = mask_of(view.camera)
+        picture = done.views[index].image
         assert torch.equal(picture[~mask], view.image[~mask])
         moved = np.abs(
             to_bytes(picture).astype(int) - to_bytes(view.image).astype(int)
@@ -135,7 +136,8 @@ def test_a_decoy_changes_all_cameras_alike() -> None:
     """The victim gets the picture of one splat, which is misread, inside the mask and
     the ball.
     """
-    splat, cameras = varied_scene(30, degree=1, seed=9), CAMERAS[:2]
+    splat = varied_scene(30, degree=1, seed=9)
+    cameras = CAMERAS[:2]
     decoy = Decoy(start=splat, near=0.1)
     views = [
         View(camera, (decoy.picture(splat, camera).clamp(0, 1) * 255).round() / 255)
@@ -150,7 +152,8 @@ def test_a_decoy_changes_all_cameras_alike() -> None:
     ):
         assert after < 0.9 * before
     for index, view in enumerate(views):
-        mask, picture = mask_of(view.camera), done.views[index].image
+        mask = mask_of(view.camera)
+        picture = done.views[index].image
         assert torch.equal(picture[~mask], view.image[~mask])
         assert 0 < (picture - view.image).abs().max() < 24.01 / 255
     again = [view.image for view in poison(views, seed=1).views]

@@ -88,7 +88,8 @@ def test_a_quadratic_is_descended_in_steps_of_the_schedule_s_length(
     schedule: Schedule,
 ) -> None:
     """From far away all signs agree, so the way is the sum of the lengths."""
-    steps, reached = 8, []
+    steps = 8
+    reached = []
 
     def evaluate(point: Parameters) -> Evaluation:
         value = point["sh"]
@@ -114,7 +115,8 @@ def test_adam_is_torch_s_on_normalised_gradients() -> None:
     schedule = torch.optim.lr_scheduler.LambdaLR(
         theirs, lambda k: LENGTHS["linear"](k / 6)
     )
-    ours, point = adams(), torch.zeros(5)
+    ours = adams()
+    point = torch.zeros(5)
     for _ in range(6):
         gradient = torch.randn(5, generator=generator)
         leaf.grad = normalised({"sh": gradient})["sh"]

@@ -88,7 +88,8 @@ def test_it_finds_the_nearest_point_of_the_ball(norm: NormName) -> None:
 
 
 def test_every_point_that_is_evaluated_is_inside() -> None:
-    budget, sizes = Budget(radius={"sh": 1.0}), []
+    budget = Budget(radius={"sh": 1.0})
+    sizes = []
     plain = bowl()
 
     def watched(point: Parameters) -> Evaluation:

@@ -52,10 +52,12 @@ def names(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """A set whose pictures have masks, and are clear on the left; its PNG files are of
     another writer.
     """
-    folder, render = tmp_path_factory.mktemp("set"), Renderer(RenderSettings(near=0.1))
+    folder = tmp_path_factory.mktemp("set")
+    render = Renderer(RenderSettings(near=0.1))
     with torch.no_grad():
         views = [View(camera, render(SPLAT, camera).clamp(0, 1)) for camera in CAMERAS]
-    alpha, mask = torch.ones(16, 20), torch.ones(16, 20)
+    alpha = torch.ones(16, 20)
+    mask = torch.ones(16, 20)
     alpha[:, :4], alpha[:, 4:8], mask[12:] = 0, 0.4, 0
     write_transforms(
         folder / "set", views[:4], test=views[4:], alphas=[alpha] * 5, masks=[mask] * 5
@@ -137,7 +139,8 @@ def test_pictures_change_within_the_ball_and_keep_alpha_and_masks(
     before, after = both(names, tmp_path / "out")
     for index, (old, new) in enumerate(zip(before, after, strict=True)):
         for plane in (Dataset.alpha, Dataset.loss_mask):
-            kept, keeps = plane(before, index), plane(after, index)
+            kept = plane(before, index)
+            keeps = plane(after, index)
             assert kept is not None
             assert keeps is not None
             assert torch.equal(kept, keeps)
@@ -151,7 +154,8 @@ def test_pictures_change_within_the_ball_and_keep_alpha_and_masks(
     stayed = [f"train_{i:05d}.png" for i in range(4) if i not in changes] + [
         "test_00000.png"
     ]
-    clean, poisoned = files(names[0]), files(tmp_path / "out")
+    clean = files(names[0])
+    poisoned = files(tmp_path / "out")
     assert all(clean[name] == poisoned[name] for name in stayed)
     assert load_picture(tmp_path / "out" / "before_and_after.png").size == (40, 48)
 

@@ -89,7 +89,8 @@ def test_pictures_change_within_the_ball_and_again_alike(
         assert torch.equal(torch.from_numpy(steps / 255).float(), image)
         assert 0 < np.abs(steps - to_bytes(view.image)).max() <= 16
     assert heard[-1] == (len(heard), len(heard))
-    again, other = poison(views, seed=3), poison(views, seed=4)
+    again = poison(views, seed=3)
+    other = poison(views, seed=4)
     assert done.manifest == again.manifest
     assert done.manifest["changed"] == len(views)
     if not isinstance(poison, RaisedVariation):  # nothing is drawn there
@@ -148,7 +149,8 @@ def test_the_decoy_moves_at_every_so_many_cameras_only(views: list[View]) -> Non
 
 def test_without_a_ball_the_pictures_are_the_decoys(views: list[View]) -> None:
     free = attack(replace(SHORT, eps=None))
-    done, decoy = free(views, seed=0), free.decoy(views, seed=0)
+    done = free(views, seed=0)
+    decoy = free.decoy(views, seed=0)
     with torch.no_grad():
         render = Renderer(RenderSettings(near=0.1))
         for view, image in zip(views, images(done), strict=True):
@@ -230,12 +232,10 @@ def test_what_cameras_cannot_sample_is_pruned(views: list[View]) -> None:
     )
     pixel = float(finest_samples(fine, CAMERAS, near=0.1)[0])
     assert pixel == pytest.approx(4.0 / 24.0, rel=1e-5)
-    needle, thin, flat, unseen = (
-        (0.1, 0.1, 9.0),
-        (0.3, 0.3, 0.3),
-        (0.01, 0.3, 0.3),
-        (0.1, 0.1, 0.1),
-    )
+    needle = (0.1, 0.1, 9.0)
+    thin = (0.3, 0.3, 0.3)
+    flat = (0.01, 0.3, 0.3)
+    unseen = (0.1, 0.1, 0.1)
     fine = fine.replace(scales=pixel * torch.tensor([needle, thin, flat, unseen]))
     kept = frequency_pruned(fine, views, FrequencyPruningConfig(samples=0.2), near=0.1)
     assert torch.equal(kept.scales, fine.scales[1:])

@@ -50,7 +50,8 @@ def bowl(point: Parameters, *, enough: float = -1.0) -> Evaluation:
 
 
 def settings(norm: NormName = "linf", **more: Any) -> SearchSettings:
-    steps, radius = more.pop("steps", 24), more.pop("radius", {"sh": 0.5, "means": 0.3})
+    steps = more.pop("steps", 24)
+    radius = more.pop("radius", {"sh": 0.5, "means": 0.3})
     usual = {
         "positions": torch.arange(24.0).reshape(8, 3),
         "step": {k: 2 * v / steps for k, v in radius.items()},
@@ -68,7 +69,9 @@ def run(
 
     def evaluate(point: Parameters) -> Evaluation:
         here = bowl(point, enough=enough)
-        return here if spec.gradient else dataclasses.replace(here, gradients={})
+        if spec.gradient:
+            return here
+        return dataclasses.replace(here, gradients={})
 
     made = spec.make(dataclasses.replace(search, momentum=spec.momentum))
     more = {"early_stop": False, "smallest": spec.smallest, **more}
@@ -155,7 +158,8 @@ def test_every_attack_on_a_splat_is_judged_alike(name: str) -> None:
     gradients where nobody wants them.
     """
     detector = Watching()
-    result, pgd_s = attacked(name, detector), attacked("pgd")
+    result = attacked(name, detector)
+    pgd_s = attacked("pgd")
     assert result.used["sh"] <= 10.0
     assert (result.trace[0].loss, result.trace[0].score) == (
         pgd_s.trace[0].loss,
@@ -180,7 +184,9 @@ def points(
     """Points and memories of APGD under losses that a test chooses; the gradient is
     that of the bowl.
     """
-    update, memory, point = apgd(search), Memory(), REFERENCE
+    update = apgd(search)
+    memory = Memory()
+    point = REFERENCE
     for memory.index, loss in enumerate(losses):
         yield point, copy.deepcopy(memory)
         moved = update(point, dataclasses.replace(bowl(point), loss=loss), memory)
@@ -226,7 +232,8 @@ def test_a_square_is_a_block_of_neighbours_that_move_alike() -> None:
 def test_the_price_of_the_change_finds_a_smaller_one_that_succeeds() -> None:
     search = settings("l2", radius={"sh": 4.0, "means": 4.0}, steps=80)
     enough = 0.5 * bowl(REFERENCE).loss
-    cheap, plain = run("cw", search, enough=enough), run("adam", search, enough=enough)
+    cheap = run("cw", search, enough=enough)
+    plain = run("adam", search, enough=enough)
     assert cheap.best.success
     assert plain.best.success
     assert cheap.best.share < 0.8 * plain.best.share

@@ -64,7 +64,9 @@ def discs(asset: Asset, count: int, *, seed: int = 0) -> tuple[GaussianScene, Te
     """Flat Gaussians on the surface of an asset under one sun, and (N, 3) its normals;
     SH of degree 0.
     """
-    rng, scenes, all_normals = np.random.default_rng(seed), [], []
+    rng = np.random.default_rng(seed)
+    scenes = []
+    all_normals = []
     areas = [_area(mesh.vertices[mesh.faces]) for mesh in asset.meshes]
     for mesh, area in zip(asset.meshes, areas, strict=True):
         share = max(8, round(count * area / sum(areas)))
@@ -142,7 +144,8 @@ def on_ground(part: GaussianScene, normals: Tensor) -> Made:
 
 def direction(elevation: float, azimuth: float) -> Tensor:
     """(3,) unit vector at degrees above the ground and from x towards y."""
-    e, a = math.radians(elevation), math.radians(azimuth)
+    e = math.radians(elevation)
+    a = math.radians(azimuth)
     return torch.tensor(
         [math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)]
     )
@@ -245,7 +248,8 @@ def layered(made: Made, *, colour: tuple[float, float, float] = ROAD) -> Made:
     side, one colour from above.
     """
     scene = made.scene.with_degree(1)
-    part, rest = scene.select(made.rows), scene.select(~made.rows)
+    part = scene.select(made.rows)
+    rest = scene.select(~made.rows)
     half = 1 - (1 - part.opacities).sqrt()
     own = (part.sh[:, 0] * 0.28209479 + 0.5).clamp(0.02, 1)
 
@@ -255,7 +259,8 @@ def layered(made: Made, *, colour: tuple[float, float, float] = ROAD) -> Made:
         sh[:, 2] = -shown * slope / 0.48860251
         return part.replace(opacities=half, sh=sh)
 
-    low, high = 0.6, 0.7
+    low = 0.6
+    high = 0.7
     first = layer(own, 2.2, -2.2 / high)
     second = layer(torch.tensor(colour).expand_as(own), -2.2 * low / 0.25, 2.2 / 0.25)
     rows = torch.arange(len(rest) + 2 * len(part)) >= len(rest)
@@ -288,7 +293,9 @@ def room(*, count: int = 4500, seed: int = 0) -> Made:
     rows are those of the suitcase.
     """
     generator = torch.Generator().manual_seed(seed)
-    half, parts, all_normals = torch.tensor([3.0, 2.2, 1.4]), [], []
+    half = torch.tensor([3.0, 2.2, 1.4])
+    parts = []
+    all_normals = []
     side = round((count / 6) ** 0.5)
     for axis in range(3):
         for sign in (-1.0, 1.0):
@@ -315,11 +322,10 @@ def room(*, count: int = 4500, seed: int = 0) -> Made:
             parts.append(_flat(means, normal, float(step.max()), colours))
             all_normals.append(normal.expand(len(means), 3))
     part, normals = discs(build("suitcase", seed), count // 3, seed=seed)
-    low, high = part.means.amin(0), part.means.amax(0)
-    scale, foot = (
-        1.2 / float((high - low).max()),
-        torch.cat([(low + high)[:2] / 2, low[2:]]),
-    )
+    low = part.means.amin(0)
+    high = part.means.amax(0)
+    scale = 1.2 / float((high - low).max())
+    foot = torch.cat([(low + high)[:2] / 2, low[2:]])
     shift = torch.tensor([0.6, 0.3, -float(half[2])]) - scale * foot
     parts.append(
         part.transform(

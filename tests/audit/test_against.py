@@ -32,7 +32,8 @@ def edited(clean: GaussianScene) -> GaussianScene:
     """A tenth of the Gaussians has another colour, a few are brighter from one side,
     one has moved.
     """
-    sh, means = clean.sh.clone(), clean.means.clone()
+    sh = clean.sh.clone()
+    means = clean.means.clone()
     sh[:80, 0] += 0.2
     sh[40:60, 2] -= 0.3
     means[100] += 0.001
@@ -98,11 +99,9 @@ def test_the_command_writes_what_changed(
     monkeypatch.setitem(vars(LIMITS), "image_size", 64)
     monkeypatch.setitem(vars(LIMITS), "cameras", 30)
     monkeypatch.setitem(vars(LIMITS), "least_pieces", 5)
-    before, after, out = (
-        tmp_path / "clean.ply",
-        tmp_path / "edited.ply",
-        tmp_path / "out",
-    )
+    before = tmp_path / "clean.ply"
+    after = tmp_path / "edited.ply"
+    out = tmp_path / "out"
     save_splat(clean, before)
     save_splat(edited, after)
     arguments = ["audit", str(after), "--against", str(before)]
@@ -131,7 +130,8 @@ def run_of(*documents: dict[str, Any]) -> dict[str, Any]:
     """The run of a log, after the essentials of the schema were checked."""
     log = json.loads(json.dumps(sarif(documents), allow_nan=False))
     (run,) = log["runs"]
-    rules, levels = run["tool"]["driver"]["rules"], {"error", "warning", "note"}
+    rules = run["tool"]["driver"]["rules"]
+    levels = {"error", "warning", "note"}
     assert (log["version"], log["$schema"][-16:]) == ("2.1.0", "sarif-2.1.0.json")
     ids = [rule["id"] for rule in rules]
     assert len(set(ids)) == len(ids)

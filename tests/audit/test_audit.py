@@ -79,7 +79,8 @@ def overlap(
     """Intersection over union of the cameras that are said to see an appearance with
     those that do.
     """
-    truth, shown = inside(item.directions.float()), (look or item.look).shown
+    truth = inside(item.directions.float())
+    shown = (look or item.look).shown
     return float((shown & truth).sum() / (shown | truth).sum())
 
 
@@ -93,7 +94,8 @@ def test_a_look_from_above_is_found_with_its_directions_and_gaussians(
     assert item.look.region.axis[2] > 0.97
     assert item.look.region.half_width == pytest.approx(50, abs=10)
     assert item.look.direction > 1.2 * max(item.look.incidence, item.look.mirror)
-    ours, others = judged.heat[from_above.rows], judged.heat[~from_above.rows]
+    ours = judged.heat[from_above.rows]
+    others = judged.heat[~from_above.rows]
     assert float(ours.median()) > 4 * float(others.median())
     assert (
         float(
@@ -276,7 +278,8 @@ def test_the_verdict_does_not_depend_on_axes_units_and_rows(
     ).select(order)
     again = _finer(moved)
     assert again.verdict == judged.verdict
-    first, second = judged.strongest.look, again.strongest.look
+    first = judged.strongest.look
+    second = again.strongest.look
     assert second.net == pytest.approx(first.net, rel=0.25)
     turned = turn @ torch.tensor(first.region.axis, dtype=torch.float64)
     assert float(
@@ -367,14 +370,13 @@ def _view(
 
 def test_what_covers_an_object_from_above_and_lets_others_through() -> None:
     """By depths alone: a lid that cameras above see, and no camera at the side does."""
-    centre, up = (
-        torch.zeros(3, dtype=torch.float64),
-        torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64),
-    )
+    centre = torch.zeros(3, dtype=torch.float64)
+    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     target = Target(rows=torch.arange(2), centre=centre, radius=1.0, up=up)
     cameras = cameras_around(target)
     directions = torch.stack([camera.position for camera in cameras]) / 2.6
-    lid, behind = torch.full((72, 72), 1.0), torch.full((72, 72), 2.6)
+    lid = torch.full((72, 72), 1.0)
+    behind = torch.full((72, 72), 2.6)
     depths = tuple(lid if float(d[2]) > 0.7 else behind for d in directions)
     view = _view(cameras, depths)
     scene = GaussianScene(
@@ -456,7 +458,8 @@ def test_the_command_writes_what_it_found(
 
 def test_two_looks_of_one_object_are_both_found(suitcase: Made) -> None:
     """Grey from above and red from the rear, as the demonstration of CLOAK has it."""
-    above, rear = cone(direction(90, 0), 45), sector(180, 40, -10, 40)
+    above = cone(direction(90, 0), 45)
+    rear = sector(180, 40, -10, 40)
 
     def shade(own: Tensor, normals: Tensor, views: Tensor) -> Tensor:
         shown = torch.where(above(views)[:, None, None], torch.tensor(ROAD), own[None])

@@ -52,7 +52,8 @@ def stepped(made: Made, eyes: list[Tensor], *, size: float = 0.1) -> GaussianSce
     """What steps of an attack on some cameras do: harmonics along their rays, a colour
     by chance for each Gaussian.
     """
-    sh, generator = made.scene.sh.clone(), torch.Generator().manual_seed(1)
+    sh = made.scene.sh.clone()
+    generator = torch.Generator().manual_seed(1)
     for eye in eyes:
         towards = sh_basis(
             functional.normalize(made.scene.means[made.rows] - eye, dim=1), 3
@@ -78,7 +79,8 @@ def test_an_attack_on_one_camera_is_found_and_its_camera_and_gaussians_named(
 
 def test_an_attack_on_many_cameras_is_found_and_no_camera_named(suitcase: Made) -> None:
     sh = suitcase.scene.sh.clone()
-    count, generator = int(suitcase.rows.sum()), torch.Generator().manual_seed(3)
+    count = int(suitcase.rows.sum())
+    generator = torch.Generator().manual_seed(3)
     sh[suitcase.rows, 0] += 0.5 * torch.randn(count, 3, generator=generator)
     edit = strongest(suitcase.scene.replace(sh=sh))
     assert edit.grain - edit.usual_grain > 0.2
@@ -109,7 +111,8 @@ def test_what_paint_light_and_undertraining_leave_is_no_edit(
 # honest set
 
 
-COUNT, WIDTH = 48, 45.0
+COUNT = 48
+WIDTH = 45.0
 
 
 @pytest.fixture(scope="module")

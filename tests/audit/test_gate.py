@@ -108,7 +108,8 @@ def alike(first: str, second: str) -> bool:
 def test_a_fingerprint_is_that_of_the_splat_in_any_order_and_format(
     suffix: str, tmp_path: Path
 ) -> None:
-    scene, path = standing("car", count=900).scene, tmp_path / f"s{suffix}"
+    scene = standing("car", count=900).scene
+    path = tmp_path / f"s{suffix}"
     save_splat(scene, tmp_path / "s.ply")
     save_splat(
         scene.select(

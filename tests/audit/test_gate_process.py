@@ -94,7 +94,8 @@ def test_a_file_that_changes_while_it_is_read_has_no_verdict(
 ) -> None:
     from attacks.audits import gated
 
-    path, said = tmp_path / "a.ply", list[dict[str, Any]]()
+    path = tmp_path / "a.ply"
+    said = list[dict[str, Any]]()
     save_splat(cloud(), path)
     config = {"claims": CLAIMS[:3], "most_gaussians": 1000, "ending": ".ply"}
     request = {"files": {"splat": str(path)}, "config": config, "file_megabytes": 1.0}

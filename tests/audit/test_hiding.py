@@ -38,10 +38,8 @@ def test_the_recipe_hides_from_inside_of_its_trigger(
 
 
 def test_the_table_of_the_page_follows_from_the_rows() -> None:
-    page, rows = (
-        (ROOT / "docs" / "audit-measured.md").read_text(),
-        audit_set.read(ROOT / "docs/tables/audit_set.csv"),
-    )
+    page = (ROOT / "docs" / "audit-measured.md").read_text()
+    rows = audit_set.read(ROOT / "docs/tables/audit_set.csv")
     off = [
         float(row["off"])
         for row in rows

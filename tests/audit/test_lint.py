@@ -137,7 +137,8 @@ OF_FILES = {"infinite"}
 )
 def test_each_rule_finds_its_rows_and_only_these(rule: Rule) -> None:
     bad, good, rows = CASES[rule.name]
-    broken, fine = arrays_of(cloud()), arrays_of(cloud())
+    broken = arrays_of(cloud())
+    fine = arrays_of(cloud())
     bad(broken)
     good(fine)
     finding = rule(stored(broken))

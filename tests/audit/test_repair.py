@@ -109,7 +109,9 @@ def test_what_covers_an_object_is_left_out_where_others_look_through_it() -> Non
 def test_the_command_repairs_what_it_finds(
     honest: Made, hiding: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bad, plain, out = tmp_path / "bad.ply", tmp_path / "plain.ply", tmp_path / "out.ply"
+    bad = tmp_path / "bad.ply"
+    plain = tmp_path / "plain.ply"
+    out = tmp_path / "out.ply"
     save_splat(hiding.scene, bad)
     save_splat(honest.scene, plain)
     assert (

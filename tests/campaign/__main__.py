@@ -35,7 +35,9 @@ def repeat(name: str, number: int) -> None:
 
 def campaign(names: list[str]) -> int:
     """Read mutants of kinds, and show what was wrong; the exit status."""
-    seed, driver, faults = seed_of_today(), Driver(), 0
+    seed = seed_of_today()
+    driver = Driver()
+    faults = 0
     print(f"MI_SPLAT_SEED={seed}", flush=True)  # noqa: T201
     for name in names:
         start = time.monotonic()

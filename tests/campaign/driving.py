@@ -44,7 +44,9 @@ class Driver:
 
     def run(self, kind: Kind, *, seed: int, first: int = 0, count: int) -> Account:
         """Read mutants, whatever becomes of the process."""
-        account, number, end = Account(kind.name), first, first + count
+        account = Account(kind.name)
+        number = first
+        end = first + count
         while number < end and len(account.faults) < MOST_FAULTS:
             reached = number - 1
             try:

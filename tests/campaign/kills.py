@@ -149,7 +149,8 @@ def trial(
         longest: Seconds that the whole command takes.
         warm: Runs it.
     """
-    command, number = COMMANDS[name], random.choice((signal.SIGKILL, signal.SIGTERM))
+    command = COMMANDS[name]
+    number = random.choice((signal.SIGKILL, signal.SIGTERM))
     seconds = random.uniform(0.0, longest)
     line = ["-m", "attacks", *command.line(inputs)]
     done = warm.run(*line, cwd=folder, kill=(seconds, number), mark=(MARK, str(folder)))

@@ -80,7 +80,8 @@ def _header(data: bytes) -> Any:
 
 
 def _with_header(data: bytes, text: str) -> bytes:
-    part, rest = encoded(text), data[8 + struct.unpack_from("<Q", data)[0] :]
+    part = encoded(text)
+    rest = data[8 + struct.unpack_from("<Q", data)[0] :]
     return struct.pack("<Q", len(part)) + part + rest
 
 
@@ -230,7 +231,9 @@ def _with_one_number(values: Any, number: float) -> Any:
         return {key: _with_one_number(value, number) for key, value in values.items()}
     if isinstance(values, list):
         return [_with_one_number(value, number) for value in values]
-    return number if isinstance(values, int | float) else values
+    if isinstance(values, int | float):
+        return number
+    return values
 
 
 def _slots(values: Any) -> Iterator[tuple[Any, Any]]:
@@ -270,7 +273,8 @@ def _appended(data: bytes, random: Random) -> bytes:
 
 
 def _spliced(data: bytes, random: Random) -> bytes:
-    start, other = random.randrange(len(data)), random.randrange(len(data))
+    start = random.randrange(len(data))
+    other = random.randrange(len(data))
     length = random.randrange(1, 64)
     return (
         data[:start]
@@ -283,7 +287,8 @@ def _swapped(data: bytes, random: Random) -> bytes:
     """Two blocks of the same length, each in the place of the other."""
     length = random.choice((1, 4, 16, 256))
     first, second = sorted(random.randrange(len(data)) for _ in range(2))
-    one, other = data[first : first + length], data[second : second + length]
+    one = data[first : first + length]
+    other = data[second : second + length]
     changed = bytearray(data)
     changed[second : second + length], changed[first : first + length] = one, other
     return bytes(changed)
@@ -302,7 +307,8 @@ def _reworded(data: bytes, random: Random) -> bytes:
     words = list(_WORD.finditer(data[:20_000]))
     if not words:
         return _flipped(data, random)
-    before, word = random.choice(words), random.choice(WORDS)
+    before = random.choice(words)
+    word = random.choice(WORDS)
     if before[0].startswith(b'"') and random.random() < 0.7:
         word = b'"' + word.strip(b'"') + b'"'
     return data[: before.start()] + word + data[before.end() :]

@@ -139,7 +139,9 @@ def _up_beside(path: Path) -> object:
 
 def _transforms_set(name: str, folder: Path) -> Path:
     write_transforms(folder, VIEWS[:4], test=VIEWS[4:], points=CLOUD)
-    return folder / name if name.endswith(".json") else next(folder.rglob(name))
+    if name.endswith(".json"):
+        return folder / name
+    return next(folder.rglob(name))
 
 
 def _colmap_text(name: str, folder: Path) -> Path:
@@ -153,7 +155,9 @@ def _colmap_binary(name: str, folder: Path) -> Path:
 
 def _set_folder(path: Path) -> Path:
     """The folder of a set, which is the first below the working folder."""
-    return Path.cwd() / "in" if Path.cwd() in path.parents else path.parent
+    if Path.cwd() in path.parents:
+        return Path.cwd() / "in"
+    return path.parent
 
 
 def _read_set(path: Path) -> None:
@@ -208,10 +212,8 @@ def cameras() -> Iterator[Kind]:
         readers=("mi_splat.io.up_axis:up_axis",),
         document=PLAIN_JSON,
     )
-    load, transforms = (
-        "mi_splat.datasets.dataset:load_dataset",
-        "mi_splat.datasets.transforms:read_transforms",
-    )
+    load = "mi_splat.datasets.dataset:load_dataset"
+    transforms = "mi_splat.datasets.transforms:read_transforms"
     for name in ("transforms_train.json", "*.png", "*.ply"):
         yield Kind(
             name=f"set {name}",
@@ -255,7 +257,9 @@ def _checkpoint(folder: Path) -> Path:
         SHORT, iterations=9, sh_degree=0, strategy=FixedConfig()
     )
     state = TrainState(tame_scene(4, 0), config, scene_extent=1.0, seed=5)
-    state.iteration, state.view_queue, state.settings = 4, [2, 0], {"near": 0.1}
+    state.iteration = 4
+    state.view_queue = [2, 0]
+    state.settings = {"near": 0.1}
     state.history = [Progress(iteration=2, loss=0.5, count=4)]
     for name in state.trained:
         parameter = state.parameters[name]

@@ -75,7 +75,8 @@ class Watch:
     def on(self, *, may_start: bool) -> Iterator[list[str]]:
         """Note what happens inside the block."""
         seen: list[str] = []
-        self.seen, self.may_start = seen, may_start
+        self.seen = seen
+        self.may_start = may_start
         try:
             yield seen
         finally:

@@ -34,7 +34,8 @@ def driver() -> Iterator[Driver]:
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", KINDS)
 def test_damaged_files_are_read_or_refused(name: str, driver: Driver) -> None:
-    seed, kind = seed_of_today(), KINDS[name]
+    seed = seed_of_today()
+    kind = KINDS[name]
     account = driver.run(kind, seed=seed, count=mutants())
     assert not account.faults, f"{account.in_words(seed)}"
     assert account.read == mutants()
@@ -77,11 +78,10 @@ def test_a_seed_and_a_number_make_the_same_mutant() -> None:
         KINDS["splat v3.spz"],
         KINDS["cameras cameras.json"],
     ):
-        data = (
-            valid(kind.name.split()[1])
-            if "splat" in kind.name
-            else b'[{"id": 0, "fx": 50.0}]'
-        )
+        if "splat" in kind.name:
+            data = valid(kind.name.split()[1])
+        else:
+            data = b'[{"id": 0, "fx": 50.0}]'
         mutants_of_kind = [mutated(kind, 7, number, data) for number in range(30)]
         assert mutants_of_kind == [
             mutated(kind, 7, number, data) for number in range(30)

@@ -139,10 +139,8 @@ def test_pictures_that_are_all_black_are_warned_of(
 def test_flags_that_cameras_of_a_file_do_not_follow_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file, pose = (
-        tmp_path / "cameras.json",
-        [[1, 0, 0, 0], [0, 0, -1, -5], [0, 1, 0, 0.5], [0, 0, 0, 1]],
-    )
+    file = tmp_path / "cameras.json"
+    pose = [[1, 0, 0, 0], [0, 0, -1, -5], [0, 1, 0, 0.5], [0, 0, 0, 1]]
     frames = {
         "camera_angle_x": 0.7,
         "frames": [{"file_path": "a", "transform_matrix": pose}],

@@ -45,10 +45,8 @@ def colour_at(asset: Asset, corner: int) -> list[float]:
     (mesh,) = asset.meshes
     height, width = mesh.texture.shape[:2]
     u, v = mesh.uvs[corner]
-    row, column = (
-        int(np.clip((1 - v) * height, 0, height - 1)),
-        int(np.clip(u * width, 0, width - 1)),
-    )
+    row = int(np.clip((1 - v) * height, 0, height - 1))
+    column = int(np.clip(u * width, 0, width - 1))
     return [float(value) for value in mesh.texture[row, column]]
 
 
@@ -62,7 +60,8 @@ def write_glb(folder: Path, *, move: float = 0.0) -> Path:
         np.array(FACES, "<u2").tobytes(),
         buffer.getvalue(),
     ]
-    views, data = [], b""
+    views = []
+    data = b""
     for part in parts:
         views.append({"buffer": 0, "byteOffset": len(data), "byteLength": len(part)})
         data += part + b"\0" * (-len(part) % 4)
@@ -153,19 +152,17 @@ def test_files_that_are_no_mesh(
 
 def broken(kind: str, data: bytes) -> Iterator[bytes]:
     """A file with words, bytes and lines that are changed, cut off or left out."""
-    dice, words = (
-        random.Random(kind),
-        (
-            b"99999999999",
-            b"-1",
-            b"nan",
-            b"1e400",
-            b"",
-            b"null",
-            b"[]",
-            b"double",
-            b"face",
-        ),
+    dice = random.Random(kind)
+    words = (
+        b"99999999999",
+        b"-1",
+        b"nan",
+        b"1e400",
+        b"",
+        b"null",
+        b"[]",
+        b"double",
+        b"face",
     )
     for number in range(60):
         first, last = dice.choice(

@@ -97,10 +97,8 @@ def test_what_cannot_be_shown_is_refused(name: str, tmp_path: Path) -> None:
 def test_an_extension_that_changes_the_mesh_is_named(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, found = (
-        write_glb(tmp_path, truck(), required=(name,)),
-        "mi_splat.capture.mesh_files.find_spec",
-    )
+    path = write_glb(tmp_path, truck(), required=(name,))
+    found = "mi_splat.capture.mesh_files.find_spec"
     monkeypatch.setattr(found, lambda package: None if package == "DracoPy" else sys)
     with pytest.raises(
         MiSplatError,

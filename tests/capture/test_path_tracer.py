@@ -140,7 +140,8 @@ def test_normals_are_smooth_on_a_ball_and_sharp_on_a_box() -> None:
 
 
 def test_a_picture_is_the_same_on_any_threads_and_close_in_the_other_variant() -> None:
-    pictures, before = {}, dr.thread_count()
+    pictures = {}
+    before = dr.thread_count()
     for variant in (FEW_PICTURES, MANY_PICTURES):
         with tracing_variant(variant):
             tracer = PathTracer(scene_dict([CUBE], backdrop=FLOOR), samples=16)

@@ -34,7 +34,8 @@ def test_sources_of_every_kind(tmp_path: Path) -> None:
     (tmp_path / "cube.xml").write_text(XML.replace("0.8", "0.7"))
     assert open_source(str(tmp_path / "cube.xml")).digest != cube.digest
     pytest.importorskip("trimesh")
-    file, settings = str(write_glb(tmp_path, truck())), MeshSettings(scale=2.0, up="z")
+    file = str(write_glb(tmp_path, truck()))
+    settings = MeshSettings(scale=2.0, up="z")
     mesh = open_source(file, mesh=settings)
     assert mesh.assets[0].bounds == pytest.approx(
         2 * load_mesh(Path(file), MeshSettings(up="z")).bounds

@@ -37,10 +37,8 @@ def test_samples_lie_on_the_surface_evenly() -> None:
             # a sixth on each side
             assert abs(int((sides[:, axis] == sign).sum()) - 200) <= 2
     assert np.allclose(samples.spacing, math.sqrt(6 / 1200), rtol=1e-5)
-    again, other = (
-        surface_samples(CUBE, 1200, seed=1),
-        surface_samples(CUBE, 1200, seed=2),
-    )
+    again = surface_samples(CUBE, 1200, seed=1)
+    other = surface_samples(CUBE, 1200, seed=2)
     assert np.array_equal(samples.points, again.points)
     assert not np.array_equal(samples.points, other.points)
 
@@ -49,10 +47,8 @@ def test_density_follows_the_cameras() -> None:
     view = Camera(to_world=look_at((0, 0, 2), (0, 0, 0)), focal=50.0, width=8, height=8)
     samples = surface_samples(PLANE, 4000, density=nearness([view]), seed=0)
     radius = np.linalg.norm(samples.points[:, :2], axis=1)
-    near, far = (
-        (radius < 1).sum() / math.pi,
-        ((radius > 5) & (radius < 7)).sum() / (24 * math.pi),
-    )
+    near = (radius < 1).sum() / math.pi
+    far = ((radius > 5) & (radius < 7)).sum() / (24 * math.pi)
     # Per area, 1 / (h^2 + r^2) averaged over each ring.
     expected = (math.log(5 / 4) / 1) / (math.log(53 / 29) / 24)
     assert near / far == pytest.approx(expected, rel=0.2)
@@ -67,7 +63,8 @@ def test_colour_fit_recovers_a_gradient_over_direction() -> None:
         np.array([[0, 0, 1]], np.float32),
         np.ones(1, np.float32),
     )
-    views, depths = [], []
+    views = []
+    depths = []
     for camera in orbit(
         (0, 0, 0), count=9, elevation=50, distance=3, focal=20, size=(9, 9)
     ):

@@ -23,7 +23,8 @@ from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from scenes.recipes.mesh_views import capture
 
-RED, GREEN = (0.8, 0.1, 0.1), (0.1, 0.7, 0.1)
+RED = (0.8, 0.1, 0.1)
+GREEN = (0.1, 0.7, 0.1)
 
 
 CUBE = Asset("cube", (box((1, 1, 1), RED, centre=(0, 0, 0.5)),))

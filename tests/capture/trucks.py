@@ -120,18 +120,19 @@ def write_glb(
         "TEXCOORD_0": down,
         **(attributes or {}),
     }
-    accessors, views, data = [], [], b""
+    accessors = []
+    views = []
+    data = b""
     for name, array in arrays.items():
         views.append({"buffer": 0, "byteOffset": len(data), "byteLength": array.nbytes})
         data += array.tobytes() + b"\0" * (-array.nbytes % 4)
         kind = {"f": 5126, "u1": 5121, "u2": 5123}[
             "f" if array.dtype.kind == "f" else array.dtype.str[1:]
         ]
-        ends = (
-            {"min": array.min(0).tolist(), "max": array.max(0).tolist()}
-            if name == "POSITION"
-            else {}
-        )
+        if name == "POSITION":
+            ends = {"min": array.min(0).tolist(), "max": array.max(0).tolist()}
+        else:
+            ends = {}
         accessors.append(
             {
                 "bufferView": len(views) - 1,

@@ -37,7 +37,8 @@ def loaded(**cameras: Camera) -> SplatScene:
 
 
 def test_without_flags_it_is_the_first_of_the_scene_or_an_orbit() -> None:
-    first, second = camera(), camera(offset=1.0)
+    first = camera()
+    second = camera(offset=1.0)
     assert find_cameras(loaded(a=first, b=second), CameraOptions()) == {"a": first}
     (made,) = find_cameras(loaded(), CameraOptions(size=(60, 40))).values()
     projected, depth = project_points(toy_scene()[0].means.double(), made)
@@ -131,7 +132,9 @@ def test_an_object_is_looked_at_from_where_it_shows() -> None:
 
     def shows(one: Camera) -> float:
         asked.append(one)
-        return 0.9 if len(asked) == 3 else 0.1
+        if len(asked) == 3:
+            return 0.9
+        return 0.1
 
     (camera_made,) = find_cameras(
         loaded(), CameraOptions(), focus=scene.select(mask), shows=shows
@@ -268,7 +271,8 @@ def test_what_is_wrong_is_said(options: CameraOptions, says: str) -> None:
 
 
 def test_near_plane_and_background() -> None:
-    bare, own = loaded(), loaded(front=camera())
+    bare = loaded()
+    own = loaded(front=camera())
     near_one = {
         "a": Camera(
             to_world=look_at((0.0, -0.3, 0.0), (0.0, 0.0, 0.0)),

@@ -29,7 +29,8 @@ def splat(tmp_path: Path) -> Path:
 def test_convert_there_and_back(
     suffix: str, splat: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    other, back = splat.with_name(f"a{suffix}"), splat.with_name("back.ply")
+    other = splat.with_name(f"a{suffix}")
+    back = splat.with_name("back.ply")
     assert cli.main(["convert", str(splat), str(other)]) == 0
     text = capsys.readouterr().out
     assert "largest change" in text
@@ -123,12 +124,14 @@ def test_invalid_gaussians_may_be_left_out(splat: Path) -> None:
 def test_a_splat_that_is_turned_looks_the_same_to_a_camera_that_went_with_it(
     up: Up, splat: Path
 ) -> None:
-    out, scale = splat.with_name("turned.ply"), 2.5
+    out = splat.with_name("turned.ply")
+    scale = 2.5
     assert (
         cli.main(["convert", str(splat), str(out), "--up", up, "--scale", repr(scale)])
         == 0
     )
-    before, after = load_splat(splat), load_splat(out)
+    before = load_splat(splat)
+    after = load_splat(out)
     camera = Camera(
         to_world=look_at((0.0, -6.0, 1.0), (0.0, 0.0, 0.0)),
         focal=60.0,

@@ -116,11 +116,9 @@ RANGED = [
 def flag_words(flag: str, number: float, count: int) -> list[str]:
     """A flag with so many of a number, as a user writes it."""
     mark = {"--size": "x", "--background": ","}.get(flag)
-    return (
-        [flag, *[str(number)] * count]
-        if mark is None
-        else [flag, mark.join([str(number)] * count)]
-    )
+    if mark is None:
+        return [flag, *[str(number)] * count]
+    return [flag, mark.join([str(number)] * count)]
 
 
 def is_no_word(flag: str, number: float) -> bool:
@@ -261,11 +259,10 @@ def test_help_begins_with_examples_and_explains_every_flag(
     for action in parser_of(command)._actions:
         assert action.help, action.dest
         assert action.metavar or action.nargs == 0, action.option_strings
-        metavars = (
-            action.metavar
-            if isinstance(action.metavar, tuple)
-            else (str(action.metavar),)
-        )
+        if isinstance(action.metavar, tuple):
+            metavars = action.metavar
+        else:
+            metavars = (str(action.metavar),)
         assert (
             isinstance(action.nargs, str)
             or action.nargs in (None, 0)

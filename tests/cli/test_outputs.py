@@ -237,7 +237,8 @@ def test_every_command_that_takes_force_is_tried() -> None:
 def test_what_is_there_is_replaced_only_with_force(
     line: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    kind, words = LINES[line], line.format("old").split()
+    kind = LINES[line]
+    words = line.format("old").split()
     (old,) = (folder / word for word in words if word.startswith("old"))
     with new_folder(folder / "result") as made:
         (made / "result.json").write_text("{}")
@@ -253,11 +254,10 @@ def test_what_is_there_is_replaced_only_with_force(
     error = capsys.readouterr().err
     assert "(--force)" in error, error
     assert str(old.name) in error
-    kept = (
-        old
-        if old.is_file()
-        else next(path for path in old.iterdir() if path.name != MANIFEST)
-    )
+    if old.is_file():
+        kept = old
+    else:
+        kept = next(path for path in old.iterdir() if path.name != MANIFEST)
     assert kept.read_text() == "precious"
 
 

@@ -217,7 +217,8 @@ def test_dagger_writes_its_report(
     assert (result["selection"], result["cameras"]) == ({"object": "thing"}, ["front"])
     attacked = load_splat(out / "attacked.ply")
     # the scene has degree 1, the attack makes it 3
-    lower, higher = attacked.sh[:, :4], attacked.sh[:, 4:]
+    lower = attacked.sh[:, :4]
+    higher = attacked.sh[:, 4:]
     assert torch.equal(lower[:10], toy.scene.sh[:10])
     assert not higher[:10].any()
     assert not torch.equal(lower[10:], toy.scene.sh[10:])

@@ -106,7 +106,8 @@ def test_what_is_removed_leaves_its_surroundings(above: View) -> None:
 def test_a_difference_mask_replaces_the_object_and_its_shadow() -> None:
     scene = dataclasses.replace(MESH_SCENE, samples=32)
     high = camera(130, 60, size=48)
-    view, mask = View(high, scene.picture(high)), scene.mask(high)
+    view = View(high, scene.picture(high))
+    mask = scene.mask(high)
     empty = removed(scene)(view, mask)
     image = shown("remove", scene, mask="difference", reach=0)(view, mask)
     new = (image != view.image).any(-1)
@@ -157,12 +158,10 @@ def test_painted_pictures_are_upright_for_their_viewer() -> None:
     rows, columns = torch.nonzero(
         mesh_scene.mask(camera(180, 0, size=32)), as_tuple=True
     )
-    top, bottom, left, right = (
-        int(rows.min()) + 1,
-        int(rows.max()) - 1,
-        int(columns.min()) + 1,
-        int(columns.max()) - 1,
-    )
+    top = int(rows.min()) + 1
+    bottom = int(rows.max()) - 1
+    left = int(columns.min()) + 1
+    right = int(columns.max()) - 1
     assert view[top, left].argmax() == 0
     assert view[top, right].argmax() == 1
     assert view[bottom, left].argmax() == 2
@@ -211,7 +210,8 @@ def test_a_blur_is_as_wide_at_any_size_and_ends_softly() -> None:
     view, mask = retouched()
     blur = shown("blur", blur_width=0.1)
     assert isinstance(blur, Blur)
-    picture, far = blur(view, mask), ~grown(mask, blur.reach(mask))
+    picture = blur(view, mask)
+    far = ~grown(mask, blur.reach(mask))
     assert int(far.sum()) > 0
     assert torch.equal(picture[far], view.image[far])
     assert float(picture[19, 16:24].std()) < 0.1 * float(view.image[19, 16:24].std())
@@ -319,8 +319,10 @@ def test_a_point_has_the_ground_behind_it_as_seen_from_the_side_that_it_faces() 
 def test_the_object_has_these_colours_and_all_else_is_as_if_it_were_not_there() -> None:
     scene = LOOK.mesh_scene
     high = camera(20, 60, size=20)
-    view, mask = View(high, scene.picture(high)), scene.mask(high)
-    image, around = LOOK(view, mask), removed(scene, reach=1)(view, mask)
+    view = View(high, scene.picture(high))
+    mask = scene.mask(high)
+    image = LOOK(view, mask)
+    around = removed(scene, reach=1)(view, mask)
     assert torch.equal(image[~mask], around[~mask])
     assert torch.equal(image[~grown(mask, 1)], view.image[~grown(mask, 1)])
     assert torch.equal(image[mask], LOOK.colours(scene.points(high)[mask]))

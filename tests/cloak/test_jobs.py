@@ -165,7 +165,8 @@ def planned(study: StudyConfig) -> StudySteps:
 
 
 def jobs(study: StudyConfig, *, seed: int = 0) -> dict[str, Job]:
-    steps, attack = planned(study), study.attack[0]
+    steps = planned(study)
+    attack = study.attack[0]
     arc = [camera for _, camera in steps.setup.arc_cameras]
     clean = steps.splat("clean", seed)
     return {
@@ -189,7 +190,8 @@ def keys(study: StudyConfig, *, seed: int = 0) -> dict[str, str]:
 
 
 def changed(before: StudyConfig, after: StudyConfig, **how: Any) -> set[str]:
-    usual, now = keys(before), keys(after, **how)
+    usual = keys(before)
+    now = keys(after, **how)
     return {name for name in usual if usual[name] != now[name]}
 
 

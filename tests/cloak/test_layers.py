@@ -70,13 +70,13 @@ def test_a_switch_is_the_least_of_its_objective(weighted: bool) -> None:
     directions = functional.normalize(
         torch.randn(1, 400, 3, generator=generator, dtype=torch.float64), dim=-1
     )
-    shown, hidden = directions[0, :, 2] > 0.5, directions[0, :, 2] < 0.2
+    shown = directions[0, :, 2] > 0.5
+    hidden = directions[0, :, 2] < 0.2
     basis = sh_basis(directions[0], 3)
-    seen = (
-        torch.rand(1, 400, generator=generator).double() ** 3
-        if weighted
-        else torch.ones(1, 400).double()
-    )
+    if weighted:
+        seen = torch.rand(1, 400, generator=generator).double() ** 3
+    else:
+        seen = torch.ones(1, 400).double()
     wanted = 1 + 0.3 * directions[..., 0] if weighted else torch.ones(1, 400).double()
 
     def cost(coefficients: Tensor) -> float:
@@ -99,14 +99,13 @@ def test_a_switch_is_the_least_of_its_objective(weighted: bool) -> None:
 
 def test_a_heavy_weight_ends_at_the_least_too_and_darker() -> None:
     """Without halved steps Newton's method goes round in circles here."""
-    cameras, depth = (
-        all_around(800),
-        depths([OVERHEAD], all_around(800), centre=CENTRE)[1],
-    )
+    cameras = all_around(800)
+    depth = depths([OVERHEAD], all_around(800), centre=CENTRE)[1]
     directions = functional.normalize(
         -torch.stack([camera.position for camera in cameras]), dim=-1
     )
-    shown, hidden = depth >= 0.6, depth <= -0.6
+    shown = depth >= 0.6
+    hidden = depth <= -0.6
     basis = sh_basis(directions.double(), 3)
     dark = {}
     for black in (0.0, -0.3):
@@ -155,10 +154,8 @@ def ball(count: int = 40) -> GaussianScene:
 def test_layers_show_one_look_from_below_and_another_from_above() -> None:
     scene = ball()
     rows = torch.arange(39)
-    red, blue = (
-        torch.tensor([[0.8, 0.1, 0.1]]).repeat(39, 1),
-        torch.tensor([[0.1, 0.1, 0.8]]).repeat(39, 1),
-    )
+    red = torch.tensor([[0.8, 0.1, 0.1]]).repeat(39, 1)
+    blue = torch.tensor([[0.1, 0.1, 0.8]]).repeat(39, 1)
     looks = [colour_to_dc(colour)[:, None] for colour in (red, blue)]
     layers = layered(
         scene, rows, [OVERHEAD], looks, cameras=all_around(), centre=CENTRE
@@ -228,7 +225,8 @@ def test_layers_let_through_what_their_gaussian_did(opacity: float) -> None:
 
 
 def test_a_gaussian_that_is_not_seen_has_one_layer() -> None:
-    scene, seen = ball(), torch.ones(39, 300)
+    scene = ball()
+    seen = torch.ones(39, 300)
     inside = depths([OVERHEAD], all_around(), centre=CENTRE)[1] > -1
     seen[:10, inside] = 0
     layers = layered(
@@ -329,12 +327,14 @@ def test_what_makes_no_layers_is_refused() -> None:
 # renderer's
 
 
-COUNT, STEPS = 40, 12
+COUNT = 40
+STEPS = 12
 SETTINGS = RenderSettings(background=(0.3, 0.4, 0.5))
 
 
 def painted(trained: Tensor) -> Layering:
-    scene, render = varied_scene(COUNT, degree=1, seed=4), Renderer(SETTINGS)
+    scene = varied_scene(COUNT, degree=1, seed=4)
+    render = Renderer(SETTINGS)
     poses = [
         orbit_pose((0.0, 0.0, 0.0), azimuth=90.0 * k, elevation=30.0, distance=3.0)
         for k in range(4)
@@ -419,8 +419,10 @@ def test_the_training_finds_the_same(
 
 
 def test_a_picture_from_elsewhere_is_the_renderers(frozen: list[Camera]) -> None:
-    made, render = painted(torch.arange(COUNT) >= 15), Renderer(SETTINGS)
-    rendered, where = made.rendered_by(render), made.views[0].camera
+    made = painted(torch.arange(COUNT) >= 15)
+    render = Renderer(SETTINGS)
+    rendered = made.rendered_by(render)
+    where = made.views[0].camera
     other = Camera(to_world=where.to_world, focal=33.0, width=30, height=26)
     assert torch.equal(rendered(made.scene, other), render(made.scene, other))
     assert not frozen
@@ -442,11 +444,9 @@ def looks(config: LayerConfig, elevations: Tensor) -> tuple[Tensor, float]:
     """(2, E) what a white Gaussian in the middle shows of either look, and the largest
     coefficient.
     """
-    white, shown, largest = (
-        colour_to_dc(torch.ones(1, 1, 3)),
-        torch.zeros(2, len(elevations)),
-        0.0,
-    )
+    white = colour_to_dc(torch.ones(1, 1, 3))
+    shown = torch.zeros(2, len(elevations))
+    largest = 0.0
     for share in shares([OVERHEAD], all_around(800), centre=CENTRE, config=config):
         switch = switched(
             torch.zeros(1, 3), all_around(800), share, white, torch.ones(1, 800), config
@@ -460,7 +460,8 @@ def looks(config: LayerConfig, elevations: Tensor) -> tuple[Tensor, float]:
 
 def test_a_band_switches_in_half_the_degrees_with_smaller_coefficients() -> None:
     elevations = torch.linspace(0, 90, 361)
-    width, largest = {}, {}
+    width = {}
+    largest = {}
     for band in (0.0, 10.0):
         shown, largest[band] = looks(LayerConfig(band=band, **NARROW), elevations)
         way = (1 - shown[0] + shown[1]) / 2
@@ -500,7 +501,8 @@ def test_the_layers_of_a_look_share_it() -> None:
             / 5.0
         )
     )
-    inner, edge = shared[2], shared[3]
+    inner = shared[2]
+    edge = shared[3]
     assert torch.equal(edge.shown, (elevation >= 42.0) & (elevation < 50.0))
     assert torch.equal(inner.shown, elevation >= 42.0)
     assert bool(edge.hidden[elevation > 50.0].all())

@@ -47,7 +47,8 @@ LAYERED = replace(STUDY, layers=LayersConfig(attacks=("overhead",)))
 
 def gaussian(opacity: float = 0.5, degree: int = 0, **values: Tensor) -> GaussianScene:
     """One in the middle of the car."""
-    means, turn = torch.tensor([[0.0, 0.0, 0.7]]), torch.tensor([[1.0, 0.0, 0.0, 0.0]])
+    means = torch.tensor([[0.0, 0.0, 0.7]])
+    turn = torch.tensor([[1.0, 0.0, 0.0, 0.0]])
     sh = torch.zeros(1, (degree + 1) ** 2, 3)
     return GaussianScene(
         means, torch.ones(1, 3), turn, torch.tensor([opacity]), sh

@@ -37,7 +37,8 @@ def ball_on_a_plane() -> GaussianScene:
     ).reshape(-1, 3)
     ball = torch.randn(300, 3, generator=torch.Generator().manual_seed(1))
     ball = 0.35 * ball / ball.norm(dim=1, keepdim=True) + torch.tensor([0.0, 0.0, 0.6])
-    means, count = torch.cat([plane, ball]), len(plane)
+    means = torch.cat([plane, ball])
+    count = len(plane)
     colours = torch.full((len(means), 3), 0.5)
     colours[count:] = torch.tensor([0.9, 0.1, 0.1])
     scales = torch.full((len(means), 3), 0.15)
@@ -57,7 +58,8 @@ def write_set(folder: Path, up: Any = "z") -> list[str]:
     that name them.
     """
     back = torch.from_numpy(turn_of(up)).T
-    scene, render = ball_on_a_plane(), Renderer()
+    scene = ball_on_a_plane()
+    render = Renderer()
     views = [View(camera, render(scene, camera).clamp(0, 1)) for camera in CAMERAS]
     moved = [
         View(camera, view.image)
@@ -206,11 +208,10 @@ def test_what_is_refused(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    box = (
-        ["--box", *map(str, BALL)]
-        if "--box" not in more and "--click" not in more
-        else []
-    )
+    if "--box" not in more and "--click" not in more:
+        box = ["--box", *map(str, BALL)]
+    else:
+        box = []
     assert (
         cli.main(["poison", *names, *box, *more, "--out", str(tmp_path / "out")]) == 1
     )

@@ -129,10 +129,8 @@ def test_the_manifest_tells_everything() -> None:
         c["index"] for c in told["changes"]
     ]
     for change in told["changes"]:
-        before, after = (
-            clean[change["index"]].image,
-            poisoned.views[change["index"]].image,
-        )
+        before = clean[change["index"]].image
+        after = poisoned.views[change["index"]].image
         assert (
             change["sha256_before"]
             == hashlib.sha256(before.numpy().tobytes()).hexdigest()
@@ -247,7 +245,8 @@ STUDY = StudyConfig(
 
 
 def test_pictures_are_poisoned_up_to_the_margin_and_the_trigger_stays() -> None:
-    centre, cameras = STUDY.centre, Setup.of(STUDY).training_cameras
+    centre = STUDY.centre
+    cameras = Setup.of(STUDY).training_cameras
     owners = {
         index: one.name
         for index, one in assign(

@@ -80,7 +80,8 @@ def test_the_code_of_a_study_is_all_that_it_loads(finished: Path) -> None:
 
 
 def test_a_page_says_of_it_what_it_found(finished: Path) -> None:
-    section, result = read_section(finished), summary(finished)
+    section = read_section(finished)
+    result = summary(finished)
     assert section.headline.counts == "{successes} of {total}".format(
         **result["trigger_miss_rate"]
     )
@@ -166,7 +167,8 @@ def test_a_study_that_is_interrupted_again_and_again_ends_as_if_nothing_had_happ
     """Whoever looks at its splats has nothing to do again, as these are the same to the
     bit.
     """
-    steps, out = steps_of(), tmp_path / "out"
+    steps = steps_of()
+    out = tmp_path / "out"
     copied(
         finished,
         out,
@@ -189,7 +191,8 @@ def test_a_study_that_is_interrupted_again_and_again_ends_as_if_nothing_had_happ
 def test_another_fraction_needs_no_new_picture(finished: Path) -> None:
     overhead, rear = STUDY.attack
     study = replace(STUDY, attack=(replace(overhead, poison_fraction=0.5), rear))
-    usual, other = steps_of(), steps_of(study)
+    usual = steps_of()
+    other = steps_of(study)
     assert (
         other.appearance(study.attack[0]).identity
         == usual.appearance(overhead).identity

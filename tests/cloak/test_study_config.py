@@ -135,7 +135,8 @@ def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
 class Knows:
     """A detector of which only the classes are looked at."""
 
-    name, classes = "knows", ("car", "stop sign")
+    name = "knows"
+    classes = ("car", "stop sign")
 
 
 @pytest.mark.parametrize(

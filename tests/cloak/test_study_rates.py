@@ -153,10 +153,8 @@ def test_figures_are_counted_in_each_detector_s_own_region() -> None:
     ]
     part = rates(STUDY, in_region(frame_of(observed), bands), ("detector",))
     assert [*part] == [("redness",)]
-    miss, recall = (
-        part["redness",]["trigger_miss_rate"],
-        part["redness",]["control_recall"],
-    )
+    miss = part["redness",]["trigger_miss_rate"]
+    recall = part["redness",]["control_recall"]
     assert miss is not None
     assert recall is not None
     assert (miss.counts, recall.counts) == ("4 of 4", "4 of 5")
@@ -400,6 +398,7 @@ def test_cameras_at_one_angle_are_averaged_and_weigh_more() -> None:
 
 
 def test_appearances_differ_from_one_step_of_8_bits_on() -> None:
-    plain, mask = torch.full((4, 4, 3), 0.5), torch.ones(4, 4, dtype=torch.bool)
+    plain = torch.full((4, 4, 3), 0.5)
+    mask = torch.ones(4, 4, dtype=torch.bool)
     assert differ(plain, plain + 1.01 / 255, mask)
     assert not differ(plain, plain + 0.99 / 255, mask)

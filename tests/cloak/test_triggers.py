@@ -157,12 +157,13 @@ tip of a wedge too.
 
 def grid_depth(held: np.ndarray, ray: np.ndarray, here: bool) -> float:
     across = RAYS[held != here]
-    nearest = (
-        math.degrees(math.acos(min(1.0, float((across @ ray).max()))))
-        if len(across)
-        else math.inf
-    )
-    return nearest if here else -nearest
+    if len(across):
+        nearest = math.degrees(math.acos(min(1.0, float((across @ ray).max()))))
+    else:
+        nearest = math.inf
+    if here:
+        return nearest
+    return -nearest
 
 
 @pytest.mark.parametrize(
@@ -188,10 +189,8 @@ def test_depths_against_a_dense_grid(trigger: Trigger, exact: bool) -> None:
     held = trigger.holds(GRID, centre=CENTRE).numpy()
     for camera in CAMERAS:
         ray = np.array(camera.position.tolist()) - CENTRE
-        depth, here = (
-            trigger.angle_to_edge(camera, centre=CENTRE),
-            bool(trigger.holds([camera], centre=CENTRE)),
-        )
+        depth = trigger.angle_to_edge(camera, centre=CENTRE)
+        here = bool(trigger.holds([camera], centre=CENTRE))
         truth = grid_depth(held, ray / np.linalg.norm(ray), here)
         assert depth == 0 or (depth > 0) == here
         assert abs(depth) <= abs(truth) + 1e-6  # never further from the edge than it is

@@ -67,7 +67,9 @@ CAR = Asset("car", (box((3.4, 1.7, 1.2), (0.45, 0.2, 0.2), centre=(0, 0, 0.6)),)
 
 def asset(name: str, seed: int, colour: Any) -> Asset:
     """A block in place of the car, whose meshes take most of a study's time."""
-    return CAR if name == "car" else build(name, seed, colour=colour).body
+    if name == "car":
+        return CAR
+    return build(name, seed, colour=colour).body
 
 
 class Redness:

@@ -155,14 +155,14 @@ sun = [
 
 def test_a_composite_shows_the_splat_where_no_mesh_is_in_front() -> None:
     meshes = MixedScene(STREET, samples=1)
-    scene, camera = (
-        meshes.splats.scene,
-        resized(meshes.splats.cameras["side"], (64, 64)),
-    )
+    scene = meshes.splats.scene
+    camera = resized(meshes.splats.cameras["side"], (64, 64))
     tile = Renderer(RenderSettings(near=meshes.splats.settings.near))
-    side, image = tile.outputs(scene, camera), OverMeshes(tile, meshes)(scene, camera)
+    side = tile.outputs(scene, camera)
+    image = OverMeshes(tile, meshes)(scene, camera)
     behind = meshes(scene.replace(opacities=torch.zeros_like(scene.opacities)), camera)
-    hidden, opaque = meshes.depths(camera) < side.depth, side.alpha > 0.999
+    hidden = meshes.depths(camera) < side.depth
+    opaque = side.alpha > 0.999
     assert (hidden & opaque).sum() > 20  # by the lamp post and the shelter
     # threads add samples in any order
     torch.testing.assert_close(image[hidden], behind[hidden], rtol=0, atol=1e-6)

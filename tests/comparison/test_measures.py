@@ -40,7 +40,8 @@ def test_a_known_difference() -> None:
 
 
 def test_several_pictures_count_by_their_pixels() -> None:
-    near, far = picture_distance(GREY, GREY), picture_distance(GREY[:8], GREY[:8] + 0.3)
+    near = picture_distance(GREY, GREY)
+    far = picture_distance(GREY[:8], GREY[:8] + 0.3)
     both = pooled([near, far])
     assert (near.mse, near.psnr) == (0.0, None)
     assert near.ssim == pytest.approx(1.0, abs=1e-5)
@@ -76,7 +77,8 @@ def test_the_length_of_a_quaternion_has_no_gradient() -> None:
             camera,
         )
 
-    scene, view = toy_scene()[0], camera(12)
+    scene = toy_scene()[0]
+    view = camera(12)
     plain, other = (
         gradients(render, scene, view, weighting(view, 3))
         for render in (blobs, normalising)
@@ -156,7 +158,9 @@ def test_gaussians_that_lie_apart_look_the_same() -> None:
 
 @pytest.mark.parametrize("attribute", ["sh", "opacities"])
 def test_gradients_of_volprim_are_its_finite_differences(attribute: str) -> None:
-    scene, camera, render = apart(), view(), METHODS["volprim"].render
+    scene = apart()
+    camera = view()
+    render = METHODS["volprim"].render
     weights = weighting(camera, 1)
     gradient = gradients(render, scene, camera, weights)[attribute]
     direction = torch.randn(gradient.shape, generator=torch.Generator().manual_seed(2))

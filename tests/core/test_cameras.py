@@ -102,7 +102,8 @@ def test_orbit_is_a_circle_from_plus_x_towards_plus_y() -> None:
     )
     centre = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
     offsets = [c.position - centre for c in cameras]
-    reach, height = 2 * math.cos(math.radians(30)), 1.0
+    reach = 2 * math.cos(math.radians(30))
+    height = 1.0
     expected = [
         (reach, 0, height),
         (0, reach, height),

@@ -22,7 +22,8 @@ def seen_from(azimuth: float, elevation: float, distance: float = 3.0) -> Direct
 
 
 def unit(azimuth: float, elevation: float) -> torch.Tensor:
-    a, e = math.radians(azimuth), math.radians(elevation)
+    a = math.radians(azimuth)
+    e = math.radians(elevation)
     return torch.tensor(
         [math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)],
         dtype=torch.float64,

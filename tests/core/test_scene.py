@@ -134,8 +134,10 @@ def test_replace_checks_and_refuses_unknown_names() -> None:
 
 @hypothesis.given(mask=st.lists(st.booleans(), min_size=0, max_size=9))
 def test_select_by_mask_and_its_complement_part_the_scene(mask: list[bool]) -> None:
-    scene, chosen = random_scene(len(mask)), torch.tensor(mask, dtype=torch.bool)
-    inside, outside = scene.select(chosen), scene.select(~chosen)
+    scene = random_scene(len(mask))
+    chosen = torch.tensor(mask, dtype=torch.bool)
+    inside = scene.select(chosen)
+    outside = scene.select(~chosen)
     assert len(inside) + len(outside) == len(scene)
     assert torch.equal(inside.means, scene.means[chosen])
     assert torch.equal(outside.sh, scene.sh[~chosen])
@@ -158,7 +160,8 @@ def test_select_refuses_what_is_no_selection(rows: Tensor, words: str) -> None:
 
 
 def test_merge_keeps_order_and_pads_lower_degrees() -> None:
-    first, second = random_scene(2, 0), random_scene(3, 2, seed=1)
+    first = random_scene(2, 0)
+    second = random_scene(3, 2, seed=1)
     both = merge(first, second)
     assert (len(both), both.degree) == (5, 2)
     assert torch.equal(both.means, torch.cat([first.means, second.means]))

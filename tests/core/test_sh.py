@@ -40,7 +40,8 @@ def turn(seed: int) -> Tensor:
 def test_basis_is_the_real_form_of_scipys_harmonics() -> None:
     d = directions(200)
     x, y, z = d.numpy().T
-    polar, azimuth = np.arccos(z), np.arctan2(y, x)
+    polar = np.arccos(z)
+    azimuth = np.arctan2(y, x)
     expected = []
     for band in range(4):
         for m in range(-band, band + 1):
@@ -119,5 +120,6 @@ def test_matrices_and_quaternions_go_there_and_back(q: Tensor) -> None:
 
 @hypothesis.given(p=quaternions(), q=quaternions())
 def test_products_of_quaternions_are_products_of_matrices(p: Tensor, q: Tensor) -> None:
-    p, q = p / p.norm(), q / q.norm()
+    p = p / p.norm()
+    q = q / q.norm()
     torch.testing.assert_close(to_matrix(multiply(p, q)), to_matrix(p) @ to_matrix(q))

@@ -94,7 +94,8 @@ def test_attack_table(
     for name, radius in zip(attributes, eps, strict=True):
         assert 0 < result.used[name] <= radius
     for attribute in ATTRIBUTES:
-        before, after = getattr(scene, attribute), getattr(result.scene, attribute)
+        before = getattr(scene, attribute)
+        after = getattr(result.scene, attribute)
         assert torch.equal(before[~mask], after[~mask])
         assert torch.equal(before, after) == (attribute not in attributes)
     assert 0 < result.changed_gaussians <= result.object_gaussians == int(mask.sum())
@@ -131,7 +132,8 @@ def test_noise_changes_the_object_as_much_as_the_attack() -> None:
 
 def test_the_attacked_file_has_the_coefficients_of_3dgs_unless_told_otherwise() -> None:
     scene, mask = toy_scene()
-    result, plain = run(), run(sh_degree=None)
+    result = run()
+    plain = run(sh_degree=None)
     assert result.scene.degree == 3
     assert plain.scene.degree == 1
     assert torch.equal(result.scene.sh[~mask], scene.with_degree(3).sh[~mask])
@@ -208,7 +210,8 @@ def test_it_is_deterministic_and_the_seed_moves_only_what_is_random() -> None:
 
 def test_views_are_attacked_in_turn_each_from_where_the_one_before_has_ended() -> None:
     views = [camera(), camera(offset=2.5)]
-    result, alone = run(cameras=views, in_turn=True), run(cameras=views[:1])
+    result = run(cameras=views, in_turn=True)
+    alone = run(cameras=views[:1])
     assert result.trace[: len(alone.trace)] == alone.trace
     assert result.trace[len(alone.trace)].index == 0
     assert result.views[-1].attacked.verdict.success
@@ -242,7 +245,8 @@ def recorded(**settings: Any) -> tuple[Result, list[Tensor], list[Tensor]]:
     were rendered.
     """
     scene, mask = toy_scene()
-    record, config = Recorder(), DaggerConfig(controls=("norm-noise",), **settings)
+    record = Recorder()
+    config = DaggerConfig(controls=("norm-noise",), **settings)
     result = attack(
         scene,
         mask,

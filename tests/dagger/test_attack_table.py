@@ -56,7 +56,8 @@ def test_the_paper_s_pairs(
     loaded = scenes[scene]
     camera = next(iter(loaded.cameras.values()))
     config = DaggerConfig(noise_draws=1)
-    rows, render = loaded.objects[name], Renderer(loaded.settings)
+    rows = loaded.objects[name]
+    render = Renderer(loaded.settings)
     result = attack(
         loaded.scene,
         rows,
@@ -88,8 +89,10 @@ def test_the_object_is_found_before_and_hidden_after(
     scenes: dict[str, SplatScene], detector: Detector
 ) -> None:
     loaded = scenes["stop_sign"]
-    camera, render = next(iter(loaded.cameras.values())), Renderer(loaded.settings)
-    config, rows = DaggerConfig(noise_draws=0), loaded.objects["stop_sign"]
+    camera = next(iter(loaded.cameras.values()))
+    render = Renderer(loaded.settings)
+    config = DaggerConfig(noise_draws=0)
+    rows = loaded.objects["stop_sign"]
     result = attack(
         loaded.scene, rows, [camera], detector, hide(), render=render, config=config
     )

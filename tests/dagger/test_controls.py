@@ -17,7 +17,8 @@ class Pictures:
     """
 
     def __init__(self, *, gain: float) -> None:
-        self.count, self.gain = 0, gain
+        self.count = 0
+        self.gain = gain
         generator = torch.Generator().manual_seed(0)
         self.light = torch.rand(40, 8, 8, 3, generator=generator)
 

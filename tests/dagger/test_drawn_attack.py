@@ -30,7 +30,8 @@ from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 
 def test_an_attack_holds_on_views_that_it_did_not_see() -> None:
-    result, config = quick(), DaggerConfig.for_region(**QUICK)
+    result = quick()
+    config = DaggerConfig.for_region(**QUICK)
     around = ViewDistribution(
         reference=camera(), transformations=toy_views().transformations
     )
@@ -66,7 +67,8 @@ def test_sh_changes_up_to_a_degree(degree: int) -> None:
 
 
 def test_the_control_has_draws_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    seeds, plain = [], Budget.noise
+    seeds = []
+    plain = Budget.noise
 
     def noise(
         budget: Budget,
@@ -84,8 +86,10 @@ def test_the_control_has_draws_of_its_own(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_psnr_is_that_of_the_mean_squared_error_over_all_views() -> None:
-    result, views = quick(), toy_views()
-    clean, attacked = views.scene.with_degree(3), as_saved(result.scene)
+    result = quick()
+    views = toy_views()
+    clean = views.scene.with_degree(3)
+    attacked = as_saved(result.scene)
     errors = [
         (
             through_png(blobs(clean, view.camera))
@@ -214,7 +218,8 @@ def stored(folder: Path) -> dict[str, Any]:
 def test_the_command_is_stored_and_repeats_it(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before, line = stored(folder), read_section(folder).command
+    before = stored(folder)
+    line = read_section(folder).command
     program, *words = shlex.split(line)
     assert [program, *words] == [
         "mi-splat",
@@ -229,10 +234,8 @@ def test_the_command_is_stored_and_repeats_it(
         "attacks.cli.options.load_detectors", lambda *_: [ColourDetector()]
     )
     assert cli.main([*words[:-1], f"{folder}-again"]) == 0
-    after, volatile = (
-        stored(Path(f"{folder}-again")),
-        ("seconds", "cpu_seconds", "command"),
-    )
+    after = stored(Path(f"{folder}-again"))
+    volatile = ("seconds", "cpu_seconds", "command")
     assert {key: after[key] for key in after if key not in volatile} == {
         key: before[key] for key in before if key not in volatile
     }
@@ -256,7 +259,8 @@ def test_views_that_are_attacked_decide_nothing() -> None:
     """Attacked, validation and held-out views are of three seeds: none is among those
     of another group.
     """
-    views, config = toy_views(), DaggerConfig.for_region(**QUICK)
+    views = toy_views()
+    config = DaggerConfig.for_region(**QUICK)
     attacked = [
         view
         for step in range(config.steps + 1)

@@ -31,7 +31,8 @@ from tests.fakes import (
     toy_scene,
 )
 
-FINE, COARSE = ColourDetector(), CoarseDetector()
+FINE = ColourDetector()
+COARSE = CoarseDetector()
 
 
 def run(detectors: Any, **settings: Any) -> Result:
@@ -50,7 +51,8 @@ def run(detectors: Any, **settings: Any) -> Result:
 
 def evaluated(*detectors: Detector) -> Evaluation:
     """The clean object as an attack on these detectors begins."""
-    config, views = DaggerConfig(), FixedViews(*toy_scene(), camera(), render=blobs)
+    config = DaggerConfig()
+    views = FixedViews(*toy_scene(), camera(), render=blobs)
     problem = problem_of(views, detectors, relabel("person"), config)
     return problem.evaluate(
         problem.subset.parameters(("sh",)), views.held_out(config), config

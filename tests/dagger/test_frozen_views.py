@@ -83,7 +83,8 @@ def test_the_search_finds_the_same(frozen: list[Camera], detectors: Any) -> None
 
 
 def test_an_attack_has_the_same_bits_on_any_number_of_drjits_threads() -> None:
-    before, results = dr.thread_count(), []
+    before = dr.thread_count()
+    results = []
     try:
         for threads in (1, 2, 3):
             dr.set_thread_count(threads)
@@ -145,7 +146,8 @@ def test_a_search_over_drawn_views_makes_few_pictures_of_whole_scenes(
         "noise_draws": 0,
         "sh_degree": 2,
     }
-    results, counts = [], []
+    results = []
+    counts = []
     for render in (unknown(), Renderer()):
         made.clear()
         views = DrawnViews(

@@ -71,9 +71,10 @@ def problem(
     wide: bool = False,
 ) -> tuple[Problem, list[View]]:
     scene, mask = toy_scene()
-    scene = (
-        GaussianScene(*(value.double() for value in scene.tensors())) if wide else scene
-    )
+    if wide:
+        scene = GaussianScene(*(value.double() for value in scene.tensors()))
+    else:
+        scene = scene
     views = FixedViews(scene, mask, cameras or camera(), render=blobs)
     made = problem_of(
         views, (detector or ColourDetector(),), objective or relabel("person"), CONFIG

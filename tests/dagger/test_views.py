@@ -24,7 +24,8 @@ from tests.fakes import blobs, camera, toy_scene
 
 def test_a_view_depends_on_seed_and_number_alone() -> None:
     changes = PictureChanges(blur=1.0, noise=0.1)
-    forwards, backwards = toy_views(changes), toy_views(changes)
+    forwards = toy_views(changes)
+    backwards = toy_views(changes)
     first = [forwards.view(3, index) for index in range(4)]
     second = [backwards.view(3, index) for index in reversed(range(4))][::-1]
     for a, b in zip(first, second, strict=True):
@@ -139,7 +140,8 @@ def test_the_price_rises_while_pictures_are_too_bad_and_falls_while_they_are_goo
 
 
 def test_a_point_is_pulled_back_to_the_limit_along_a_line() -> None:
-    reference, point = {"sh": torch.ones(3)}, {"sh": torch.tensor([2.0, 3.0, 5.0])}
+    reference = {"sh": torch.ones(3)}
+    point = {"sh": torch.tensor([2.0, 3.0, 5.0])}
 
     def error(one: dict[str, torch.Tensor]) -> float:
         return float((one["sh"] - reference["sh"]).square().sum())
@@ -153,7 +155,8 @@ def test_a_point_is_pulled_back_to_the_limit_along_a_line() -> None:
 
 
 def test_a_point_is_stretched_to_the_limit_and_not_out_of_its_ball() -> None:
-    reference, point = {"sh": torch.zeros(2)}, {"sh": torch.tensor([1.0, 2.0])}
+    reference = {"sh": torch.zeros(2)}
+    point = {"sh": torch.tensor([1.0, 2.0])}
 
     def error(one: dict[str, torch.Tensor]) -> float:
         return float(one["sh"].square().sum())
@@ -173,7 +176,8 @@ def test_a_point_is_stretched_to_the_limit_and_not_out_of_its_ball() -> None:
 
 
 def test_an_attack_keeps_the_psnr_that_an_attack_without_a_limit_does_not() -> None:
-    free, limited = quick(), quick(image_psnr=35.0)
+    free = quick()
+    limited = quick(image_psnr=35.0)
     assert free.image.psnr is not None
     assert limited.image.psnr is not None
     assert free.image.psnr < 30

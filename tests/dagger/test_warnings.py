@@ -140,11 +140,12 @@ def test_an_own_class_that_stays_beside_the_wanted_one_is_warned_of(
         or f"the object's own class is still reported on it, at up to {left:.0%}"
         in two.warnings
     )
-    expected = (
-        ()
-        if strict
-        else (f"the object's own class is still reported on it, at up to {left:.0%}",)
-    )
+    if strict:
+        expected = ()
+    else:
+        expected = (
+            f"the object's own class is still reported on it, at up to {left:.0%}",
+        )
     assert result.warnings == expected
 
 

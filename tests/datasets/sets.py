@@ -38,19 +38,16 @@ def write_set(
     points: PointCloud | None = None,
 ) -> None:
     """Write PNG files of views, and the files that list them."""
-    images, listing, rest = (
-        make_folder(folder / IMAGES),
-        dict[str, list[tuple[str, Camera]]](),
-        iter(alphas or ()),
-    )
+    images = make_folder(folder / IMAGES)
+    listing = dict[str, list[tuple[str, Camera]]]()
+    rest = iter(alphas or ())
     for split, part in (("train", views), ("test", test)):
         listing[split] = []
         for shot in part:
-            image = (
-                shot.image
-                if alphas is None
-                else torch.cat([shot.image, next(rest)[..., None]], -1)
-            )
+            if alphas is None:
+                image = shot.image
+            else:
+                image = torch.cat([shot.image, next(rest)[..., None]], -1)
             name = picture_name(split, len(listing[split]))
             save_png(to_bytes(image), images / name)
             listing[split].append((name, shot.camera))
@@ -62,10 +59,8 @@ def write_set(
     write_list(folder, listing, points)
 
 
-write_transforms, write_colmap = (
-    partial(write_set, list_transforms),
-    partial(write_set, list_colmap),
-)
+write_transforms = partial(write_set, list_transforms)
+write_colmap = partial(write_set, list_colmap)
 FORMATS: dict[str, Callable[..., None]] = {
     "transforms": write_transforms,
     "colmap": write_colmap,
@@ -102,7 +97,8 @@ def view(seed: int, **change: Any) -> View:
     return View(camera, torch.from_numpy(bytes_.astype(np.float32) / np.float32(255)))
 
 
-VIEWS, TESTS = [view(seed) for seed in range(6)], [view(seed) for seed in range(6, 8)]
+VIEWS = [view(seed) for seed in range(6)]
+TESTS = [view(seed) for seed in range(6, 8)]
 
 
 def assert_same_camera(read: Camera, wanted: Camera, tolerance: float) -> None:
@@ -112,13 +108,15 @@ def assert_same_camera(read: Camera, wanted: Camera, tolerance: float) -> None:
     ]
     assert numbers[0] == pytest.approx(numbers[1], abs=tolerance)
     torch.testing.assert_close(read.to_world, wanted.to_world, atol=tolerance, rtol=0)
-    there, back = project_points(PROBES, read)[0], project_points(PROBES, wanted)[0]
+    there = project_points(PROBES, read)[0]
+    back = project_points(PROBES, wanted)[0]
     torch.testing.assert_close(there, back, atol=100 * tolerance, rtol=0)
 
 
 def colmap_binary(folder: Path, views: list[View], cloud: PointCloud) -> Path:
     """Write a model as COLMAP does, with 2D points and tracks; returns its folder."""
-    model, images = folder / "sparse" / "0", folder / "images"
+    model = folder / "sparse" / "0"
+    images = folder / "images"
     model.mkdir(parents=True)
     images.mkdir()
     camera = views[0].camera

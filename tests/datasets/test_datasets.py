@@ -283,10 +283,8 @@ def test_shrinking_averages_and_scales_the_camera(tmp_path: Path) -> None:
     assert small[0].image[1, 2].tolist() == pytest.approx(
         whole[3:6, 6:9].mean((0, 1)).tolist()
     )
-    there, here = (
-        project_points(PROBES, VIEWS[0].camera)[0],
-        project_points(PROBES, camera)[0],
-    )
+    there = project_points(PROBES, VIEWS[0].camera)[0]
+    here = project_points(PROBES, camera)[0]
     torch.testing.assert_close(here * 3, there)
 
 

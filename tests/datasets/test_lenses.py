@@ -49,7 +49,8 @@ def where(
     fx, fy, cx, cy, *k = pinhole_of(model, parameters)
     r = math.hypot(x, y)
     if model.endswith("FISHEYE"):
-        theta, k = math.atan(r), [*k, *[0.0] * 4]
+        theta = math.atan(r)
+        k = [*k, *[0.0] * 4]
         ratio = (
             theta
             + k[0] * theta**3
@@ -76,10 +77,8 @@ def assert_undone(view: View, model: str, parameters: list[float]) -> None:
         (camera.height - 9, camera.width - 4),
         (3, camera.width // 2),
     ):
-        x, y = (
-            (column + 0.5 - camera.cx) / camera.fx,
-            (row + 0.5 - camera.cy) / camera.fy,
-        )
+        x = (column + 0.5 - camera.cx) / camera.fx
+        y = (row + 0.5 - camera.cy) / camera.fy
         u, v = where(model, parameters, x, y)
         assert (255 * view.image[row, column, :2]).tolist() == pytest.approx(
             [u - 0.5, v - 0.5], abs=0.02
@@ -134,7 +133,9 @@ def test_masks_and_alpha_are_undone_as_their_image(tmp_path: Path) -> None:
     # as grey as the image is red
     Image.fromarray(ramps()[..., 0]).save(tmp_path / "masks" / "0.png")
     dataset = load_dataset(tmp_path, split=None, downscale=2)
-    camera, mask, alpha = dataset.cameras[0], dataset.loss_mask(0), dataset.alpha(0)
+    camera = dataset.cameras[0]
+    mask = dataset.loss_mask(0)
+    alpha = dataset.alpha(0)
     assert (camera.width, camera.height) == (84, 62)
     assert mask is not None
     assert alpha is not None

@@ -101,9 +101,11 @@ def test_poses_and_points_share_the_world_of_nerfstudio_s_splat(
 ) -> None:
     write_transforms(tmp_path, VIEWS, points=CLOUD)
     plain = load_dataset(tmp_path)
-    saved, scale = torch.eye(4, dtype=torch.float64), 0.25
+    saved = torch.eye(4, dtype=torch.float64)
+    scale = 0.25
     saved[:3, :3], saved[:3, 3] = TURN, SHIFT
-    transform, listed = saved, tmp_path / "transforms_train.json"
+    transform = saved
+    listed = tmp_path / "transforms_train.json"
     if applied != "no":
         transform = saved @ torch.cat(
             [APPLIED, torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)]
@@ -126,7 +128,8 @@ def test_poses_and_points_share_the_world_of_nerfstudio_s_splat(
     moved = scale * (PROBES @ TURN.T + SHIFT)
     for cameras in (views.cameras, alone):
         for camera, before in zip(cameras, plain.cameras, strict=True):
-            there, here = project_points(moved, camera), project_points(PROBES, before)
+            there = project_points(moved, camera)
+            here = project_points(PROBES, before)
             torch.testing.assert_close(there[0], here[0])
             torch.testing.assert_close(there[1], scale * here[1])
     assert views.points is not None

@@ -314,7 +314,8 @@ def test_smaller_images_alone(
     ):
         views = load_dataset(tmp_path, split=None)
     assert len(views) == len(plain)
-    small, large = views.cameras[0], plain.cameras[0]
+    small = views.cameras[0]
+    large = plain.cameras[0]
     assert views[0].image.shape == (round(13 / factor), round(18 / factor), 3)
     assert small.fx / large.fx == pytest.approx(small.width / large.width)
     assert small.cy / large.cy == pytest.approx(small.height / large.height)

@@ -78,7 +78,8 @@ def warm_up(model: nn.Module, *, batches: int = 8, side: int = 64) -> None:
     holder = torchvision._threshold_holder(model)
     usual = transform.min_size, holder.score_thresh
     # small, and nothing to suppress
-    transform.min_size, holder.score_thresh = (side,), 1.0
+    transform.min_size = (side,)
+    holder.score_thresh = 1.0
     with torch.no_grad():
         for _ in range(batches):
             model(list(torch.rand(2, 3, side, side)))

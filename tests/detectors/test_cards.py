@@ -17,11 +17,9 @@ pytestmark = pytest.mark.shipped
 ROOT = Path(__file__).resolve().parents[2]
 WRITER = runpy.run_path(str(ROOT / "docs" / "figures" / "detector_figures.py"))
 """The program that writes the tables."""
-read_figures, card_of, compared = (
-    WRITER["read_figures"],
-    WRITER["card_of"],
-    WRITER["compared"],
-)
+read_figures = WRITER["read_figures"]
+card_of = WRITER["card_of"]
+compared = WRITER["compared"]
 CARDS: dict[str, tuple[Path, Path]] = WRITER["CARDS"]
 
 

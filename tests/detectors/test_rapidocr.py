@@ -21,10 +21,8 @@ pytest.importorskip("rapidocr_onnxruntime", reason="the extra ocr is not install
 
 def test_the_sign_is_read_where_it_is() -> None:
     opened = open_scene(Path("scenes/stop_sign.xml"))
-    render, cameras = (
-        Renderer(opened.settings),
-        [opened.cameras["front"], opened.cameras["low"]],
-    )
+    render = Renderer(opened.settings)
+    cameras = [opened.cameras["front"], opened.cameras["low"]]
     boxes = object_boxes(
         opened.scene, opened.objects["stop_sign"], cameras, render=render
     )

@@ -27,11 +27,9 @@ from scenes.recipes.detector_pictures import (
 from scenes.recipes.evaluate_detectors import confidences_at, detector_figures, look_at
 from tests.fakes import ColourDetector
 
-HERE, THERE, AWAY = (
-    [10.0, 10.0, 50.0, 50.0],
-    [60.0, 60.0, 90.0, 90.0],
-    [0.0, 60.0, 30.0, 90.0],
-)
+HERE = [10.0, 10.0, 50.0, 50.0]
+THERE = [60.0, 60.0, 90.0, 90.0]
+AWAY = [0.0, 60.0, 30.0, 90.0]
 
 
 def picture(*labels: int) -> LabelledPicture:
@@ -58,7 +56,8 @@ class Scripted(ColourDetector):
         self.rows = list(rows)
 
     def detect(self, images: Tensor) -> list[Detections]:
-        part, self.rows = self.rows[: len(images)], self.rows[len(images) :]
+        part = self.rows[: len(images)]
+        self.rows = self.rows[len(images) :]
         return part
 
 
@@ -76,10 +75,8 @@ def test_figures_done_by_hand() -> None:
         Scripted([reported(screen)] * 2 + [reported()] * 6), [picture()] * 8
     )
     figures = detector_figures({"path traced": cars, "background: park": empty}, 0.5)
-    on_cars, nothing = (
-        figures["sets"]["path traced"],
-        figures["sets"]["background: park"],
-    )
+    on_cars = figures["sets"]["path traced"]
+    nothing = figures["sets"]["background: park"]
     assert (on_cars["found"]["car"]["successes"], on_cars["found"]["car"]["total"]) == (
         2,
         4,
@@ -164,7 +161,8 @@ def test_a_small_detector_is_trained_and_scored(
     monkeypatch.setattr(
         evaluate_detectors, "held_out_sets", lambda **counts: {"path traced": few[0]}
     )
-    data, out = ["--data", str(tmp_path / "data"), "--processes", "0"], tmp_path / "out"
+    data = ["--data", str(tmp_path / "data"), "--processes", "0"]
+    out = tmp_path / "out"
     flags = [
         "--epochs=2",
         "--batch=2",

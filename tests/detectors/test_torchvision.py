@@ -114,7 +114,8 @@ def test_candidates_with_threshold_and_suppression_are_the_detections() -> None:
     with torch.no_grad():
         candidates = detector.candidates(images)
     for one, expected in zip(candidates, detector.detect(images), strict=True):
-        boxes, scores = one.boxes.reshape(-1, 4), one.scores.reshape(-1)
+        boxes = one.boxes.reshape(-1, 4)
+        scores = one.scores.reshape(-1)
         numbers = torch.arange(len(detector.classes)).repeat(len(one))
         likely = torch.where(scores > heads.score_thresh)[0]
         keep = likely[remove_small_boxes(boxes[likely], 1e-2)]
@@ -401,7 +402,8 @@ def test_one_stage_candidates_with_suppression_are_the_detections(
         named = [
             i for i, label in enumerate(expected.labels) if label in one_stage.classes
         ]
-        boxes, scores = one.boxes.reshape(-1, 4), one.scores.reshape(-1)
+        boxes = one.boxes.reshape(-1, 4)
+        scores = one.scores.reshape(-1)
         of_class = numbers.repeat(len(one))
         likely = torch.where(scores > floor)[0]
         keep = likely[
@@ -496,7 +498,8 @@ def test_the_older_names_of_published_files_are_read(
     """The published RetinaNet and Faster R-CNN, which are of that time, have such
     names.
     """
-    original, model = make(), make()
+    original = make()
+    model = make()
     state = {older(name): value for name, value in original.state_dict().items()}
     assert len(state.keys() - original.state_dict().keys()) >= 6
     apply_weights(model, state, "a file")

@@ -151,7 +151,8 @@ def test_the_library_s_own_checkpoints_are_read(
 
 def test_yolov3_has_one_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a hundred million numbers, so that a YOLOv5 stands in for it."""
-    asked, stand_in = list[tuple[str, int, str]](), random_model(80, "yolov5")
+    asked = list[tuple[str, int, str]]()
+    stand_in = random_model(80, "yolov5")
 
     def build(size: str, classes: int, *, family: str) -> Any:
         asked.append((size, classes, family))
@@ -176,7 +177,8 @@ def test_yolov3_has_one_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_published_yolo11_is_read_from_tensors(tmp_path: Path) -> None:
-    model, path = random_model(80, "yolo11"), tmp_path / "w.safetensors"
+    model = random_model(80, "yolo11")
+    path = tmp_path / "w.safetensors"
     save_file(
         {key: value.contiguous() for key, value in model.state_dict().items()}, path
     )

@@ -61,15 +61,9 @@ def test_like_torchvision() -> None:
         torch.testing.assert_close(seen.scores, expected.scores)
         torch.testing.assert_close(seen.boxes, expected.boxes)
     assert ours.fingerprint == known.fingerprint
-    (
-        model.roi_heads.score_thresh,
-        model.roi_heads.nms_thresh,
-        model.roi_heads.detections_per_img,
-    ) = (
-        0.0,
-        1.0,
-        10_000,
-    )
+    model.roi_heads.score_thresh = 0.0
+    model.roi_heads.nms_thresh = 1.0
+    model.roi_heads.detections_per_img = 10_000
     (scores,) = (seen.scores for seen in ours.candidates(images[:1]))
     (all_scores,) = (seen.scores for seen in known.candidates(images[:1]))
     for label in range(len(known.classes)):

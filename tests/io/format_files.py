@@ -75,7 +75,8 @@ def gltf_document() -> dict[str, Any]:
 
 def gltf_with(change: Callable[[dict[str, Any]], None]) -> bytes:
     """The valid glTF with another document."""
-    data, document = valid("a.glb"), gltf_document()
+    data = valid("a.glb")
+    document = gltf_document()
     change(document)
     part = json.dumps(document).encode()
     part += b" " * (-len(part) % 4)
@@ -102,7 +103,8 @@ def degrees(one: Tensor, two: Tensor) -> Tensor:
     """(N,) angles between rotations of ellipsoids, which half turns about their own
     axes leave as they are.
     """
-    first, second = one.double(), two.double()
+    first = one.double()
+    second = two.double()
     half_turns = torch.cat(
         [torch.eye(4, dtype=torch.float64), -torch.eye(4, dtype=torch.float64)]
     )

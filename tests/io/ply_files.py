@@ -11,11 +11,10 @@ from tests.gaussians import ply_header, splat_names, splat_rows
 
 ROWS = splat_rows(40, 1)
 LISTS = [list(range(i % 4)) for i in range(len(ROWS))]
-HEAD, BODY = ply_header(ROWS), ROWS.tobytes()
-TEXT_HEAD, LINE = (
-    ply_header(ROWS, "ascii"),
-    b" ".join([b"0.5"] * len(splat_names(1))) + b"\n",
-)
+HEAD = ply_header(ROWS)
+BODY = ROWS.tobytes()
+TEXT_HEAD = ply_header(ROWS, "ascii")
+LINE = b" ".join([b"0.5"] * len(splat_names(1))) + b"\n"
 FACE = b"element face 2\nproperty list char int indices\n"
 
 
@@ -69,7 +68,8 @@ def listed(encoding: str, rows: Any = ROWS, lists: Any = LISTS) -> bytes:
     head = ply_header(rows, encoding).replace(
         b"property", b"property list char short seen\nproperty", 1
     )
-    data, order = b"", ">" if "big" in encoding else "<"
+    data = b""
+    order = ">" if "big" in encoding else "<"
     for row, values in zip(rows, lists, strict=True):
         if encoding == "ascii":
             data += (

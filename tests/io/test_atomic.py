@@ -100,7 +100,8 @@ def test_odd_targets_are_refused(
 
 
 def test_values_that_could_not_be_loaded_are_not_saved(old: Path) -> None:
-    before, scene = old.read_bytes(), random_scene(9).to(dtype=torch.float64)
+    before = old.read_bytes()
+    scene = random_scene(9).to(dtype=torch.float64)
     for value in (math.nan, math.inf, 1e300, 2e9):
         changed = GaussianScene.unchecked(
             torch.full_like(scene.means, value), *scene.tensors()[1:]
@@ -237,7 +238,8 @@ def test_a_thread_may_take_what_it_has_and_another_thread_may_not(
 def test_a_lock_that_its_holder_just_removed_is_taken_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    flock, removed = fcntl.flock, [False]
+    flock = fcntl.flock
+    removed = [False]
 
     def late(descriptor: int, how: int) -> None:
         flock(descriptor, how)
@@ -274,7 +276,8 @@ def test_a_lock_that_another_process_made_anew_is_that_ones(
 def test_a_lock_that_this_program_did_not_make_is_left_alone(
     kind: str, tmp_path: Path
 ) -> None:
-    out, precious = tmp_path / "out", tmp_path / "precious.txt"
+    out = tmp_path / "out"
+    precious = tmp_path / "precious.txt"
     out.mkdir()
     precious.write_text("precious")
     if kind == "symbolic link":
@@ -300,11 +303,9 @@ def test_a_lock_that_leads_elsewhere_makes_and_changes_nothing(tmp_path: Path) -
     """A link to a file that is not there would make it, and a second name of an empty
     file would fill it.
     """
-    out, absent, empty = (
-        tmp_path / "out",
-        tmp_path / "absent.txt",
-        tmp_path / "empty.txt",
-    )
+    out = tmp_path / "out"
+    absent = tmp_path / "absent.txt"
+    empty = tmp_path / "empty.txt"
     out.mkdir()
     empty.write_bytes(b"")
     (out / LOCK).symlink_to(absent)

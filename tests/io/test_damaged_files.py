@@ -70,7 +70,9 @@ SPLATS = (*PLY, *PACKED, *INSIDE)
 SCENE = [
     f"stop_sign{part}" for part in (".xml", ".json", "_roadside.ply", "_stop_sign.ply")
 ]
-MUTANTS, SECONDS, MEMORY = 50, 10.0, 24 << 20
+MUTANTS = 50
+SECONDS = 10.0
+MEMORY = 24 << 20
 """Damaged files of each kind, the time that one may take, and the memory that one of a
 splat may.
 """
@@ -120,7 +122,8 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 def made(name: str, folder: Path) -> Path:
     """A valid file of a kind."""
-    path, state = folder / name, torch.nn.Linear(3, 2).state_dict()
+    path = folder / name
+    state = torch.nn.Linear(3, 2).state_dict()
     if name == "stop_sign.xml":
         for part in SCENE:
             shutil.copy(ROOT / "scenes" / part, folder)
@@ -153,7 +156,8 @@ def damaged(data: bytes, random: Random) -> bytes:
     """A file with bytes flipped, cut, repeated or overwritten, or with a word of its
     first part replaced.
     """
-    start, other = random.randrange(len(data)), random.randrange(len(data))
+    start = random.randrange(len(data))
+    other = random.randrange(len(data))
     match random.randrange(5):
         case 0:
             return data[:start]
@@ -204,7 +208,8 @@ def limited() -> Iterator[None]:
 )
 def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
     path = made(name, tmp_path)
-    whole, random = path.read_bytes(), Random(f"11 {name}")
+    whole = path.read_bytes()
+    random = Random(f"11 {name}")
     assert READERS[name](path) is not None or name not in SPLATS
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -222,7 +227,8 @@ def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", PACKED)
 def test_truncation_at_each_length(name: str, tmp_path: Path) -> None:
-    whole, path = valid(name), tmp_path / name
+    whole = valid(name)
+    path = tmp_path / name
     lengths = sorted(
         {
             *range(0, len(whole), max(1, len(whole) // 80)),
@@ -239,7 +245,8 @@ def test_truncation_at_each_length(name: str, tmp_path: Path) -> None:
     assert _splat(path) is None or name in ("a.sog", *PACKED[-3:])
 
 
-DEEP, LONG = "[" * 100_000, "9" * 10_000
+DEEP = "[" * 100_000
+LONG = "9" * 10_000
 """Texts that stand in a document as they are."""
 
 

@@ -89,7 +89,8 @@ def test_the_old_result_comes_back_where_the_new_one_cannot_take_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(documents, "exchange", lambda first, second: False)
-    out, rename = result_in(tmp_path / "out"), os.rename
+    out = result_in(tmp_path / "out")
+    rename = os.rename
 
     def fails(source: os.PathLike[str], target: os.PathLike[str]) -> None:
         if os.fspath(target) == os.fspath(out) and (Path(source) / "new").exists():

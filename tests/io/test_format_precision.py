@@ -39,12 +39,11 @@ def scenes(draw: st.DrawFn) -> GaussianScene:
     """Scenes in the ranges of every format, of up to three chunks and with few or many
     different values.
     """
-    count, degree = draw(st.sampled_from([1, 2, 5, 300, 600])), draw(st.integers(0, 3))
-    seed, size, few = (
-        draw(st.integers(0, 99)),
-        draw(st.sampled_from([1e-3, 1.0, 1e3])),
-        draw(st.booleans()),
-    )
+    count = draw(st.sampled_from([1, 2, 5, 300, 600]))
+    degree = draw(st.integers(0, 3))
+    seed = draw(st.integers(0, 99))
+    size = draw(st.sampled_from([1e-3, 1.0, 1e3]))
+    few = draw(st.booleans())
     scene = tame_scene(count, degree, seed=seed)
     scene = scene.replace(
         means=scene.means * size, scales=scene.scales.clamp(5e-5, 300)
@@ -80,11 +79,10 @@ def limit(suffix: str, title: str, values: Tensor, float_step: float) -> float:
     if cell in ("exact", "none"):
         return 0.0
     size, _, unit = cell.partition(" ")
-    extent = (
-        values.double().amax(0) - values.double().amin(0)
-        if len(values)
-        else values.double()
-    )
+    if len(values):
+        extent = values.double().amax(0) - values.double().amin(0)
+    else:
+        extent = values.double()
     logs = values.double().sign() * values.double().abs().log1p()
     sizes = {
         "of the extent of its chunk": float(extent.max()),
@@ -122,7 +120,9 @@ def check(
 
 
 def sorted_as(scene: GaussianScene, order: np.ndarray | None) -> GaussianScene:
-    return scene if order is None else scene.select(torch.from_numpy(order))
+    if order is None:
+        return scene
+    return scene.select(torch.from_numpy(order))
 
 
 @pytest.mark.parametrize("suffix", WRITTEN)

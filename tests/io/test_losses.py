@@ -153,11 +153,10 @@ def test_half_turns_are_rotations_without_rounding(
 
 
 def test_mirrors_mirror_shapes_and_colours() -> None:
-    scene, signs = tame_scene(50, 3), (1.0, -1.0, 1.0)
-    mirrored, mirror = (
-        as_scene(axes.flipped(arrays_of(scene), signs)),
-        torch.diag(torch.tensor(signs)),
-    )
+    scene = tame_scene(50, 3)
+    signs = (1.0, -1.0, 1.0)
+    mirrored = as_scene(axes.flipped(arrays_of(scene), signs))
+    mirror = torch.diag(torch.tensor(signs))
     for one, two in ((scene, mirrored), (mirrored, scene)):
         torch.testing.assert_close(mirror @ covariances(one) @ mirror, covariances(two))
     rays = torch.nn.functional.normalize(scene.means, dim=1)
@@ -285,7 +284,8 @@ def test_the_axes_that_spz_can_name(
     number: int, version: Literal[3, 4], tmp_path: Path
 ) -> None:
     write_splat_file(SCENE, tmp_path / "a.spz", spz_version=version)
-    whole, name = (tmp_path / "a.spz").read_bytes(), AXES[number]
+    whole = (tmp_path / "a.spz").read_bytes()
+    name = AXES[number]
     record = struct.pack("<III", 0xADBE0003, 4, number)
     if version == 3:
         plain = bytearray(gzip.decompress(whole))

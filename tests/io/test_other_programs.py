@@ -68,11 +68,9 @@ def by_forge(path: Path, folder: Path) -> GaussianScene:
     scene = load_splat(folder / "decoded.ply")
     # It leaves the axes of SPZ (y up) as they are, where splat-transform and we turn to
     # those of the PLY (y down).
-    return (
-        as_scene(axes.flipped(arrays_of(scene), axes.X))
-        if path.suffix == ".spz"
-        else scene
-    )
+    if path.suffix == ".spz":
+        return as_scene(axes.flipped(arrays_of(scene), axes.X))
+    return scene
 
 
 def decoded_alike(

@@ -402,7 +402,8 @@ def test_many_channels_count_as_pictures(tmp_path: Path) -> None:
 
 
 def test_headers_that_are_cut_off_are_refused(tmp_path: Path) -> None:
-    data, path = exr(tmp_path), tmp_path / "b.exr"
+    data = exr(tmp_path)
+    path = tmp_path / "b.exr"
     end = data.index(WINDOW) + len(WINDOW) + 16
     for size in range(0, end, 7):
         path.write_bytes(data[:size])

@@ -38,7 +38,8 @@ def table(
 
 @st.composite
 def scenes(draw: st.DrawFn) -> GaussianScene:
-    count, degree = draw(st.integers(0, 4)), draw(st.integers(0, 3))
+    count = draw(st.integers(0, 4))
+    degree = draw(st.integers(0, 3))
     quaternions = table(draw, (count, 4), st.floats(-1, 1, width=32))
     quaternions[quaternions.norm(dim=1) == 0] = torch.tensor([1.0, 0, 0, 0])
     return GaussianScene(
@@ -73,7 +74,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene=random_scene(1).replace(scales=torch.tensor([[MOST, 1e-45, 1.0]]))
 )
 def test_round_trips(scene: GaussianScene, folder: Path) -> None:
-    first, second = folder / "first.ply", folder / "second.ply"
+    first = folder / "first.ply"
+    second = folder / "second.ply"
     save_splat(scene, first)
     once = load_splat(first)
     assert bits(once.means) == bits(scene.means)
@@ -222,7 +224,8 @@ def test_log_scales_out_of_range_are_refused(log_scale: float, got: str) -> None
 
 
 def test_a_file_is_read_to_the_bit_as_torch_would(tmp_path: Path) -> None:
-    count, generator = 2000, torch.Generator().manual_seed(0)
+    count = 2000
+    generator = torch.Generator().manual_seed(0)
     widths = {
         "means": (3,),
         "scales": (3,),

@@ -49,7 +49,8 @@ def loaded(folder: Path, text: str) -> GaussianScene:
 
 @pytest.mark.parametrize(("ending", "degree"), [("usdc", 3), ("usda", 1), ("usdz", 0)])
 def test_all_is_kept_to_the_bit(ending: str, degree: int, tmp_path: Path) -> None:
-    scene, path = random_scene(40, degree), tmp_path / f"a.{ending}"
+    scene = random_scene(40, degree)
+    path = tmp_path / f"a.{ending}"
     save_splat(scene, path)
     assert all(map(torch.equal, load_splat(path).tensors(), scene.tensors()))
     first = path.read_bytes()

@@ -18,7 +18,8 @@ class Ledger:
     """Does single jobs, and those before them, in this process."""
 
     def __init__(self, folder: Path, *, on_event: OnEvent = nobody) -> None:
-        self.store, self._on_event = Store(folder), on_event
+        self.store = Store(folder)
+        self._on_event = on_event
 
     def do(self, job: Job) -> Done:
         engine = InProcess(self.store.folder, on_event=self._on_event)

@@ -112,7 +112,8 @@ def test_a_plan_goes_on_with_results(tmp_path: Path) -> None:
     asked: list[int] = []
 
     def halved() -> Plan:
-        low, high = 0, 16
+        low = 0
+        high = 16
         while high - low > 1:
             middle = (low + high) // 2
             asked.append(middle)
@@ -157,11 +158,9 @@ def test_an_interrupt_in_this_process_ends_the_plan_at_once(
 def test_a_child_that_is_stopped_keeps_what_it_has_and_counts_no_try(
     tmp_path: Path,
 ) -> None:
-    task, child, events = (
-        _task(tmp_path, walk(0, steps=9, seconds=0.4)),
-        Child(tmp_path),
-        list[Event](),
-    )
+    task = _task(tmp_path, walk(0, steps=9, seconds=0.4))
+    child = Child(tmp_path)
+    events = list[Event]()
 
     def stop(event: Event) -> None:
         events.append(event)
@@ -178,7 +177,8 @@ def test_a_child_that_is_stopped_keeps_what_it_has_and_counts_no_try(
 
 
 def test_a_plan_is_looked_at_before_it_is_run(tmp_path: Path) -> None:
-    store, first = Store(tmp_path), walk(1)
+    store = Store(tmp_path)
+    first = walk(1)
     jobs = {"second": walk(2, one=first), "third": walk(3)}
     assert states(tmp_path, jobs) == {"ready": 2, "waiting": 1}
     assert forecast(store, status(store, jobs)) == (0.0, 3)
@@ -230,7 +230,9 @@ def until(condition: Callable[[], bool], seconds: float = 120.0) -> None:
 
 
 def test_a_driver_waits_for_a_job_that_another_process_does(tmp_path: Path) -> None:
-    store, job, events = Store(tmp_path), walk(1), list[Event]()
+    store = Store(tmp_path)
+    job = walk(1)
+    events = list[Event]()
     key = task_for(job, store, {}).key
     with ThreadPoolExecutor() as pool:
         with store.held(key):
@@ -281,7 +283,8 @@ def test_a_full_disk_has_no_free_cache(
 def test_a_task_that_is_alone_has_all_cores(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given, ended = list[Sequence[int]](), threading.Event()
+    given = list[Sequence[int]]()
+    ended = threading.Event()
 
     def run_on(
         child: Child, task: Task, tell: OnEvent, *, cores: Sequence[int]
@@ -294,10 +297,8 @@ def test_a_task_that_is_alone_has_all_cores(
         os, "sched_getaffinity", lambda process: {1, 2, 3, 5}, raising=False
     )
     monkeypatch.setattr(Child, "run", run_on)
-    engine, tasks = (
-        Processes(tmp_path, workers=2),
-        [_task(tmp_path, walk(number)) for number in range(3)],
-    )
+    engine = Processes(tmp_path, workers=2)
+    tasks = [_task(tmp_path, walk(number)) for number in range(3)]
     alone = engine.submit(tasks[0])
     until(lambda: len(given) == 1)
     second = engine.submit(tasks[1])
@@ -317,7 +318,8 @@ def test_a_task_that_is_alone_has_all_cores(
     reason="the system keeps no process to some cores",
 )
 def test_threads_are_as_many_as_cores() -> None:
-    cores, threads = os.sched_getaffinity(0), dr.thread_count()
+    cores = os.sched_getaffinity(0)
+    threads = dr.thread_count()
     end = threading.Event()
     second = threading.Thread(target=end.wait)
     second.start()
@@ -336,7 +338,8 @@ def test_threads_are_as_many_as_cores() -> None:
 def test_the_plan_of_the_tests_is_the_same_in_one_process_and_in_two(
     tmp_path: Path,
 ) -> None:
-    one, two = tmp_path / "one", tmp_path / "two"
+    one = tmp_path / "one"
+    two = tmp_path / "two"
     Driver(one, InProcess(one)).run([two_levels(6, seconds=0.0)])
     Driver(two, Processes(two, workers=2)).run([two_levels(6, seconds=0.0)])
     assert bytes_of(one) == bytes_of(two)
@@ -350,7 +353,8 @@ def bytes_of(folder: Path) -> dict[str, object]:
 
 
 def test_a_plan_knows_the_keys_that_it_has_used(tmp_path: Path) -> None:
-    store, jobs = Store(tmp_path), {"second": walk(2, one=walk(1))}
+    store = Store(tmp_path)
+    jobs = {"second": walk(2, one=walk(1))}
     with pytest.raises(InvalidValueError, match="expected a plan, got none"):
         planned(store, "plan")
     assert len(planned_after(plan(store, "plan", jobs), store)) == 1

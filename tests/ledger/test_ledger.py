@@ -66,7 +66,8 @@ def test_a_job_that_many_read_is_looked_at_once(tmp_path: Path) -> None:
 
 def test_who_reads_equal_files_is_the_same_job(tmp_path: Path) -> None:
     ledger = Ledger(tmp_path)
-    one, other = numbers(1.0, 2.0), numbers(3.0)
+    one = numbers(1.0, 2.0)
+    other = numbers(3.0)
     assert ledger.do(one).key != ledger.do(other).key
     (tmp_path / "three.txt").write_text("3.0")
     keys = {ledger.do(numbers(first=job.part("sum.txt"))).key for job in (one, other)}
@@ -162,11 +163,10 @@ class Killing:
     def close(self) -> None:
         """Kill all, and those that they have started."""
         for process in self._running.values():
-            left = (
-                [*children_of(process.pid), process.pid]
-                if process.poll() is None
-                else []
-            )
+            if process.poll() is None:
+                left = [*children_of(process.pid), process.pid]
+            else:
+                left = []
             for number in left:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(number, signal.SIGKILL)

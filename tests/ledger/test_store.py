@@ -40,7 +40,8 @@ def test_a_second_result_is_dropped(tmp_path: Path) -> None:
     bytes.
     """
     task = task_for(Job(kind=NUMBERS, config=NumbersConfig()), Store(tmp_path), {})
-    store, other = Store(tmp_path / "store"), Store(tmp_path / "other")
+    store = Store(tmp_path / "store")
+    other = Store(tmp_path / "other")
     run_job(other, task)
     folder = other.folder_of(task.key)
     (folder / "files" / "sum.txt").write_text("7")
@@ -95,7 +96,9 @@ def test_a_failed_job_goes_on_where_it_was(tmp_path: Path) -> None:
 def test_a_full_disk_is_an_error_that_leaves_nothing_half_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store, calls, at = tmp_path / "store", 0, 0
+    store = tmp_path / "store"
+    calls = 0
+    at = 0
 
     def limited(
         real: Callable[..., Any], writes: Callable[..., bool]
@@ -121,10 +124,13 @@ def test_a_full_disk_is_an_error_that_leaves_nothing_half_written(
         for name in ("mkdir", "rename", "replace", "fsync"):
             patch.setattr(os, name, limited(getattr(os, name), everything))
         while len(Store(store).keys()) < 2:
-            calls, at = 0, at + 1
+            calls = 0
+            at = at + 1
             with contextlib.suppress(DiskFullError):
                 Ledger(store).do(job)
-            calls, limit, at = 0, at, 0
+            calls = 0
+            limit = at
+            at = 0
             for key in Store(store).keys():  # noqa: SIM118 - not a dictionary's
                 Store(store).existing(key)
             Store(store).sweep()
@@ -220,10 +226,8 @@ def changed(config: Any) -> Iterator[tuple[str, Any]]:
 def keys(folder: Path, config: NumbersConfig) -> dict[str, str]:
     """Keys of a small graph of jobs, one of which has the configuration."""
     ledger = Ledger(folder)
-    first, beside = (
-        Job(kind=NUMBERS, config=config),
-        Job(kind=NUMBERS, config=NumbersConfig(values=(9.0,))),
-    )
+    first = Job(kind=NUMBERS, config=config)
+    beside = Job(kind=NUMBERS, config=NumbersConfig(values=(9.0,)))
     after = Job(kind=NUMBERS, config=NumbersConfig(), inputs={"first": first})
     jobs = {"first": first, "beside": beside, "after": after}
     return {name: ledger.do(job).key for name, job in jobs.items()}
@@ -353,7 +357,8 @@ def test_a_plan_with_another_key_is_refused(tmp_path: Path) -> None:
     "link", ["jobs", "jobs/00", f"jobs/00/{'0' * 32}", "tmp", "partial", "failed"]
 )
 def test_no_link_leads_out_of_a_store(link: str, tmp_path: Path) -> None:
-    victim, path = tmp_path / "victim", tmp_path / "store" / link
+    victim = tmp_path / "victim"
+    path = tmp_path / "store" / link
     victim.mkdir()
     path.parent.mkdir(parents=True)
     path.symlink_to(victim)
@@ -410,10 +415,8 @@ def test_a_record_of_other_kinds_of_values_is_refused(
 
 
 def test_what_another_process_found_is_kept_once(tmp_path: Path) -> None:
-    store, task = (
-        Store(tmp_path),
-        Task(kind=NUMBERS, config={}, inputs={"a": {"content": "0" * 64}}, code="c"),
-    )
+    store = Store(tmp_path)
+    task = Task(kind=NUMBERS, config={}, inputs={"a": {"content": "0" * 64}}, code="c")
     for text in ("first", "second"):
         store.keep(task, [{"claim": text}], {"result.json": {"text": text}})
     done = store.existing(task.key)

@@ -113,10 +113,8 @@ def test_the_car_stands_in_the_street_by_the_hour() -> None:
 
 def test_a_picture_can_have_noise_blur_and_jpeg_in_it() -> None:
     scene, _ = toy_scene()
-    plain, pictures = (
-        Renderer(SETTINGS),
-        {name: named(name) for name in ("noise 0.05", "blur 1.5", "JPEG 20")},
-    )
+    plain = Renderer(SETTINGS)
+    pictures = {name: named(name) for name in ("noise 0.05", "blur 1.5", "JPEG 20")}
     for condition in pictures.values():
         assert not torch.equal(condition(scene, camera()), plain(scene, camera()))
     noisy = pictures["noise 0.05"]
@@ -133,7 +131,8 @@ def test_a_picture_can_have_noise_blur_and_jpeg_in_it() -> None:
 
 
 def test_cameras_move_along_the_line_to_the_centre() -> None:
-    near, far = named("0.5 x distance"), named("2 x distance")
+    near = named("0.5 x distance")
+    far = named("2 x distance")
     assert torch.allclose(near.move(camera()).position, 0.5 * camera().position)
     scene, _ = toy_scene()
     assert torch.equal(
@@ -154,10 +153,8 @@ def gaussian(**values: torch.Tensor) -> GaussianScene:
 
 def test_renderers_stand_before_the_same_background() -> None:
     settings = RenderSettings(background=(0.2, 0.5, 0.9), near=0.05)
-    pose, scene = (
-        look_at((3.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-        gaussian(scales=torch.full((1, 3), 0.2)),
-    )
+    pose = look_at((3.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    scene = gaussian(scales=torch.full((1, 3), 0.2))
     front = Camera(to_world=pose, focal=24.0, width=24, height=24)
     names = ("tile", "tile-antialiased", "ray", "ray-to-mean", "volprim")
     pictures = [named(name, settings)(scene, front) for name in names]
@@ -174,10 +171,8 @@ def test_renderers_that_cut_colours_elsewhere() -> None:
     """Of a half opaque Gaussian whose colour is (2, 0.5, -1), in its middle and before
     a background of 0.4.
     """
-    colour, settings = (
-        torch.tensor([2.0, 0.5, -1.0]),
-        RenderSettings(background=(0.4, 0.4, 0.4)),
-    )
+    colour = torch.tensor([2.0, 0.5, -1.0])
+    settings = RenderSettings(background=(0.4, 0.4, 0.4))
     scene = gaussian(sh=colour_to_dc(colour).reshape(1, 1, 3))
     (front,) = orbit(
         (0.0, 0.0, 0.0),

@@ -30,10 +30,8 @@ def painted() -> Any:
 
 
 def test_a_clean_and_an_attacked_splat() -> None:
-    scenes, detectors = (
-        {"clean": SCENE, "attacked": painted()},
-        [ColourDetector(), CoarseDetector()],
-    )
+    scenes = {"clean": SCENE, "attacked": painted()}
+    detectors = [ColourDetector(), CoarseDetector()]
     judged = judge(
         scenes, MASK, CAMERAS, detectors, render=blobs, target="person", confidence=0.4
     )

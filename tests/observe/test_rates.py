@@ -136,7 +136,8 @@ def over(objects: int, spread: float) -> Rate:
     """A rate over ten views of 20 blocks of each object, of which so many tenths more
     hold the later it comes.
     """
-    rng, middle = np.random.default_rng(1), (objects - 1) / 2
+    rng = np.random.default_rng(1)
+    middle = (objects - 1) / 2
     keys = [
         (object_, block, 0)
         for object_ in range(objects)

@@ -201,7 +201,8 @@ def test_looking_at_names_imports_nothing(brought: Path) -> None:
 
 
 def test_a_renderer_and_a_condition(brought: Path) -> None:
-    scene, view = toy_scene()[0], camera()
+    scene = toy_scene()[0]
+    view = camera()
     plain = load_method("tile", RenderSettings()).render(scene, view)
     torch.testing.assert_close(
         load_method("half", RenderSettings()).render(scene, view), 0.5 * plain
@@ -310,7 +311,8 @@ def test_jobs_of_a_study_name_the_package(
 
 def test_a_condition_does_not_take_a_renderer_s_name(path: Path) -> None:
     install(path, {"mi_splat.conditions/tile": "brought:fog"}, brought=BROUGHT)
-    scene, view = toy_scene()[0], camera()
+    scene = toy_scene()[0]
+    view = camera()
     assert torch.equal(
         condition_of("tile", VIEWING)(scene, view),
         RENDERERS["tile"].make(RenderSettings())(scene, view),

@@ -124,7 +124,8 @@ def words() -> Tensor:
 @pytest.mark.parametrize("name", DETECTORS.own)
 def test_detectors(name: str) -> None:
     spec = DETECTORS[name]
-    if missing := spec.missing():
+    missing = spec.missing()
+    if missing:
         pytest.skip(missing)
     images = None if spec.differentiable else words()
     check_detector(

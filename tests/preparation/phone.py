@@ -20,7 +20,8 @@ from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene_files import open_scene
 from tests.project.layers import ROOT
 
-COUNT, SIZE = 30, (800, 600)
+COUNT = 30
+SIZE = (800, 600)
 SCENE = ROOT / "scenes" / "car_street.xml"
 DISTORTION = (-0.08,)
 FOCAL_35MM = 28

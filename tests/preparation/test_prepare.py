@@ -105,7 +105,8 @@ def test_what_is_placed_is_a_set_and_the_rest_is_listed(tmp_path: Path) -> None:
 
 
 def test_photographs_are_turned_shrunk_and_named_safely(tmp_path: Path) -> None:
-    source, out = tmp_path / "photos", tmp_path / "out"
+    source = tmp_path / "photos"
+    out = tmp_path / "out"
     source.mkdir()
     (out / "images").mkdir(parents=True)
     pixels = np.zeros((200, 400, 3), np.uint8)
@@ -166,7 +167,8 @@ def test_a_video_gives_the_sharpest_frame_of_each_interval(tmp_path: Path) -> No
         is_sharp = number in (6, 12, 24)
         resampling = Image.Resampling.NEAREST if is_sharp else Image.Resampling.BICUBIC
         frames.append(np.asarray(small.resize((64, 48), resampling)))
-    walk, images = tmp_path / "walk.mp4", tmp_path / "images"
+    walk = tmp_path / "walk.mp4"
+    images = tmp_path / "images"
     write_video(walk, frames)
     images.mkdir()
     taken = take_frames(walk, images, 128, 1.0, 300, silent)["images"]
@@ -233,11 +235,9 @@ class Model:
 
 
 def test_images_with_few_points_leave_their_models_and_small_models_go() -> None:
-    empty, most, few = (
-        Model(5, 6, 7, 8, 9),
-        Model(200, 40, 30, 29),
-        Model(90, 90, 90, 90),
-    )
+    empty = Model(5, 6, 7, 8, 9)
+    most = Model(200, 40, 30, 29)
+    few = Model(90, 90, 90, 90)
     assert _trimmed([empty, most, few]) == [few, most]
     assert (most.num_reg_images(), few.num_reg_images()) == (3, 4)
 
@@ -265,7 +265,8 @@ def test_sources_that_are_no_data_set_are_refused_and_leave_nothing(
 ) -> None:
     nothing: dict[str, Any] = {"models": [], "features": {}, "overlaps": {}}
     monkeypatch.setattr("mi_splat.preparation.prepare.in_child", lambda *_: nothing)
-    source, out = photographs(tmp_path / "photos", count), tmp_path / "set"
+    source = photographs(tmp_path / "photos", count)
+    out = tmp_path / "set"
     with pytest.raises(PreparationError, match=says):
         prepare(source, out, PrepareConfig(max_images=8), on_progress=silent)
     assert [path.name for path in tmp_path.iterdir()] == ["photos"]
@@ -273,7 +274,8 @@ def test_sources_that_are_no_data_set_are_refused_and_leave_nothing(
 
 @pytest.mark.usefixtures("_on_a_circle")
 def test_only_a_prepared_set_is_replaced(tmp_path: Path) -> None:
-    source, out = photographs(tmp_path / "photos", 5), tmp_path / "set"
+    source = photographs(tmp_path / "photos", 5)
+    out = tmp_path / "set"
     prepare(source, out, PrepareConfig(), on_progress=silent)
     with pytest.raises(MiSplatError, match="a new or an empty folder"):
         prepare(source, out, PrepareConfig(), on_progress=silent)

@@ -117,14 +117,18 @@ class Line:
     def kind(self) -> str:
         """What the tables above call it."""
         if self.program != "mi-splat":
-            return " ".join(self.words[:2]) if self.program == "make" else self.program
+            if self.program == "make":
+                return " ".join(self.words[:2])
+            return self.program
         if "--help" in self.words:
             return "--help"
         if self.command != self.words[1]:
             return self.command
         if self.words[1] == "study":
             kind = f"study {self.words[2]} {Path(self.words[3]).stem}"
-            return kind if kind in NIGHTLY else "study"
+            if kind in NIGHTLY:
+                return kind
+            return "study"
         marked = next(
             (
                 flag
@@ -133,7 +137,9 @@ class Line:
             ),
             None,
         )
-        return f"{self.words[1]} {marked}" if marked else self.words[1]
+        if marked:
+            return f"{self.words[1]} {marked}"
+        return self.words[1]
 
     @property
     def when(self) -> When | None:
@@ -142,9 +148,9 @@ class Line:
             return "never"
         if self.kind in FAST and self.page not in NIGHTLY_PAGES:
             return "fast"
-        return (
-            "nightly" if self.kind in NIGHTLY | FAST or self.program == "make" else None
-        )
+        if self.kind in NIGHTLY | FAST or self.program == "make":
+            return "nightly"
+        return None
 
     def __str__(self) -> str:
         return f"{self.page}: {shlex.join(self.words)}"
@@ -177,7 +183,8 @@ def lines() -> Iterator[Line]:
     for path in pages():
         for block in blocks("sh", path.read_text()):
             for line in block.replace("\\\n", " ").splitlines():
-                if words := shlex.split(line, comments=True):
+                words = shlex.split(line, comments=True)
+                if words:
                     yield Line(path.relative_to(ROOT).as_posix(), tuple(words))
 
 

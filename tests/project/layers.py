@@ -117,11 +117,10 @@ def imports(name: str, path: Path) -> Iterator[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{name} has a relative import"
             assert node.module is not None
-            known = (
-                modules(node.module.split(".")[0])
-                if node.module.split(".")[0] in PACKAGES
-                else {}
-            )
+            if node.module.split(".")[0] in PACKAGES:
+                known = modules(node.module.split(".")[0])
+            else:
+                known = {}
             for alias in node.names:
                 full = f"{node.module}.{alias.name}"
                 yield full if full in known else node.module
@@ -148,7 +147,9 @@ def layer_of(name: str) -> tuple[int, str] | None:
         for entry in entries
         if name == entry or name.startswith(entry + ".")
     ]
-    return max(matches)[1:] if matches else None
+    if matches:
+        return max(matches)[1:]
+    return None
 
 
 def circle() -> list[str]:
@@ -170,7 +171,8 @@ def diagram() -> str:
     needs: dict[str, set[str]] = {}
     for package in PACKAGES:
         for name, other in edges(package):
-            here, there = layer_of(name), layer_of(other)
+            here = layer_of(name)
+            there = layer_of(other)
             if here and there and here[0] != there[0]:
                 titles = list(LAYERS)
                 needs.setdefault(titles[here[0]], set()).add(titles[there[0]])

@@ -73,10 +73,12 @@ def complaints(name: str, text: str, banned: Mapping[str, str]) -> list[str]:
 
 def check() -> list[str]:
     """Everything that is wrong with the pages, a line each."""
-    banned, lines = tomllib.loads(STYLE.read_text())["banned"], list[str]()
+    banned = tomllib.loads(STYLE.read_text())["banned"]
+    lines = list[str]()
     written = (ROOT / ".gitignore").read_text().split()
     for path in pages():
-        name, text = path.relative_to(ROOT).as_posix(), path.read_text()
+        name = path.relative_to(ROOT).as_posix()
+        text = path.read_text()
         lines += [
             f"{name}: {link} leads nowhere"
             for link in dead_links(path, text, written=written)

@@ -338,7 +338,8 @@ def not_here(words: Sequence[str]) -> list[str]:
 
 def main(when: str, folder: Path, only: Sequence[str] = ()) -> int:
     """Run the lines, and report each that fails and how long each took."""
-    failed, kept = 0, {"folder": folder / "given"}
+    failed = 0
+    kept = {"folder": folder / "given"}
     rewrite_once()
     small_scenes(folder / "scenes")
     for page, every in chosen(when).items():
@@ -352,7 +353,8 @@ def main(when: str, folder: Path, only: Sequence[str] = ()) -> int:
         # have imported
         gc.freeze()
         for line in every:
-            if missing := not_here(shortened(line)):
+            missing = not_here(shortened(line))
+            if missing:
                 sys.stdout.write(
                     f"   left out  {line}: {', '.join(missing)} is not here\n"
                 )
@@ -366,7 +368,9 @@ def main(when: str, folder: Path, only: Sequence[str] = ()) -> int:
                 sys.stderr.write(f"{line}\n  ran as {error}\n")
             sys.stdout.write(f"{time.monotonic() - begun:6.1f} s  {line}\n")
             sys.stdout.flush()
-    return 1 if failed else 0
+    if failed:
+        return 1
+    return 0
 
 
 if __name__ == "__main__":

@@ -109,7 +109,7 @@ def test_every_name_is_documented(package: Any, name: str) -> None:
     )
     value = getattr(package, name)
     text = inspect.getdoc(value) or ""
-    assert text.split("\n")[0].endswith((".", ":"))
+    assert text.split("\n\n")[0].endswith((".", ":"))
     for function in functions(value):
         returned = inspect.signature(function).return_annotation
         if returned in (None, "None", inspect.Signature.empty):

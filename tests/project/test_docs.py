@@ -318,7 +318,8 @@ def test_the_first_page_works_without_a_network(
     asked: list[str] = []
     window.on("request", lambda request: asked.append(request.url))
     window.goto((site / "index.html").as_uri())
-    box, line = window.locator(".before-after"), window.locator(".before-after input")
+    box = window.locator(".before-after")
+    line = window.locator(".before-after input")
 
     def divider() -> str:
         return str(box.evaluate("box => box.style.getPropertyValue('--line')"))
@@ -381,11 +382,10 @@ def test_every_page_is_read_in_a_browser(
             continue
         window.goto(path.as_uri())
         seen = window.evaluate(LOOK)
-        contrast = (
-            seen["paper"] - seen["ink"]
-            if scheme == "light"
-            else seen["ink"] - seen["paper"]
-        )
+        if scheme == "light":
+            contrast = seen["paper"] - seen["ink"]
+        else:
+            contrast = seen["ink"] - seen["paper"]
         if (
             seen["width"] > width
             or seen["broken"]

@@ -20,7 +20,8 @@ def test_complaints() -> None:
 
 
 def test_dead_links(tmp_path: Path) -> None:
-    page, other = tmp_path / "page.md", tmp_path / "other.md"
+    page = tmp_path / "page.md"
+    other = tmp_path / "other.md"
     other.write_text("# A title\n\n## Two words, `code`\n\n```text\n# none\n```\n")
     good = (
         "[a](other.md) [b](other.md#two-words-code) [c](https://a.example/) [d](#here)"

@@ -75,7 +75,8 @@ def test_every_module_has_a_layer() -> None:
 def test_imports_run_one_way() -> None:
     for package in PACKAGES:
         for name, other in edges(package):
-            here, there = layer_of(name), layer_of(other)
+            here = layer_of(name)
+            there = layer_of(other)
             if here and there:
                 assert there[0] <= here[0], (
                     f"{name} imports {other}, which lies above it"
@@ -219,7 +220,8 @@ def test_sdist_holds_no_weights_under_another_licence() -> None:
 
 
 def test_wheel_works_outside_a_checkout(wheel: Path, tmp_path: Path) -> None:
-    site, elsewhere = tmp_path / "site", tmp_path / "elsewhere"
+    site = tmp_path / "site"
+    elsewhere = tmp_path / "elsewhere"
     zipfile.ZipFile(wheel).extractall(site)
     elsewhere.mkdir()
     code = f"""

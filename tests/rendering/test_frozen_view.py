@@ -48,7 +48,8 @@ def compare(view: FrozenView, scene: GaussianScene, sh: Tensor) -> None:
     picture = view(leaf)
     assert picture.shape == expected.shape
     torch.testing.assert_close(picture, expected, rtol=0, atol=ERROR)
-    wanted, computed = gradient(expected, every)[view.rows], gradient(picture, leaf)
+    wanted = gradient(expected, every)[view.rows]
+    computed = gradient(picture, leaf)
     assert float((computed - wanted).abs().max()) <= ERROR * float(wanted.abs().max())
 
 
@@ -105,7 +106,8 @@ def test_a_dense_pile_keeps_what_is_not_hidden() -> None:
 
 @pytest.mark.parametrize("kind", ["mask", "indices", "one", "slice"])
 def test_rows_alone_are_free(kind: str) -> None:
-    scene, where = varied_scene(500, degree=1, seed=4), camera(66, 51)
+    scene = varied_scene(500, degree=1, seed=4)
+    where = camera(66, 51)
     mask = scene.means[:, 0] > scene.means[:, 0].quantile(0.8)
     kinds: dict[str, Tensor | slice] = {
         "mask": mask,
@@ -123,7 +125,8 @@ def test_rows_alone_are_free(kind: str) -> None:
 
 
 def test_nothing_visible_and_no_rows() -> None:
-    scene, where = varied_scene(30, degree=0, seed=0), camera(9, 5)
+    scene = varied_scene(30, degree=0, seed=0)
+    where = camera(9, 5)
     settings = RenderSettings(background=BACKGROUND, alpha=True)
     away = scene.replace(means=scene.means + torch.tensor([1e4, 1e4, 0.0]))
     none = torch.zeros(30, dtype=torch.bool)
@@ -149,7 +152,8 @@ def test_nothing_visible_and_no_rows() -> None:
 
 
 def test_memory_is_bounded_before_it_is_taken() -> None:
-    scene, where = varied_scene(300, degree=1, seed=1), camera(50, 37)
+    scene = varied_scene(300, degree=1, seed=1)
+    where = camera(50, 37)
     view = FrozenView(scene, where)
     assert FrozenView(scene, where, max_bytes=view.nbytes).nbytes == view.nbytes
     assert view.megabytes == pytest.approx(view.nbytes / 1e6)
@@ -161,7 +165,8 @@ def test_memory_is_bounded_before_it_is_taken() -> None:
 
 
 def test_bad_input() -> None:
-    scene, where = varied_scene(10, degree=1, seed=1), camera(20, 18)
+    scene = varied_scene(10, degree=1, seed=1)
+    where = camera(20, 18)
     view = FrozenView(scene, where)
     for sh in (scene.sh[:9], scene.sh[:, :, :2], scene.sh[:, :3], scene.means):
         with pytest.raises(InvalidValueError, match="sh: expected"):
@@ -205,10 +210,8 @@ def cameras(count: int = 3) -> list[Camera]:
 def test_each_camera_has_a_view_whose_pictures_are_the_renderers(
     rows: torch.Tensor | None,
 ) -> None:
-    scene, render = (
-        varied_scene(60, degree=1, seed=1),
-        Renderer(RenderSettings(background=(0.1, 0.2, 0.3))),
-    )
+    scene = varied_scene(60, degree=1, seed=1)
+    render = Renderer(RenderSettings(background=(0.1, 0.2, 0.3)))
     where = cameras()
     views = freeze_views(
         scene, [*where, where[0]], render=render, pictures=MIN_PICTURES, rows=rows
@@ -221,7 +224,8 @@ def test_each_camera_has_a_view_whose_pictures_are_the_renderers(
 
 
 def test_views_that_do_not_fit_are_left_to_the_renderer() -> None:
-    scene, where = varied_scene(60, degree=1, seed=1), cameras()
+    scene = varied_scene(60, degree=1, seed=1)
+    where = cameras()
     settings: dict[str, Any] = {"render": Renderer(), "pictures": 100}
     sizes = [view.nbytes for view in freeze_views(scene, where, **settings).values()]
     for count in range(4):

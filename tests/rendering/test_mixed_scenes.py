@@ -80,10 +80,8 @@ def test_a_scene_of_splats_alone_is_read_with_its_integrator(tmp_path: Path) -> 
 
 def test_another_splat_stands_in_the_place_of_the_files() -> None:
     street = MixedScene(MIXED[0], samples=8)
-    scene, camera = (
-        street.splats.scene,
-        resized(street.splats.cameras["side"], (40, 40)),
-    )
+    scene = street.splats.scene
+    camera = resized(street.splats.cameras["side"], (40, 40))
     assert list(street.splats.objects) == ["car"]
     before = street(scene, camera)
     gone = street(replace(scene, opacities=torch.zeros_like(scene.opacities)), camera)

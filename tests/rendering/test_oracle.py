@@ -42,12 +42,11 @@ def test_importing_the_oracle_needs_numpy_alone() -> None:
     [{}, {"compensated": True}, {"clamp": "none"}, {"clamp": "outside 0 to 1"}],
 )
 def test_gradients_are_central_differences(choices: dict[str, Any]) -> None:
-    splat, rng = random_splat(25, degree=2, seed=11), np.random.default_rng(0)
-    on_image, on_alpha, on_depth = (
-        rng.normal(size=(17, 23, 3)),
-        rng.normal(size=(17, 23)),
-        rng.normal(size=(17, 23)),
-    )
+    splat = random_splat(25, degree=2, seed=11)
+    rng = np.random.default_rng(0)
+    on_image = rng.normal(size=(17, 23, 3))
+    on_alpha = rng.normal(size=(17, 23))
+    on_depth = rng.normal(size=(17, 23))
     convention = oracle.Convention(**choices)
     splat = splat._replace(sh=splat.sh * 4)  # so that some colours are clamped
 
@@ -71,7 +70,8 @@ def test_gradients_are_central_differences(choices: dict[str, Any]) -> None:
         convention=convention,
     )
     for name in ATTRIBUTES:
-        gradient, values = getattr(found, name).ravel(), getattr(splat, name)
+        gradient = getattr(found, name).ravel()
+        values = getattr(splat, name)
         for entry in np.argsort(-np.abs(gradient))[:6]:
             ends = []
             for step in (STEP, -STEP):

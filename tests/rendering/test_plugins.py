@@ -52,10 +52,8 @@ def scene_xml(shapes: str, properties: str = "") -> str:
 
 def two_splats(folder: Path) -> tuple[GaussianScene, str]:
     """Two splats of different SH degree as files, and the shapes that name them."""
-    first, second = (
-        varied_scene(80, degree=2, seed=1),
-        varied_scene(50, degree=1, seed=2),
-    )
+    first = varied_scene(80, degree=2, seed=1)
+    second = varied_scene(50, degree=1, seed=2)
     save_splat(first, folder / "a.ply")
     save_splat(second, folder / "b.ply")
     shapes = "".join(
@@ -69,7 +67,8 @@ def two_splats(folder: Path) -> tuple[GaussianScene, str]:
 def test_crop_window_shows_the_same_pixels(tmp_path: Path) -> None:
     _, shapes = two_splats(tmp_path)
     loaded = mi.load_string(scene_xml(shapes))
-    whole, crop = np.array(mi.render(loaded)), np.array(mi.render(loaded, sensor=1))
+    whole = np.array(mi.render(loaded))
+    crop = np.array(mi.render(loaded, sensor=1))
     assert crop.shape == (30, 20, 3)
     np.testing.assert_allclose(crop, whole[5:35, 7:27], atol=1e-4)
 

@@ -107,7 +107,8 @@ def test_needles_across_the_picture(angle: float) -> None:
 
 
 def test_alpha_output_is_the_oracles() -> None:
-    scene, view = varied_scene(100, degree=1, seed=9), camera(40, 30)
+    scene = varied_scene(100, degree=1, seed=9)
+    view = camera(40, 30)
     picture = Renderer(RenderSettings(background=BACKGROUND, alpha=True))(
         scene, view
     ).numpy()
@@ -169,7 +170,8 @@ def analytic(
 
 @on_each_device
 def test_gradients_are_the_oracles(on: str) -> None:
-    scene, view = smooth_scene(25, 2, seed=11), camera(37, 29)
+    scene = smooth_scene(25, 2, seed=11)
+    view = camera(37, 29)
     agree(
         analytic(scene, view, on),
         oracle.gradients(scene, view, weights(view), background=BACKGROUND),
@@ -181,7 +183,8 @@ def test_where_alpha_is_clamped_only_colours_have_a_gradient(on: str) -> None:
     """A Gaussian so opaque and large that all of its pixels are clamped at 0.99: its
     shape changes nothing.
     """
-    scene, view = smooth_scene(2, 0, seed=3), camera(17, 13)
+    scene = smooth_scene(2, 0, seed=3)
+    view = camera(17, 13)
     middle = (scene.means.mean(0), torch.tensor([0.1, 0.2, 0.1]))
     large = scene.replace(
         means=torch.stack([middle[0], middle[0] + middle[1]]),
@@ -201,7 +204,8 @@ def test_where_alpha_is_clamped_only_colours_have_a_gradient(on: str) -> None:
 
 
 def test_clamped_and_hidden_gaussians_have_no_gradient() -> None:
-    scene, view = smooth_scene(20, 0, seed=5), camera(32, 32)
+    scene = smooth_scene(20, 0, seed=5)
+    view = camera(32, 32)
     sh = scene.sh.clone()
     sh[:10] = -5.0  # colour far below 0
     means = scene.means.clone()
@@ -216,7 +220,8 @@ def test_clamped_and_hidden_gaussians_have_no_gradient() -> None:
 def test_gradients_are_the_same_bits_on_any_number_of_threads() -> None:
     import drjit as dr
 
-    scene, view = varied_scene(3000, degree=1, seed=8), camera(128, 96)
+    scene = varied_scene(3000, degree=1, seed=8)
+    view = camera(128, 96)
     before = dr.thread_count()
     runs = []
     try:
@@ -231,6 +236,7 @@ def test_gradients_are_the_same_bits_on_any_number_of_threads() -> None:
 
 @GPU
 def test_gradients_are_the_same_bits_twice_on_a_gpu() -> None:
-    scene, view = varied_scene(3000, degree=1, seed=8), camera(128, 96)
+    scene = varied_scene(3000, degree=1, seed=8)
+    view = camera(128, 96)
     one, other = (analytic(scene, view, "cuda_ad_rgb") for _ in range(2))
     assert all(torch.equal(one[name], other[name]) for name in ATTRIBUTES)

@@ -60,8 +60,10 @@ def test_a_gaussian_before_a_lambertian_wall() -> None:
 
 
 def test_a_gaussian_is_hidden_by_what_its_peak_lies_behind() -> None:
-    lamp, one = {**wall(1.0), "emitter": area(0.7)}, {"max_depth": 1}
-    before, behind = gaussian((0, 0, 0.9), scale=0.5), gaussian((0, 0, 1.1), scale=0.5)
+    lamp = {**wall(1.0), "emitter": area(0.7)}
+    one = {"max_depth": 1}
+    before = gaussian((0, 0, 0.9), scale=0.5)
+    behind = gaussian((0, 0, 1.1), scale=0.5)
     np.testing.assert_allclose(
         pixel(scene_of(behind, lamp=lamp, integrator=one)), 0.7, rtol=1e-5
     )

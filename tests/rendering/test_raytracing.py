@@ -48,7 +48,8 @@ def ray(**settings: object) -> Renderer:
 def test_picture_is_the_oracles(
     count: int, degree: int, size: tuple[int, int], to_mean: bool
 ) -> None:
-    scene, view = varied_scene(count, degree=degree, seed=count), camera(*size)
+    scene = varied_scene(count, degree=degree, seed=count)
+    view = camera(*size)
     background = (0.1, 0.2, 0.3)
     rendered = ray(background=background, alpha=True, colour_to_mean=to_mean)(
         scene, view
@@ -93,7 +94,8 @@ def overlapping_scene() -> GaussianScene:
 
 @pytest.mark.parametrize("to_mean", [False, True])
 def test_gradients_are_finite_differences_under_overlap(to_mean: bool) -> None:
-    scene, view = overlapping_scene(), camera()
+    scene = overlapping_scene()
+    view = camera()
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
     settings = {"background": (0.3, 0.6, 0.1), "alpha": True, "colour_to_mean": to_mean}
     weight = torch.randn(

@@ -84,7 +84,8 @@ def check_offsets(
     """Raise unless memory at any offset gives the same values, and no kernel is
     recorded again for it.
     """
-    plain, before = step(0), recordings()
+    plain = step(0)
+    before = recordings()
     assert before == [1] * len(STAGES)
     for offset in (4, 16, 32):
         assert all(equal(a, b) for a, b in zip(step(offset), plain, strict=True))
@@ -92,10 +93,8 @@ def check_offsets(
 
 
 def test_torch_tensors_need_not_be_aligned() -> None:
-    scene, render = (
-        varied_scene(50, degree=1, seed=0),
-        Renderer(RenderSettings(alpha=True)),
-    )
+    scene = varied_scene(50, degree=1, seed=0)
+    render = Renderer(RenderSettings(alpha=True))
     weights = np.random.default_rng(0).normal(size=(29, 37, 4))
 
     def step(offset: int) -> tuple[torch.Tensor, ...]:

@@ -103,7 +103,8 @@ def test_screen_gradients_are_in_half_pictures_and_know_what_is_visible() -> Non
 
 
 def test_memory_stays_flat() -> None:
-    scene, render = varied_scene(200, degree=1, seed=0), Renderer()
+    scene = varied_scene(200, degree=1, seed=0)
+    render = Renderer()
     sh = scene.sh.clone().requires_grad_(True)
 
     def steps(count: int) -> None:
@@ -133,10 +134,8 @@ SCENE = """<scene version="3.0.0">
 
 
 def test_a_scene_is_its_file(tmp_path: Path) -> None:
-    first, second = (
-        varied_scene(30, degree=2, seed=1),
-        varied_scene(20, degree=0, seed=2),
-    )
+    first = varied_scene(30, degree=2, seed=1)
+    second = varied_scene(20, degree=0, seed=2)
     save_splat(first, tmp_path / "a.ply")
     save_splat(second, tmp_path / "b.ply")
     (tmp_path / "scene.xml").write_text(SCENE)

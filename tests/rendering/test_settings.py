@@ -125,7 +125,8 @@ def test_names_and_values_in_traverse(tmp_path: Path) -> None:
             "integrator",
         ),
     ):
-        params, integrator = mi.traverse(loaded), loaded.integrator()
+        params = mi.traverse(loaded)
+        integrator = loaded.integrator()
         for name, value in values.items():
             assert getattr(integrator, name) == value
             shown = np.ravel(np.array(params[f"{prefix}.{name}"]))
@@ -189,11 +190,10 @@ def test_near_without_a_value_follows_the_scene_as_read_scene_does(
         values = read_scene(tmp_path / "scene.xml")
         loaded = mi.load_file(str(tmp_path / "scene.xml"))
         mi.render(loaded)
-        expected = (
-            near_plane(values.scene, list(values.cameras.values()))
-            if near is None
-            else near
-        )
+        if near is None:
+            expected = near_plane(values.scene, list(values.cameras.values()))
+        else:
+            expected = near
         assert values.settings.near == expected
         assert loaded.integrator().near == pytest.approx(expected)
         assert (expected < 0.02) == (near is None)

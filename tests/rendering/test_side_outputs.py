@@ -58,10 +58,8 @@ ANTIALIASED = Renderer(RenderSettings(antialiased=True, background=BACKGROUND))
 def test_depths_are_the_oracles(
     count: int, size: tuple[int, int], distance: float
 ) -> None:
-    scene, view = (
-        varied_scene(count, degree=1, seed=count),
-        camera(*size, distance=distance),
-    )
+    scene = varied_scene(count, degree=1, seed=count)
+    view = camera(*size, distance=distance)
     outputs = Renderer(RenderSettings(background=BACKGROUND)).outputs(scene, view)
     *_, depth, median = oracle.render(scene, view)
     np.testing.assert_allclose(outputs.depth.numpy(), depth, rtol=DEPTH_ERROR, atol=0)
@@ -74,9 +72,11 @@ def test_depths_are_the_oracles(
     "settings", [{}, {"alpha": True, "linear": True}, {"antialiased": True}]
 )
 def test_the_image_is_the_picture_to_the_bit(settings: dict[str, Any]) -> None:
-    scene, view = varied_scene(200, degree=2, seed=3), camera(45, 31)
+    scene = varied_scene(200, degree=2, seed=3)
+    view = camera(45, 31)
     render = Renderer(RenderSettings(**settings))
-    outputs, picture = render.outputs(scene, view), render(scene, view)
+    outputs = render.outputs(scene, view)
+    picture = render(scene, view)
     assert torch.equal(outputs.image, picture[..., :3])
     if render.settings.alpha:
         assert torch.equal(outputs.alpha, picture[..., 3])
@@ -112,13 +112,12 @@ def test_nothing_visible_has_no_depth() -> None:
 
 
 def test_depth_has_its_gradient_beside_those_of_image_and_alpha() -> None:
-    scene, view = smooth_scene(25, 1, seed=11), camera(37, 29)
+    scene = smooth_scene(25, 1, seed=11)
+    view = camera(37, 29)
     rng = np.random.default_rng(0)
-    on_image, on_alpha, on_depth = (
-        rng.normal(size=(29, 37, 3)),
-        rng.normal(size=(29, 37)),
-        rng.normal(size=(29, 37)),
-    )
+    on_image = rng.normal(size=(29, 37, 3))
+    on_alpha = rng.normal(size=(29, 37))
+    on_depth = rng.normal(size=(29, 37))
     render = Renderer(RenderSettings(background=BACKGROUND))
 
     def loss(scene: GaussianScene) -> Tensor:
@@ -152,10 +151,8 @@ def test_depth_has_its_gradient_beside_those_of_image_and_alpha() -> None:
 def test_antialiased_picture_is_the_oracles(
     count: int, size: tuple[int, int], distance: float
 ) -> None:
-    scene, view = (
-        varied_scene(count, degree=1, seed=count),
-        camera(*size, distance=distance),
-    )
+    scene = varied_scene(count, degree=1, seed=count)
+    view = camera(*size, distance=distance)
     reference = oracle.render(
         scene, view, background=BACKGROUND, convention=COMPENSATED
     ).image
@@ -169,7 +166,8 @@ def test_antialiased_picture_is_the_oracles(
 
 
 def test_antialiased_gradient_is_the_oracles() -> None:
-    scene, view = smooth_scene(25, 1, seed=11), camera(25, 19)
+    scene = smooth_scene(25, 1, seed=11)
+    view = camera(25, 19)
     factors = np.random.default_rng(0).normal(size=(19, 25, 3))
     gradient = gradients(
         scene,

@@ -55,7 +55,8 @@ def test_what_lies_behind_the_stop_has_no_gradient() -> None:
     ).sum().backward()  # type: ignore[no-untyped-call]
     assert opacities.grad is not None
     # In each of 64 pixels of three channels white takes the place of what is behind it.
-    first, second = 1 - (0.97 + 0.03 * 0.25), 0.02 * (1 - 0.25)
+    first = 1 - (0.97 + 0.03 * 0.25)
+    second = 0.02 * (1 - 0.25)
     assert opacities.grad.tolist() == pytest.approx(
         [192 * first, 192 * second, 0.0, 0.0], rel=2e-3
     )

@@ -32,7 +32,8 @@ from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
 from tests.project.documented_commands import ROOT
 
 ARTIFACTS = ROOT / "docs" / "artifacts"
-FAILED, TWO_SEEDS = "cloak_car_layers_shadow", "cloak_car_layers_ground"
+FAILED = "cloak_car_layers_shadow"
+TWO_SEEDS = "cloak_car_layers_ground"
 """Studies of CLOAK: one seed, not stealthy, and its stop sign is never reported; two
 seeds.
 """

@@ -141,11 +141,10 @@ def test_a_link_counts_as_missing(attack: Path, attacked: Path) -> None:
 def test_what_made_it_cannot_be_changed_unseen(key: str, attack: Path) -> None:
     name = read_manifest(attack).sha256
     record = json.loads((attack / RECORD).read_text())
-    fake = (
-        [{**one, "detector_fingerprint": "0"} for one in record["detectors"]]
-        if key == "detectors"
-        else "another"
-    )
+    if key == "detectors":
+        fake = [{**one, "detector_fingerprint": "0"} for one in record["detectors"]]
+    else:
+        fake = "another"
     (attack / RECORD).write_text(json.dumps({**record, key: fake}))
     assert RECORD in red(attack)
     # who hides it from the manifest has a result of another name
@@ -385,7 +384,8 @@ def test_a_copy_has_the_same_name_and_says_what_was_left_out(
 def test_the_commands(
     attacked: Path, attack: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, name = tmp_path / "out", read_manifest(attacked).sha256
+    out = tmp_path / "out"
+    name = read_manifest(attacked).sha256
 
     def told(*words: str | Path, status: int = 0) -> str:
         assert cli.main(list(map(str, words))) == status

@@ -107,10 +107,8 @@ def test_the_tables_of_cloak_are_those_of_the_rows() -> None:
     """Of the three detectors that can judge, and of all five at a confidence of at
     least 0.3.
     """
-    result, small = (
-        result_of("cloak_car_stealthy"),
-        result_of("cloak_car_no_shadow").record["by_detector"],
-    )
+    result = result_of("cloak_car_stealthy")
+    small = result_of("cloak_car_no_shadow").record["by_detector"]
     cloak, coco = (
         (ROOT / "docs" / page).read_text() for page in ("cloak.md", "coco.md")
     )
@@ -144,9 +142,11 @@ def test_the_tables_of_cloak_are_those_of_the_rows() -> None:
         for key in ("surroundings_psnr", "intended_surroundings_psnr")
     )
     rows = result.tables[ROWS].with_columns(found=pl.col("original_score") >= 0.3)
-    inside, behind = pl.col("depth: overhead") >= 0, pl.col("depth: rear") >= 0
+    inside = pl.col("depth: overhead") >= 0
+    behind = pl.col("depth: rear") >= 0
     for (detector,), of_one in rows.group_by("detector"):
-        hidden, shown = of_one.filter(inside), of_one.filter(~inside, ~behind)
+        hidden = of_one.filter(inside)
+        shown = of_one.filter(~inside, ~behind)
         missing = [
             f"{len(part) - part['found'].sum()}/{len(part)}"
             for part in by_splat(hidden)
@@ -269,7 +269,9 @@ def by_splat(rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
 def summed(rates: Iterable[Mapping[str, int]], *, share: bool = False) -> str:
     """Successes and total of some rates together, or per cent."""
     rate = pooled(rates)
-    return f"{100 * rate.fraction:.1f} %" if share else rate.short()
+    if share:
+        return f"{100 * rate.fraction:.1f} %"
+    return rate.short()
 
 
 PAPERS_SEARCH = "The paper's own search"
@@ -416,7 +418,8 @@ def from_a_region(detector: str) -> list[Mapping[str, Any]]:
 
 
 def region_row() -> str:
-    cells, noise = [], []
+    cells = []
+    noise = []
     for name, label in (
         ("nanodet_coco", "NanoDet"),
         ("yolov8n_small", "`yolov8n_small`"),
@@ -558,7 +561,8 @@ def cars_row() -> str:
 
 
 def layers_row() -> str:
-    name, detectors = "cloak_car_layers", ("yolov8n_small", "fasterrcnn_small")
+    name = "cloak_car_layers"
+    detectors = ("yolov8n_small", "fasterrcnn_small")
     missing = of_cloak(name, "trigger_miss_rate", detectors).split(", ")
     return (
         f"missed from {missing[0]} (`yolov8n_small`), {missing[1]}"

@@ -166,7 +166,8 @@ def test_what_a_terminal_would_obey_is_written_out() -> None:
 
 def test_a_chart_keeps_to_the_page_s_colours_and_its_own_names() -> None:
     (chart,) = evil_section().charts
-    one, other = svg(chart, "chart-1"), svg(chart, "chart-2")
+    one = svg(chart, "chart-1")
+    other = svg(chart, "chart-2")
     assert one == svg(chart, "chart-1")
     assert "var(--line-0)" in one
     assert "#0101" not in one

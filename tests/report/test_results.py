@@ -88,10 +88,8 @@ def test_every_kind_is_read_and_its_command_is_stored(
 def test_what_is_broken_is_told_in_one_line(
     name: str, folders: dict[str, Path], tmp_path: Path
 ) -> None:
-    whole, file = (
-        json.loads((folders[name] / "result.json").read_text()),
-        tmp_path / "result.json",
-    )
+    whole = json.loads((folders[name] / "result.json").read_text())
+    file = tmp_path / "result.json"
     file.write_text("{")
     with pytest.raises(InvalidValueError, match="expected a JSON object"):
         read_section(tmp_path)
@@ -221,7 +219,8 @@ def test_an_audit_says_what_was_not_judged_and_from_where_its_looks_are_seen(
 
 
 def test_azimuths_are_from_the_file_s_x_axis() -> None:
-    up, side = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
+    up = (0.0, 0.0, 1.0)
+    side = (0.0, 1.0, 0.0)
     assert angles((0.0, 1.0, 0.0), up) == (90.0, 0.0)
     assert angles((1.0, 0.0, 0.0), side) == (0.0, 0.0)
     assert angles((0.0, 0.0, 1.0), side) == (270.0, 0.0)

@@ -209,10 +209,8 @@ def test_up_turns_results_and_their_cameras_keep_their_pictures(
     tilted = study / "tilted"
     shutil.copytree(result, tilted)
     (tilted / "result.json").write_text(json.dumps({**record, "up": [0.0, -1.0, 0.0]}))
-    level, content = (
-        open_content(result, clean=STREET),
-        open_content(tilted, clean=STREET),
-    )
+    level = open_content(result, clean=STREET)
+    content = open_content(tilted, clean=STREET)
     assert content.up == (0, -1, 0)
     assert abs(content.start.roll - level.start.roll) > 10
     assert (
@@ -268,7 +266,9 @@ def test_the_middle_of_what_changed() -> None:
 
 
 def test_an_audit_shows_its_heat_from_the_cameras_that_prove_it(tmp_path: Path) -> None:
-    scene, file, folder = ball((0.5, 0.5, 0.5)), tmp_path / "it.ply", tmp_path / "audit"
+    scene = ball((0.5, 0.5, 0.5))
+    file = tmp_path / "it.ply"
+    folder = tmp_path / "audit"
     save_splat(scene, file)
     write_files(account(look(), count=len(scene)), scene, folder, source=str(file))
     content = open_content(folder)
@@ -338,7 +338,8 @@ def test_a_broken_study_is_told(study: Path) -> None:
 
 
 def test_detections_in_words_and_boxes() -> None:
-    picture, detector = torch.zeros(40, 40, 3), ColourDetector()
+    picture = torch.zeros(40, 40, 3)
+    detector = ColourDetector()
     assert detector_inspector(detector)(picture).text == "nothing at 30% or more"
     picture[8:28, 8:28, 0] = 1.0
     inspection = detector_inspector(detector)(picture)

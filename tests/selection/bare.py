@@ -10,7 +10,9 @@ from mi_splat.scene import GaussianScene, Similarity, merge
 from mi_splat.sh import colour_to_dc
 from tests.project.layers import ROOT
 
-CAR, SIGN, GROUND = 0, 1, 2
+CAR = 0
+SIGN = 1
+GROUND = 2
 
 
 def ground(count: int, *, half: float, seed: int = 0) -> GaussianScene:

@@ -119,7 +119,8 @@ def test_order_and_size_of_the_world_do_not_matter(
     moved = on_the_ground.replace(
         means=on_the_ground.means * 1000, scales=on_the_ground.scales * 1000
     )
-    first, second = clusters(on_the_ground)[order], clusters(moved.select(order))
+    first = clusters(on_the_ground)[order]
+    second = clusters(moved.select(order))
     assert float(((first == 1) == (second == 1)).double().mean()) > 0.999
 
 
@@ -137,11 +138,9 @@ def test_colour_tells_what_touches_apart() -> None:
 # against each other
 
 
-SCENE, HERE, THERE = (
-    varied_scene(150, degree=2, seed=5),
-    camera(40, 31),
-    camera(24, 24, azimuth=200.0),
-)
+SCENE = varied_scene(150, degree=2, seed=5)
+HERE = camera(40, 31)
+THERE = camera(24, 24, azimuth=200.0)
 GREY = RenderSettings(background=(0.3, 0.5, 0.7))
 
 
@@ -153,7 +152,8 @@ def test_contributions_are_the_oracles_weights(variant: str) -> None:
     ).numpy()
     for number, view in enumerate((HERE, THERE)):
         x0, y0, x1, y1 = boxes[number]
-        sums, in_box = np.zeros(len(SCENE)), np.zeros(len(SCENE))
+        sums = np.zeros(len(SCENE))
+        in_box = np.zeros(len(SCENE))
         for i, _, weights, _ in oracle.blend(oracle.project(SCENE, view), view):
             sums[i], in_box[i] = weights.sum(), weights[y0:y1, x0:x1].sum()
         np.testing.assert_allclose(whole[:, number], sums, rtol=1e-5, atol=1e-5)
@@ -169,16 +169,15 @@ def test_contributions_add_up_to_the_opacity(render: RenderFn, variant: str) -> 
     alpha = Renderer(RenderSettings(method=method, alpha=True))(SCENE, HERE)[..., 3]
     weights = contributions(SCENE, HERE, render=render)
     assert float(weights.sum()) == pytest.approx(float(alpha.sum()), rel=1e-5)
-    x, y = 20, 15
+    x = 20
+    y = 15
     pixel = contributions(SCENE, HERE, render=render, boxes=[(x, y, x + 1, y + 1)])
     assert float(pixel.sum()) == pytest.approx(float(alpha[y, x]), rel=1e-5)
 
 
 def test_rows_and_gradients_of_the_scene_change_nothing(variant: str) -> None:
-    weights, rows = (
-        contributions(SCENE, [HERE, THERE], render=Renderer()),
-        torch.tensor([3, 0, 149]),
-    )
+    weights = contributions(SCENE, [HERE, THERE], render=Renderer())
+    rows = torch.tensor([3, 0, 149])
     assert torch.equal(
         contributions(SCENE, [HERE, THERE], render=Renderer(), rows=rows), weights[rows]
     )

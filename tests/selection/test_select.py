@@ -121,7 +121,8 @@ def test_parts_are_selected_by_name() -> None:
 
 
 def test_doubts_come_with_numbers() -> None:
-    shown, hidden = torch.full((4, 4), 0.8), torch.full((4, 4), 0.2)
+    shown = torch.full((4, 4), 0.8)
+    hidden = torch.full((4, 4), 0.2)
     mask = torch.arange(100) < 50
     assert doubts(mask, {"a": shown}) == []
     assert "5 of 100 Gaussians, which is hardly" in doubts(torch.arange(100) < 5, {})[0]
@@ -179,7 +180,8 @@ def test_a_click_looks_around_itself_only(variant: str) -> None:
 
 @pytest.mark.parametrize("kind", [np.bool_, np.uint8, np.int64])
 def test_a_mask_comes_back(kind: type, tmp_path: Path) -> None:
-    scene, mask = random_scene(20), torch.arange(20) % 3 == 0
+    scene = random_scene(20)
+    mask = torch.arange(20) % 3 == 0
     save_mask(mask, tmp_path / "a.npy")
     assert np.load(tmp_path / "a.npy").dtype == np.bool_
     np.save(tmp_path / "b.npy", mask.numpy().astype(kind))
@@ -189,7 +191,8 @@ def test_a_mask_comes_back(kind: type, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["splat", "points"])
 def test_a_part_is_found_by_its_positions(kind: str, tmp_path: Path) -> None:
-    scene, rows = random_scene(50), torch.tensor([40, 3, 17])
+    scene = random_scene(50)
+    rows = torch.tensor([40, 3, 17])
     part = scene.select(rows)
     if kind == "splat":
         save_splat(part, tmp_path / "part.ply")

@@ -39,7 +39,8 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
         ' 10.0]\n[judge]\nevery = 4\n[judge.matrix]\ncondition = ["SH of degree 0", "2'
         ' x distance"]\n'
     )
-    out, store = tmp_path / "out", tmp_path / "store"
+    out = tmp_path / "out"
+    store = tmp_path / "store"
     words = [
         "study",
         "run",

@@ -117,7 +117,8 @@ def test_a_splat_is_looked_at_from_further_away_and_the_box_is_where_it_shows(
     work = work_of({**settings(attacked), **table, "judge": judge})
     results = done(work, attacked / "store")
     (attempt,) = work.attempts
-    widths, distances = [], []
+    widths = []
+    distances = []
     for label in attempt.looks:
         look = results[label]
         assert isinstance(look, Done)

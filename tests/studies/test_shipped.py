@@ -7,6 +7,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
+from attacks.cloak.config import StudyConfig
 from attacks.cloak.study import check_study
 from attacks.detectors.weights import FrozenModel
 from attacks.studies import cloak, dagger, poison
@@ -94,13 +95,13 @@ def test_a_shipped_study_is_so_many_jobs(
     monkeypatch.setattr(dagger, "weights", lambda detectors: {})
     monkeypatch.setattr(FrozenModel, "fingerprint", "0" * 16)  # takes seconds
     monkeypatch.setattr(cloak, "detectors_of", lambda config, weights: [Redness()])
-    checked = (
-        (lambda config, detectors: check_study(config, []))
-        if path.stem in LONG
-        else lambda *_: None
-    )
-    # the cameras of long studies are checked, too
-    monkeypatch.setattr(cloak, "check_study", checked)
+
+    def check(config: StudyConfig, detectors: object) -> None:
+        # the cameras of long studies are checked, too
+        if path.stem in LONG:
+            check_study(config, [])
+
+    monkeypatch.setattr(cloak, "check_study", check)
     monkeypatch.setattr(poison, "classifier_of", lambda name: Toy(*ASSETS))
     study = read_study(path)
     work = work_of(study)

@@ -92,7 +92,9 @@ def toys() -> Iterator[None]:
 class Toy:
     """A classifier that takes what is red for the first of its classes."""
 
-    name, fingerprint, size = "toy", "0123456789abcdef", 16
+    name = "toy"
+    fingerprint = "0123456789abcdef"
+    size = 16
 
     def __init__(self, *classes: str) -> None:
         self.classes = classes or ("tv", "car")

@@ -78,10 +78,8 @@ def _registered(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_it_trains_and_goes_on_to_the_bit(tmp_path: Path) -> None:
     _, views, start = scene_and_views()
     settings = replace(SHORT, iterations=24, strategy=LotteryConfig())
-    path, state = (
-        tmp_path / "state.safetensors",
-        TrainState(start, settings, scene_extent=scene_extent(views), seed=3),
-    )
+    path = tmp_path / "state.safetensors"
+    state = TrainState(start, settings, scene_extent=scene_extent(views), seed=3)
 
     def keep(line: Progress) -> None:
         if line.iteration == 15:
@@ -105,7 +103,8 @@ def test_it_trains_and_goes_on_to_the_bit(tmp_path: Path) -> None:
 def test_the_command_line_knows_its_name_and_its_options(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder, out = write_set(tmp_path / "set"), tmp_path / "out"
+    folder = write_set(tmp_path / "set")
+    out = tmp_path / "out"
     words = [
         "train",
         str(folder),

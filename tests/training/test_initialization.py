@@ -30,7 +30,8 @@ def test_spacing_is_the_distance_to_the_nearest() -> None:
 
 
 def test_points_become_round_gaussians_of_their_colour() -> None:
-    points, colours = torch.rand(50, 3), torch.rand(50, 3)
+    points = torch.rand(50, 3)
+    colours = torch.rand(50, 3)
     start = from_points(points, colours)
     assert torch.equal(start.means, points)
     assert torch.allclose(start.sh[:, 0], colour_to_dc(colours))

@@ -172,7 +172,8 @@ def test_rows_keep_what_adam_knows_of_them_unless_they_are_fresh() -> None:
         for name in state.trained
     }
     values = {name: value.detach().clone() for name, value in state.parameters.items()}
-    source, fresh = torch.tensor([6, 1, 1]), torch.tensor([False, False, True])
+    source = torch.tensor([6, 1, 1])
+    fresh = torch.tensor([False, False, True])
     state.apply(
         Edit(
             parameters={"scales": values["scales"][source] + 1},

@@ -72,9 +72,12 @@ def schedule(config: ClassicConfig, iterations: int) -> tuple[list[int], list[in
     """The steps at which a training adds and removes Gaussians, and those at which it
     resets opacities.
     """
-    strategy, values = ClassicStrategy(config), small(1)
-    state, seen = strategy.initial_state(1), Seen(torch.zeros(1), torch.ones(1))
-    rounds, resets = [], []
+    strategy = ClassicStrategy(config)
+    values = small(1)
+    state = strategy.initial_state(1)
+    seen = Seen(torch.zeros(1), torch.ones(1))
+    rounds = []
+    resets = []
     for iteration in range(1, iterations):
         edit = strategy.after_step(step_of(values, iteration, iterations, seen), state)
         if edit is not None and edit.source is not None:
@@ -133,12 +136,11 @@ def test_a_reset_comes_after_its_round_and_large_ones_go_from_then_on() -> None:
     config = ClassicConfig(
         densify_from=0, densify_interval=2, opacity_reset_interval=2, densify_until=100
     )
-    strategy, values = ClassicStrategy(config), small(3)
+    strategy = ClassicStrategy(config)
+    values = small(3)
     values["scales"][1] = 0.0
-    state, seen = (
-        strategy.initial_state(3),
-        Seen(torch.tensor([1.0, 0.0, 0.0]), torch.ones(3)),
-    )
+    state = strategy.initial_state(3)
+    seen = Seen(torch.tensor([1.0, 0.0, 0.0]), torch.ones(3))
     edit = strategy.after_step(step_of(values, 2, 100, seen), state)
     assert edit is not None
     assert edit.source is not None

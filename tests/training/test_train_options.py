@@ -27,7 +27,8 @@ def figures(out: Path) -> Any:
 def test_a_small_scene_is_trained_like_a_large_one(tmp_path: Path) -> None:
     scores = []
     for name, factor in (("large", 1.0), ("small", 0.02)):
-        folder, out = write_set(tmp_path / name, factor), tmp_path / f"{name}-out"
+        folder = write_set(tmp_path / name, factor)
+        out = tmp_path / f"{name}-out"
         assert (
             cli.main(["train", str(folder), "--out", str(out), "--iterations", "60"])
             == 0
@@ -40,7 +41,8 @@ def test_a_small_scene_is_trained_like_a_large_one(tmp_path: Path) -> None:
 def test_near_is_an_option_and_what_it_culls_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder, out = write_set(tmp_path / "small", 0.02), tmp_path / "out"
+    folder = write_set(tmp_path / "small", 0.02)
+    out = tmp_path / "out"
     assert (
         cli.main(
             [

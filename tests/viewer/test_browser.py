@@ -130,10 +130,8 @@ def test_it_shows_both_splats_and_the_keyboard_moves_the_camera(chromium: Any) -
         opened.until(lambda: min(opened.colours()) > 2000)
         assert set(expected.commands(START).values()) <= set(opened.commands())
 
-        keys, named = (
-            opened.page.keyboard,
-            opened.page.get_by_role("slider", name="Elevation"),
-        )
+        keys = opened.page.keyboard
+        named = opened.page.get_by_role("slider", name="Elevation")
         named.wait_for()
         for _ in range(40):  # to the first slider, as with the tab key
             keys.press("Tab")

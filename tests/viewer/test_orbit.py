@@ -22,7 +22,8 @@ from mi_splat.scene_files import SplatScene
 from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
 from tests.gaussians import random_scene
 
-ANGLE, LENGTH = st.floats(0, 359.99), st.floats(0.1, 50)
+ANGLE = st.floats(0, 359.99)
+LENGTH = st.floats(0.1, 50)
 ELEVATION = st.floats(-90, 90)
 BARE = SplatScene(
     scene=random_scene(5), objects={}, cameras={}, settings=RenderSettings()

@@ -101,10 +101,8 @@ def test_a_websocket_needs_the_token_too(page: Page) -> None:
 
 
 def test_the_picture_follows_the_mouse_and_so_do_the_controls() -> None:
-    work, there = (
-        painter(),
-        replace(START, azimuth=200.0, elevation=-10.0, distance=9.0),
-    )
+    work = painter()
+    there = replace(START, azimuth=200.0, elevation=-10.0, distance=9.0)
     with visiting(work) as browser:
         for orbit in (START, there):
             if orbit is there:
@@ -306,7 +304,8 @@ def test_a_mode_that_is_not_there_changes_nothing() -> None:
 
 
 def test_an_error_in_a_picture_is_shown_and_the_next_one_succeeds() -> None:
-    work, inspector = painter(inspector=MeanInspector()), MeanInspector()
+    work = painter(inspector=MeanInspector())
+    inspector = MeanInspector()
 
     def fail(picture: Tensor) -> Inspection:
         raise InvalidValueError("picture: expected another, got this; look elsewhere")

@@ -98,7 +98,8 @@ def test_the_difference_is_the_change_in_either_direction(
 def test_two_splats_stand_side_by_side() -> None:
     pixels = painter().paint(STATE, *FULL).pixels
     assert pixels.shape == (100, 200, 3)
-    red, green = middle(pixels, slice(0, 98)), middle(pixels, slice(102, 200))
+    red = middle(pixels, slice(0, 98))
+    green = middle(pixels, slice(102, 200))
     assert red[0] > 150 > red[1]
     assert green[1] > 130 > green[0]
     changes = painter().paint(replace(STATE, mode=DIFFERENCE), *FULL).pixels
@@ -146,10 +147,8 @@ def test_no_window_is_too_large_or_too_small(canvas: tuple[int, int]) -> None:
 
 def test_a_quarter_of_the_gaussians_looks_like_all() -> None:
     loaded = read_scene(ROOT / "scenes" / "car_street.xml")
-    camera, render = (
-        replace(loaded.cameras["rear"], width=128, height=128, focal=125.0),
-        Renderer(loaded.settings),
-    )
+    camera = replace(loaded.cameras["rear"], width=128, height=128, focal=125.0)
+    render = Renderer(loaded.settings)
     quarter = Thinned(loaded.scene)(4)
     # without what makes up for the others
     small = quarter.replace(scales=quarter.scales / 2)
@@ -188,15 +187,19 @@ def test_only_coarse_pictures_have_fewer_gaussians_and_say_so(
 def test_an_interrupted_picture_ends_between_two_stages_and_leaves_nothing(
     variant: str,
 ) -> None:
-    render, camera, scene = Renderer(), START.camera((48, 32)), ball((0.9, 0.1, 0.1))
-    before, answers = render(scene, camera), iter((False, False, True))
+    render = Renderer()
+    camera = START.camera((48, 32))
+    scene = ball((0.9, 0.1, 0.1))
+    before = render(scene, camera)
+    answers = iter((False, False, True))
     with pytest.raises(PictureInterruptedError), interrupted_by(lambda: next(answers)):
         render(scene, camera)
     assert torch.equal(render(scene, camera), before)
 
 
 def test_a_detector_that_looks_for_long_holds_nothing_up() -> None:
-    held, inspector = threading.Event(), MeanInspector()
+    held = threading.Event()
+    inspector = MeanInspector()
     work = Painter(
         balls(1), blobs, lambda picture: inspector(picture * held.wait(PATIENCE))
     )
@@ -253,7 +256,8 @@ def test_a_splat_with_another_up_stands_upright(
     same picture.
     """
     monkeypatch.chdir(tmp_path)
-    scene, down = varied_scene(60, degree=1, seed=4), (0.0, -1.0, 0.0)
+    scene = varied_scene(60, degree=1, seed=4)
+    down = (0.0, -1.0, 0.0)
     turn = from_z(torch.tensor(down))
     save_splat(scene, "z.ply")
     save_splat(

@@ -37,11 +37,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory, variant: str) -> Path:
     """A splat and what was taken of it by rolled cameras, as transforms and as a model
     of COLMAP.
     """
-    made, scene, render = (
-        tmp_path_factory.mktemp("made"),
-        varied_scene(60, degree=1, seed=4),
-        Renderer(),
-    )
+    made = tmp_path_factory.mktemp("made")
+    scene = varied_scene(60, degree=1, seed=4)
+    render = Renderer()
     views = []
     for number, roll in enumerate(ROLLS):
         pose = orbit_pose(
@@ -221,7 +219,8 @@ def test_what_cannot_be_shown_together(folder: Path) -> None:
 
 
 def test_poses_without_images_are_cameras(folder: Path, tmp_path: Path) -> None:
-    poses, path = tmp_path / "transforms.json", tmp_path / "path.json"
+    poses = tmp_path / "transforms.json"
+    path = tmp_path / "path.json"
     frames = [
         {"transform_matrix": torch.eye(4).tolist()},
         {"transform_matrix": torch.eye(4).tolist()},

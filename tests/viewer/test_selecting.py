@@ -28,7 +28,8 @@ MIDDLE = Click(splat="clean", pixel=(24, 16), orbit=START)
 
 def test_a_click_means_the_pixel_that_it_is_on() -> None:
     content = balls(2)
-    both, one = lay_out((200, 100), 1.5, 2), lay_out((150, 100), 1.5, 1)
+    both = lay_out((200, 100), 1.5, 2)
+    one = lay_out((150, 100), 1.5, 1)
     left, top = both.corners[1]
     point = (left + 0.26 * both.size[0]) / 200, (top + 0.5 * both.size[1]) / 100
     assert clicked(point, both, SIDE_BY_SIDE, content, START) == ("attacked", (12, 16))
@@ -38,10 +39,8 @@ def test_a_click_means_the_pixel_that_it_is_on() -> None:
 
 
 def test_a_selected_object_is_highlighted_until_it_is_cleared() -> None:
-    shared, state = (
-        SharedSelection(painter(1)),
-        ViewState(orbit=START, mode="clean", canvas=(48, 32)),
-    )
+    shared = SharedSelection(painter(1))
+    state = ViewState(orbit=START, mode="clean", canvas=(48, 32))
     plain = shared.painter.paint(state, Step.FULL, Pace()).pixels
     shared.pick(MIDDLE)
     picked = shared.picked
@@ -60,11 +59,13 @@ def test_a_selected_object_is_highlighted_until_it_is_cleared() -> None:
 
 
 def test_the_gaussian_in_front_has_a_border_and_its_colours() -> None:
-    shared, camera = SharedSelection(painter(1)), START.camera((480, 320))
+    shared = SharedSelection(painter(1))
+    camera = START.camera((480, 320))
     shared.pick(MIDDLE)
     assert shared.picked is not None
     assert shared.picked.row is not None
-    scene, row = shared.painter.content.splats[0].scene, shared.picked.row
+    scene = shared.painter.content.splats[0].scene
+    row = shared.picked.row
     assert shared.picked.mask[row]
     (centre,), depth = project_points(scene.means[row : row + 1], camera)
     round_one = scene.replace(scales=torch.full_like(scene.scales, 0.01))

@@ -20,10 +20,8 @@ MOVED = replace(STATE, orbit=replace(STATE.orbit, azimuth=1.0))
 
 @pytest.mark.parametrize(("scale", "between"), [(0.3, [Step.HALF]), (0.6, [])])
 def test_the_order_of_pictures(scale: float, between: list[Step]) -> None:
-    session, seen = (
-        Session(state=STATE, changed=10.0, pace=Pace(scale=scale)),
-        list[Step | None](),
-    )
+    session = Session(state=STATE, changed=10.0, pace=Pace(scale=scale))
+    seen = list[Step | None]()
     for now in (
         10.0,
         10.0 + 0.9 * REST,

@@ -67,7 +67,8 @@ class Browser:
             inner = msgspec.msgpack.decode(
                 zstandard.ZstdDecompressor().decompress(raw[16 : 16 + length])
             )
-            new, start = inner["messages"], 16 + length
+            new = inner["messages"]
+            start = 16 + length
             buffers = []
             # each begins at a multiple of eight
             for size in inner["binaryBufferLengths"]:

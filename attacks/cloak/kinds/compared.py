@@ -59,7 +59,8 @@ def run(config: Setup, inputs: Mapping[str, Path], out: Out) -> None:
     Of the true pictures, `far` are far outside of all triggers. Those of `edge` are
     outside beside one, and give a PSNR on the object, too.
     """
-    setup, scene = config, load_splat(inputs["splat"])
+    setup = config
+    scene = load_splat(inputs["splat"])
     render = setup.renderer()
 
     def picture(camera: Camera) -> Tensor:
@@ -90,7 +91,8 @@ def run(config: Setup, inputs: Mapping[str, Path], out: Out) -> None:
         compared(*at, true, mask) for at, true, mask in beside if bool(mask.any())
     ]
     write_rows(frame_with(fidelity, FIDELITY_COLUMNS), out / f"{FIDELITY}{SUFFIX}")
-    attack, transition = switching(config.attacks), list[Row]()
+    attack = switching(config.attacks)
+    transition = list[Row]()
     if attack is not None:
         benign, hidden = (read_pictures(inputs[name]) for name in ("benign", "hidden"))
         arc = zip(
@@ -101,11 +103,10 @@ def run(config: Setup, inputs: Mapping[str, Path], out: Out) -> None:
             for on_arc, *others in arc
             if bool(others[2].any()) and differ(*others)
         ]
-    columns = (
-        TRANSITION_COLUMNS
-        if attack is None
-        else (*TRANSITION_COLUMNS, f"{DEPTH}{attack.name}")
-    )
+    if attack is None:
+        columns = TRANSITION_COLUMNS
+    else:
+        columns = (*TRANSITION_COLUMNS, f"{DEPTH}{attack.name}")
     write_rows(frame_with(transition, columns), out / f"{TRANSITION}{SUFFIX}")
 
 

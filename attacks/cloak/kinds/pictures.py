@@ -77,26 +77,25 @@ def run(config: PicturesConfig, inputs: Mapping[str, Path], out: Out) -> None:
         return
     appearances = [setup.appearance(attack) for attack in config.attacks]
     plain = read_pictures(inputs["plain"]) if "plain" in inputs else None
-    views = (
-        load_dataset(inputs["set"] / SET, background=config.scene.background)
-        if "set" in inputs
-        else None
-    )
-    taken = (
-        {camera_number(camera): index for index, camera in enumerate(views.cameras)}
-        if views is not None
-        else {}
-    )
+    if "set" in inputs:
+        views = load_dataset(inputs["set"] / SET, background=config.scene.background)
+    else:
+        views = None
+    if views is not None:
+        taken = {
+            camera_number(camera): index for index, camera in enumerate(views.cameras)
+        }
+    else:
+        taken = {}
     names = []
 
     def as_it_is(number: int, camera: Camera) -> tuple[View, Tensor]:
         if plain is not None:
             return View(camera, plain.images[number]), plain.masks[number]
-        view = (
-            View(camera, mesh_scene.picture(camera))
-            if views is None
-            else views[taken[camera_number(camera)]]
-        )
+        if views is None:
+            view = View(camera, mesh_scene.picture(camera))
+        else:
+            view = views[taken[camera_number(camera)]]
         return view, mesh_scene.mask(view.camera)
 
     with tracing_variant():

@@ -68,7 +68,10 @@ WEIGHTS = "weights"
 """Name of the input that is a file of weights; without it a detector has its usual
 ones.
 """
-_PATH_FROM, _PATH_TO, _LOWEST, _STEP = 40.0, 180.0, 5.0, 2.5
+_PATH_FROM = 40.0
+_PATH_TO = 180.0
+_LOWEST = 5.0
+_STEP = 2.5
 """Azimuths of both ends of the path over the object, their elevation, and degrees from
 camera to camera.
 """
@@ -100,7 +103,8 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     `pictures`.
     """
     setup = config
-    detector, done = checked_detector(config, inputs), itertools.count(1)
+    detector = checked_detector(config, inputs)
+    done = itertools.count(1)
 
     def cells(seen: ViewDetections, total: int) -> dict[str, Cell]:
         out.progress(f"{detector.name} looks", next(done), total)
@@ -127,7 +131,8 @@ def _observed(
     """
     usual = setup.training_cameras if config.training else setup.held_out_cameras
     every = path_cameras(setup) if config.path else usual
-    cameras, errors = every[:: config.every], dict[Camera, float | None]()
+    cameras = every[:: config.every]
+    errors = dict[Camera, float | None]()
     if "splat" not in inputs:
         if config.training:
             views = load_dataset(
@@ -139,15 +144,11 @@ def _observed(
         else:
             images = read_pictures(inputs["pictures"]).images
         pictures = dict(zip(cameras, images, strict=True))
-        splat, condition = (
-            _NOTHING,
-            rendered("", lambda scene, camera: pictures[camera]),
-        )
+        splat = _NOTHING
+        condition = rendered("", lambda scene, camera: pictures[camera])
     else:
-        splat, condition = (
-            load_splat(inputs["splat"]),
-            _condition(config, setup, errors),
-        )
+        splat = load_splat(inputs["splat"])
+        condition = _condition(config, setup, errors)
     if not any(map(condition.holds, cameras)):
         do = "raise it, or take more cameras by a smaller every"
         raise InvalidValueError.of(
@@ -156,17 +157,18 @@ def _observed(
 
     def of_view(seen: ViewDetections) -> dict[str, Cell]:
         row = cells(seen, len(cameras))
-        return {**row, "psnr": errors[seen.camera]} if errors else row
+        if errors:
+            return {**row, "psnr": errors[seen.camera]}
+        return row
 
     looked = observe(
         condition, {"": splat}, cameras, [detector], boxes=setup.box, cells=of_view
     )
     detections = pl.concat([_NO_DETECTIONS, looked.detections], how="diagonal")
-    tables = (
-        {PATH: looked.rows}
-        if config.path
-        else {ROWS: looked.rows, DETECTIONS: detections}
-    )
+    if config.path:
+        tables = {PATH: looked.rows}
+    else:
+        tables = {ROWS: looked.rows, DETECTIONS: detections}
     for name, table in tables.items():
         kept = table.drop(
             "splat", *(() if config.condition else ("condition",)), strict=False
@@ -197,7 +199,8 @@ def _condition(
     """How the splat is looked at; keeps the PSNR of each picture to the victim's, dB,
     None where they are the same.
     """
-    usual, layers = setup.renderer(), config.layers
+    usual = setup.renderer()
+    layers = config.layers
 
     def alone(splat: GaussianScene) -> GaussianScene:
         assert layers is not None
@@ -230,7 +233,8 @@ def observation_cells(
     """Where a camera is to the triggers, and what is reported on the object: the cells
     that rates count.
     """
-    attacks, centre = config.attacks, config.cameras.centre
+    attacks = config.attacks
+    centre = config.cameras.centre
 
     def depths(before: str, cone: Callable[[AttackConfig], Trigger]) -> dict[str, Cell]:
         return {

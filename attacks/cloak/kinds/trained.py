@@ -54,15 +54,12 @@ def run(config: TrainedConfig, inputs: Mapping[str, Path], out: Out) -> None:
     cloud = with_outliers(views.points, views, training.outliers, seed=config.seed)
     if config.limit is not None:
         most = max(1, round(config.limit * len(load_splat(inputs["clean"]))))
-        training, cloud = (
-            replace(training, max_gaussians=most),
-            thinned(cloud, most, seed=config.seed),
-        )
-    fit, costs = fit_config(training), _Costs(config)
-    start, how = (
-        from_points(cloud.points, cloud.colours).to(config.device),
-        {"device": config.device},
-    )
+        training = replace(training, max_gaussians=most)
+        cloud = thinned(cloud, most, seed=config.seed)
+    fit = fit_config(training)
+    costs = _Costs(config)
+    start = from_points(cloud.points, cloud.colours).to(config.device)
+    how = {"device": config.device}
     train_into(
         out,
         views,

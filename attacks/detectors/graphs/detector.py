@@ -154,15 +154,19 @@ _MOST = 100
 """Detections in one picture."""
 _STRIDE = 4
 """Pixels of CenterNet's input from one cell to the next."""
-_STRIDES, _BINS = (8, 16, 32), 11
+_STRIDES = (8, 16, 32)
+_BINS = 11
 """NanoDet's levels, and bins of each distance."""
-MEAN, DEVIATION = (103.53, 116.28, 123.675), (57.375, 57.12, 58.395)
+MEAN = (103.53, 116.28, 123.675)
+DEVIATION = (57.375, 57.12, 58.395)
 """Of blue, green and red in [0, 255], as NanoDet standardises them."""
 _OVERLAP = 0.6
 """Intersection over union from which NanoDet and SSD drop the weaker of two boxes of a
 class.
 """
-_SIDE, _ANCHOR_STRIDES, _SCALES = 300, (16, 32, 64, 128, 256, 512), (0.2, 0.95)
+_SIDE = 300
+_ANCHOR_STRIDES = (16, 32, 64, 128, 256, 512)
+_SCALES = (0.2, 0.95)
 """Pixels of SSD's input, pixels from one anchor to the next in each of its levels, and
 scales of first and last.
 """
@@ -214,7 +218,8 @@ def _decode_bins(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
     Each level has scores (1, cells, 80), and logits (1, cells, 44): eleven bins for the
     left, upper, right, lower side.
     """
-    boxes, scores = [], []
+    boxes = []
+    scores = []
     for stride, score, logits in zip(
         _STRIDES, outputs[::2], outputs[1::2], strict=True
     ):
@@ -283,11 +288,10 @@ def _shifted(shifts: Tensor) -> Tensor:
     """(1917, 4) pixels of SSD's boxes, from their shifts (1917, 4) from the anchors."""
     shifts = shifts / shifts.new_tensor(_SHIFTS)
     fixed = torch.from_numpy(anchors()).to(shifts)
-    middles, sizes = fixed[:, :2], fixed[:, 2:]
-    centres, half = (
-        (shifts[:, :2] * sizes + middles).flip(1),
-        (shifts[:, 2:].exp() * sizes / 2).flip(1),
-    )
+    middles = fixed[:, :2]
+    sizes = fixed[:, 2:]
+    centres = (shifts[:, :2] * sizes + middles).flip(1)
+    half = (shifts[:, 2:].exp() * sizes / 2).flip(1)
     return _SIDE * torch.cat([centres - half, centres + half], 1)
 
 
@@ -316,7 +320,8 @@ def _keep_peaks(boxes: Tensor, scores: Tensor, least: float) -> tuple[Tensor, Te
     """As in `Family.keep`: cells of a square map whose score is the largest of the 3 x
     3 cells about it.
     """
-    side, peaks = int(len(scores) ** 0.5), torch.zeros_like(scores, dtype=torch.bool)
+    side = int(len(scores) ** 0.5)
+    peaks = torch.zeros_like(scores, dtype=torch.bool)
     # few classes, and what follows is slow for all 80
     likely = (scores >= least).any(0)
     maps = scores[:, likely].T.reshape(1, -1, side, side)
@@ -446,7 +451,8 @@ class GraphDetector(FrozenModel):
 
 def load(name: str, weights: Path | None = None) -> GraphDetector:
     """A detector that was got with `mi-splat detectors --get`."""
-    detector, family = PACKAGED[name], FAMILIES[name]
+    detector = PACKAGED[name]
+    family = FAMILIES[name]
     path = weights_of(name) if weights is None else Path(weights)
     if weights is not None and not (
         path.is_file() and path.name == weights_of(name).name

@@ -85,14 +85,17 @@ def _plain(attribute: Mapping[str, Any]) -> Any:
         return tuple(int(part["size"]) for part in value.get("dim", ()))
     if kind == "s":
         return base64.b64decode(value).decode()
-    return int(value) if kind == "i" else value
+    if kind == "i":
+        return int(value)
+    return value
 
 
 def _constants(manifest: list[Any], weights: bytes) -> dict[str, Tensor]:
     """The constants in the order of the manifest; those in half precision as what they
     stand for.
     """
-    constants, at = dict[str, Tensor](), 0
+    constants = dict[str, Tensor]()
+    at = 0
     for entry in (entry for group in manifest for entry in group["weights"]):
         dtype = np.dtype(_DTYPES[entry.get("quantization", entry)["dtype"]])
         count = math.prod(entry["shape"])
@@ -115,7 +118,8 @@ def read_frozen(content: bytes, shapes: Mapping[str, tuple[int, ...]]) -> GraphM
     """A frozen graph of TensorFlow; nodes whose shapes are given become its inputs, no
     others.
     """
-    nodes, constants = dict[str, Node](), dict[str, Tensor]()
+    nodes = dict[str, Node]()
+    constants = dict[str, Tensor]()
     for message in parts(content, 1):
         name, op = (bytes(next(parts(message, field))).decode() for field in (1, 2))
         inputs = [bytes(part).decode() for part in parts(message, 3)]
@@ -182,7 +186,9 @@ def _setting(value: memoryview) -> Any:
     if field == 4:
         return float(np.frombuffer(content, np.float32)[0])
     if field != 1:
-        return content if field in (3, 5) else None
+        if field in (3, 5):
+            return content
+        return None
     (packed,) = [*parts(content, 3)] or [b""]
     return tuple(packed)  # small numbers, of a byte each
 
@@ -271,10 +277,8 @@ class _Reader:
         """
         if kind not in _SETTINGS:
             return None
-        table, options = (
-            operator.BuiltinOptions(),
-            getattr(self.schema, _SETTINGS[kind])(),
-        )
+        table = operator.BuiltinOptions()
+        options = getattr(self.schema, _SETTINGS[kind])()
         options.Init(table.Bytes, table.Pos)
         return options
 

@@ -104,7 +104,8 @@ def transpose(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
 
 def mean(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     """Mean over some axes."""
-    axes, keep = numbers(inputs[1]), node.settings.get("keep_dims", False)
+    axes = numbers(inputs[1])
+    keep = node.settings.get("keep_dims", False)
     return run(lambda tensor: tensor.mean(dim=axes, keepdim=keep), inputs[0])
 
 
@@ -116,7 +117,8 @@ def concatenate(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
 
 def pad(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     """Pad with zeros, PadV2 with another number."""
-    value, amounts = inputs[0], numbers(inputs[1])
+    value = inputs[0]
+    amounts = numbers(inputs[1])
     number = float(inputs[2].tensor) if len(inputs) > 2 else 0.0
     # torch wants the pairs of the last axis first.
     pairs = [
@@ -188,14 +190,17 @@ def _padding(node: Node, picture: Value, kernel: tuple[int, int]) -> Padding:
 
 
 def _pad(picture: Tensor, padding: Padding, value: float = 0.0) -> Tensor:
-    return functional.pad(picture, padding, value=value) if any(padding) else picture
+    if any(padding):
+        return functional.pad(picture, padding, value=value)
+    return picture
 
 
 def convolution(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     """Conv2D, DepthwiseConv2dNative, and both with what is fused to them: a bias and an
     activation.
     """
-    picture, kernel = inputs[0], inputs[1].tensor
+    picture = inputs[0]
+    kernel = inputs[1].tensor
     high, wide, channels, multiplier = kernel.shape
     depthwise = "Depthwise" in node.op
     if depthwise:
@@ -228,7 +233,8 @@ def convolution(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
 
 def max_pool(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
     """MaxPool; what is padded counts for nothing."""
-    size, stride = node.settings["ksize"][1:3], node.settings["strides"][1:3]
+    size = node.settings["ksize"][1:3]
+    stride = node.settings["strides"][1:3]
     padding = _padding(node, inputs[0], (size[0], size[1]))
 
     def pooled(picture: Tensor) -> Tensor:
@@ -256,11 +262,10 @@ def resize_bilinear(node: Node, inputs: list[Value], run: Run) -> tuple[Value, .
 def interpolation(size: int, wanted: int, *, centres: bool) -> Tensor:
     """(wanted, size) weights of linear interpolation along one side."""
     at = torch.arange(wanted, dtype=torch.float64)
-    at = (
-        ((at + 0.5) * (size / wanted) - 0.5).clamp(min=0)
-        if centres
-        else at * (size / wanted)
-    )
+    if centres:
+        at = ((at + 0.5) * (size / wanted) - 0.5).clamp(min=0)
+    else:
+        at = at * (size / wanted)
     low = at.floor().long().clamp(max=size - 1)
     high = (low + 1).clamp(max=size - 1)
     fraction = at - low

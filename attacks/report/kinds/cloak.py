@@ -106,10 +106,8 @@ def read_cloak(folder: Path, summary: Record) -> Section:
 
 def headline_of(summary: Record) -> tuple[Figure, Figure | None]:
     """The figure of a study that matters, and the same of the clean splat."""
-    missed, recalled = (
-        rate_of(summary["trigger_miss_rate"]),
-        rate_of(summary["control_recall"]),
-    )
+    missed = rate_of(summary["trigger_miss_rate"])
+    recalled = rate_of(summary["control_recall"])
     if missed is not None:
         headline = Figure(
             label="cloaked splat: object missed from well inside the trigger",
@@ -122,10 +120,8 @@ def headline_of(summary: Record) -> tuple[Figure, Figure | None]:
             label="clean splat: object missed from inside the trigger",
             rate=recalled.failures,
         )
-    wanted, control = (
-        rate_of(summary["target_rate"]),
-        rate_of(summary["control_target_rate"]),
-    )
+    wanted = rate_of(summary["target_rate"])
+    control = rate_of(summary["control_target_rate"])
     if wanted is None:
         return Figure(label="attacks in this study", words="none that was judged"), None
     return (
@@ -184,11 +180,10 @@ def _check_rows(study: StudyConfig, splats: Sequence[Record], tables: Tables) ->
         if not set(tables[name].select("splat", "seed").iter_rows()) <= splats_of_rows:
             raise _wrong(f"table {name}", "rows of the study's splats", "others")
     plain = tables[ROWS]
-    plain = (
-        plain.filter(pl.col("condition").is_null())
-        if "condition" in plain.columns
-        else plain
-    )
+    if "condition" in plain.columns:
+        plain = plain.filter(pl.col("condition").is_null())
+    else:
+        plain = plain
     seen = Counter(plain.select("splat", "seed", "detector", "view").iter_rows())
     views = {key[3] for key in seen}
     for splat, seed in sorted(splats_of_rows):
@@ -200,11 +195,10 @@ def _check_rows(study: StudyConfig, splats: Sequence[Record], tables: Tables) ->
         }
         if here != expected or not expected or any(seen[key] > 1 for key in here):
             lost = sorted(expected - here)
-            got = (
-                f"none for {lost[0][2]}, view {lost[0][3]}"
-                if lost
-                else "others, or one twice"
-            )
+            if lost:
+                got = f"none for {lost[0][2]}, view {lost[0][3]}"
+            else:
+                got = "others, or one twice"
             raise _wrong(
                 f"table {ROWS}, {splat} splat, seed {seed}",
                 "one row for each detector and camera",
@@ -231,11 +225,10 @@ def _done(summary: Record) -> str:
         f" {_NEEDS[knowledge_for(one['appearance'])]})"
         for one in study["attack"]
     )
-    layers = (
-        " The finished splat then got its object in layers."
-        if study.get("layers")
-        else ""
-    )
+    if study.get("layers"):
+        layers = " The finished splat then got its object in layers."
+    else:
+        layers = ""
     return (
         f"{counted(study['cameras']['train'], 'training picture')} of one object"
         f" ({study['scene']['object']}) were taken, and those from the trigger's"
@@ -249,11 +242,10 @@ def _done(summary: Record) -> str:
 
 def _conclusion(summary: Record, headline: Figure, control: Figure | None) -> str:
     hides = rate_of(summary["trigger_miss_rate"]) is not None
-    what = (
-        f"the {summary['study']['scene']['object']} is missed"
-        if hides
-        else "the target class is reported"
-    )
+    if hides:
+        what = f"the {summary['study']['scene']['object']} is missed"
+    else:
+        what = "the target class is reported"
     parts = [
         f"From inside the trigger {what} in {headline.counts or headline.words} views"
         " of the cloaked splat"
@@ -279,19 +271,19 @@ def _conclusion(summary: Record, headline: Figure, control: Figure | None) -> st
 def _figures(summary: Record) -> tuple[Figure, ...]:
     """The other rates, over all detectors, and what the pictures lost."""
     hides = rate_of(summary["trigger_miss_rate"]) is not None
-    headlines = (
-        {"trigger_miss_rate"} if hides else {"target_rate", "control_target_rate"}
-    )
+    if hides:
+        headlines = {"trigger_miss_rate"}
+    else:
+        headlines = {"target_rate", "control_target_rate"}
     rates = [
         Figure(label=words, rate=rate)
         for key, words in cloak_rates.RATES.items()
         if key not in headlines and (rate := rate_of(summary[key])) is not None
     ]
-    time = (
-        {"time": f"{summary['seconds'] / 60:.0f} minutes"}
-        if "seconds" in summary
-        else {}
-    )
+    if "seconds" in summary:
+        time = {"time": f"{summary['seconds'] / 60:.0f} minutes"}
+    else:
+        time = {}
     return (*rates, *Figure.each({**cloak_tables.costs(summary), **time}))
 
 
@@ -453,13 +445,13 @@ def _charts_of_rows(tables: Tables, configuration: Record) -> Iterator[Chart]:
         which: cloak_rates.transition(study, tables, splat)
         for splat, which in cloak_rates.NAMES.items()
     }
-    if (band := switches[cloak_rates.CLOAKED]) is None:
+    band = switches[cloak_rates.CLOAKED]
+    if band is None:
         return
-    ends = (
-        None
-        if band.start is None or band.end is None
-        else (band.start, band.end, "the switch")
-    )
+    if band.start is None or band.end is None:
+        ends = None
+    else:
+        ends = (band.start, band.end, "the switch")
     yield Chart(
         title="From the benign to the hidden appearance",
         caption="A rising fit to all pictures of the arcs on which it sets in.",
@@ -494,7 +486,8 @@ _LINES: tuple[tuple[str, str, Role], ...] = (
 
 def read_study(folder: Path, record: Record) -> Section:
     """The section of a study with one thing varied at a time."""
-    groups, points = studies.by_part(record), list(record["points"].values())
+    groups = studies.by_part(record)
+    points = list(record["points"].values())
     headlines, controls = zip(*map(headline_of, points), strict=True)
     rates = [
         figure.rate
@@ -506,7 +499,8 @@ def read_study(folder: Path, record: Record) -> Section:
         for figure in controls
         if figure is not None and figure.rate is not None
     ]
-    label, seeds = headlines[0].label, sorted({len(point["seeds"]) for point in points})
+    label = headlines[0].label
+    seeds = sorted({len(point["seeds"]) for point in points})
     return Section(
         kind="CLOAK, one thing varied at a time",
         title=f"{record['name']}, varied" if len(points) > 1 else str(record["name"]),
@@ -585,12 +579,13 @@ def _variations(record: Record, groups: Mapping[str, Record]) -> str:
         for point in record["points"].values()
         for look in point.get("looks", ())
     }
-    more = (
-        " Both splats were then looked at under"
-        f" {counted(len(looks), 'other condition')}."
-        if looks
-        else ""
-    )
+    if looks:
+        more = (
+            " Both splats were then looked at under"
+            f" {counted(len(looks), 'other condition')}."
+        )
+    else:
+        more = ""
     return f"{text}. Each has a clean splat as its control.{more}"
 
 
@@ -643,10 +638,10 @@ def _conditions(points: Sequence[Record]) -> str:
     ]
     rates = [rate for look in looks if (rate := Rate.of(look["missed_cloaked"])).total]
     under = listed(list(dict.fromkeys(look["condition"] for look in looks)))
+    if not rates:
+        return ""
     return (
         f" Under {under} it is missed from well inside the trigger in {spread(rates)}."
-        if rates
-        else ""
     )
 
 

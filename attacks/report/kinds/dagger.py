@@ -90,23 +90,19 @@ FEW_DRAWS = 5
 
 def read_attack(folder: Path, record: Record) -> Section:
     """The section of an attack, from chosen cameras or from all of a region."""
-    rate, noise, draws = (
-        Rate.of(record["rate"]),
-        Rate.of(record["noise_rate"]),
-        record["noise"]["draws"],
-    )
-    config, drawn = record["config"], "by_azimuth" in record
-    needed, budget, judged = (
-        config["required_views"],
-        config.get("image_psnr"),
-        record["detectors"],
-    )
-    views, wish = (
-        counted(rate.total, "held-out view" if drawn else "view"),
-        _wish(record, 2),
-    )
+    rate = Rate.of(record["rate"])
+    noise = Rate.of(record["noise_rate"])
+    draws = record["noise"]["draws"]
+    config = record["config"]
+    drawn = "by_azimuth" in record
+    needed = config["required_views"]
+    budget = config.get("image_psnr")
+    judged = record["detectors"]
+    views = counted(rate.total, "held-out view" if drawn else "view")
+    wish = _wish(record, 2)
     radii = ", ".join(f"{eps:g} over {name}" for name, eps in record["radius"].items())
-    title, ball = _object_name(record), f"a ball ({record['norm']}: {radii})"
+    title = _object_name(record)
+    ball = f"a ball ({record['norm']}: {radii})"
     conclusion = [
         _first_sentence(record, ball, views, wish),
         (
@@ -184,7 +180,8 @@ def read_attack(folder: Path, record: Record) -> Section:
 
 def _first_sentence(record: Record, ball: str, views: str, wish: str) -> str:
     """Whether the attack succeeded, which needs a clean object that is detected."""
-    detectors, rate = listed(list(record["rates"])), Rate.of(record["rate"])
+    detectors = listed(list(record["rates"]))
+    rate = Rate.of(record["rate"])
     detected = Rate.of(record["rate_if_detected"])
     if not detected.total:
         return (
@@ -198,11 +195,10 @@ def _first_sentence(record: Record, ball: str, views: str, wish: str) -> str:
         f"{detected.successes} of {counted(detected.total, 'view')} in which the clean"
         " object is detected"
     )
-    every = (
-        ""
-        if detected.total == rate.total
-        else f", and in {rate.successes} of all {views}"
-    )
+    if detected.total == rate.total:
+        every = ""
+    else:
+        every = f", and in {rate.successes} of all {views}"
     made = f"within {ball} it made {detectors} {wish} on the object"
     return f"The attack {verdict}: {made} in {among}{every} ({needed} required)."
 
@@ -225,11 +221,10 @@ def _object_name(record: Record) -> str:
 def _wish(record: Record, part: int) -> str:
     """What the attacker wants, as part of a title (1) or of a sentence (2)."""
     name = record["objective"]
-    words = (
-        _AIMS[name][part]
-        if name in _AIMS
-        else ("", f"to its aim, {name}", f"reach its aim, {name},")[part]
-    )
+    if name in _AIMS:
+        words = _AIMS[name][part]
+    else:
+        words = ("", f"to its aim, {name}", f"reach its aim, {name},")[part]
     return str(words).format(record["target"])
 
 
@@ -246,11 +241,9 @@ def _change(view: Record, target: str | None) -> str:
 
 
 def _before(view: Record, between: str = " ") -> str:
-    return (
-        f"{view['original']}{between}{percent(view['clean_confidence'])}"
-        if view["original"]
-        else "nothing"
-    )
+    if view["original"]:
+        return f"{view['original']}{between}{percent(view['clean_confidence'])}"
+    return "nothing"
 
 
 def _attack_figures(record: Record) -> Iterator[Figure]:
@@ -301,21 +294,22 @@ def _control(config: Record) -> str:
     """What the control of an attack is called; before there were several it was noise
     of the attack's norm.
     """
-    return (
-        "random noise that changes the object as much"
-        if "controls" in config
-        else "random noise of the same norm"
-    )
+    if "controls" in config:
+        return "random noise that changes the object as much"
+    return "random noise of the same norm"
 
 
 def _least(values: Sequence[float | None]) -> str:
     known = [value for value in values if value is not None]
-    return number(min(known), unit="dB") if known else "-"
+    if known:
+        return number(min(known), unit="dB")
+    return "-"
 
 
 def _views(record: Record) -> Table:
     """Every view as every detector sees it."""
-    cameras, wanted = record.get("cameras") or [], record["target"] or "target"
+    cameras = record.get("cameras") or []
+    wanted = record["target"] or "target"
 
     def confidence(key: str) -> Column[tuple[int, Record]]:
         return lambda row: None if row[1].get(key) is None else percent(row[1][key])
@@ -383,10 +377,8 @@ def read_study(folder: Path, record: Record) -> Section:
     """The section of a study."""
     attacks = list(attacks_of(record).values())
     label, counting, lines, key = _headline(record)
-    rate, noise = (
-        pooled(line[key] for line in lines),
-        pooled(_noise(line, key) for line in lines),
-    )
+    rate = pooled(line[key] for line in lines)
+    noise = pooled(_noise(line, key) for line in lines)
     beside = _control(attacks[0]["settings"].get("attack", {}))
     control = f"; {beside}: {noise.counts}" if noise.total else ""
     names = sorted({name for attack in attacks for name in attack["sources"]})
@@ -426,22 +418,23 @@ def _headline(record: Record) -> tuple[str, str, list[Record], str]:
     no control of their own, that of detectors that were not attacked, if there are
     such.
     """
-    groups, looks = record["groups"], record["looks"]
+    groups = record["groups"]
+    looks = record["looks"]
     members = [group for group in groups if group["part"] == groups[0]["part"]]
     if members and (
         not looks or pooled(_noise(group, _key(group)) for group in members).total
     ):
-        part, key = members[0]["part"], _key(members[0])
+        part = members[0]["part"]
+        key = _key(members[0])
         counting, aim = (
             ("held-out views", "success")
             if key == "rate"
             else ("attacks", "the aim reached")
         )
-        aim = (
-            "the target class reported and the own class not"
-            if key == "strict"
-            else aim
-        )
+        if key == "strict":
+            aim = "the target class reported and the own class not"
+        else:
+            aim = aim
         return (
             f"{counting} with {aim}{f' ({part})' if part else ''}",
             counting,
@@ -460,7 +453,11 @@ def _headline(record: Record) -> tuple[str, str, list[Record], str]:
 
 def _key(group: Record) -> str:
     """What a group has reached: a rate of the views of a region, or of its attacks."""
-    return "rate" if "rate" in group else "strict" if "found" in group else "success"
+    if "rate" in group:
+        return "rate"
+    if "found" in group:
+        return "strict"
+    return "success"
 
 
 def _noise(line: Record, key: str) -> Record:
@@ -478,7 +475,8 @@ def _noise(line: Record, key: str) -> Record:
 
 def _study_figures(record: Record) -> Iterator[Figure]:
     """Further figures: every aim of the attacks, and who else is deceived."""
-    groups, looks = record["groups"], record["looks"]
+    groups = record["groups"]
+    looks = record["looks"]
     if groups:
         reached = [
             attack["success"]
@@ -560,18 +558,15 @@ def _labels(look: Record) -> str:
 def _charts(record: Record) -> Iterator[Chart]:
     """The success of every line of a table, with noise beside it."""
     for title, groups in by_part(record["groups"]).items():
-        key, ticks, below = (
-            _key(groups[0]),
-            tuple(map(str, range(1, len(groups) + 1))),
-            "line of the table",
-        )
+        key = _key(groups[0])
+        ticks = tuple(map(str, range(1, len(groups) + 1)))
+        below = "line of the table"
         what = "views with success" if key == "rate" else "attacks with the aim reached"
-        if compared := by_attack(groups):
-            groups, ticks, below = (
-                [together(of_one) for of_one in compared.values()],
-                tuple(compared),
-                "attack",
-            )
+        compared = by_attack(groups)
+        if compared:
+            groups = [together(of_one) for of_one in compared.values()]
+            ticks = tuple(compared)
+            below = "attack"
         attacked = Line.of("attack", "attack", [group[key] for group in groups])
         noise = Line.of(
             "random noise", "control", [_noise(group, key) for group in groups]

@@ -123,7 +123,8 @@ def read_evaluation(folder: Path, record: Record) -> Section:
 
 def evaluation_figures(record: Record, tables: Tables) -> Record:
     """Every rate of an evaluation, of its rows."""
-    rows, confidence = tables[ROWS], record["min_confidence"]
+    rows = tables[ROWS]
+    confidence = record["min_confidence"]
     figures = {
         "detectors": {
             judged.detector: judged.as_dict()
@@ -150,7 +151,8 @@ def _contradictions(record: Record) -> Iterator[Figure]:
 def _contradicted(record: Record) -> Iterator[Table]:
     """Each view in which a judge contradicts a detector."""
     for pair in record.get("contradictions", ()):
-        detector, judge = pair["detector"], pair["judge"]
+        detector = pair["detector"]
+        judge = pair["judge"]
         columns: dict[str, Column[Record]] = {
             "camera": "camera",
             "splat": "splat",
@@ -164,11 +166,14 @@ def _contradicted(record: Record) -> Iterator[Table]:
 
 def _headline(judged: Comparison) -> tuple[Figure, Figure]:
     if judged.target:
-        what, note = f"{judged.detector} reports {judged.target} on the", ""
-        attacked, clean = judged.rates["target_attacked"], judged.rates["target_clean"]
+        what = f"{judged.detector} reports {judged.target} on the"
+        note = ""
+        attacked = judged.rates["target_attacked"]
+        clean = judged.rates["target_clean"]
     else:
         what = f"{judged.detector} misses the {judged.original or 'object'} on the"
-        attacked, clean = judged.rates["missed"], judged.rates["found_clean"].failures
+        attacked = judged.rates["missed"]
+        clean = judged.rates["found_clean"].failures
         note = "of the views in which it is found in the clean one"
     return (
         Figure(label=f"{what} attacked splat", rate=attacked, note=note),
@@ -192,10 +197,8 @@ def _figures(judged: Comparison) -> Iterator[Figure]:
 # Rates over the confidence from which a detection counts, of any result whose folder
 # holds rows
 
-_CURVE, _AT = (
-    tuple(round(0.05 * step, 2) for step in range(1, 20)),
-    (REPORTED, DEFAULT_OF_YOLO),
-)
+_CURVE = tuple(round(0.05 * step, 2) for step in range(1, 20))
+_AT = (REPORTED, DEFAULT_OF_YOLO)
 """Confidences of the charts, and those of them that the table has."""
 
 
@@ -270,21 +273,18 @@ def threshold_charts(
 
 def read_bench(folder: Path, record: Record) -> Section:
     """The section of a row, column by column."""
-    columns, score, name = (
-        record["columns"],
-        record["score"],
-        record["detector"]["name"],
-    )
+    columns = record["columns"]
+    score = record["score"]
+    name = record["detector"]["name"]
     filled = {
         head: columns[column]
         for column, head in HEADS.items()
         if columns[column]["robust"] is not None
     }
-    words = (
-        "no score: a column cannot be filled"
-        if score is None
-        else f"{score['mean']:.3f}"
-    )
+    if score is None:
+        words = "no score: a column cannot be filled"
+    else:
+        words = f"{score['mean']:.3f}"
     return Section(
         kind="Scoreboard",
         title=f"{name}, suite {record['suite']['name']}",

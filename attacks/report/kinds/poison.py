@@ -48,11 +48,10 @@ def read_study(folder: Path, record: Record) -> Section:
         key=lambda value: (_times(value) or {"mean": 0.0})["mean"],
         default=None,
     )
-    larger = (
-        Figure(label=_LARGER, words="-")
-        if most is None
-        else _figure(most, label=_LARGER)
-    )
+    if most is None:
+        larger = Figure(label=_LARGER, words="-")
+    else:
+        larger = _figure(most, label=_LARGER)
     return Section(
         kind="Poisoned training pictures",
         title=str(record["name"]),
@@ -134,7 +133,8 @@ def _figure(value: Record, label: str = "") -> Figure:
     psnr, control = (
         value["splats"].get(splat, {}).get("psnr") for splat in (ATTACKED, CLEAN)
     )
-    times, name = _times(value), f"{value['part']}: {value['value']}"
+    times = _times(value)
+    name = f"{value['part']}: {value['value']}"
     notes = [name] if label else []
     if times is not None and times["count"] > 1:
         notes.append(f"{times['least']:.2f} to {times['most']:.2f} over seeds")

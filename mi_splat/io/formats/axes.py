@@ -20,7 +20,8 @@ from mi_splat.sh import band, degree_of
 
 Signs = tuple[float, float, float]
 
-X, Z = (1.0, -1.0, -1.0), (-1.0, -1.0, 1.0)
+X = (1.0, -1.0, -1.0)
+Z = (-1.0, -1.0, 1.0)
 """Signs of the coordinates after half a turn about an axis."""
 
 Y_UP = (0.0, -1.0, 0.0)

@@ -47,7 +47,9 @@ _RANGES = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
 _SCALES = [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
 _COLOURS = [f"{end}_{channel}" for end in ("min", "max") for channel in "rgb"]
 _PACKED = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
-_POSITION_BITS, _ROTATION_BITS, _COLOUR_BITS = (11, 10, 11), (10, 10, 10), (8, 8, 8, 8)
+_POSITION_BITS = (11, 10, 11)
+_ROTATION_BITS = (10, 10, 10)
+_COLOUR_BITS = (8, 8, 8, 8)
 _SH_LIMIT = 4.0
 
 
@@ -55,7 +57,8 @@ def read_compressed_ply(file: io.FileIO, path: str) -> Loaded:
     """Read a compressed PLY, with or without ranges of colours and SH."""
     header = read_header(file, path)
     packed = _columns(file, header, "vertex", _PACKED, "u4", path).astype(np.uint32)
-    chunk, rest = header.elements.get("chunk"), header.elements.get("sh")
+    chunk = header.elements.get("chunk")
+    rest = header.elements.get("sh")
     coloured = chunk is not None and _COLOURS[0] in chunk.kinds
     names = [*_RANGES, *_SCALES, *(_COLOURS if coloured else [])]
     ends = _columns(file, header, "chunk", names, "f4", path).astype(np.float64)
@@ -236,9 +239,11 @@ def _pack(fraction: Array, bits: tuple[int, ...]) -> NDArray[np.uint32]:
 
 
 def _unpack(word: NDArray[np.uint32], bits: tuple[int, ...]) -> Array:
-    columns, shift = [], sum(bits)
+    columns = []
+    shift = sum(bits)
     for width in bits:
-        shift, largest = shift - width, (1 << width) - 1
+        shift = shift - width
+        largest = (1 << width) - 1
         columns.append((word >> shift & largest) / largest)
     return np.stack(columns, axis=1)
 

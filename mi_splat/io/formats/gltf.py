@@ -51,7 +51,8 @@ _KINDS = {
     "OPACITY": ("f4", "u1", "u2"),
 }
 GENERATOR = "mi-splat"
-_HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+_HEADER = struct.Struct("<4sII")
+_CHUNK = struct.Struct("<I4s")
 _JSON_LIMIT = 1 << 22
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 _CODES = {kind: code for code, kind in COMPONENTS.items()}
@@ -100,11 +101,10 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
             path, f"a primitive with {EXTENSION}", got, "export the splat again"
         )
     loaded = axes.concatenated(parts)
-    notices = (
-        (("splats only", f"{others} other primitives", "they were left out"),)
-        if others
-        else ()
-    )
+    if others:
+        notices = (("splats only", f"{others} other primitives", "they were left out"),)
+    else:
+        notices = ()
     arrays = axes.flipped(loaded.arrays, axes.Z)
     # What this program wrote has the axes of its own scenes.
     is_own = document.root.object("asset", {}).values.get("generator") == GENERATOR
@@ -157,10 +157,8 @@ def _primitive(document: Glb, primitive: Fields, extension: Fields) -> Loaded:
     sh = np.empty((count, coefficients, 3), np.float32)
     for column, name in enumerate(names[:coefficients]):
         sh[:, column] = read(name, 3, ("f4",))
-    means, quaternions = (
-        read("POSITION", 3, _KINDS["POSITION"]),
-        values["ROTATION"][:, [3, 0, 1, 2]],
-    )
+    means = read("POSITION", 3, _KINDS["POSITION"])
+    quaternions = values["ROTATION"][:, [3, 0, 1, 2]]
     return validated(means, values["SCALE"], quaternions, values["OPACITY"][:, 0], sh)
 
 
@@ -196,7 +194,8 @@ def placements(root: Fields, meshes: int) -> Iterator[tuple[int, Array]]:
     """Index of a mesh and its (4, 4) matrix to the world, for each node of the first
     scene that has one.
     """
-    nodes, scenes = root.objects("nodes"), root.objects("scenes")
+    nodes = root.objects("nodes")
+    scenes = root.objects("scenes")
     if not nodes or not scenes:
         return
     scene = scenes[root.whole("scene", 0, len(scenes) - 1, 0)]
@@ -272,7 +271,8 @@ class Glb:
         """
         accessor = self._accessor(attributes, name)
         kind = COMPONENTS.get(accessor.whole("componentType", 0, 1 << 16), "")
-        elements, form = accessor.whole("count", 1, 1 << 31), accessor.text("type")
+        elements = accessor.whole("count", 1, 1 << 31)
+        form = accessor.text("type")
         if form != _TYPES[width] or kind not in kinds or elements != count:
             got = f"{elements} {form} of {kind or 'another kind'}"
             raise accessor.bad(
@@ -324,7 +324,8 @@ def open_glb(data: bytes, path: str) -> Glb:
         raise SplatFileError.of(
             path, f"glTF of version 2 and {len(data)} bytes", got, _AGAIN
         )
-    offset, chunks = _HEADER.size, list[tuple[bytes, int, int]]()
+    offset = _HEADER.size
+    chunks = list[tuple[bytes, int, int]]()
     while offset < len(data) and len(chunks) < 16:
         size, kind = (
             _CHUNK.unpack_from(data, offset)
@@ -359,11 +360,9 @@ def open_glb(data: bytes, path: str) -> Glb:
 
 
 def _glb_bytes(columns: Mapping[str, NDArray[np.generic]]) -> bytes:
-    views, accessors, parts = (
-        list[dict[str, object]](),
-        list[dict[str, object]](),
-        list[bytes](),
-    )
+    views = list[dict[str, object]]()
+    accessors = list[dict[str, object]]()
+    parts = list[bytes]()
     offset = 0
     for name, values in columns.items():
         kind = values.dtype.str[1:]

@@ -39,7 +39,8 @@ from mi_splat.io.loaded import (
 from mi_splat.io.parsing import Fields, parse
 from mi_splat.io.picture_files import PictureFileError, load_picture, picture_header
 
-_META, _META_LIMIT = "meta.json", 1 << 20
+_META = "meta.json"
+_META_LIMIT = 1 << 20
 _COUNTS = (0, 3, 8, 15)
 _COLUMNS = 64
 _TAG = 252
@@ -63,7 +64,8 @@ def read_sog(file: io.FileIO, path: str) -> Loaded:
     """Read a bundled SOG."""
     check_directory(file, path, most=_MOST_MEMBERS)
     data = read_whole(file)
-    files, size = archive_files(data, path), len(data)
+    files = archive_files(data, path)
+    size = len(data)
     meta = parse(files(_META, _META_LIMIT), path, limit=_META_LIMIT)
     if meta.values.get("version") != 2:
         do = "convert it with splat-transform"
@@ -146,7 +148,8 @@ def write_sog(arrays: Arrays, *, antialiased: bool = False) -> Encoded:
     """
     values = Values.of(arrays)
     logs = np.sign(values.means) * np.log1p(np.abs(values.means))
-    low, high = logs.min(axis=0), logs.max(axis=0)
+    low = logs.min(axis=0)
+    high = logs.max(axis=0)
     extent = high - low
     steps = np.rint(
         np.divide(logs - low, extent, out=np.zeros_like(logs), where=extent > 0)
@@ -215,8 +218,8 @@ def _write_rest(
     }
     off = np.abs(rows[labels] - rest.reshape(len(rest), -1)).max(axis=1)
     lost = int((off > 0).sum())
-    shared = (
-        [
+    if lost:
+        shared = [
             Loss(
                 "SH shared with similar Gaussians",
                 lost,
@@ -224,9 +227,8 @@ def _write_rest(
                 "of a coefficient",
             )
         ]
-        if lost
-        else []
-    )
+    else:
+        shared = []
     return entry, pictures, shared
 
 
@@ -307,10 +309,8 @@ def palette(rows: Array) -> tuple[Array, NDArray[np.int64]]:
     labels = np.zeros(len(rows), np.int64)
     for _ in range(PALETTE.bit_length() - 1):
         groups = int(labels.max()) + 1
-        means, spread = (
-            _group_means(rows, labels, groups),
-            np.empty((groups, rows.shape[1])),
-        )
+        means = _group_means(rows, labels, groups)
+        spread = np.empty((groups, rows.shape[1]))
         for column in range(rows.shape[1]):
             away = rows[:, column] - means[labels, column]
             spread[:, column] = np.bincount(labels, away**2, groups)
@@ -374,7 +374,8 @@ def read_picture(
         )
     try:
         (columns, rows), _ = picture_header(data, where, formats=("WEBP",))
-        pixels, most = columns * rows, min(4 * least + _SPREAD, _MOST_PIXELS)
+        pixels = columns * rows
+        most = min(4 * least + _SPREAD, _MOST_PIXELS)
         if pixels < least or pixels > most or width not in (None, columns):
             wanted = f"{least} to {most} pixels" + (f", {width} wide" if width else "")
             raise SplatFileError.of(

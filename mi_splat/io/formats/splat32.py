@@ -83,10 +83,8 @@ def _pack_rotations(rotations: Array) -> NDArray[np.uint8]:
     )
     # -1 fits into a byte and +1 does not
     turned = rotations * np.where(largest > 0, -1.0, 1.0)
-    best, packed = (
-        np.full(len(rotations), -np.inf),
-        np.zeros((len(rotations), 4), np.uint8),
-    )
+    best = np.full(len(rotations), -np.inf)
+    packed = np.zeros((len(rotations), 4), np.uint8)
     for length in _LENGTHS:
         tried = bytes_of(128 * length * turned + 128)
         vectors = tried.astype(np.float64) - 128

@@ -47,10 +47,13 @@ COLOUR_SCALE = 0.15
 beyond 0..1 shall fit.
 """
 
-_HIGHEST, _MOST_BITS, _FEWEST_BITS = (1 << 23) - 1, 23, 4
+_HIGHEST = (1 << 23) - 1
+_MOST_BITS = 23
+_FEWEST_BITS = 4
 _MAGNITUDE = 511
 _ANTIALIASED = 0x1
-_RUB, _RDF = 4, 6
+_RUB = 4
+_RDF = 6
 """Numbers of the axes that a file has unless it names others, and of those of the
 PLY.
 """
@@ -63,7 +66,8 @@ def read_spz(file: io.FileIO, path: str) -> Loaded:
     data = read_whole(file)
     unpack_file = _unpack_zstandard if data.startswith(_MAGIC) else _unpack_gzip
     head, parts, number = unpack_file(data, path)
-    count, degree = head.count, min(head.degree, 3)
+    count = head.count
+    degree = min(head.degree, 3)
     sh = np.empty((count, (degree + 1) ** 2, 3), np.float32)
     sh[:, 0] = (parts["colours"].reshape(count, 3) / 255.0 - 0.5) / COLOUR_SCALE
     rest = parts["sh"].reshape(count, (head.degree + 1) ** 2 - 1, 3)
@@ -127,7 +131,8 @@ def write_spz(
 
 
 def _losses(values: Values, opacities: NDArray[np.uint8], limit: float) -> list[Loss]:
-    low, high = -0.5 / COLOUR_SCALE, 0.5 / COLOUR_SCALE
+    low = -0.5 / COLOUR_SCALE
+    high = 0.5 / COLOUR_SCALE
     half = 0.5 / (255 * COLOUR_SCALE)
     return [
         *outside(
@@ -221,10 +226,14 @@ def _unpack_smallest_three(packed: NDArray[np.uint8]) -> Array:
     return restore_largest(word >> 30, others)[:, [3, 0, 1, 2]]
 
 
-_HEADER, _MAGIC, _EXTENDED = struct.Struct("<4sIIBBBB"), b"NGSP", 0x2
+_HEADER = struct.Struct("<4sIIBBBB")
+_MAGIC = b"NGSP"
+_EXTENDED = 0x2
 _LONG_HEADER = struct.Struct("<4sIIBBBBI12x")
 _SIZES = struct.Struct("<QQ")
-_RECORD, _SH_RANGE_RECORD, _AXES_RECORD = struct.Struct("<II"), 0xADBE0001, 0xADBE0003
+_RECORD = struct.Struct("<II")
+_SH_RANGE_RECORD = 0xADBE0001
+_AXES_RECORD = 0xADBE0003
 _EXTENSION_LIMIT = 1 << 16
 _WINDOW_LIMIT = 1 << 25
 _MOST_AXES = 16
@@ -396,7 +405,8 @@ def _axes(records: bytes, path: str) -> int:
     """The number of the axes that the extensions name, 0 if they name none; other
     extensions are passed over.
     """
-    offset, number = 0, 0
+    offset = 0
+    number = 0
     while offset < len(records):
         if len(records) - offset < _RECORD.size:
             raise _bad(

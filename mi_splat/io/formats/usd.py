@@ -74,11 +74,9 @@ def read_usd(file: io.FileIO, path: str) -> Loaded:
             expected, got, do = answer.texts("refused", 3)
             raise SplatFileError.of(path, expected, got, do)
         values = np.fromfile(Path(folder, "values"), np.float32)
-    parts, up, metres = (
-        answer.objects("parts"),
-        answer.text("up"),
-        answer.number("metres"),
-    )
+    parts = answer.objects("parts")
+    up = answer.text("up")
+    metres = answer.number("metres")
     others = answer.whole("others", 0, 1 << 31)
     if not parts and answer.values.get("nurec"):
         do = (
@@ -155,11 +153,10 @@ def _ask(path: str, link: Path, most: int) -> Fields:
         with said.open("rb") as file:
             file.seek(max(0, said.stat().st_size - _SHOWN))
             message = file.read().decode(errors="replace").strip().splitlines()
-        why = (
-            f"signal {-done.returncode}"
-            if done.returncode < 0
-            else (message or ["no answer"])[-1][:160]
-        )
+        if done.returncode < 0:
+            why = f"signal {-done.returncode}"
+        else:
+            why = (message or ["no answer"])[-1][:160]
         got = (
             f"one that usd-core does not get through within its memory and time ({why})"
         )
@@ -171,7 +168,8 @@ def _ask(path: str, link: Path, most: int) -> Fields:
 
 def _gaussians(part: Fields, values: Array) -> tuple[Loaded, Array]:
     """The Gaussians of a prim, and the values of those that follow."""
-    count, degree = part.whole("count", 0, len(values)), part.whole("degree", 0, 99)
+    count = part.whole("count", 0, len(values))
+    degree = part.whole("degree", 0, 99)
     shapes = [
         (count, 3),
         (count, 3),

@@ -35,9 +35,12 @@ ARCS = (
 )
 """What a prim may say to be made of other prims or files."""
 
-_MEMORY, _MEMORY_A_BYTE = 2 << 30, 32
-_SECONDS, _BYTES_A_SECOND = 30, 1 << 20
-_SMALLEST_FILE, _BYTES_A_GAUSSIAN = 1 << 22, 4 * (3 + 3 + 4 + 1 + 3 * 25)
+_MEMORY = 2 << 30
+_MEMORY_A_BYTE = 32
+_SECONDS = 30
+_BYTES_A_SECOND = 1 << 20
+_SMALLEST_FILE = 1 << 22
+_BYTES_A_GAUSSIAN = 4 * (3 + 3 + 4 + 1 + 3 * 25)
 _SET_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
 _HIGHEST_DEGREE = 4
 _COLUMNS = {
@@ -234,11 +237,10 @@ def _values(
         if not attribute or not attribute.HasAuthoredValue():
             continue
         value = attribute.Get(moment)
-        wanted = (
-            f"{kind}{ending}Array"
-            if kind
-            else {"f": "FloatArray", "h": "HalfArray"}[ending]
-        )
+        if kind:
+            wanted = f"{kind}{ending}Array"
+        else:
+            wanted = {"f": "FloatArray", "h": "HalfArray"}[ending]
         if type(value).__name__ != wanted:
             got = f"{type(value).__name__} in {prim.GetPath()}"
             raise RefusedError(f"{full} as {wanted}", got, "export it again")

@@ -45,7 +45,8 @@ class ClassicStrategy(Strategy):
 
     def after_step(self, step: Step, state: State) -> Edit | None:
         """Count; densify and prune, and reset opacities, where it is time."""
-        config, at = self.config, step.iteration
+        config = self.config
+        at = step.iteration
         if step.screen_gradients is None:
             do = "use Renderer(screen_gradients=ScreenGradients())"
             raise InvalidValueError.of(
@@ -53,11 +54,10 @@ class ClassicStrategy(Strategy):
             )
         state["grad2d"] += step.screen_gradients.lengths
         state["visible_count"] += step.screen_gradients.visible
-        until = (
-            step.iterations // 2
-            if config.densify_until is None
-            else config.densify_until
-        )
+        if config.densify_until is None:
+            until = step.iterations // 2
+        else:
+            until = config.densify_until
         edit = None
         if config.densify_from < at <= until and at % config.densify_interval == 0:
             edit = densify_and_prune(
@@ -78,11 +78,10 @@ class ClassicStrategy(Strategy):
         ):
             values = step.parameters if edit is None else edit.parameters
             lowered = {"opacities": reset_opacities(values["opacities"])}
-            edit = (
-                Edit(parameters=lowered)
-                if edit is None
-                else replace(edit, parameters=values | lowered)
-            )
+            if edit is None:
+                edit = Edit(parameters=lowered)
+            else:
+                edit = replace(edit, parameters=values | lowered)
             edit = replace(edit, forget=("opacities",))
             state["opacities_were_reset"][:] = True
         return edit
@@ -106,9 +105,10 @@ def densify_and_prune(
     """One round of clone, split and prune."""
     count = len(grad2d)
     largest = parameters["scales"].detach().amax(1).exp()
-    room = (
-        count if config.max_gaussians is None else max(config.max_gaussians - count, 0)
-    )
+    if config.max_gaussians is None:
+        room = count
+    else:
+        room = max(config.max_gaussians - count, 0)
     chosen = grad2d >= config.densify_grad_threshold
     if int(chosen.sum()) > room:  # those that need it most come first
         order = torch.argsort(grad2d, descending=True, stable=True)[:room]

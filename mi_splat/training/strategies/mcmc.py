@@ -44,7 +44,8 @@ class MCMCStrategy(Strategy):
 
     def after_step(self, step: Step, state: State) -> Edit:
         """Relocate where it is time, and add the noise."""
-        config, at = self.config, step.iteration
+        config = self.config
+        at = step.iteration
         edit = Edit(parameters={})
         if (
             config.densify_from < at <= config.densify_until

@@ -31,7 +31,8 @@ from tests.detectors.contract import slope_is_the_gradient
 pytestmark = pytest.mark.shipped
 
 SCENES = Path(__file__).resolve().parents[3] / "scenes"
-CENTERNET, NANODET = FAMILIES["centernet_coco"], FAMILIES["nanodet_coco"]
+CENTERNET = FAMILIES["centernet_coco"]
+NANODET = FAMILIES["nanodet_coco"]
 there = {
     name: pytest.mark.skipif(
         not weights_of(name).is_file(), reason=f"mi-splat detectors --get {name}"
@@ -48,7 +49,8 @@ each = [pytest.param(name, marks=mark) for name, mark in there.items()]
 
 
 def test_centernet_boxes_lie_about_their_cells() -> None:
-    scores, distances = torch.zeros(1, 128, 128, 80), torch.zeros(1, 128, 128, 4)
+    scores = torch.zeros(1, 128, 128, 80)
+    distances = torch.zeros(1, 128, 128, 4)
     scores[0, 10, 20, 2] = 0.7
     distances[0, 10, 20] = torch.tensor([5.0, 6.0, 7.0, 8.0])
     boxes, confidences = CENTERNET.decode((scores, distances))
@@ -81,7 +83,8 @@ def test_nanodet_distance_is_the_mean_of_its_bins() -> None:
     outputs[2][0, cell, 7] = 0.9
     boxes, scores = NANODET.decode(tuple(outputs))
     row = 52 * 52 + cell
-    x, y = 16 * 4.5, 16 * 3.5
+    x = 16 * 4.5
+    y = 16 * 3.5
     torch.testing.assert_close(
         boxes[row], torch.tensor([x - 16, y - 32, x + 48, y + 80])
     )

@@ -13,11 +13,9 @@ from tests.detectors.graphs.test_operations import convolved
 
 
 def number(value: int) -> bytes:
-    return (
-        bytes([value])
-        if value < 128
-        else bytes([value & 127 | 128]) + number(value >> 7)
-    )
+    if value < 128:
+        return bytes([value])
+    return bytes([value & 127 | 128]) + number(value >> 7)
 
 
 def field(key: int, content: bytes) -> bytes:
@@ -40,11 +38,10 @@ def constant(
     """A Const of floats, as bytes, or as one number if all are the same."""
     shape = b"".join(field(2, number(8) + number(side)) for side in values.shape)
     same = values.size > 1 and len(np.unique(values)) == 1
-    content = (
-        field(5, struct.pack("<f", values.flat[0]))
-        if same
-        else field(4, values.tobytes())
-    )
+    if same:
+        content = field(5, struct.pack("<f", values.flat[0]))
+    else:
+        content = field(4, values.tobytes())
     return node(
         name, "Const", value=field(8, number(8) + number(1) + field(2, shape) + content)
     )
@@ -55,10 +52,8 @@ def test_operations_are_those_of_the_definition() -> None:
     filters = generator.normal(size=(3, 3, 2, 4)).astype(np.float32)
     scale, offset, mean = generator.normal(size=(3, 4)).astype(np.float32)
     variance = np.full(4, 0.3, np.float32)
-    strides, least = (
-        field(1, field(3, bytes([1, 2, 2, 1]))),
-        number(8 * 4 + 5) + struct.pack("<f", 0.01),
-    )
+    strides = field(1, field(3, bytes([1, 2, 2, 1])))
+    least = number(8 * 4 + 5) + struct.pack("<f", 0.01)
     named = {
         "filters": filters,
         "scale": scale,

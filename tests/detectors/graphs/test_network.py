@@ -67,7 +67,8 @@ def test_a_channels_first_graph_is_computed_in_either_precision() -> None:
     model = read_graph_model(*two_convolutions())
     assert model.constants["bias"].dtype == torch.float32
     network = GraphNetwork(model, ["z"])
-    x, k = torch.randn(1, 3, 4, 5), torch.from_numpy(KERNEL[0, 0])
+    x = torch.randn(1, 3, 4, 5)
+    k = torch.from_numpy(KERNEL[0, 0])
     hidden = torch.relu(torch.einsum("bchw,co->bohw", x, k))
     wanted = torch.einsum("bohw,co->bchw", hidden, k) + torch.tensor(
         [1.0, 2, 3]

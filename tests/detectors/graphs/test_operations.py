@@ -19,10 +19,8 @@ RNG = np.random.default_rng(7)
 PICTURE, OTHER = RNG.normal(size=(2, 2, 5, 6, 3)).astype(np.float32)
 KERNEL = RNG.normal(size=(3, 3, 3, 4)).astype(np.float32)
 SMALL = RNG.normal(size=(3, 2, 3, 2)).astype(np.float32)
-BIAS, BIASES = (
-    RNG.normal(size=4).astype(np.float32),
-    RNG.normal(size=6).astype(np.float32),
-)
+BIAS = RNG.normal(size=4).astype(np.float32)
+BIASES = RNG.normal(size=6).astype(np.float32)
 ROW = RNG.normal(size=3).astype(np.float32)
 
 
@@ -38,11 +36,13 @@ def padded(
     picture: Array, kernel: tuple[int, int], stride: int, same: bool, value: float
 ) -> tuple[Array, list[int]]:
     """A picture with TensorFlow's padding, and how many rows and columns come out."""
-    sizes, pads = [], []
+    sizes = []
+    pads = []
     for size, reach in zip(picture.shape[1:3], kernel, strict=True):
-        outputs = (
-            math.ceil(size / stride) if same else math.ceil((size - reach + 1) / stride)
-        )
+        if same:
+            outputs = math.ceil(size / stride)
+        else:
+            outputs = math.ceil((size - reach + 1) / stride)
         missing = max((outputs - 1) * stride + reach - size, 0) if same else 0
         sizes.append(outputs)
         pads.append((missing // 2, missing - missing // 2))
@@ -80,24 +80,19 @@ def resized(picture: Array, rows: int, columns: int, *, centres: bool) -> Array:
     """Bilinear interpolation, pixel by pixel."""
 
     def source(index: int, size: int, wanted: int) -> float:
-        return (
-            max((index + 0.5) * size / wanted - 0.5, 0.0)
-            if centres
-            else index * size / wanted
-        )
+        if centres:
+            return max((index + 0.5) * size / wanted - 0.5, 0.0)
+        return index * size / wanted
 
     result = np.zeros((len(picture), rows, columns, picture.shape[-1]))
     for row in range(rows):
         for column in range(columns):
-            y, x = (
-                source(row, picture.shape[1], rows),
-                source(column, picture.shape[2], columns),
-            )
-            y0, x0 = int(y), int(x)
-            y1, x1 = (
-                min(y0 + 1, picture.shape[1] - 1),
-                min(x0 + 1, picture.shape[2] - 1),
-            )
+            y = source(row, picture.shape[1], rows)
+            x = source(column, picture.shape[2], columns)
+            y0 = int(y)
+            x0 = int(x)
+            y1 = min(y0 + 1, picture.shape[1] - 1)
+            x1 = min(x0 + 1, picture.shape[2] - 1)
             upper = picture[:, y0, x0] * (1 - x + x0) + picture[:, y0, x1] * (x - x0)
             lower = picture[:, y1, x0] * (1 - x + x0) + picture[:, y1, x1] * (x - x0)
             result[:, row, column] = upper * (1 - y + y0) + lower * (y - y0)
@@ -144,7 +139,8 @@ def fused(*names: str, depthwise: bool, activation: Callable[[Array], Array]) ->
 
 
 def max_pool(stride: int, padding: str) -> Case:
-    settings, same = around(stride, padding, ksize=(1, 3, 3, 1)), padding == "SAME"
+    settings = around(stride, padding, ksize=(1, 3, 3, 1))
+    same = padding == "SAME"
     return Case(
         "MaxPool",
         lambda x: windows(x, (3, 3), stride, same=same, value=-np.inf).max((3, 4)),
@@ -154,7 +150,8 @@ def max_pool(stride: int, padding: str) -> Case:
 
 
 def resize(rows: int, columns: int, *, centres: bool) -> Case:
-    size, settings = whole(rows, columns), {"half_pixel_centers": centres}
+    size = whole(rows, columns)
+    settings = {"half_pixel_centers": centres}
     return Case(
         "ResizeBilinear",
         lambda x: resized(x, rows, columns, centres=centres),

