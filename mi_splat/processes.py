@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import FrameType
 
 INTERRUPTED = 130
@@ -45,9 +45,8 @@ def sigterm_as_interrupt() -> Iterator[Callable[[], int | None]]:
             _interrupt(frame, came)
 
     is_ignored = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
-    if is_ignored:
-        interrupts = nullcontext()
-    else:
+    interrupts: AbstractContextManager[None] = nullcontext()
+    if not is_ignored:
         interrupts = _handling(signal.SIGINT, note_interrupt)
     with interrupts, _handling(signal.SIGTERM, note_termination):
         yield lambda: came[-1] if came else None

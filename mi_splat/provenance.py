@@ -99,7 +99,8 @@ def variant() -> str | None:
     mitsuba = sys.modules.get("mitsuba")
     if mitsuba is None:
         return None
-    return mitsuba.variant()
+    variant: str | None = mitsuba.variant()
+    return variant
 
 
 def commit() -> str | None:

@@ -519,10 +519,9 @@ class Result:
         it looks like.
         """
         steps = f"step {self.trace[-1].index} of {self.config.steps}"
+        ended: tuple[str, ...] = ()
         if self.stopped:
             ended = (f"the search was stopped after {steps}, before its end",)
-        else:
-            ended = ()
         return (
             *self.doubts,
             *ended,

@@ -279,10 +279,8 @@ def _channels_first(images: Tensor) -> list[Tensor]:
 def wrap(name: str, model: nn.Module, labels: Sequence[str]) -> TorchvisionDetector:
     """A model of the library behind the `Detector` interface."""
     if isinstance(model, models.detection.FasterRCNN):
-        adapter = RCNNDetector
-    else:
-        adapter = OneStageDetector
-    return adapter(name, model, labels)
+        return RCNNDetector(name, model, labels)
+    return OneStageDetector(name, model, labels)
 
 
 def load(name: str, weights: Path | None = None) -> TorchvisionDetector:

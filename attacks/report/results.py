@@ -41,9 +41,10 @@ class ResultKind:
     @property
     def figures(self) -> Figures | None:
         """The function that `counter` names."""
-        if self.counter:
-            return resolve_name(f"attacks.{self.counter}")
-        return None
+        if not self.counter:
+            return None
+        function: Figures = resolve_name(f"attacks.{self.counter}")
+        return function
 
 
 _PROVENANCE = (

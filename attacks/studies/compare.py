@@ -96,7 +96,8 @@ def _splats(config: Comparing) -> SplatScene:
     """The splats of a scene, also of one with meshes."""
     path = Path(config.scene)
     if holds_surfaces(path):
-        return MixedScene(path, samples=1, **config.parameters).splats
+        parameters: Mapping[str, Any] = config.parameters
+        return MixedScene(path, samples=1, **parameters).splats
     return open_scene(path)
 
 

@@ -423,6 +423,7 @@ def _pick(
 
 def _appearance(rng: np.random.Generator) -> Appearance:
     feminine = bool(rng.random() < 0.45)
+    styles: tuple[str, ...]
     if feminine:
         styles = ("long", "long", "bun", "tail", "short", "curly")
     else:
@@ -683,9 +684,8 @@ def head(appearance: Appearance, noise: Noise) -> Mesh:
             )
         else:
             hairy = 0
-        return (0.008 * noise(points, 0.018) * hairy).astype(np.float32) * (
-            points[:, 0] < 0.06
-        )
+        bumps: NDArray[np.float32] = 0.008 * noise(points, 0.018) * hairy
+        return bumps.astype(np.float32) * (points[:, 0] < 0.06)
 
     return body(_head_layers(appearance), 0.0085, paint, relief=relief)
 

@@ -244,9 +244,10 @@ def _normal_of_flat(points: Tensor) -> Tensor | None:
     """The normal of a component that is a plane; None if it is none."""
     sample = points[:: max(1, len(points) // LIMITS.ground_sample)]
     _, extents, axes = torch.linalg.svd(sample - points.mean(0), full_matrices=False)
-    if extents[2] < LIMITS.flat * extents[0]:
-        return axes[2]
-    return None
+    if extents[2] >= LIMITS.flat * extents[0]:
+        return None
+    normal: Tensor = axes[2]
+    return normal
 
 
 def _core(rows: Tensor, points: Tensor, sizes: Tensor) -> Target:

@@ -193,9 +193,10 @@ class GradientAgreement:
         """
         product, first, second, _ = self._sums.tolist()
         lengths = math.sqrt(first * second)
-        if lengths > 0 and math.isfinite(lengths):
-            return max(-1.0, min(1.0, product / lengths))
-        return None
+        if not (lengths > 0 and math.isfinite(lengths)):
+            return None
+        cosine: float = product / lengths
+        return max(-1.0, min(1.0, cosine))
 
     @property
     def relative_error(self) -> float | None:

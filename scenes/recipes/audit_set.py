@@ -254,6 +254,7 @@ class Trained:
 
     def _fitted(self, views: Sequence[View], start: GaussianScene) -> GaussianScene:
         shared: dict[str, Any] = {"densify_from": 150, "densify_until": 650}
+        grown: MCMCConfig | ClassicConfig
         if self.mcmc:
             grown = MCMCConfig(max_gaussians=MOST, **shared)
         else:

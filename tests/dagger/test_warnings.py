@@ -140,13 +140,8 @@ def test_an_own_class_that_stays_beside_the_wanted_one_is_warned_of(
         or f"the object's own class is still reported on it, at up to {left:.0%}"
         in two.warnings
     )
-    if strict:
-        expected = ()
-    else:
-        expected = (
-            f"the object's own class is still reported on it, at up to {left:.0%}",
-        )
-    assert result.warnings == expected
+    still = f"the object's own class is still reported on it, at up to {left:.0%}"
+    assert result.warnings == (() if strict else (still,))
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,7 @@ def replace(out, step, point):
             (made / name).write_text("new")
         documents.exchange = counted(documents.exchange, step, point)
         functions = [(os, name) for name in ("rename", "unlink", "rmdir")]
-for module, name in [*functions, (shutil, "rmtree")]:
+        for module, name in [*functions, (shutil, "rmtree")]:
             setattr(module, name, counted(getattr(module, name), step, point))
 
 done = 0

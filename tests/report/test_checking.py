@@ -141,10 +141,9 @@ def test_a_link_counts_as_missing(attack: Path, attacked: Path) -> None:
 def test_what_made_it_cannot_be_changed_unseen(key: str, attack: Path) -> None:
     name = read_manifest(attack).sha256
     record = json.loads((attack / RECORD).read_text())
+    fake: object = "another"
     if key == "detectors":
         fake = [{**one, "detector_fingerprint": "0"} for one in record["detectors"]]
-    else:
-        fake = "another"
     (attack / RECORD).write_text(json.dumps({**record, key: fake}))
     assert RECORD in red(attack)
     # who hides it from the manifest has a result of another name

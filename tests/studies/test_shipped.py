@@ -7,7 +7,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from attacks.cloak.config import StudyConfig
+from attacks.cloak.steps import StudySteps
 from attacks.cloak.study import check_study
 from attacks.detectors.weights import FrozenModel
 from attacks.studies import cloak, dagger, poison
@@ -96,10 +96,10 @@ def test_a_shipped_study_is_so_many_jobs(
     monkeypatch.setattr(FrozenModel, "fingerprint", "0" * 16)  # takes seconds
     monkeypatch.setattr(cloak, "detectors_of", lambda config, weights: [Redness()])
 
-    def check(config: StudyConfig, detectors: object) -> None:
+    def check(steps: StudySteps, detectors: object) -> None:
         # the cameras of long studies are checked, too
         if path.stem in LONG:
-            check_study(config, [])
+            check_study(steps, [])
 
     monkeypatch.setattr(cloak, "check_study", check)
     monkeypatch.setattr(poison, "classifier_of", lambda name: Toy(*ASSETS))

@@ -103,10 +103,9 @@ def run(config: Setup, inputs: Mapping[str, Path], out: Out) -> None:
             for on_arc, *others in arc
             if bool(others[2].any()) and differ(*others)
         ]
-    if attack is None:
-        columns = TRANSITION_COLUMNS
-    else:
-        columns = (*TRANSITION_COLUMNS, f"{DEPTH}{attack.name}")
+    columns: tuple[str, ...] = TRANSITION_COLUMNS
+    if attack is not None:
+        columns += (f"{DEPTH}{attack.name}",)
     write_rows(frame_with(transition, columns), out / f"{TRANSITION}{SUFFIX}")
 
 

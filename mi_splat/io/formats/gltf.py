@@ -101,10 +101,9 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
             path, f"a primitive with {EXTENSION}", got, "export the splat again"
         )
     loaded = axes.concatenated(parts)
+    notices: tuple[tuple[str, str, str], ...] = ()
     if others:
         notices = (("splats only", f"{others} other primitives", "they were left out"),)
-    else:
-        notices = ()
     arrays = axes.flipped(loaded.arrays, axes.Z)
     # What this program wrote has the axes of its own scenes.
     is_own = document.root.object("asset", {}).values.get("generator") == GENERATOR
