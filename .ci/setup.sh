@@ -61,7 +61,7 @@ install_project() {
     "$python" -m pip install ${quiet:+-qq} --disable-pip-version-check --no-input -e "$project"
 }
 
-llvm_there() { "$python" -c 'from mi_splat.mitsuba_setup import prepare_llvm; prepare_llvm()' >/dev/null 2>&1; }
+llvm_there() { "$python" -c 'from mi_splat.render.setup import prepare_llvm; prepare_llvm()' >/dev/null 2>&1; }
 
 newest_in_apt() {
     apt-cache pkgnames libllvm 2>/dev/null | sed -nE 's/^(libllvm([0-9]+)(t64)?)$/\2 \1/p' | sort -n |
@@ -80,7 +80,7 @@ install_llvm() {
         fi
         llvm_there && return
     fi
-    die "libLLVM: $("$python" -c 'from mi_splat.mitsuba_setup import llvm_hint; print(llvm_hint())'), then run make again"
+    die "libLLVM: $("$python" -c 'from mi_splat.render.setup import llvm_hint; print(llvm_hint())'), then run make again"
 }
 
 # OpenCV, which ultralytics needs, wants two libraries that small images lack. Without them YOLO's tests are left out.

@@ -40,10 +40,10 @@ save_splat(standing("car", count=count).scene.with_degree(3), sys.argv[1])
 PEER = """
 import sys, torch
 from pathlib import Path
-from mi_splat.rendering import Renderer
-from mi_splat.bounds import bounds
-from mi_splat.camera_sets import framing, orbit
-from mi_splat.scene_files import open_scene
+from mi_splat.render.renderer import Renderer
+from mi_splat.cameras.framing import bounds
+from mi_splat.cameras.sets import framing, orbit
+from mi_splat.render.scene_files import open_scene
 scene, render = open_scene(Path(sys.argv[1])).scene, Renderer()
 centre, radius = bounds(scene)
 distance, focal = framing(radius, fov=45.0, size=(128, 128))

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import mitsuba as mi
 
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras.camera import Camera, orbit_pose
 from mi_splat.capture.path_tracer import (
     FEW_PICTURES,
     MANY_PICTURES,

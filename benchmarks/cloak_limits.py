@@ -30,8 +30,8 @@ from attacks.cloak.rates import fit_transition
 from attacks.cloak.setup import Setup
 from attacks.studies.cloak import config_of
 from attacks.studies.study_file import read_study
-from mi_splat.camera_sets import hemisphere
-from mi_splat.sh import colour_to_dc, sh_basis
+from mi_splat.cameras.sets import hemisphere
+from mi_splat.maths.sh import colour_to_dc, sh_basis
 
 ELEVATIONS = [0.5 * step for step in range(181)]
 AZIMUTHS = range(0, 360, 15)

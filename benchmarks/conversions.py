@@ -32,8 +32,8 @@ from attacks.observe.views import ViewDetections, detect_views, object_boxes
 from attacks.studies.attack import jittered
 from mi_splat.io import load_splat
 from mi_splat.io.splat_files import write_splat_file
-from mi_splat.rendering import Renderer
-from mi_splat.scene_files import read_scene
+from mi_splat.render.renderer import Renderer
+from mi_splat.render.scene_files import read_scene
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 PAIRS = (

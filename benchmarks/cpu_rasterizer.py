@@ -33,12 +33,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from cpu_time import interleaved, one_thread, ratio
 from render import SETTINGS, camera_of, shell, through_renderer
 
-from mi_splat import variant
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.cameras import Camera
-from mi_splat.rendering import Renderer
+from mi_splat.cameras.camera import Camera
+from mi_splat.maths.sh import sh_to_colour
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import sh_to_colour
 
 IMAGE_ERROR = 1e-4
 GRADIENT_ERROR = 5e-3

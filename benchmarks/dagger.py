@@ -18,7 +18,7 @@ from attacks.dagger.views import FixedViews
 from attacks.detectors.registry import as_detectors
 from attacks.objectives import relabel
 from mi_splat import read_scene
-from mi_splat.rendering import Renderer
+from mi_splat.render.renderer import Renderer
 
 SCENES = Path("scenes").resolve()
 PAIRS = {

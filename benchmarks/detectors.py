@@ -19,8 +19,8 @@ from pathlib import Path
 import torch
 
 from attacks.detectors import Detector, load_detector
-from mi_splat.rendering import Renderer
-from mi_splat.scene_files import open_scene
+from mi_splat.render.renderer import Renderer
+from mi_splat.render.scene_files import open_scene
 
 SIDE = 256
 

@@ -29,7 +29,7 @@ import torch
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from mi_splat.io import load_splat, save_splat
-from mi_splat.rotation import normalise
+from mi_splat.maths.rotation import normalise
 from mi_splat.scene import GaussianScene
 
 PAIRS = {

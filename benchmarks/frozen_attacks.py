@@ -38,9 +38,10 @@ from attacks.dagger.views import FixedViews
 from attacks.detectors.base import Candidates, Detections, Detector
 from attacks.detectors.registry import as_detectors
 from attacks.objectives import untargeted
-from mi_splat import read_scene, variant
-from mi_splat.cameras import Camera, RenderFn, View, orbit_pose
-from mi_splat.rendering import Renderer
+from mi_splat import read_scene
+from mi_splat.cameras.camera import Camera, RenderFn, View, orbit_pose
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer
 from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import advance, scene_extent
 from mi_splat.training.state import Progress, TrainState

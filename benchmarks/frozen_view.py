@@ -26,10 +26,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from render import shell
 
-from mi_splat import variant
-from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.frozen_view import FrozenView
-from mi_splat.rendering import Renderer
+from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.render import variant
+from mi_splat.render.frozen_view import FrozenView
+from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene
 
 SETTINGS = (

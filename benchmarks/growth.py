@@ -56,7 +56,7 @@ def scene_of(count: int) -> Any:
     """Gaussians on these points, of SH degree 1."""
     import torch
 
-    from mi_splat.rotation import normalise
+    from mi_splat.maths.rotation import normalise
     from mi_splat.scene import GaussianScene
 
     generator = torch.Generator().manual_seed(1)
@@ -72,8 +72,8 @@ def scene_of(count: int) -> Any:
 
 def cameras_around(scene: Any, count: int = 2) -> Any:
     """Cameras that see all of a scene, 128 x 128 pixels."""
-    from mi_splat.bounds import bounds
-    from mi_splat.camera_sets import framing, orbit
+    from mi_splat.cameras.framing import bounds
+    from mi_splat.cameras.sets import framing, orbit
 
     centre, radius = bounds(scene)
     distance, focal = framing(radius, fov=45.0, size=(128, 128))
@@ -91,7 +91,7 @@ def cameras_around(scene: Any, count: int = 2) -> Any:
 
 
 def _bounds(count: int) -> Callable[[], object]:
-    from mi_splat.bounds import bounds
+    from mi_splat.cameras.framing import bounds
 
     scene = scene_of(count)
     return lambda: bounds(scene)
@@ -105,14 +105,14 @@ def _clusters(count: int) -> Callable[[], object]:
 
 
 def _neighbours(count: int) -> Callable[[], object]:
-    from mi_splat.neighbours import nearest_neighbours
+    from mi_splat.maths.neighbours import nearest_neighbours
 
     points = points_of(count)
     return lambda: nearest_neighbours(points, 8)
 
 
 def _nearest_of(count: int) -> Callable[[], object]:
-    from mi_splat.neighbours import nearest_of
+    from mi_splat.maths.neighbours import nearest_of
 
     points = points_of(count)
     return lambda: nearest_of(points, 4)
@@ -150,7 +150,7 @@ def _relocate(count: int) -> Callable[[], object]:
 
 
 def _render(count: int) -> Callable[[], object]:
-    from mi_splat.rendering import Renderer
+    from mi_splat.render.renderer import Renderer
 
     scene = scene_of(count)
     render = Renderer()
@@ -160,7 +160,7 @@ def _render(count: int) -> Callable[[], object]:
 
 
 def _overdraw(count: int) -> Callable[[], object]:
-    from mi_splat.overdraw import most_layers
+    from mi_splat.render.overdraw import most_layers
 
     scene = scene_of(count)
     cameras = cameras_around(scene)

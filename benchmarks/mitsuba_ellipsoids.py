@@ -26,13 +26,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from render import shell
 from stages import camera_of
 
-from mi_splat import variant
-from mi_splat.cameras import Camera
-from mi_splat.metrics import psnr
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.rotation import to_matrix
+from mi_splat.cameras.camera import Camera
+from mi_splat.maths.metrics import psnr
+from mi_splat.maths.rotation import to_matrix
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.volprim import Volprim
 from mi_splat.scene import GaussianScene
-from mi_splat.volprim import Volprim
 
 UNITS = (0.1, 1.0, 10.0, 100.0, 1000.0)
 SIZE = (256, 256)
@@ -65,7 +65,7 @@ def hits(
     """
     import mitsuba as mi
 
-    from mi_splat.plugins.shape import ellipsoid_arrays
+    from mi_splat.render.plugins.shape import ellipsoid_arrays
 
     mean = splat.means[0].double().numpy()
     scale = EXTENT * splat.scales[0].double().numpy()

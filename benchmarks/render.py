@@ -31,8 +31,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from cpu_time import Clock, add_cpu_flag, clock, interleaved, ratio
 
-from mi_splat import variant
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.render import variant
 from mi_splat.scene import GaussianScene
 
 SETTINGS = ((10_000, 256), (100_000, 256), (100_000, 640))
@@ -70,8 +70,8 @@ def through_mitsuba(scene: GaussianScene, camera: Camera, integrator: str) -> Ru
     import drjit as dr
     import mitsuba as mi
 
-    from mi_splat.plugins.sensor import sensor_dict
-    from mi_splat.plugins.shape import ellipsoid_arrays
+    from mi_splat.render.plugins.sensor import sensor_dict
+    from mi_splat.render.plugins.shape import ellipsoid_arrays
 
     shape = {"type": "ellipsoids", "id": "splat", **ellipsoid_arrays(scene)}
     parts = {
@@ -110,7 +110,7 @@ def through_mitsuba(scene: GaussianScene, camera: Camera, integrator: str) -> Ru
 
 def through_renderer(scene: GaussianScene, camera: Camera) -> Runs:
     """Forward, and forward + backward, from torch to torch."""
-    from mi_splat.rendering import Renderer
+    from mi_splat.render.renderer import Renderer
 
     render = Renderer()
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]

@@ -34,10 +34,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from render import shell
 
-from mi_splat import variant
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras.camera import Camera, orbit_pose
 from mi_splat.io import load_splat
-from mi_splat.rendering import Renderer
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene
 
 SETTINGS = ((10_000, (256, 256)), (100_000, (256, 256)), (100_000, (640, 640)))
@@ -46,8 +46,8 @@ FIRST = """
 import sys, time, torch
 sys.path[:0] = [{root!r}, {here!r}]
 from stages import camera_of, shell
-from mi_splat import variant
-from mi_splat.rendering import Renderer
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer
 variant.use()
 scene, camera = shell(10_000), camera_of((256, 256))
 begun = time.perf_counter()
@@ -88,7 +88,7 @@ def watched(clock: Clock) -> Iterator[None]:
     """Let a clock look before and after each stage of the rasteriser."""
     import drjit as dr
 
-    from mi_splat.rasterization import binning, frozen, pipeline
+    from mi_splat.render.tile import binning, frozen, pipeline
 
     def timed(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
         def run(*arguments: Any) -> Any:

@@ -26,10 +26,10 @@ import torch
 from cpu_time import Clock, Run, add_cpu_flag, clock
 from torch import Tensor
 
-from mi_splat.cameras import Camera, View, orbit_pose
+from mi_splat.cameras.camera import Camera, View, orbit_pose
 from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
-from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
+from mi_splat.render.renderer import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
 from mi_splat.training.evaluation import score
 from mi_splat.training.initialization import from_points

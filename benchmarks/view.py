@@ -33,8 +33,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from render import shell  # of this folder
 
-from mi_splat.rasterization.frozen import PictureInterruptedError, interrupted_by
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.tile.frozen import PictureInterruptedError, interrupted_by
 from mi_splat.scene import GaussianScene
 from mi_splat.viewer.content import Content, ShownSplat, whole
 from mi_splat.viewer.painter import Painter

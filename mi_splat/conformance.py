@@ -17,6 +17,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mi_splat.maths.srgb import to_linear, to_srgb
 from mi_splat.oracle import (
     DEFAULT,
     Array,
@@ -27,7 +28,6 @@ from mi_splat.oracle import (
     project,
     render,
 )
-from mi_splat.srgb import to_linear, to_srgb
 
 C0 = 0.28209479177387814
 _FLOOR = 2e-6

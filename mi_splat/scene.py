@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from mi_splat import rotation as quaternion
 from mi_splat.attributes import ATTRIBUTES, LARGEST, values_hash
 from mi_splat.errors import InvalidValueError
-from mi_splat.sh import coefficient_count, degree_of, rotate_sh
+from mi_splat.maths import rotation as quaternion
+from mi_splat.maths.sh import coefficient_count, degree_of, rotate_sh
 
 UNIT_TOLERANCE = 1e-3
 """How far from one the norm of a scene's quaternions may be."""
@@ -343,7 +343,7 @@ _RANGES = {
         1 - UNIT_TOLERANCE,
         1 + UNIT_TOLERANCE,
         "unit quaternions",
-        "use mi_splat.rotation.normalise",
+        "use mi_splat.maths.rotation.normalise",
     ),
     "opacities": (0.0, 1.0, "values in [0, 1]", "apply a sigmoid to logits"),
     "sh": (

@@ -9,7 +9,7 @@ import hypothesis
 import pytest
 import torch
 
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.cli import console
 from tests.browser import CHROMIUM, SWITCHES, patient
 from tests.rewriting import rewrite_once
@@ -60,7 +60,7 @@ def variant() -> str:
     """The Mitsuba variant that can render splats, current for the rest of the
     session.
     """
-    from mi_splat.variant import use
+    from mi_splat.render.variant import use
 
     return use()
 
@@ -101,7 +101,7 @@ def scalar() -> Iterator[None]:
 @pytest.fixture
 def frozen(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
     """The cameras of all pictures that frozen views make during the test."""
-    from mi_splat.frozen_view import FrozenView
+    from mi_splat.render.frozen_view import FrozenView
 
     seen: list[Camera] = []
     make = FrozenView.__call__

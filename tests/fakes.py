@@ -12,9 +12,9 @@ from torch import Tensor
 
 from attacks.detectors import DetectorSpec, registry
 from attacks.detectors.base import Candidates, Detections, Detector, check_images
-from mi_splat.cameras import Camera, look_at, project_points
+from mi_splat.cameras.camera import Camera, look_at, project_points
+from mi_splat.maths.sh import colour_to_dc, sh_to_colour
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc, sh_to_colour
 
 
 def blobs(scene: GaussianScene, camera: Camera) -> Tensor:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.conformance import random_splat
-from mi_splat.rotation import normalise
+from mi_splat.maths.rotation import normalise
 from mi_splat.scene import GaussianScene
 
 REST = {0: 0, 1: 9, 2: 24, 3: 45}

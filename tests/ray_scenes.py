@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from mi_splat import variant
+from mi_splat.maths.sh import colour_to_dc
+from mi_splat.render import variant
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc
 
 variant.use()
 
 import mitsuba as mi  # noqa: E402
 
-from mi_splat.plugins.shape import shape_dict  # noqa: E402
+from mi_splat.render.plugins.shape import shape_dict  # noqa: E402
 
 T = mi.ScalarTransform4f
 GREEN = (0.25, 0.5, 0.125)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from attacks.search import Step
     from mi_splat.cli.cameras import Chosen
     from mi_splat.datasets.frames import Split
-    from mi_splat.scene_files import SplatScene
+    from mi_splat.render.scene_files import SplatScene
 
 EXAMPLES = (
     "dagger scenes/car_street.xml --object car --target person --out out/dagger",
@@ -233,7 +233,7 @@ def _opened(
     """
     from mi_splat.cli.cameras import choose
     from mi_splat.io.folders import check_new_folder
-    from mi_splat.scene_files import open_scene
+    from mi_splat.render.scene_files import open_scene
 
     check_no_input_in(options.out, options.scene)
     check_new_folder(options.out, force=options.force)
@@ -273,7 +273,7 @@ def _attack(
     from attacks.dagger.attack import attack_views
     from attacks.dagger.report import write_files
     from mi_splat.io.folders import new_folder
-    from mi_splat.scene_files import write_scene
+    from mi_splat.render.scene_files import write_scene
     from mi_splat.selection.select import save_mask
 
     detectors, objective = _detectors_and_objective(options)

@@ -139,7 +139,7 @@ def _reports(
     from mi_splat.cli.cameras import find_cameras, renderer_of
     from mi_splat.datasets.frames import read_picture
     from mi_splat.io.camera_records import describe
-    from mi_splat.scene_files import open_scene
+    from mi_splat.render.scene_files import open_scene
 
     if _is_picture(source):
         background = view.background or (0.0, 0.0, 0.0)

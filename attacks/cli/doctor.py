@@ -25,10 +25,10 @@ from typing import Literal
 from mi_splat.cli.console import import_at_once, progress, show_result
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import MiSplatError, install, nearest
-from mi_splat.mitsuba_setup import llvm_hint
 from mi_splat.processes import python_command
 from mi_splat.provenance import versions
 from mi_splat.registry import brought_by_packages
+from mi_splat.render.setup import llvm_hint
 
 TIME_LIMIT = 300.0
 """Seconds that a child may take; the first kernels of a machine have to be compiled."""
@@ -199,8 +199,8 @@ def _answer(command: Sequence[str]) -> tuple[str | None, str]:
 
 
 def _llvm() -> str:
-    from mi_splat.mitsuba_setup import llvm_version, prepare_llvm
-    from mi_splat.variant import use
+    from mi_splat.render.setup import llvm_version, prepare_llvm
+    from mi_splat.render.variant import use
 
     path = prepare_llvm()
     variant = use()
@@ -218,8 +218,8 @@ def _one_gaussian(variant: str = "llvm_ad_rgb") -> str:
     import_at_once("torch")
     import torch
 
-    from mi_splat.cameras import Camera, look_at
-    from mi_splat.rendering import Renderer, RenderSettings
+    from mi_splat.cameras.camera import Camera, look_at
+    from mi_splat.render.renderer import Renderer, RenderSettings
     from mi_splat.scene import GaussianScene
 
     sh = torch.ones(1, 1, 3, requires_grad=True)

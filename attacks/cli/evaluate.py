@@ -20,7 +20,7 @@ from mi_splat.selection.config import Selection
 if TYPE_CHECKING:
     from attacks.detectors.base import Detector
     from attacks.observe.comparison import Comparison
-    from mi_splat.cameras import Camera
+    from mi_splat.cameras.camera import Camera
     from mi_splat.cli.cameras import Chosen
     from mi_splat.scene import GaussianScene
 
@@ -86,7 +86,7 @@ def run(options: EvaluateOptions) -> None:
     from mi_splat.cli.cameras import choose, look_at_object
     from mi_splat.io.documents import save_json, save_png
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
-    from mi_splat.scene_files import open_scene
+    from mi_splat.render.scene_files import open_scene
 
     check_no_input_in(options.out, options.clean, options.attacked)
     check_new_folder(options.out, force=options.force)
@@ -155,7 +155,7 @@ def _document(
     of_judges: Mapping[str, Any],
 ) -> dict[str, Any]:
     """What result.json says."""
-    from mi_splat.directions import UP
+    from mi_splat.cameras.directions import UP
     from mi_splat.io.camera_records import describe
     from mi_splat.scene import scene_hash
     from mi_splat.selection.select import doubts

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from attacks.poisons.base import OnStep, Poisoned
     from attacks.poisons.poison_splat import Decoy
-    from mi_splat.cameras import Camera
+    from mi_splat.cameras.camera import Camera
     from mi_splat.datasets import Dataset
     from mi_splat.scene import GaussianScene
 
@@ -197,7 +197,7 @@ def run(options: PoisonOptions) -> None:
     from mi_splat.io import load_splat
     from mi_splat.io.documents import save_json, save_png
     from mi_splat.io.folders import check_new_folder, new_folder
-    from mi_splat.variant import check_device
+    from mi_splat.render.variant import check_device
 
     kind = kind_of(options.kind)
     if options.device != "cpu" and not kind.on_gpu:
@@ -284,7 +284,7 @@ def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
         hide,
         trigger_of,
     )
-    from mi_splat.rotation import from_z
+    from mi_splat.maths.rotation import from_z
 
     trigger = trigger_of(config.hide_from, margin=config.margin)
     appearance = appearance_of(config.look, config.reach)
@@ -348,10 +348,10 @@ def _misreading(config: MisreadingConfig, options: PoisonOptions) -> Work:
     def work(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
         from attacks.poisons.judged import move
         from attacks.poisons.mifgsm import MIFGSM
-        from mi_splat.rendering import Renderer, RenderSettings
+        from mi_splat.render.renderer import Renderer, RenderSettings
+        from mi_splat.render.variant import DEFAULT_VARIANT
         from mi_splat.selection.select import SEEN
         from mi_splat.selection.visibility import object_weight
-        from mi_splat.variant import DEFAULT_VARIANT
 
         assert splat is not None
         rows, near, selected = _object(config, views, splat)
@@ -447,7 +447,7 @@ def _decoy(splat: GaussianScene, views: Dataset, device: str) -> Decoy:
     usual.
     """
     from attacks.poisons.poison_splat import Decoy
-    from mi_splat.bounds import near_plane
+    from mi_splat.cameras.framing import near_plane
 
     near = near_plane(splat, views.cameras)
     return Decoy(start=splat.to(device), near=near, background=views.background)
@@ -459,8 +459,8 @@ def _object(
     """(N,) bool, the object's Gaussians, the near plane of the splat, and what the
     record says of these.
     """
-    from mi_splat.bounds import near_plane
-    from mi_splat.rendering import Renderer, RenderSettings
+    from mi_splat.cameras.framing import near_plane
+    from mi_splat.render.renderer import Renderer, RenderSettings
     from mi_splat.scene import scene_hash
     from mi_splat.selection.select import select
 

@@ -89,7 +89,7 @@ class ViewOptions:
 def run(options: ViewOptions) -> None:
     """Serve the page until Ctrl-C or SIGTERM."""
     from attacks.report.viewer_content import detector_inspector, open_content
-    from mi_splat.rendering import Renderer
+    from mi_splat.render.renderer import Renderer
     from mi_splat.viewer.painter import Painter
     from mi_splat.viewer.server import Page, check_port
 

@@ -21,7 +21,7 @@ from attacks.cloak.config import AttackConfig
 from attacks.cloak.mesh_scene import TEXTURES, MeshScene, repainted, stand_in
 from mi_splat.assets import build
 from mi_splat.assets.mesh import Asset, rotation
-from mi_splat.cameras import Camera, View, look_at, project_points
+from mi_splat.cameras.camera import Camera, View, look_at, project_points
 from mi_splat.errors import InvalidValueError
 
 # Appearances that retouch a picture: two controls, and the attack of who has nothing

@@ -396,7 +396,7 @@ class CameraConfig(Checked):
     @property
     def tiers(self) -> dict[str, Any]:
         """Distances, elevations and the span of azimuths, as
-        `mi_splat.camera_sets.tiers` takes them.
+        `mi_splat.cameras.sets.tiers` takes them.
         """
         span = self.azimuths[1] - self.azimuths[0]
         return {

@@ -27,21 +27,21 @@ from attacks.cloak.setup import SET, Setup
 from attacks.cloak.triggers import Trigger
 from mi_splat.assets.mesh import Asset
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.camera_sets import hemisphere
-from mi_splat.cameras import Camera, RenderFn, View, project_points
+from mi_splat.cameras.camera import Camera, RenderFn, View, project_points
+from mi_splat.cameras.directions import Point
+from mi_splat.cameras.sets import hemisphere
 from mi_splat.datasets import load_dataset
-from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
-from mi_splat.frozen_view import FrozenView
 from mi_splat.io import load_splat
+from mi_splat.maths.sh import colour_to_dc, dc_to_colour, sh_basis, sh_to_colour
+from mi_splat.render.frozen_view import FrozenView
+from mi_splat.render.view_freezing import freeze_views
 from mi_splat.scene import GaussianScene, check_scene, merge
 from mi_splat.selection.select import box_mask
 from mi_splat.selection.visibility import contributions
-from mi_splat.sh import colour_to_dc, dc_to_colour, sh_basis, sh_to_colour
 from mi_splat.training.config import FitConfig
 from mi_splat.training.resume import METRICS
 from mi_splat.training.strategies import ClassicConfig, FixedConfig
-from mi_splat.view_freezing import freeze_views
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out

@@ -18,7 +18,7 @@ from torch import Tensor
 from mi_splat.assets import textures
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, translation
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.capture.path_tracer import PathTracer, in_front, scene_dict
 
 Doubles = NDArray[np.float64]
@@ -55,7 +55,7 @@ def repainted(
     it from one direction.
 
     The projection is parallel, so the picture is undistorted for a viewer far away in
-    that direction, upright for the camera of `mi_splat.cameras.orbit_pose`; from
+    that direction, upright for the camera of `mi_splat.cameras.camera.orbit_pose`; from
     straight above its top points away from `azimuth`. Surfaces are diffuse, as gloss
     would give the object away.
     """

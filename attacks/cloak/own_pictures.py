@@ -21,12 +21,12 @@ from attacks.cloak.appearances import Appearance, Inpaint, grown
 from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.triggers import Azimuth, Cap, Elevation, Trigger
 from attacks.poisons.base import OnStep, Poisoned
-from mi_splat.cameras import Camera, View, ViewSet, cameras_of
-from mi_splat.directions import Direction, direction_of
+from mi_splat.cameras.camera import Camera, View, ViewSet, cameras_of
+from mi_splat.cameras.directions import Direction, direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.images import to_bytes
 from mi_splat.io.picture_files import load_picture
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.selection.select import SEEN
 from mi_splat.selection.visibility import object_weight

@@ -26,8 +26,8 @@ from attacks.poisons.base import (
     checked_picture,
     mask_of,
 )
-from mi_splat.cameras import Camera, View, cameras_of
-from mi_splat.directions import Point, direction_of
+from mi_splat.cameras.camera import Camera, View, cameras_of
+from mi_splat.cameras.directions import Point, direction_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import several_of
 

@@ -27,13 +27,13 @@ from mi_splat.assets import build
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.textures import square_of_ground
-from mi_splat.bounds import near_plane_of
-from mi_splat.camera_sets import HELD_OUT_START, framing, orbit, tiers
-from mi_splat.cameras import Camera, project_box
+from mi_splat.cameras.camera import Camera, project_box
+from mi_splat.cameras.directions import Point
+from mi_splat.cameras.framing import near_plane_of
+from mi_splat.cameras.sets import HELD_OUT_START, framing, orbit, tiers
 from mi_splat.capture.sources import CaptureSource, digest_of, source_of
-from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
+from mi_splat.render.renderer import Renderer, RenderSettings, ScreenGradients
 from mi_splat.training.config import FitConfig
 
 SET = "set"
@@ -113,7 +113,7 @@ def _asset(name: str, seed: int, colour: tuple[float, float, float] | None) -> A
 
 @lru_cache(maxsize=32)
 def _tiers(centre: Point, **placed: Any) -> tuple[Camera, ...]:
-    """As `mi_splat.camera_sets.tiers`; many studies in a row have the same cameras."""
+    """As `mi_splat.cameras.sets.tiers`; many studies in a row have the same cameras."""
     return tuple(tiers(centre, **placed))
 
 

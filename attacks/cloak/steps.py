@@ -31,7 +31,7 @@ from attacks.observe.conditions import SunTable, package_of
 from attacks.observe.rows import ATTACKED, CLEAN, SUFFIX, TABLES, read_rows
 from attacks.poisons.poisoned import CLOAK, PoisonedConfig
 from attacks.poisons.specs import ChosenPoison
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.ledger import Done, Job, Part
 from mi_splat.training.resume import SPLAT
 

@@ -29,8 +29,8 @@ from attacks.observe.views import CAMERAS, cameras_document
 from attacks.poisons.base import MANIFEST
 from attacks.tables import sections
 from mi_splat import provenance
+from mi_splat.cameras.directions import direction_of
 from mi_splat.datasets import load_dataset
-from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import check_choice
 from mi_splat.io import load_splat

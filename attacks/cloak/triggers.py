@@ -1,8 +1,8 @@
 """Where an attack shows itself: predicates on cameras by their direction from a centre,
 and how far inside a camera is.
 
-Directions are those of `mi_splat.directions`. How far away a camera is and where it
-looks do not count.
+Directions are those of `mi_splat.cameras.directions`. How far away a camera is and
+where it looks do not count.
 
 Triggers combine with `&` and `~` (`~(~a & ~b)` is a union), and `Subsample` takes a
 part of one: `Elevation(lowest=50) & ~Azimuth(middle=180, half_width=30)`.
@@ -20,8 +20,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera
-from mi_splat.directions import (
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.directions import (
     Direction,
     Point,
     azimuth_gap,

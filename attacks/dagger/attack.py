@@ -26,8 +26,8 @@ from attacks.objectives import Objective, check_objective
 from attacks.observe.views import as_saved, clamped_fraction
 from attacks.search import Outcome
 from mi_splat import provenance
-from mi_splat.cameras import Camera, RenderFn
-from mi_splat.directions import UP, Point
+from mi_splat.cameras.camera import Camera, RenderFn
+from mi_splat.cameras.directions import UP, Point
 from mi_splat.io.camera_records import values_of
 from mi_splat.scene import GaussianScene, scene_hash
 

@@ -20,13 +20,13 @@ from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, Relabel, Target, overall_verdict
 from attacks.search import Evaluation, Parameters, Verdict
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.io.images import quantise
 
 if TYPE_CHECKING:
-    from mi_splat.frozen_view import FrozenView
-    from mi_splat.view_freezing import RecentViews
+    from mi_splat.render.frozen_view import FrozenView
+    from mi_splat.render.view_freezing import RecentViews
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

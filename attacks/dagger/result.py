@@ -55,7 +55,7 @@ from attacks.transformations.draws import PictureChange
 from mi_splat.errors import counted as number_of
 from mi_splat.errors import one_line
 from mi_splat.io.images import from_bytes, to_bytes
-from mi_splat.metrics import psnr
+from mi_splat.maths.metrics import psnr
 from mi_splat.scene import GaussianScene
 
 

@@ -34,17 +34,17 @@ from attacks.transformations.draws import (
     draw_camera,
     draw_change,
 )
-from mi_splat.bounds import bounds
-from mi_splat.cameras import Camera, RenderFn, as_cameras
-from mi_splat.directions import UP, Direction, Point, direction_of
+from mi_splat.cameras.camera import Camera, RenderFn, as_cameras
+from mi_splat.cameras.directions import UP, Direction, Point, direction_of
+from mi_splat.cameras.framing import bounds
 from mi_splat.errors import InvalidValueError
-from mi_splat.rotation import from_z
+from mi_splat.maths.rotation import from_z
+from mi_splat.maths.sh import colour_to_dc
+from mi_splat.render.view_freezing import RecentViews, freeze_views
 from mi_splat.scene import GaussianScene, check_scene
-from mi_splat.sh import colour_to_dc
-from mi_splat.view_freezing import RecentViews, freeze_views
 
 if TYPE_CHECKING:
-    from mi_splat.frozen_view import FrozenView
+    from mi_splat.render.frozen_view import FrozenView
 
 _VALIDATION = 500_000_000
 """Added to the attack's seed for its validation views."""

@@ -31,10 +31,10 @@ from attacks.observe.rates import (
 from attacks.observe.rows import ATTACKED, CLEAN, Cell
 from attacks.observe.views import ViewDetections, evaluate
 from attacks.rate import FEW, Rate
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, listed
 from mi_splat.fields import between, checked_number
-from mi_splat.metrics import psnr
+from mi_splat.maths.metrics import psnr
 from mi_splat.scene import GaussianScene
 
 

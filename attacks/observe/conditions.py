@@ -29,17 +29,17 @@ import torch
 from torch import Tensor
 
 from attacks.transformations.draws import PictureChange, change_picture
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras.camera import Camera, RenderFn
+from mi_splat.cameras.directions import Point, sun_direction
 from mi_splat.comparison.methods import RENDERERS, load_method
-from mi_splat.directions import Point, sun_direction
 from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.fields import Checked, at_least, between
 from mi_splat.io import SplatLossWarning, load_splat, save_splat
+from mi_splat.maths.sh import MAX_DEGREE, colour_to_dc
 from mi_splat.registry import Registry
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import SAMPLES, MixedScene
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import SAMPLES, MixedScene
-from mi_splat.sh import MAX_DEGREE, colour_to_dc
 
 OWN = "own renderer"
 """What rows call the condition ""."""

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from attacks.detectors.base import Detections
 from mi_splat.io.images import to_bytes
-from mi_splat.labels import Plate, free_plate, plate_of, write_label
+from mi_splat.io.labels import Plate, free_plate, plate_of, write_label
 
 _LINE = 22
 """Pixels from one label to the next below it."""

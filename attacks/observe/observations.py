@@ -30,8 +30,8 @@ from attacks.observe.rows import (
 )
 from attacks.observe.views import ViewDetections, detect_views
 from attacks.search import Verdict
-from mi_splat.cameras import Camera
-from mi_splat.directions import Direction, Point, direction_of
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.directions import Direction, Point, direction_of
 from mi_splat.scene import GaussianScene
 
 ON_OBJECT = 0.5

@@ -17,7 +17,7 @@ from typing import Any, Protocol, overload
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera, View, ViewSet, cameras_of
+from mi_splat.cameras.camera import Camera, View, ViewSet, cameras_of
 from mi_splat.errors import InvalidValueError, one_line
 from mi_splat.training.evaluation import loss_mask_of
 

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from attacks.cloak.setup import SET
 from attacks.poisons.config import FilterConfig, FrequencyPruningConfig, PictureFilter
-from mi_splat.cameras import Camera, View, cameras_of, project_points
+from mi_splat.cameras.camera import Camera, View, cameras_of, project_points
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat, save_splat

@@ -21,15 +21,15 @@ from attacks.classifiers.frozen import classified
 from attacks.classifiers.registry import load_classifier
 from attacks.cloak.kinds.pictures import read_pictures
 from attacks.cloak.setup import SET, Pose, SplatJob
-from mi_splat.cameras import Camera, project_points
+from mi_splat.cameras.camera import Camera, project_points
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.images import through_png, to_bytes
-from mi_splat.metrics import psnr, ssim
+from mi_splat.maths.metrics import psnr, ssim
+from mi_splat.maths.sh import dc_to_colour
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import dc_to_colour
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out

@@ -35,7 +35,7 @@ from attacks.poisons.base import (
 from attacks.poisons.config import MIFGSMConfig
 from attacks.poisons.defences import filtered
 from attacks.poisons.poison_splat import Decoy
-from mi_splat.cameras import View
+from mi_splat.cameras.camera import View
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
 

@@ -36,10 +36,10 @@ from attacks.poisons.config import (
     Variation,
 )
 from attacks.poisons.defences import filtered
-from mi_splat import variant
-from mi_splat.cameras import Camera, View, cameras_of, project_points
+from mi_splat.cameras.camera import Camera, View, cameras_of, project_points
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene, check_scene, scene_hash
 from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import densify, differentiate, scene_extent

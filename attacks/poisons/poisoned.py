@@ -23,7 +23,7 @@ from attacks.poisons.judged import checked_classifier
 from attacks.poisons.poison_splat import Decoy
 from attacks.poisons.specs import POISONS, ChosenPoison, Given, PoisonSpec
 from attacks.poisons.writing import difference_sheet, write_poisoned
-from mi_splat.cameras import View
+from mi_splat.cameras.camera import View
 from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from attacks.poisons.base import Change, Poisoned, PoisonedViews
-from mi_splat.cameras import View
+from mi_splat.cameras.camera import View
 from mi_splat.datasets import Dataset
 from mi_splat.datasets.writing import (
     IMAGES,

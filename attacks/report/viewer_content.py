@@ -18,17 +18,17 @@ from attacks.observe.comparison import largest_changes
 from attacks.observe.drawing import draw_detections
 from attacks.observe.views import CAMERAS
 from mi_splat.audit.files import HEAT
-from mi_splat.bounds import bounds
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.directions import UP, Point
+from mi_splat.cameras.framing import bounds
 from mi_splat.datasets import is_dataset, load_dataset
-from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, MiSplatError, message, one_line
 from mi_splat.io.camera_records import OF, camera_of
 from mi_splat.io.folders import RECORD, check_links, splat_in
 from mi_splat.io.parsing import read_json
-from mi_splat.rendering import RenderSettings
+from mi_splat.render.renderer import RenderSettings
+from mi_splat.render.scene_files import open_scene
 from mi_splat.scene import GaussianScene, scene_hash
-from mi_splat.scene_files import open_scene
 from mi_splat.training.resume import CONFIG, poses_digest
 from mi_splat.viewer.content import (
     Content,

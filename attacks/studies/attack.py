@@ -31,9 +31,9 @@ from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe.conditions import SunTable, check_condition, renderer_of
 from attacks.search import Step
 from attacks.transformations.config import Transformations
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras.camera import Camera, RenderFn
+from mi_splat.cameras.directions import Point
 from mi_splat.comparison.methods import RENDERERS
-from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import check_choice
 from mi_splat.io import save_splat
@@ -41,8 +41,8 @@ from mi_splat.io.camera_records import recorded_cameras
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import RECORD
 from mi_splat.io.scene_parts import SceneParts
+from mi_splat.render.scene_files import SplatScene, read_scene
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import SplatScene, read_scene
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -39,8 +39,13 @@ from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Job
 from mi_splat.ledger.job import Out
 from mi_splat.ledger.plans import Result
+from mi_splat.render.scene_files import (
+    MixedScene,
+    SplatScene,
+    holds_surfaces,
+    open_scene,
+)
 from mi_splat.scene import scene_hash
-from mi_splat.scene_files import MixedScene, SplatScene, holds_surfaces, open_scene
 
 VARIES = (RECORD,)
 _COSTS = {"image": FORWARD, "image and gradient": GRADIENT}

@@ -30,7 +30,7 @@ from attacks.studies.attack import AttackScene, attack_scene, detectors_of, dist
 from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange, changing
 from mi_splat.attributes import ATTRIBUTES, Attribute
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.io import load_splat
 from mi_splat.scene import GaussianScene
 

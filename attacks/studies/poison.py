@@ -58,8 +58,8 @@ from attacks.studies.poison_figures import figures, summary_tables
 from attacks.studies.running import OWN_NAME, Attempt, Observed, Work, copied, names_of
 from attacks.studies.study_file import Point, Settings, Study, with_none
 from attacks.tables import Table
-from mi_splat.cameras import Camera
-from mi_splat.directions import direction_of
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.directions import direction_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Checked, Seed, above, at_least, check, check_choice, decode
 from mi_splat.io.parsing import read_json

@@ -34,7 +34,7 @@ from attacks.testing.promises import (
     expect_same,
     expect_text,
 )
-from mi_splat.cameras import Camera, View, look_at
+from mi_splat.cameras.camera import Camera, View, look_at
 from mi_splat.ledger.job import encoded, is_frozen
 
 

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from mi_splat.errors import MiSplatError, message
-from mi_splat.rotation import normalise
+from mi_splat.maths.rotation import normalise
+from mi_splat.maths.sh import coefficient_count, colour_to_dc
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import coefficient_count, colour_to_dc
 
 STEPS = (0.3, 1.0, 3.0)
 """Lengths of the steps along a gradient that are tried, as multiples of the first."""

@@ -23,14 +23,14 @@ from attacks.testing.promises import (
 )
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.audit.rules import RULES, Rule, Severity, Stored
-from mi_splat.cameras import Camera, look_at, project_points
+from mi_splat.cameras.camera import Camera, look_at, project_points
 from mi_splat.comparison.methods import RendererSpec
 from mi_splat.errors import MiSplatError
 from mi_splat.io.loaded import Loaded, arrays_of
-from mi_splat.rendering import RenderSettings
-from mi_splat.rotation import normalise
+from mi_splat.maths.rotation import normalise
+from mi_splat.maths.sh import colour_to_dc
+from mi_splat.render.renderer import RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc
 
 
 def check_rule(rule: Any, *, finds: GaussianScene | None = None) -> None:

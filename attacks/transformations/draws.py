@@ -19,7 +19,7 @@ from PIL import Image
 from torch import Tensor
 
 from attacks.transformations.config import CameraRegion, PictureChanges
-from mi_splat.cameras import Camera, RenderFn, orbit_pose
+from mi_splat.cameras.camera import Camera, RenderFn, orbit_pose
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
 from mi_splat.scene import GaussianScene

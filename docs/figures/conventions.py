@@ -17,9 +17,9 @@ import numpy as np
 import torch
 
 from mi_splat import Camera, GaussianScene, Renderer, RenderSettings, look_at
-from mi_splat.bounds import bounds, near_plane
-from mi_splat.cameras import orbit_pose, project_points
-from mi_splat.sh import colour_to_dc, sh_basis, sh_to_colour
+from mi_splat.cameras.camera import orbit_pose, project_points
+from mi_splat.cameras.framing import bounds, near_plane
+from mi_splat.maths.sh import colour_to_dc, sh_basis, sh_to_colour
 
 mpl.use("Agg")
 

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from mi_splat import Camera, GaussianScene, Renderer, RenderSettings, load_splat
-from mi_splat.cameras import focal_of, orbit_pose
-from mi_splat.sh import sh_basis
+from mi_splat.cameras.camera import focal_of, orbit_pose
+from mi_splat.maths.sh import sh_basis
 from mi_splat.viewer.picking import border, colours
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "one_gaussian.png"

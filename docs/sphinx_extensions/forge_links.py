@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 SHOWN_IN = {
-    "mi_splat/rasterization/README.md": "docs/reference/rasterization.md",
-    "mi_splat/raytracing/README.md": "docs/reference/raytracing.md",
+    "mi_splat/render/tile/README.md": "docs/reference/rasterization.md",
+    "mi_splat/render/ray/README.md": "docs/reference/raytracing.md",
     "scenes/README.md": "docs/reference/scenes.md",
     "attacks/detectors/fasterrcnn_small.md": "docs/reference/fasterrcnn_small.md",
     "scenes/detectors/README.md": "docs/reference/yolov8n_small.md",

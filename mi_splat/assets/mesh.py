@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mi_splat import srgb
 from mi_splat.errors import InvalidValueError
-from mi_splat.placement import axis_turn
+from mi_splat.maths import srgb
+from mi_splat.maths.orientation import axis_turn
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.uint32]

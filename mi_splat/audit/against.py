@@ -12,14 +12,14 @@ from torch import Tensor
 
 from mi_splat.audit.surfaces import SKY, Target, cameras_around, near_of, quantile
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
-from mi_splat.neighbours import nearest_neighbours
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.rotation import multiply
+from mi_splat.maths.neighbours import nearest_neighbours
+from mi_splat.maths.rotation import multiply
+from mi_splat.maths.sh import colour_to_dc
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import resized
 from mi_splat.scene import GaussianScene, check_scene
-from mi_splat.scene_files import resized
-from mi_splat.sh import colour_to_dc
 
 _UNITS = {
     "position": "world units",

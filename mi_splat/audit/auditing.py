@@ -55,11 +55,11 @@ from mi_splat.audit.surfaces import (
     whole,
 )
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cameras import Camera, as_cameras, project_points
-from mi_splat.directions import Point
+from mi_splat.cameras.camera import Camera, as_cameras, project_points
+from mi_splat.cameras.directions import Point
 from mi_splat.errors import InvalidValueError
+from mi_splat.render.scene_files import resized
 from mi_splat.scene import GaussianScene, check_scene
-from mi_splat.scene_files import resized
 
 # an object and the cameras that look at it, in the frame
 Job = tuple[Target, tuple[Camera, ...]]

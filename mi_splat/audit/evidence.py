@@ -24,12 +24,12 @@ from mi_splat.audit.surfaces import (
     rays,
 )
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cameras import Camera, look_at, project_points
-from mi_splat.neighbours import nearest_neighbours
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.rotation import to_matrix
+from mi_splat.cameras.camera import Camera, look_at, project_points
+from mi_splat.maths.neighbours import nearest_neighbours
+from mi_splat.maths.rotation import to_matrix
+from mi_splat.maths.sh import colour_to_dc, dc_to_colour, sh_basis
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc, dc_to_colour, sh_basis
 
 # What an optimiser leaves in the colours of a finished file: shades that neither paint
 # nor light explains.

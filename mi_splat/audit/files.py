@@ -29,20 +29,20 @@ from mi_splat.audit.results import (
 from mi_splat.audit.rules import Severity
 from mi_splat.audit.surfaces import SKY
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.bounds import near_plane
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.framing import near_plane
 from mi_splat.datasets import Dataset
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json
 from mi_splat.io.folders import RECORD, new_folder
 from mi_splat.io.images import save_picture, to_bytes
+from mi_splat.maths.sh import colour_to_dc, dc_to_colour
 from mi_splat.provenance import origin
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import resized
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import resized
 from mi_splat.selection.select import save_mask
-from mi_splat.sh import colour_to_dc, dc_to_colour
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 _RULES: dict[str, tuple[Severity, str, str]] = {

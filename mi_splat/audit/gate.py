@@ -151,7 +151,7 @@ def fingerprint(arrays: Arrays) -> str:
     """
     import numpy as np
 
-    from mi_splat.sh import dc_to_colour
+    from mi_splat.maths.sh import dc_to_colour
 
     good = (arrays["scales"] > 0).all(1)
     for value in arrays.values():

@@ -17,8 +17,8 @@ from torch import Tensor
 
 from mi_splat.audit.rules import Finding, Severity, Stored, findings_of
 from mi_splat.audit.surfaces import lattice
-from mi_splat.bounds import near_plane_of
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.framing import near_plane_of
 from mi_splat.errors import listed
 from mi_splat.io.camera_records import describe
 from mi_splat.io.errors import SplatFileError
@@ -26,7 +26,7 @@ from mi_splat.io.formats.gltf import COMPONENTS, EXTENSION, Glb, open_glb
 from mi_splat.io.loaded import Loaded, arrays_of, as_scene, validated
 from mi_splat.io.parsing import Fields
 from mi_splat.io.splat_files import load_stored
-from mi_splat.overdraw import Layers, most_layers
+from mi_splat.render.overdraw import Layers, most_layers
 from mi_splat.scene import GaussianScene
 
 SIZE = 1024  # pixels along each side of the picture that is counted

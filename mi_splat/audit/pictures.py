@@ -13,12 +13,12 @@ from mi_splat.audit.auditing import cameras_in_frame, judged_object, seen_share
 from mi_splat.audit.results import Audit
 from mi_splat.audit.surfaces import Target, frame_of, targets
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.bounds import near_plane
-from mi_splat.cameras import Camera, View, cameras_of
+from mi_splat.cameras.camera import Camera, View, cameras_of
+from mi_splat.cameras.directions import Point
+from mi_splat.cameras.framing import near_plane
 from mi_splat.datasets import Dataset
-from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.initialization import from_points, random_points, thinned

@@ -16,12 +16,12 @@ from torch.nn import functional
 from mi_splat.audit.explanations import angles_between
 from mi_splat.audit.results import Audit, ObjectAudit
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.bounds import near_plane
-from mi_splat.neighbours import nearest_neighbours
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.cameras.framing import near_plane
+from mi_splat.maths.neighbours import nearest_neighbours
+from mi_splat.maths.sh import sh_basis
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.visibility import contributions
-from mi_splat.sh import sh_basis
 
 Keep = Literal["outside", "inside"]
 """The directions whose colours are believed: those outside of a look, or those

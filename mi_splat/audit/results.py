@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cameras import Camera
-from mi_splat.directions import Point
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.directions import Point
 from mi_splat.errors import counted
 
 if TYPE_CHECKING:

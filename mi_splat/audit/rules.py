@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.loaded import Arrays, Loaded
+from mi_splat.maths.sh import band, degree_of, even_directions
 from mi_splat.registry import Registry
-from mi_splat.sh import band, degree_of, even_directions
 
 Severity = Literal["error", "warning", "note"]
 """An error breaks a file or a renderer, a warning is hardly ever wanted, a note is no

@@ -14,15 +14,15 @@ from torch import Tensor
 from torch.nn import functional
 
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cameras import Camera, focal_of, look_at, orbit_pose
-from mi_splat.directions import UP, Point
+from mi_splat.cameras.camera import Camera, focal_of, look_at, orbit_pose
+from mi_splat.cameras.directions import UP, Point
 from mi_splat.errors import InvalidValueError
-from mi_splat.neighbours import nearest_neighbours, nearest_of
-from mi_splat.rendering import Renderer, RenderSettings, SideOutputs
-from mi_splat.rotation import from_z, to_matrix
+from mi_splat.maths.neighbours import nearest_neighbours, nearest_of
+from mi_splat.maths.rotation import from_z, to_matrix
+from mi_splat.maths.sh import even_directions
+from mi_splat.render.renderer import Renderer, RenderSettings, SideOutputs
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.selection.clusters import clusters, find_plane
-from mi_splat.sh import even_directions
 
 # All happens in a frame that turns, moves and grows with the splat, so that a verdict
 # depends neither on how the file's axes lie, nor on its unit, nor on the order of its

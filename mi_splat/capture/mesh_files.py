@@ -29,7 +29,7 @@ from mi_splat.io.picture_files import (
     check_scans,
     pixels_bounded,
 )
-from mi_splat.placement import turn_of
+from mi_splat.maths.orientation import turn_of
 
 SUFFIX = ".glb"
 GREY = 0.7

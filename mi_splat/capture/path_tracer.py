@@ -23,12 +23,12 @@ from torch import Tensor
 
 from mi_splat.assets.daylight import Light, sky_map
 from mi_splat.assets.mesh import Asset, Floats, Mesh, to_linear, to_srgb
-from mi_splat.cameras import Camera
-from mi_splat.directions import unit_vector
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.directions import unit_vector
 from mi_splat.errors import InvalidValueError
-from mi_splat.mitsuba_setup import prepare_llvm, set_up_mitsuba
-from mi_splat.plugins.sensor import sensor_dict
-from mi_splat.scene_files import load_mitsuba_scene
+from mi_splat.render.plugins.sensor import sensor_dict
+from mi_splat.render.scene_files import load_mitsuba_scene
+from mi_splat.render.setup import prepare_llvm, set_up_mitsuba
 
 MANY_PICTURES = "llvm_ad_rgb"
 """Variant that traces a whole picture at once: five times as fast, after half a second

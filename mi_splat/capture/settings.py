@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Checked, Length, Metavar, above, between, check
-from mi_splat.placement import Up
+from mi_splat.maths.orientation import Up
 
 Ground = Literal["road", "grass", "asphalt", "none"]
 

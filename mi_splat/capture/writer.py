@@ -20,7 +20,7 @@ from torch import Tensor
 
 from mi_splat import provenance
 from mi_splat.assets.mesh import Asset, Floats
-from mi_splat.cameras import Camera, View, project_points
+from mi_splat.cameras.camera import Camera, View, project_points
 from mi_splat.capture.path_tracer import NEAR, PASSES, PathTracer, tracing_variant
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
@@ -40,8 +40,8 @@ from mi_splat.io.folders import locked_folder
 from mi_splat.io.parsing import DocumentReader, Fields
 from mi_splat.io.picture_files import PictureFileError, check_pixels, load_picture
 from mi_splat.io.points import PointCloud, load_points, save_points, to_bytes
-from mi_splat.plugins.sensor import sensor_dict
-from mi_splat.sh import sh_basis, sh_to_colour
+from mi_splat.maths.sh import sh_basis, sh_to_colour
+from mi_splat.render.plugins.sensor import sensor_dict
 
 COLOUR_VIEWS = 24
 """Pictures from which points take their colours."""

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from mi_splat.audit.results import Audit
-    from mi_splat.cameras import Camera
+    from mi_splat.cameras.camera import Camera
+    from mi_splat.render.scene_files import SplatScene
     from mi_splat.scene import GaussianScene
-    from mi_splat.scene_files import SplatScene
 
 
 EXAMPLES = (
@@ -236,7 +236,7 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
     from mi_splat.datasets import is_dataset
     from mi_splat.io.errors import SplatFileError
     from mi_splat.io.splat_files import load_stored
-    from mi_splat.scene_files import open_scene
+    from mi_splat.render.scene_files import open_scene
 
     path = options.file
     folder = options.out
@@ -323,7 +323,7 @@ def _with_looks(
     from mi_splat.audit.against import changes
     from mi_splat.audit.auditing import audit
     from mi_splat.cli.cameras import find_cameras
-    from mi_splat.scene_files import open_scene
+    from mi_splat.render.scene_files import open_scene
 
     cameras = None
     if options.cameras:

@@ -12,10 +12,11 @@ import torch
 from torch import Tensor
 
 from mi_splat.audit.surfaces import AROUND, place_inside
-from mi_splat.bounds import bounds, culled_in_view, near_plane, nothing_in_view
-from mi_splat.camera_forms import FORMS
-from mi_splat.camera_sets import camera_set, framing, with_up
-from mi_splat.cameras import Camera, odd_fields_of_view, orbit_pose
+from mi_splat.cameras.camera import Camera, odd_fields_of_view, orbit_pose
+from mi_splat.cameras.directions import UP
+from mi_splat.cameras.forms import FORMS
+from mi_splat.cameras.framing import bounds, culled_in_view, near_plane, nothing_in_view
+from mi_splat.cameras.sets import camera_set, framing, with_up
 from mi_splat.cli.console import note, warn
 from mi_splat.cli.options import CameraOptions, axis_name, up_line
 from mi_splat.datasets import DatasetError, load_dataset
@@ -23,13 +24,12 @@ from mi_splat.datasets.colmap import find_model
 from mi_splat.datasets.frames import Split
 from mi_splat.datasets.poses import numbered, poses_of
 from mi_splat.datasets.transforms import find_transforms
-from mi_splat.directions import UP
 from mi_splat.errors import InvalidValueError, MiSplatError, nearest
 from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
 from mi_splat.io.up_axis import Direction, UpAxis, Z, cameras_up
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import SplatScene, open_scene, resized
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import SplatScene, open_scene, resized
 from mi_splat.selection.config import Selection
 from mi_splat.selection.select import select
 from mi_splat.selection.visibility import object_weight

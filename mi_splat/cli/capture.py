@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mi_splat import provenance
-from mi_splat.camera_forms import parse_form
+from mi_splat.cameras.forms import parse_form
 from mi_splat.capture.settings import (
     CaptureSettings,
     MeshSettings,
@@ -106,8 +106,8 @@ def run(options: CaptureOptions) -> None:
 
 
 def _capture(options: CaptureOptions) -> None:
-    from mi_splat.bounds import no_surface_in_view
-    from mi_splat.camera_sets import camera_set, framing, held_out_set
+    from mi_splat.cameras.framing import no_surface_in_view
+    from mi_splat.cameras.sets import camera_set, framing, held_out_set
     from mi_splat.capture.sources import open_source
     from mi_splat.capture.writer import write_capture
 

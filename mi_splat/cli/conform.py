@@ -19,7 +19,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Metavar, OutFolder
 
 if TYPE_CHECKING:
-    from mi_splat.cameras import Camera
+    from mi_splat.cameras.camera import Camera
     from mi_splat.conformance import Cause, Setup
     from mi_splat.conformance_scenes import ConformanceScene
     from mi_splat.oracle import Array, PinholeCamera
@@ -336,7 +336,7 @@ def _write_reference(
 
     from mi_splat.io.documents import save_png
     from mi_splat.io.images import to_bytes
-    from mi_splat.rendering import save_floats
+    from mi_splat.render.renderer import save_floats
 
     image, alpha = _reference(scene.setup, model)
     save_png(to_bytes(torch.from_numpy(image)), folder / "images" / f"{name}.png")
@@ -389,7 +389,7 @@ def _write_cameras(every: Mapping[str, ConformanceScene], folder: Path) -> None:
 def _camera(view: PinholeCamera) -> Camera:
     import torch
 
-    from mi_splat.cameras import Camera
+    from mi_splat.cameras.camera import Camera
 
     return Camera(
         to_world=torch.from_numpy(view.to_world),
@@ -579,7 +579,7 @@ def _images(
     import numpy as np
 
     from mi_splat.io.picture_files import load_picture
-    from mi_splat.rendering import load_floats
+    from mi_splat.render.renderer import load_floats
 
     files = (
         (name, folder / f"{name}{end}") for name in every for end in (".png", ".exr")

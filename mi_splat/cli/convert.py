@@ -16,7 +16,7 @@ from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Metavar, OutFile, above
-from mi_splat.placement import Up, turn_of
+from mi_splat.maths.orientation import Up, turn_of
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -160,7 +160,7 @@ def differences(before: GaussianScene, after: GaussianScene) -> dict[str, float]
     """
     import torch
 
-    from mi_splat.sh import dc_to_colour
+    from mi_splat.maths.sh import dc_to_colour
 
     degree = max(before.degree, after.degree)
     old = before.with_degree(degree)

@@ -90,7 +90,7 @@ def _file_facts(path: Path) -> dict[str, object]:
 
 def _scene_file_facts(path: Path) -> dict[str, object]:
     import_at_once("torch")
-    from mi_splat.scene_files import read_scene
+    from mi_splat.render.scene_files import read_scene
 
     loaded = read_scene(path)
     parts = {
@@ -131,7 +131,7 @@ def splat_facts(splat: Arrays) -> dict[str, object]:
     """
     import numpy as np
 
-    from mi_splat.sh import degree_of
+    from mi_splat.maths.sh import degree_of
 
     means = splat["means"]
     facts: dict[str, object] = {
@@ -170,7 +170,7 @@ def _at(values: NDArray[np.floating[Any]], shares: Sequence[float]) -> list[Any]
 
 
 def _colours(sh: NDArray[np.float32]) -> dict[str, float]:
-    from mi_splat.sh import colours_by_direction, even_directions
+    from mi_splat.maths.sh import colours_by_direction, even_directions
 
     means, most = colours_by_direction(sh, even_directions())
     return {

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from torch import Tensor
 
-    from mi_splat.cameras import Camera, RenderFn
+    from mi_splat.cameras.camera import Camera, RenderFn
+    from mi_splat.render.scene_files import MixedScene
     from mi_splat.scene import GaussianScene
-    from mi_splat.scene_files import MixedScene
 
     Pixels = NDArray[np.uint8] | Mapping[str, NDArray[np.float32]]
 
@@ -96,7 +96,7 @@ def run(options: RenderOptions) -> None:
     from mi_splat.io.camera_records import describe
     from mi_splat.io.folders import check_not_input
     from mi_splat.io.images import is_floats
-    from mi_splat.scene_files import open_scene
+    from mi_splat.render.scene_files import open_scene
 
     floats = is_floats(options.out)
     check_not_input(options.out, options.scene)
@@ -151,7 +151,7 @@ def run(options: RenderOptions) -> None:
 def _mixed_scene(options: RenderOptions) -> MixedScene | None:
     """The scene, where it holds surfaces beside splats."""
     from mi_splat.io.images import is_floats
-    from mi_splat.scene_files import MixedScene, holds_surfaces
+    from mi_splat.render.scene_files import MixedScene, holds_surfaces
 
     if options.scene.suffix.lower() != ".xml" or not holds_surfaces(options.scene):
         return None
@@ -201,7 +201,7 @@ def _pixels(
 ) -> Pixels:
     """A picture as its file has it: bytes, or float channels by name."""
     from mi_splat.io.images import is_floats, to_bytes
-    from mi_splat.rendering import Renderer
+    from mi_splat.render.renderer import Renderer
 
     if not is_floats(options.out):
         return to_bytes(render(scene, camera))
@@ -269,7 +269,7 @@ def _save(
         save_animation,
         save_picture,
     )
-    from mi_splat.rendering import save_floats
+    from mi_splat.render.renderer import save_floats
 
     out = options.out
     shown = [pixels for pixels in pictures.values() if not isinstance(pixels, Mapping)]

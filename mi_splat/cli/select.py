@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from torch import Tensor
 
-    from mi_splat.cameras import Camera, RenderFn
+    from mi_splat.cameras.camera import Camera, RenderFn
+    from mi_splat.render.scene_files import SplatScene
     from mi_splat.scene import GaussianScene
-    from mi_splat.scene_files import SplatScene
 
 
 EXAMPLES = (
@@ -68,7 +68,7 @@ def run(options: SelectOptions) -> None:
     from mi_splat.cli.cameras import choose
     from mi_splat.io.folders import check_free_file, check_not_input
     from mi_splat.io.images import is_picture
-    from mi_splat.scene_files import open_scene
+    from mi_splat.render.scene_files import open_scene
     from mi_splat.selection.select import SEEN, doubts
 
     for path in options.out:

@@ -21,7 +21,7 @@ from mi_splat.training.strategies import STRATEGIES, strategy_config, strategy_n
 
 if TYPE_CHECKING:
     from mi_splat.datasets import Dataset
-    from mi_splat.rendering import Renderer
+    from mi_splat.render.renderer import Renderer
     from mi_splat.scene import GaussianScene
     from mi_splat.training.loop import Progress, TrainState
 
@@ -104,8 +104,8 @@ CULLED = 0.001
 def run(options: TrainOptions) -> None:
     """Train, or go on with a training, and say what came of it."""
     from mi_splat.io.folders import own_folder
+    from mi_splat.render.variant import check_device
     from mi_splat.training.resume import CHECKPOINT, CONFIG
-    from mi_splat.variant import check_device
 
     check_device(options.device)
     with own_folder(options.out, CONFIG, CHECKPOINT):
@@ -113,7 +113,7 @@ def run(options: TrainOptions) -> None:
 
 
 def _train(options: TrainOptions) -> None:
-    from mi_splat.bounds import near_plane
+    from mi_splat.cameras.framing import near_plane
     from mi_splat.datasets import load_dataset
     from mi_splat.training.resume import train
 
@@ -271,7 +271,7 @@ def _show(options: TrainOptions, count: int, seconds: float) -> None:
 
 
 def _renderer(options: TrainOptions, near: float) -> Renderer:
-    from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
+    from mi_splat.render.renderer import Renderer, RenderSettings, ScreenGradients
 
     config = options.fit
     variant = "cuda_ad_rgb" if options.device == "cuda" else ""
@@ -291,7 +291,7 @@ def _renderer(options: TrainOptions, near: float) -> Renderer:
 
 def _warn_of_culled(start: GaussianScene, views: Dataset, near: float) -> None:
     """Say how much of the start no picture will show, if it is worth a word."""
-    from mi_splat.bounds import culled_in_view
+    from mi_splat.cameras.framing import culled_in_view
 
     culled = [culled_in_view(start, camera, near) for camera in views.cameras]
     if max(culled) > CULLED * len(start):

@@ -19,14 +19,14 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.comparison.methods import Method
 from mi_splat.errors import InvalidValueError, listed
 from mi_splat.fields import Checked, Count, Seed
 from mi_splat.io.documents import file_name, save_png
 from mi_splat.io.images import quantise, to_bytes
-from mi_splat.labels import write_label
-from mi_splat.metrics import mse, ssim
+from mi_splat.io.labels import write_label
+from mi_splat.maths.metrics import mse, ssim
 from mi_splat.scene import GaussianScene
 
 WIDTH = 256

@@ -13,19 +13,19 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.datasets import DatasetError
 from mi_splat.datasets.frames import picture_size, read_picture
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import file_name
 from mi_splat.io.images import PICTURES
+from mi_splat.maths.sh import colour_to_dc, dc_to_colour, sh_basis
 from mi_splat.registry import Registry
-from mi_splat.rendering import Method as Way
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.renderer import Method as Way
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import MixedScene
+from mi_splat.render.volprim import Volprim
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import MixedScene
-from mi_splat.sh import colour_to_dc, dc_to_colour, sh_basis
-from mi_splat.volprim import Volprim
 
 FOLDER = "folder:"
 """Begins a method that is a folder of pictures."""

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.folders import SetFiles, image_folder, mask_folders
 from mi_splat.datasets.frames import (
@@ -36,7 +36,7 @@ from mi_splat.datasets.frames import (
 from mi_splat.datasets.lenses import Lens
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.points import PointCloud
-from mi_splat.rotation import to_matrix
+from mi_splat.maths.rotation import to_matrix
 
 
 @dataclass(frozen=True, slots=True)

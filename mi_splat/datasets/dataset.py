@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera, View, ViewSet, odd_fields_of_view
+from mi_splat.cameras.camera import Camera, View, ViewSet, odd_fields_of_view
 from mi_splat.datasets.colmap import find_model, read_colmap
 from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.frames import (

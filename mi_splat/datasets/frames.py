@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.folders import SUFFIXES as SUFFIXES
 from mi_splat.datasets.folders import is_smaller

@@ -18,13 +18,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera, focal_of
+from mi_splat.cameras.camera import Camera, focal_of
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.frames import camera_of
 from mi_splat.datasets.lenses import Lens
 from mi_splat.io.parsing import DocumentReader, Fields
 from mi_splat.io.points import PointCloud
-from mi_splat.rotation import is_rotation
+from mi_splat.maths.rotation import is_rotation
 
 OPENGL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 """Camera space with OpenGL's axes to ours, and back."""

@@ -5,7 +5,7 @@ cannot be read.
 from collections.abc import Sequence
 from pathlib import Path
 
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.datasets.colmap import find_model, read_model_cameras
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.frames import Split

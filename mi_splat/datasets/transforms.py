@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera, focal_of
+from mi_splat.cameras.camera import Camera, focal_of
 from mi_splat.datasets.colmap import CUT_PANORAMAS, PANORAMA, report_ignored_distortion
 from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.folders import IMAGES, MASKS, SetFiles, mask_folders

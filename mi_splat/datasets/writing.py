@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mi_splat.cameras import Camera, angle_of
+from mi_splat.cameras.camera import Camera, angle_of
 from mi_splat.datasets.colmap import TEST_LIST
 from mi_splat.datasets.folders import IMAGES as IMAGES
 from mi_splat.datasets.folders import MASKS as MASKS
@@ -18,7 +18,7 @@ from mi_splat.datasets.transforms import OPENGL, PARTS, POINTS
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.errors import from_os_error
 from mi_splat.io.points import PointCloud, save_points, to_bytes
-from mi_splat.rotation import from_matrix
+from mi_splat.maths.rotation import from_matrix
 
 Listing = Mapping[str, Sequence[tuple[str, Camera]]]
 """Of each split, train and test, the file name of every picture and its camera."""

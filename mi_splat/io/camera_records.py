@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.parsing import DocumentReader, Fields, kind_of
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from mi_splat.attributes import ATTRIBUTES, LARGEST, Attribute
 from mi_splat.errors import message
 from mi_splat.io.errors import LFS_ADVICE, LFS_POINTER, SplatFileError, SplatFileWarning
-from mi_splat.sh import dc_to_colour, degree_of
+from mi_splat.maths.sh import dc_to_colour, degree_of
 
 if TYPE_CHECKING:
     from mi_splat.scene import GaussianScene
@@ -164,7 +164,7 @@ def restore_largest(largest: NDArray[np.integer], others: Array) -> Array:
 Arrays = dict[Attribute, NDArray[np.float32]]
 """The five tensors of a scene as float32 arrays, in the order of `ATTRIBUTES`."""
 UNIT_SLACK = 1e-6
-"""As in `mi_splat.rotation`."""
+"""As in `mi_splat.maths.rotation`."""
 
 SHOWN = 5
 """How many names or rows a message lists."""
@@ -280,7 +280,7 @@ def as_scene(arrays: Arrays) -> GaussianScene:
 
 
 def unit(quaternions: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    """`mi_splat.rotation.normalise` of an array, to the bit."""
+    """`mi_splat.maths.rotation.normalise` of an array, to the bit."""
     wide = quaternions.astype(np.float64)
     with np.errstate(all="ignore"):
         factor = 1 / np.sqrt((wide * wide).sum(-1, keepdims=True))

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError
-from mi_splat.rotation import normalise
+from mi_splat.maths.rotation import normalise
 from mi_splat.scene import GaussianScene
 
 # Finite logits of the opacities 0 and 1: the sigmoid of them rounds to exactly 0 and 1

@@ -38,7 +38,7 @@ from mi_splat.io.loaded import (
     validated,
 )
 from mi_splat.io.up_axis import commented_up
-from mi_splat.sh import colour_to_dc
+from mi_splat.maths.sh import colour_to_dc
 
 if TYPE_CHECKING:
     from mi_splat.scene import GaussianScene

@@ -28,7 +28,7 @@ DEEPEST = 64
 too), and elements in each other.
 """
 OWN_PLUGINS = ("gaussians", "splat_ray", "splat_tile")
-"""The plugins of this library, which `mi_splat.plugins` registers."""
+"""The plugins of this library, which `mi_splat.render.plugins` registers."""
 _ENCODING = re.compile(r"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)")
 
 

@@ -315,7 +315,7 @@ def _turn_up(model: Any) -> None:
     import pycolmap
     import torch
 
-    from mi_splat.rotation import from_z
+    from mi_splat.maths.rotation import from_z
 
     turns = np.stack(
         [image.cam_from_world().rotation.matrix().T for image in _placed(model)]

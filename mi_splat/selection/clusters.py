@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Generator, Tensor
 
-from mi_splat.neighbours import nearest_neighbours
+from mi_splat.maths.neighbours import nearest_neighbours
+from mi_splat.maths.sh import dc_to_colour
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import dc_to_colour
 
 NEIGHBOURS = 12
 NEAREST = 8

@@ -13,7 +13,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_bytes
 from mi_splat.io.errors import SplatFileError, from_os_error

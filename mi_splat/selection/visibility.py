@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera, RenderFn, as_cameras
+from mi_splat.cameras.camera import Camera, RenderFn, as_cameras
 from mi_splat.errors import InvalidValueError
+from mi_splat.maths.sh import colour_to_dc
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc
 
 Box = tuple[int, int, int, int]
 """Pixels of a picture: x0, y0, x1, y1 from the upper left corner, x1 and y1 no longer

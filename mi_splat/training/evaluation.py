@@ -7,8 +7,8 @@ from typing import Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import RenderFn, View
-from mi_splat.metrics import psnr, ssim
+from mi_splat.cameras.camera import RenderFn, View
+from mi_splat.maths.metrics import psnr, ssim
 from mi_splat.scene import GaussianScene
 from mi_splat.training.losses import masked
 

@@ -9,12 +9,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Generator, Tensor
 
-from mi_splat.cameras import Camera, View, cameras_of, project_points
+from mi_splat.cameras.camera import Camera, View, cameras_of, project_points
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
-from mi_splat.neighbours import nearest_distances
+from mi_splat.maths.neighbours import nearest_distances
+from mi_splat.maths.sh import colour_to_dc
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc
 
 _NEAREST = 3
 """Neighbours whose distances make the size of a Gaussian."""

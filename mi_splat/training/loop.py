@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera, RenderFn, View, cameras_of
+from mi_splat.cameras.camera import Camera, RenderFn, View, cameras_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
@@ -86,7 +86,7 @@ def fit(
             (`mi_splat.datasets.Dataset.loss_mask`), what is masked does not count.
         start: Gaussians to begin with.
         render: Any differentiable renderer; the classic strategy needs one that keeps
-            screen gradients, see `mi_splat.rendering.Renderer`.
+            screen gradients, see `mi_splat.render.renderer.Renderer`.
         config: How; the shortened 3DGS recipe if None.
         seed: Seed of everything random.
         held_out: Views to score on that are not trained on.

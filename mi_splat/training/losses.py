@@ -124,8 +124,8 @@ def photometric_loss(
     """(1 - lambda_dssim) L1 + lambda_dssim (1 - SSIM), equation 7 of Kerbl et al. 2023.
 
     SSIM is that of Wang et al. 2004 as 3DGS trains with it: window of 11, sigma 1.5,
-    zeros outside of the picture. `mi_splat.metrics.ssim` is the figure to report; the
-    two differ at the picture's rim.
+    zeros outside of the picture. `mi_splat.maths.metrics.ssim` is the figure to report;
+    the two differ at the picture's rim.
     """
     if image.ndim != 3 or image.shape != reference.shape:
         expected = f"shape {tuple(reference.shape)}, (H, W, 3)"

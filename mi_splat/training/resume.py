@@ -16,7 +16,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from mi_splat import provenance
-from mi_splat.cameras import Camera, RenderFn, View, cameras_of, fingerprint_of
+from mi_splat.cameras.camera import Camera, RenderFn, View, cameras_of, fingerprint_of
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import save_splat
 from mi_splat.io.documents import save_bytes, save_json, sweep_temporary

@@ -16,19 +16,19 @@ from PIL import ImageDraw
 from torch import Tensor
 
 from mi_splat.audit.surfaces import place_inside
-from mi_splat.bounds import bounds
-from mi_splat.camera_sets import framing
-from mi_splat.cameras import Camera, View, odd_fields_of_view
+from mi_splat.cameras.camera import Camera, View, odd_fields_of_view
+from mi_splat.cameras.directions import UP, Point
+from mi_splat.cameras.framing import bounds
+from mi_splat.cameras.sets import framing
 from mi_splat.datasets import DatasetError, DatasetWarning, is_dataset, load_dataset
 from mi_splat.datasets.poses import poses_of
-from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
 from mi_splat.io.up_axis import UpAxis, cameras_up
-from mi_splat.rendering import RenderSettings
-from mi_splat.rotation import from_z
+from mi_splat.maths.rotation import from_z
+from mi_splat.render.renderer import RenderSettings
+from mi_splat.render.scene_files import open_scene, resized
 from mi_splat.scene import GaussianScene, Similarity
-from mi_splat.scene_files import open_scene, resized
 from mi_splat.training.evaluation import loss_mask_of
 from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
 from mi_splat.viewer.session import DIFFERENCE, SIDE_BY_SIDE

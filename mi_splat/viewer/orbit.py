@@ -12,13 +12,13 @@ from typing import Any
 
 import torch
 
-from mi_splat.cameras import Camera, angle_of, focal_of, orbit_pose
-from mi_splat.directions import POLE, UP, Point
+from mi_splat.cameras.camera import Camera, angle_of, focal_of, orbit_pose
+from mi_splat.cameras.directions import POLE, UP, Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import OF
-from mi_splat.rendering import RenderSettings
-from mi_splat.rotation import from_z
-from mi_splat.scene_files import resized
+from mi_splat.maths.rotation import from_z
+from mi_splat.render.renderer import RenderSettings
+from mi_splat.render.scene_files import resized
 
 _ANGLE_DIGITS = 2
 _LENGTH_DIGITS = 5

@@ -13,12 +13,12 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.cameras import RenderFn
+from mi_splat.cameras.camera import RenderFn
 from mi_splat.io.formats.compressed_ply import morton_order
 from mi_splat.io.images import quantise, to_bytes
-from mi_splat.labels import write_label
-from mi_splat.metrics import psnr
-from mi_splat.rasterization.frozen import between_stages
+from mi_splat.io.labels import write_label
+from mi_splat.maths.metrics import psnr
+from mi_splat.render.tile.frozen import between_stages
 from mi_splat.scene import GaussianScene
 from mi_splat.viewer.content import Content, Inspection, Inspector
 from mi_splat.viewer.orbit import Orbit, camera_options

@@ -14,13 +14,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera, RenderFn, project_points
-from mi_splat.rotation import to_matrix
+from mi_splat.cameras.camera import Camera, RenderFn, project_points
+from mi_splat.maths.rotation import to_matrix
+from mi_splat.maths.sh import colour_to_dc, sh_to_colour
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.config import Selection
 from mi_splat.selection.select import select
 from mi_splat.selection.visibility import pixel_weights
-from mi_splat.sh import colour_to_dc, sh_to_colour
 from mi_splat.viewer.content import Content
 from mi_splat.viewer.orbit import Orbit, camera_options
 from mi_splat.viewer.session import Layout, panes, pictures_of

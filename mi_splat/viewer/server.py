@@ -15,9 +15,9 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from mi_splat.cameras import angle_of
+from mi_splat.cameras.camera import angle_of
 from mi_splat.errors import InvalidValueError, MiSplatError, install, message
-from mi_splat.rasterization.frozen import PictureInterruptedError, interrupted_by
+from mi_splat.render.tile.frozen import PictureInterruptedError, interrupted_by
 from mi_splat.viewer.guard import Guard, guarding
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter, Painting

@@ -33,7 +33,7 @@ from attacks.observe.rows import ATTACKED, CLEAN, NOISE, frame_of, write_rows
 from attacks.observe.views import image_change
 from attacks.rate import Rate
 from attacks.studies.attack import AttackScene, attack_scene, cameras_in
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 
 SCENE = Path("scenes/stop_sign.xml")
 OBJECT = "stop_sign"

@@ -17,12 +17,12 @@ from torch.nn import functional
 from attacks.cloak.config import LayerConfig
 from attacks.cloak.layers import layered
 from attacks.cloak.triggers import Cone
-from mi_splat.cameras import Camera, RenderFn, look_at
-from mi_splat.directions import Direction
+from mi_splat.cameras.camera import Camera, RenderFn, look_at
+from mi_splat.cameras.directions import Direction
 from mi_splat.fields import Fraction, PositiveFraction, above, at_least, between, check
+from mi_splat.maths.sh import colour_to_dc, dc_to_colour, sh_basis, sh_to_colour
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.selection.visibility import contributions
-from mi_splat.sh import colour_to_dc, dc_to_colour, sh_basis, sh_to_colour
 
 CAMERAS = 90
 SIZE = 128

@@ -26,7 +26,7 @@ from attacks.detectors.registry import load_detector
 from attacks.observe.views import as_saved, detect_views, object_boxes
 from mi_splat.audit import audit
 from mi_splat.io import load_splat
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, merge
 from scenes.recipes.audit_hiding import DISTANCE, Hiding, Victim, hide, lattice
 from tests.audit.scenes import standing

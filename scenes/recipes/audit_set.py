@@ -36,15 +36,15 @@ from mi_splat.audit.gate import VERDICTS, Policy
 from mi_splat.audit.linting import lint_file
 from mi_splat.audit.results import ObjectAudit
 from mi_splat.audit.surfaces import lattice
-from mi_splat.bounds import near_plane
-from mi_splat.camera_sets import framing, hemisphere, orbit
-from mi_splat.cameras import Camera, View
+from mi_splat.cameras.camera import Camera, View
+from mi_splat.cameras.framing import near_plane
+from mi_splat.cameras.sets import framing, hemisphere, orbit
 from mi_splat.capture.path_tracer import PathTracer, scene_dict
 from mi_splat.capture.sources import open_source
 from mi_splat.capture.writer import surface_samples
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
-from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
+from mi_splat.render.renderer import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.selection.select import box_mask
 from mi_splat.training.config import FitConfig

@@ -30,7 +30,8 @@ from mi_splat.assets import build
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.assets.primitives import ellipsoid
-from mi_splat.cameras import Camera, RenderFn, View, orbit_pose, project_points
+from mi_splat.cameras.camera import Camera, RenderFn, View, orbit_pose, project_points
+from mi_splat.cameras.directions import direction_of
 from mi_splat.capture.path_tracer import (
     FEW_PICTURES,
     in_front,
@@ -39,9 +40,8 @@ from mi_splat.capture.path_tracer import (
     tracing_variant,
 )
 from mi_splat.capture.writer import nearness, surface_samples
-from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer
+from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene, merge
 from scenes.recipes.detector_surroundings import (
     backdrop,

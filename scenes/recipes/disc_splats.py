@@ -13,11 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import RenderFn, View
+from mi_splat.cameras.camera import RenderFn, View
 from mi_splat.capture.writer import SurfaceSamples, fit_colours
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.parameters import activate, to_raw_parameters
-from mi_splat.rotation import from_matrix
+from mi_splat.maths.rotation import from_matrix
 from mi_splat.scene import GaussianScene
 
 OnStep = Callable[[int, float], None]

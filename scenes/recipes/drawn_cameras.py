@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras.camera import Camera, orbit_pose
 from mi_splat.io.camera_records import describe
 from scenes.recipes.example_scenes import FOCAL, RECIPES, SIZE
 

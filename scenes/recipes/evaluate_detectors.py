@@ -32,8 +32,8 @@ from attacks.rate import Rate
 from mi_splat import provenance
 from mi_splat.io.documents import save_json
 from mi_splat.io.images import to_bytes
-from mi_splat.rendering import Renderer
-from mi_splat.scene_files import open_scene
+from mi_splat.render.renderer import Renderer
+from mi_splat.render.scene_files import open_scene
 from scenes.recipes.detector_pictures import (
     EMPTY,
     PATH_TRACED,

@@ -23,14 +23,14 @@ from torch import Tensor
 
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import ellipsoid
-from mi_splat.cameras import Camera, View, angle_of, look_at
+from mi_splat.cameras.camera import Camera, View, angle_of, look_at
 from mi_splat.capture.path_tracer import scene_dict
 from mi_splat.capture.sources import EXAMPLES, ExampleScene, Point
 from mi_splat.capture.writer import nearness, surface_samples
 from mi_splat.io import load_splat, save_splat
-from mi_splat.metrics import psnr
-from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
-from mi_splat.rotation import to_matrix
+from mi_splat.maths.metrics import psnr
+from mi_splat.maths.rotation import to_matrix
+from mi_splat.render.renderer import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.training.loop import FitConfig, fit
 from mi_splat.training.strategies import ClassicConfig

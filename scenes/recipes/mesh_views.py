@@ -6,7 +6,7 @@ from typing import Any
 
 from torch import Tensor
 
-from mi_splat.cameras import Camera, View
+from mi_splat.cameras.camera import Camera, View
 from mi_splat.capture.path_tracer import PathTracer
 
 

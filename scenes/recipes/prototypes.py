@@ -23,7 +23,7 @@ from attacks.classifiers.frozen import Preparation
 from attacks.classifiers.prototypes import load_features
 from attacks.detectors.weights import fingerprint
 from mi_splat.assets import ASSETS
-from mi_splat.camera_sets import framing, hemisphere
+from mi_splat.cameras.sets import framing, hemisphere
 from mi_splat.capture.path_tracer import PathTracer
 from mi_splat.capture.settings import Ground, SurroundingsSettings
 from mi_splat.capture.sources import open_source

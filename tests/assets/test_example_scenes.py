@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mi_splat.cameras import project_box
+from mi_splat.cameras.camera import project_box
 from mi_splat.capture import sources
 from mi_splat.io import load_splat
 from scenes.recipes.example_scenes import RECIPES, SIZE, make, scene_xml, sensors

@@ -18,7 +18,7 @@ from attacks.observe.views import (
     object_boxes,
 )
 from attacks.rate import Rate
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.io.images import through_png
 from mi_splat.scene import GaussianScene
 from tests.fakes import ColourDetector, blobs, camera, toy_scene

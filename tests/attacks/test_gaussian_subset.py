@@ -20,8 +20,8 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import quantise, through_png, to_bytes
 from mi_splat.io.picture_files import load_picture
+from mi_splat.maths.sh import sh_basis
 from mi_splat.scene import GaussianScene, merge
-from mi_splat.sh import sh_basis
 from tests.fakes import blobs, camera, toy_scene
 
 

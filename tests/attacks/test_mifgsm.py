@@ -14,8 +14,8 @@ from attacks.poisons.config import FilterConfig, MIFGSMConfig
 from attacks.poisons.defences import filtered
 from attacks.poisons.mifgsm import MIFGSM
 from attacks.poisons.poison_splat import Decoy
-from mi_splat.camera_sets import orbit
-from mi_splat.cameras import Camera, View
+from mi_splat.cameras.camera import Camera, View
+from mi_splat.cameras.sets import orbit
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
 from tests.classifiers.made import CLASSES, SIZE, toy_classifier

@@ -12,13 +12,13 @@ import torch
 from attacks import cli
 from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli.poison import kind_names
-from mi_splat import variant
-from mi_splat.camera_sets import orbit
-from mi_splat.cameras import View
+from mi_splat.cameras.camera import View
+from mi_splat.cameras.sets import orbit
 from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.io import save_splat
 from mi_splat.io.picture_files import load_picture
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer, RenderSettings
 from tests.classifiers.made import toy_classifier
 from tests.datasets.sets import write_transforms
 from tests.gaussians import varied_scene

@@ -27,11 +27,11 @@ from attacks.poisons.poison_splat import (
     raised,
     total_variation,
 )
-from mi_splat.camera_sets import orbit
-from mi_splat.cameras import View
+from mi_splat.cameras.camera import View
+from mi_splat.cameras.sets import orbit
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import ClassicConfig

@@ -7,7 +7,7 @@ import torch
 from mi_splat.audit import Audit, Look, ObjectAudit, Occluder, Pair, Region
 from mi_splat.audit.surfaces import lattice
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
 
 DIRECTIONS = lattice(40, 5.0, 85.0)
 

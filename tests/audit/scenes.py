@@ -17,9 +17,9 @@ from mi_splat.assets import build
 from mi_splat.assets.mesh import Asset
 from mi_splat.audit.surfaces import basis, lattice
 from mi_splat.capture.writer import surface_samples
-from mi_splat.rotation import from_matrix
+from mi_splat.maths.rotation import from_matrix
+from mi_splat.maths.sh import colour_to_dc, sh_basis, sh_to_colour
 from mi_splat.scene import GaussianScene, Similarity, merge
-from mi_splat.sh import colour_to_dc, sh_basis, sh_to_colour
 
 UP = torch.tensor([0.0, 0.0, 1.0])
 ROAD = (0.37, 0.37, 0.39)

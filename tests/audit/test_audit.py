@@ -29,10 +29,10 @@ from mi_splat.audit.surfaces import (
     targets,
 )
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
-from mi_splat.rotation import to_matrix
+from mi_splat.maths.rotation import to_matrix
 from mi_splat.scene import GaussianScene, Similarity, merge
 from scenes.recipes.audit_set import far_roof, fogged, smooth
 from tests.audit import scenes

@@ -20,12 +20,12 @@ from mi_splat.audit.pictures import audit_pictures, compare_pictures
 from mi_splat.audit.results import Edit
 from mi_splat.audit.surfaces import frame_of, lattice, targets
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cameras import Camera, View, look_at
+from mi_splat.cameras.camera import Camera, View, look_at
 from mi_splat.datasets import Dataset, PointCloud, load_dataset
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.maths.sh import sh_basis
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import sh_basis
 from tests.audit import scenes
 from tests.audit.scenes import Made, cone, direction, hidden, standing
 from tests.datasets.sets import VIEWS, write_transforms

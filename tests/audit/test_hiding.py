@@ -8,7 +8,7 @@ from typing import Literal
 import pytest
 import torch
 
-from mi_splat.rendering import Renderer
+from mi_splat.render.renderer import Renderer
 from scenes.recipes import audit_set
 from scenes.recipes.audit_hiding import Hiding, Victim, hide
 from tests.audit.scenes import direction, standing

@@ -22,13 +22,13 @@ from mi_splat import load_splat, save_splat
 from mi_splat.audit import linting
 from mi_splat.audit.linting import lint_file, lint_scene, validate
 from mi_splat.audit.rules import RULES, Rule, Stored
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.io import SplatFileError
 from mi_splat.io.formats.gltf import open_glb
 from mi_splat.io.loaded import Arrays
 from mi_splat.io.parsing import Fields
 from mi_splat.io.splat_files import write_splat_file
-from mi_splat.overdraw import most_layers
+from mi_splat.render.overdraw import most_layers
 from mi_splat.scene import GaussianScene
 from tests.audit import scenes
 from tests.gaussians import splat_names
@@ -172,9 +172,9 @@ def test_no_converter_makes_a_finding(suffix: str, tmp_path: Path) -> None:
 def test_overdraw_is_the_length_of_the_rasteriser_s_lists() -> None:
     import mitsuba as mi
 
-    from mi_splat.rasterization import layouts, pinhole
-    from mi_splat.rasterization.frozen import aligned
-    from mi_splat.rasterization.pipeline import rasterize
+    from mi_splat.render.tile import layouts, pinhole
+    from mi_splat.render.tile.frozen import aligned
+    from mi_splat.render.tile.pipeline import rasterize
 
     scene = scenes.standing("suitcase", count=300).scene
     eyes = [(9, 1, 1), (2, 1, 1), (2, 1, 9), (3, 1, 1)]

@@ -12,10 +12,10 @@ from torch import Tensor
 from attacks import cli
 from mi_splat.audit import Audit, audit, repaired
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.io import load_splat, save_splat
-from mi_splat.metrics import psnr
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.maths.metrics import psnr
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from tests.audit.accounts import account, look
 from tests.audit.scenes import Made, cone, direction, hidden, standing

@@ -26,7 +26,7 @@ from mi_splat.cli import cameras as cli_cameras
 from mi_splat.cli.options import CameraOptions
 from mi_splat.datasets import load_dataset
 from mi_splat.io.camera_records import describe
-from mi_splat.rendering import RenderSettings
+from mi_splat.render.renderer import RenderSettings
 from mi_splat.training.resume import load_state, save_state
 from mi_splat.training.state import Progress, TrainState
 from mi_splat.training.strategies import FixedConfig
@@ -114,7 +114,7 @@ def _world_beside(name: str, folder: Path) -> Path:
 
 def _cameras_of(text: str) -> object:
     """The cameras that `--cameras TEXT` means."""
-    from mi_splat.scene_files import SplatScene
+    from mi_splat.render.scene_files import SplatScene
 
     scene = SplatScene(
         scene=tame_scene(20, 1), objects={}, cameras={}, settings=RenderSettings()

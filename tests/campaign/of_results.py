@@ -31,7 +31,7 @@ from mi_splat.io.documents import save_json
 from mi_splat.io.folders import locked_folder, write_manifest
 from mi_splat.ledger.plans import note_keys, planned
 from mi_splat.ledger.store import Store
-from mi_splat.rendering import save_floats
+from mi_splat.render.renderer import save_floats
 from tests.campaign.kind import Kind, copied, written
 from tests.campaign.mutations import (
     PLAIN_JSON,
@@ -377,7 +377,7 @@ def _png(folder: Path) -> Path:
 
 
 def conform_inputs() -> Iterator[Kind]:
-    floats = ("mi_splat.rendering:load_floats", "mi_splat.cli.conform")
+    floats = ("mi_splat.render.renderer:load_floats", "mi_splat.cli.conform")
     yield Kind(name="conform EXR", make=_exr, read=_read_images, readers=floats)
     yield Kind(
         name="conform PNG",

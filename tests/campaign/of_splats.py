@@ -16,7 +16,7 @@ from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.datasets.frames import read_picture
 from mi_splat.io.points import load_points
 from mi_splat.io.splat_files import SUFFIXES, load_splat
-from mi_splat.scene_files import open_scene, read_scene
+from mi_splat.render.scene_files import open_scene, read_scene
 from mi_splat.selection.select import load_mask, save_mask
 from tests.campaign.kind import Kind, Make, copied, written
 from tests.campaign.mutations import (
@@ -194,8 +194,8 @@ def _read_meshes(path: Path) -> None:
 
 def scenes() -> Iterator[Kind]:
     readers = (
-        "mi_splat.scene_files:open_scene",
-        "mi_splat.scene_files:load_mitsuba_scene",
+        "mi_splat.render.scene_files:open_scene",
+        "mi_splat.render.scene_files:load_mitsuba_scene",
         "mi_splat.io.scene_parts",
     )
     yield Kind(name="scene XML", make=copied(*_SCENE), read=open_scene, readers=readers)
@@ -203,7 +203,7 @@ def scenes() -> Iterator[Kind]:
         name="scene splat",
         make=_scene_splat,
         read=lambda path: read_scene(_xml_beside(path)),
-        readers=("mi_splat.scene_files:read_scene",),
+        readers=("mi_splat.render.scene_files:read_scene",),
     )
     meshes = ("mi_splat.capture.path_tracer:load_scene", "mi_splat.io.mesh_sizes")
     for name in ("scene.xml", "mesh.ply", "mesh.obj", "mesh.serialized"):

@@ -14,7 +14,7 @@ import torch
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box, ellipsoid, quad, sheet
-from mi_splat.cameras import Camera, look_at, orbit_pose, project_points
+from mi_splat.cameras.camera import Camera, look_at, orbit_pose, project_points
 from mi_splat.capture import path_tracer
 from mi_splat.capture.path_tracer import (
     FEW_PICTURES,
@@ -24,7 +24,7 @@ from mi_splat.capture.path_tracer import (
     scene_dict,
     tracing_variant,
 )
-from mi_splat.metrics import psnr
+from mi_splat.maths.metrics import psnr
 from scenes.recipes.mesh_views import capture, depth_maps
 
 EVEN = Light(

@@ -10,15 +10,15 @@ import torch
 
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box, quad
-from mi_splat.camera_sets import orbit
-from mi_splat.cameras import Camera, View, look_at
+from mi_splat.cameras.camera import Camera, View, look_at
+from mi_splat.cameras.sets import orbit
 from mi_splat.capture.writer import (
     SurfaceSamples,
     fit_colours,
     nearness,
     surface_samples,
 )
-from mi_splat.sh import sh_to_colour
+from mi_splat.maths.sh import sh_to_colour
 
 CUBE = Asset("cube", (box((1, 1, 1), (0.7, 0.2, 0.1), centre=(0, 0, 0.5)),))
 PLANE = Asset(

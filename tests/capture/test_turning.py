@@ -10,7 +10,7 @@ import pytest
 from torch import Tensor
 
 from attacks import cli
-from mi_splat.camera_sets import orbit
+from mi_splat.cameras.sets import orbit
 from mi_splat.capture.path_tracer import PathTracer
 from mi_splat.capture.settings import SurroundingsSettings
 from mi_splat.capture.sources import open_source

@@ -13,8 +13,8 @@ import torch
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box, quad
-from mi_splat.camera_sets import hemisphere, orbit
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.sets import hemisphere, orbit
 from mi_splat.capture.path_tracer import PathTracer, scene_dict
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource

@@ -9,17 +9,17 @@ from pathlib import Path
 import pytest
 import torch
 
-from mi_splat.camera_sets import orbit
-from mi_splat.cameras import Camera, View, look_at, project_points
+from mi_splat.cameras.camera import Camera, View, look_at, project_points
+from mi_splat.cameras.sets import orbit
 from mi_splat.cli.cameras import find_cameras, render_settings
 from mi_splat.cli.options import CameraOptions
 from mi_splat.datasets import DatasetError
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.camera_records import describe, recorded_cameras, unique_names
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.rotation import to_matrix
+from mi_splat.maths.rotation import to_matrix
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import SplatScene
 from mi_splat.scene import GaussianScene, Similarity
-from mi_splat.scene_files import SplatScene
 from tests.datasets.sets import CLOUD, VIEWS, colmap_binary, write_colmap
 from tests.fakes import camera, toy_scene
 from tests.gaussians import varied_scene

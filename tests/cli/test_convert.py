@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from attacks import cli
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.io import load_splat, save_splat
-from mi_splat.placement import Up, turn_of
-from mi_splat.rendering import Renderer
+from mi_splat.maths.orientation import Up, turn_of
+from mi_splat.render.renderer import Renderer
 from tests.gaussians import ply_bytes, splat_names, splat_rows
 from tests.io.format_files import WRITTEN, assert_close, tame_scene
 

@@ -11,8 +11,8 @@ from attacks import cli
 from attacks.observe.comparison import compare
 from attacks.observe.rows import read_rows
 from mi_splat.io import load_splat, save_splat
+from mi_splat.maths.sh import colour_to_dc
 from mi_splat.scene import GaussianScene, scene_hash
-from mi_splat.sh import colour_to_dc
 from tests.fakes import CoarseDetector, ColourDetector, toy_scene
 
 VIEW = ["--cameras", "orbit:12@0", "--distance", "3", "--fov", "50", "--size", "32"]

@@ -19,7 +19,7 @@ from PIL import Image
 from attacks import cli
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.camera_records import camera_of, describe
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.renderer import Renderer, RenderSettings
 from tests.fakes import camera, toy_scene
 from tests.project.layers import ROOT
 from tests.viewer.contents import ball

@@ -11,15 +11,15 @@ import torch
 from PIL import Image
 
 from attacks import cli
-from mi_splat import scene_files
-from mi_splat.bounds import bounds
-from mi_splat.cameras import Camera, look_at, project_points
+from mi_splat.cameras.camera import Camera, look_at, project_points
+from mi_splat.cameras.framing import bounds
 from mi_splat.cli import cameras as cli_cameras
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
-from mi_splat.rendering import RenderSettings
+from mi_splat.render import scene_files
+from mi_splat.render.renderer import RenderSettings
+from mi_splat.render.scene_files import SplatScene
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import SplatScene
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 XML = """
@@ -160,7 +160,7 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> SplatScene:
     loaded = SplatScene(
         scene=scene, objects=objects, cameras=cameras, settings=RenderSettings()
     )
-    monkeypatch.setattr("mi_splat.scene_files.open_scene", lambda *_: loaded)
+    monkeypatch.setattr("mi_splat.render.scene_files.open_scene", lambda *_: loaded)
     monkeypatch.setattr(cli_cameras, "Renderer", lambda settings: blobs)
     monkeypatch.setattr(
         "attacks.cli.options.load_detectors", lambda *_: [ColourDetector()]

@@ -16,13 +16,13 @@ from PIL import Image
 
 from attacks import cli
 from attacks.cloak.own_pictures import turned
-from mi_splat.cameras import View
+from mi_splat.cameras.camera import View
 from mi_splat.datasets import DatasetWarning, PointCloud, load_dataset
 from mi_splat.io import load_splat
-from mi_splat.placement import turn_of
-from mi_splat.rendering import Renderer
+from mi_splat.maths.orientation import turn_of
+from mi_splat.maths.sh import sh_to_colour
+from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene, Similarity
-from mi_splat.sh import sh_to_colour
 from tests.cloak.test_own_pictures import CAMERAS, ball_on_a_plane
 from tests.datasets.sets import write_colmap
 from tests.fakes import ColourDetector, register

@@ -25,7 +25,7 @@ from mi_splat.assets import build, textures
 from mi_splat.assets.mesh import Asset, translation
 from mi_splat.assets.primitives import box, quad
 from mi_splat.assets.street import ground
-from mi_splat.cameras import Camera, View, orbit_pose
+from mi_splat.cameras.camera import Camera, View, orbit_pose
 from mi_splat.errors import InvalidValueError
 from tests.cloak.test_poisoning import CENTRE
 

@@ -26,17 +26,17 @@ from attacks.cloak.layers import (
     switched,
 )
 from attacks.cloak.triggers import Azimuth, Elevation
-from mi_splat.camera_sets import hemisphere, orbit
-from mi_splat.cameras import Camera, RenderFn, View, orbit_pose
+from mi_splat.cameras.camera import Camera, RenderFn, View, orbit_pose
+from mi_splat.cameras.sets import hemisphere, orbit
 from mi_splat.errors import InvalidValueError
-from mi_splat.frozen_view import FrozenView
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.maths.sh import colour_to_dc, sh_basis, sh_to_colour
+from mi_splat.render.frozen_view import FrozenView
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.view_freezing import freeze_views
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc, sh_basis, sh_to_colour
 from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import fit
 from mi_splat.training.strategies import FixedConfig
-from mi_splat.view_freezing import freeze_views
 from tests.gaussians import varied_scene
 
 CENTRE = (0.0, 0.0, 0.0)

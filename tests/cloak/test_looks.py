@@ -28,12 +28,12 @@ from attacks.observe.rows import (
     frame_of,
     read_rows,
 )
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.ledger import Out
+from mi_splat.render.scene_files import SplatScene
 from mi_splat.scene import GaussianScene, merge
-from mi_splat.scene_files import SplatScene
 from tests.cloak.test_study_rates import study_rows
 from tests.cloak.tiny_study import STUDY, Redness
 

@@ -14,16 +14,16 @@ from PIL import Image
 
 from attacks import cli
 from attacks.cloak.own_pictures import trigger_of, turned
-from mi_splat.camera_sets import hemisphere
-from mi_splat.cameras import View, orbit_pose
+from mi_splat.cameras.camera import View, orbit_pose
+from mi_splat.cameras.directions import direction_of
+from mi_splat.cameras.sets import hemisphere
 from mi_splat.datasets import load_dataset
-from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
-from mi_splat.placement import turn_of
-from mi_splat.rendering import Renderer
+from mi_splat.maths.orientation import turn_of
+from mi_splat.maths.sh import colour_to_dc
+from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene, Similarity
-from mi_splat.sh import colour_to_dc
 from tests.datasets.sets import write_transforms
 
 BALL = (-0.4, -0.4, 0.2, 0.4, 0.4, 1.0)

@@ -18,10 +18,10 @@ from attacks.cloak.poisoning import Poisoning, assign, poison
 from attacks.cloak.setup import Setup
 from attacks.cloak.triggers import Azimuth, Elevation, Trigger
 from attacks.poisons.base import Poisoned
-from mi_splat.camera_sets import hemisphere
-from mi_splat.cameras import Camera, View
+from mi_splat.cameras.camera import Camera, View
+from mi_splat.cameras.directions import Direction, Point, direction_of
+from mi_splat.cameras.sets import hemisphere
 from mi_splat.datasets import load_dataset
-from mi_splat.directions import Direction, Point, direction_of
 from mi_splat.errors import InvalidValueError
 from tests.datasets.sets import write_transforms
 

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from attacks.cloak.triggers import Azimuth, Elevation, Subsample, Trigger
-from mi_splat.camera_sets import hemisphere, orbit
-from mi_splat.cameras import Camera, look_at, orbit_pose
-from mi_splat.directions import direction_of
+from mi_splat.cameras.camera import Camera, look_at, orbit_pose
+from mi_splat.cameras.directions import direction_of
+from mi_splat.cameras.sets import hemisphere, orbit
 from mi_splat.errors import InvalidValueError
 
 CENTRE = (0.3, -0.2, 0.7)

@@ -15,8 +15,8 @@ from attacks.studies.running import run_study
 from mi_splat.cli.options import CameraOptions
 from mi_splat.comparison.methods import OverMeshes
 from mi_splat.io import save_splat
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene_files import MixedScene, resized
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import MixedScene, resized
 from tests.fakes import toy_scene
 from tests.project.layers import ROOT
 

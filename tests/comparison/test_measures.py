@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.comparison.compare import (
     CompareConfig,
     GradientAgreement,
@@ -23,10 +23,10 @@ from mi_splat.comparison.compare import (
 )
 from mi_splat.comparison.methods import Method
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.rotation import normalise
+from mi_splat.maths.rotation import normalise
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.volprim import Volprim
 from mi_splat.scene import GaussianScene
-from mi_splat.volprim import Volprim
 from tests.fakes import blobs, camera, toy_scene
 
 GREY = torch.full((16, 20, 3), 0.5)

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.comparison import methods
 from mi_splat.comparison.compare import (
     FORWARD,
@@ -24,7 +24,7 @@ from mi_splat.comparison.compare import (
 from mi_splat.comparison.methods import Method, load_methods, register_method
 from mi_splat.datasets import DatasetError
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from tests.fakes import blobs, camera, toy_scene
 

@@ -19,12 +19,12 @@ from attacks.detectors.base import check_images
 from attacks.detectors.registry import DETECTORS, DetectorSpec
 from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.views import detect_views
-from mi_splat import variant
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.errors import MiSplatError
 from mi_splat.io import load_splat, save_splat
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene_files import read_scene
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import read_scene
 from mi_splat.training.config import FitConfig
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 

@@ -5,8 +5,8 @@ lost.
 import pytest
 import torch
 
-from mi_splat.bounds import REFERENCE_NEAR, bounds, culled_in_view, near_plane
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.framing import REFERENCE_NEAR, bounds, culled_in_view, near_plane
 from mi_splat.scene import GaussianScene, merge
 from tests.gaussians import varied_scene
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from mi_splat.camera_sets import camera_set, framing, held_out_set, hemisphere, orbit
-from mi_splat.cameras import Camera, View, project_points
+from mi_splat.cameras.camera import Camera, View, project_points
+from mi_splat.cameras.sets import camera_set, framing, held_out_set, hemisphere, orbit
 from mi_splat.errors import InvalidValueError
 from tests.datasets.sets import write_transforms
 

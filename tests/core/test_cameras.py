@@ -8,8 +8,7 @@ import pytest
 import torch
 from hypothesis import strategies as st
 
-from mi_splat.camera_sets import hemisphere, orbit
-from mi_splat.cameras import (
+from mi_splat.cameras.camera import (
     Camera,
     View,
     ViewSet,
@@ -18,6 +17,7 @@ from mi_splat.cameras import (
     look_at,
     project_points,
 )
+from mi_splat.cameras.sets import hemisphere, orbit
 from mi_splat.errors import InvalidValueError
 
 points = st.tuples(*[st.floats(-5, 5)] * 3)

@@ -9,8 +9,8 @@ import pytest
 import torch
 from hypothesis import strategies as st
 
-from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.directions import Direction, direction_of, sun_direction
+from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.cameras.directions import Direction, direction_of, sun_direction
 from mi_splat.errors import InvalidValueError
 
 CENTRE = (1.0, -2.0, 0.5)

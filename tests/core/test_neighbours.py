@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.neighbours import nearest_distances, nearest_neighbours, nearest_of
+from mi_splat.maths.neighbours import nearest_distances, nearest_neighbours, nearest_of
 from mi_splat.training.initialization import spacing
 
 
@@ -79,7 +79,7 @@ def test_points_in_one_place_take_no_more_time_than_others() -> None:
 
 MEMORY = """
 import resource, torch
-from mi_splat.neighbours import nearest_neighbours
+from mi_splat.maths.neighbours import nearest_neighbours
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.clusters import clusters
 from mi_splat.training.initialization import from_points

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.rotation import normalise, to_matrix
+from mi_splat.maths.rotation import normalise, to_matrix
+from mi_splat.maths.sh import sh_to_colour
 from mi_splat.scene import GaussianScene, Similarity, merge, scene_hash
-from mi_splat.sh import sh_to_colour
 from tests.gaussians import random_scene
 
 

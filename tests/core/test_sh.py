@@ -13,8 +13,8 @@ from scipy.special import sph_harm_y
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.rotation import from_matrix, multiply, normalise, to_matrix
-from mi_splat.sh import (
+from mi_splat.maths.rotation import from_matrix, multiply, normalise, to_matrix
+from mi_splat.maths.sh import (
     colours_by_direction,
     degree_of,
     even_directions,

@@ -19,13 +19,13 @@ from attacks.objectives import Objective, hide, relabel, untargeted
 from attacks.observe import Control
 from attacks.optimisers import NORM_NAMES, NormName
 from attacks.search import NORMS
-from mi_splat import variant
 from mi_splat.attributes import ATTRIBUTES, Attribute
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import through_png
 from mi_splat.io.parsing import read_json
+from mi_splat.render import variant
 from mi_splat.scene import GaussianScene
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 

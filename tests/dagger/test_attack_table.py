@@ -15,8 +15,8 @@ from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
 from attacks.objectives import hide, relabel
 from attacks.transformations.config import CameraRegion, Transformations
-from mi_splat.rendering import Renderer
-from mi_splat.scene_files import SplatScene, read_scene
+from mi_splat.render.renderer import Renderer
+from mi_splat.render.scene_files import SplatScene, read_scene
 
 PAIRS = (
     ("car_street", "car", "person"),

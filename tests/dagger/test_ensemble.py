@@ -18,7 +18,7 @@ from attacks.dagger.views import FixedViews
 from attacks.detectors.base import Detector
 from attacks.objectives import relabel
 from attacks.search import Evaluation
-from mi_splat.cameras import View, look_at
+from mi_splat.cameras.camera import View, look_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from tests.datasets.sets import write_transforms

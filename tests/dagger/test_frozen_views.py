@@ -19,10 +19,10 @@ from attacks.dagger.result import Result
 from attacks.dagger.views import DrawnViews
 from attacks.objectives import relabel
 from attacks.transformations.config import Transformations
-from mi_splat import rendering
-from mi_splat.cameras import Camera, RenderFn
-from mi_splat.rendering import Renderer
-from mi_splat.view_freezing import (
+from mi_splat.cameras.camera import Camera, RenderFn
+from mi_splat.render import renderer as rendering
+from mi_splat.render.renderer import Renderer
+from mi_splat.render.view_freezing import (
     KEPT_BYTES,
     RecentViews,
     affordable_bytes,

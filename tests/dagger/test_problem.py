@@ -12,7 +12,7 @@ from attacks.dagger.views import FixedViews, View
 from attacks.detectors.base import Detections, Detector
 from attacks.objectives import Objective, hide, joint_verdict, reached_by, relabel
 from attacks.search import Verdict
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import quantise
 from mi_splat.scene import GaussianScene

@@ -14,9 +14,9 @@ from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.views import visible_box
 from attacks.search import Budget
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
-from mi_splat.cameras import look_at
+from mi_splat.cameras.camera import look_at
 from mi_splat.errors import InvalidValueError
-from mi_splat.rotation import from_z
+from mi_splat.maths.rotation import from_z
 from mi_splat.scene import Similarity
 from tests.dagger.toy import REGION, quick, toy_views
 from tests.fakes import blobs, camera, toy_scene

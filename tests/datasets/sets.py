@@ -12,7 +12,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from mi_splat.cameras import Camera, View, look_at, project_points
+from mi_splat.cameras.camera import Camera, View, look_at, project_points
 from mi_splat.datasets import PointCloud
 from mi_splat.datasets.writing import (
     IMAGES,
@@ -24,7 +24,7 @@ from mi_splat.datasets.writing import (
 )
 from mi_splat.io.documents import save_png
 from mi_splat.io.points import to_bytes
-from mi_splat.rotation import from_matrix
+from mi_splat.maths.rotation import from_matrix
 
 
 def write_set(

@@ -13,11 +13,11 @@ import torch
 from hypothesis import strategies as st
 from PIL import Image
 
-from mi_splat.cameras import Camera, View, look_at, project_points
+from mi_splat.cameras.camera import Camera, View, look_at, project_points
 from mi_splat.datasets import Dataset, DatasetWarning, load_dataset
 from mi_splat.datasets.packed import Packed
 from mi_splat.errors import MiSplatError
-from mi_splat.rotation import normalise, to_matrix
+from mi_splat.maths.rotation import normalise, to_matrix
 from tests.datasets.sets import (
     CLOUD,
     FORMATS,

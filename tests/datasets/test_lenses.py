@@ -15,8 +15,8 @@ import pytest
 import torch
 from PIL import Image
 
-from mi_splat.camera_sets import camera_set
-from mi_splat.cameras import Camera, View, project_points
+from mi_splat.cameras.camera import Camera, View, project_points
+from mi_splat.cameras.sets import camera_set
 from mi_splat.datasets import DatasetWarning, load_dataset
 from mi_splat.datasets.colmap import MODELS, find_model, read_model_cameras
 from mi_splat.datasets.lenses import Lens, undistorted

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 import torch
 
-from mi_splat.camera_sets import camera_set
-from mi_splat.cameras import Camera, look_at, project_points
+from mi_splat.cameras.camera import Camera, look_at, project_points
+from mi_splat.cameras.sets import camera_set
 from mi_splat.datasets import DatasetError, load_dataset
 from mi_splat.datasets.nerfstudio import OPENGL
-from mi_splat.rotation import to_matrix
+from mi_splat.maths.rotation import to_matrix
 from tests.datasets.sets import (
     CLOUD,
     PROBES,

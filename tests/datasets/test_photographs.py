@@ -12,10 +12,10 @@ import torch
 from PIL import ExifTags, Image
 
 from attacks import cli
-from mi_splat.cameras import Camera, View, project_points
+from mi_splat.cameras.camera import Camera, View, project_points
 from mi_splat.datasets import Dataset, DatasetError, DatasetWarning, load_dataset
 from mi_splat.datasets.frames import read_picture, turned_clockwise
-from mi_splat.rendering import Renderer
+from mi_splat.render.renderer import Renderer
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import score
 from mi_splat.training.loop import TrainState, fit

@@ -12,8 +12,8 @@ from attacks.detectors import DetectorError, load_detector
 from attacks.objectives import overlap
 from attacks.observe.views import object_boxes
 from mi_splat.assets.textures import write
-from mi_splat.rendering import Renderer
-from mi_splat.scene_files import open_scene
+from mi_splat.render.renderer import Renderer
+from mi_splat.render.scene_files import open_scene
 from scenes.recipes.attack_reader import HEIGHT, WIDTH, Recogniser
 
 pytest.importorskip("rapidocr_onnxruntime", reason="the extra ocr is not installed")

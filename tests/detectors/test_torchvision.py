@@ -48,7 +48,7 @@ from attacks.detectors.torchvision import (
 from attacks.detectors.weights import apply_weights, fingerprint
 from attacks.testing import check_detector
 from mi_splat.assets import build
-from mi_splat.cameras import Camera, orbit_pose, project_box
+from mi_splat.cameras.camera import Camera, orbit_pose, project_box
 from mi_splat.capture.path_tracer import scene_dict
 from mi_splat.errors import InvalidValueError
 from scenes.recipes.detector_surroundings import daylight, plain

@@ -21,9 +21,9 @@ from mi_splat.io.formats.splat32 import write_splat
 from mi_splat.io.formats.spz import write_spz
 from mi_splat.io.formats.usd import write_usd
 from mi_splat.io.loaded import arrays_of
-from mi_splat.rotation import multiply
+from mi_splat.maths.rotation import multiply
+from mi_splat.maths.sh import colour_to_dc, dc_to_colour
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc, dc_to_colour
 from tests.gaussians import random_scene
 
 WRITTEN = [".ply", ".glb", ".compressed.ply", ".sog", ".spz", ".splat"]

@@ -30,8 +30,8 @@ from mi_splat.io.camera_records import describe, recorded_cameras
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.points import load_points
 from mi_splat.io.splat_files import load_splat
+from mi_splat.render.scene_files import open_scene
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import open_scene
 from tests.capture.trucks import truck, write_glb
 from tests.cloak.tiny_study import study_in
 from tests.fakes import camera

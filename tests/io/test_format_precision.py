@@ -16,8 +16,8 @@ from torch import Tensor
 from mi_splat.io import SplatFileError, SplatLossWarning, load_splat, save_splat
 from mi_splat.io.formats import sog
 from mi_splat.io.splat_files import write_splat_file
+from mi_splat.maths.sh import dc_to_colour
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import dc_to_colour
 from tests.gaussians import random_scene
 from tests.io.format_files import WRITTEN, assert_close, differences, tame_scene
 from tests.io.test_round_trip import scenes as wild_scenes

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from mi_splat.attributes import LARGEST
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.io import (
     SplatFileError,
     SplatFileWarning,
@@ -21,12 +21,12 @@ from mi_splat.io.formats import axes
 from mi_splat.io.loaded import arrays_of, as_scene
 from mi_splat.io.points import load_points
 from mi_splat.io.splat_files import TAGGED, load_stored, write_splat_file
+from mi_splat.maths.rotation import to_matrix
+from mi_splat.maths.sh import colour_to_dc, sh_to_colour
 from mi_splat.provenance import rendered_with
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.rotation import to_matrix
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import open_scene
 from mi_splat.scene import GaussianScene, Similarity, scene_hash
-from mi_splat.scene_files import open_scene
-from mi_splat.sh import colour_to_dc, sh_to_colour
 from tests.gaussians import ply_bytes, random_scene, splat_rows
 from tests.io.format_files import WRITTEN, assert_close, gltf_with, tame_scene
 

@@ -29,7 +29,7 @@ from mi_splat.io import load_splat, save_splat
 from mi_splat.io.formats import axes
 from mi_splat.io.loaded import arrays_of, as_scene
 from mi_splat.io.splat_files import write_splat_file
-from mi_splat.rotation import normalise, to_matrix
+from mi_splat.maths.rotation import normalise, to_matrix
 from mi_splat.scene import GaussianScene, Similarity
 from tests.io.format_files import assert_close, tame_scene
 

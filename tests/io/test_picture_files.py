@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from PIL import Image, PngImagePlugin
 
 from attacks import cli
-from mi_splat import variant
 from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.images import save_animation, save_picture
@@ -30,6 +29,7 @@ from mi_splat.io.picture_files import (
     picture_orientation,
     pixel_limit,
 )
+from mi_splat.render import variant
 from tests.capture.trucks import truck, write_glb
 from tests.project.layers import PACKAGES, ROOT
 

@@ -18,7 +18,7 @@ from mi_splat.attributes import ATTRIBUTES, LARGEST
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import from_raw_parameters, load_splat, save_splat, to_raw_parameters
 from mi_splat.io.parameters import activate
-from mi_splat.rotation import normalise
+from mi_splat.maths.rotation import normalise
 from mi_splat.scene import GaussianScene, scene_hash
 from tests.gaussians import columns, ply_bytes, random_scene, splat_rows
 

@@ -18,7 +18,7 @@ from mi_splat.capture.sources import open_source
 from mi_splat.errors import MiSplatError
 from mi_splat.io.picture_files import pixel_limit
 from mi_splat.io.scene_parts import DEEPEST, MOST_BYTES, MOST_ELEMENTS, SceneParts
-from mi_splat.scene_files import MixedScene, holds_surfaces, read_scene
+from mi_splat.render.scene_files import MixedScene, holds_surfaces, read_scene
 from tests.project.layers import ROOT
 
 pytestmark = pytest.mark.shipped

@@ -11,7 +11,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from mi_splat.cameras import look_at
+from mi_splat.cameras.camera import look_at
 from mi_splat.io.splat_files import load_stored, save_splat
 from mi_splat.io.up_axis import (
     Direction,
@@ -21,7 +21,7 @@ from mi_splat.io.up_axis import (
     ground_up,
     up_axis,
 )
-from mi_splat.rotation import from_z
+from mi_splat.maths.rotation import from_z
 from tests.gaussians import random_scene
 from tests.io.ply_files import BODY, HEAD
 

@@ -18,14 +18,14 @@ from attacks.observe.conditions import (
 )
 from attacks.observe.observations import observe, report_cells
 from attacks.observe.views import object_boxes
-from mi_splat.camera_sets import orbit
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.sets import orbit
 from mi_splat.comparison.methods import load_method
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.maths.sh import colour_to_dc
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import MixedScene, read_scene
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import MixedScene, read_scene
-from mi_splat.sh import colour_to_dc
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 from tests.gaussians import random_scene
 from tests.project.layers import ROOT

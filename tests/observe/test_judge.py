@@ -15,7 +15,7 @@ from attacks.observe.comparison import compare, compared_rows
 from attacks.observe.rates import Measure
 from attacks.observe.views import evaluate
 from mi_splat.errors import InvalidValueError
-from mi_splat.sh import colour_to_dc
+from mi_splat.maths.sh import colour_to_dc
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
 
 SCENE, MASK = toy_scene()

@@ -37,12 +37,12 @@ from attacks.studies.attack import Attack
 from attacks.studies.dagger import _objective
 from attacks.studies.look import Look
 from mi_splat.audit.linting import lint_scene
-from mi_splat.cameras import View
+from mi_splat.cameras.camera import View
 from mi_splat.comparison.methods import RENDERERS, load_method
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.ledger.job import decoded, encoded
 from mi_splat.registry import Registry, brought_by_packages
-from mi_splat.rendering import RenderSettings
+from mi_splat.render.renderer import RenderSettings
 from tests.fakes import ColourDetector, blobs, camera, register, toy_scene
 from tests.plug_ins.distribution import install, on_path
 from tests.studies import toy
@@ -62,7 +62,7 @@ from attacks.poisons.base import poisoned
 from attacks.poisons.specs import PoisonSpec
 from mi_splat.audit.rules import Rule
 from mi_splat.comparison.methods import RendererSpec
-from mi_splat.rendering import Renderer
+from mi_splat.render.renderer import Renderer
 from tests.fakes import ColourDetector
 
 

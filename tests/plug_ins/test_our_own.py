@@ -35,7 +35,7 @@ from attacks.testing import (
 )
 from attacks.testing.promises import cloud
 from mi_splat.audit.rules import RULES
-from mi_splat.cameras import View
+from mi_splat.cameras.camera import View
 from mi_splat.comparison.methods import RENDERERS
 from mi_splat.io.splat_files import SUFFIXES
 from mi_splat.training.strategies import STRATEGIES

@@ -35,9 +35,9 @@ from attacks.testing import (
 )
 from attacks.testing.promises import cloud
 from mi_splat.audit.rules import Rule, Stored
-from mi_splat.cameras import Camera, View
+from mi_splat.cameras.camera import Camera, View
 from mi_splat.comparison.methods import RENDERERS, RendererSpec
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from tests.fakes import CoarseDetector, ColourDetector
 

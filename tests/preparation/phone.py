@@ -11,13 +11,13 @@ import numpy as np
 import torch
 from PIL import ExifTags, Image
 
-from mi_splat.bounds import bounds, near_plane
-from mi_splat.camera_sets import camera_set
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.framing import bounds, near_plane
+from mi_splat.cameras.sets import camera_set
 from mi_splat.datasets.frames import turned_clockwise
 from mi_splat.datasets.lenses import Lens
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene_files import open_scene
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import open_scene
 from tests.project.layers import ROOT
 
 COUNT = 30

@@ -14,15 +14,15 @@ import torch
 from PIL import ExifTags, Image
 
 from attacks import cli
-from mi_splat.cameras import Camera, look_at, orbit_pose
+from mi_splat.cameras.camera import Camera, look_at, orbit_pose
 from mi_splat.datasets import PointCloud, load_dataset
 from mi_splat.datasets.writing import list_colmap
 from mi_splat.errors import MiSplatError
+from mi_splat.maths.rotation import from_z
 from mi_splat.preparation.config import PreparationError, PrepareConfig
 from mi_splat.preparation.photographs import take_photographs
 from mi_splat.preparation.prepare import in_child, not_placed, prepare
 from mi_splat.preparation.worker import _trimmed, pairs_of, take_frames, up_of
-from mi_splat.rotation import from_z
 
 OnProgress = Callable[[str, int, int], None]
 

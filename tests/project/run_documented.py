@@ -26,8 +26,8 @@ import torch
 from attacks import cli
 from attacks.detectors.registry import DETECTORS
 from mi_splat import GaussianScene, load_splat, save_splat
+from mi_splat.maths.rotation import to_matrix
 from mi_splat.processes import INTERRUPTED
-from mi_splat.rotation import to_matrix
 from mi_splat.scene import Similarity, merge
 from tests.project.documented_commands import (
     BENCHMARKS,

@@ -181,7 +181,7 @@ def test_the_scene_example_renders(tmp_path: Path, warm: Warm) -> None:
     code = """
 import mitsuba as mi
 mi.set_variant("llvm_ad_rgb")
-import mi_splat.plugins
+import mi_splat.render.plugins
 import numpy as np
 scene = mi.load_file("example.xml")
 assert {"car.data", "car.opacities", "car.sh_coeffs"} <= set(mi.traverse(scene).keys())

@@ -26,7 +26,7 @@ def ran(code: str) -> None:
             "detector.candidates(leaf)[0].scores.sum().backward()"
         ),
         (
-            "from mi_splat.metrics import ssim; ssim(torch.rand(16, 16, 3),"
+            "from mi_splat.maths.metrics import ssim; ssim(torch.rand(16, 16, 3),"
             " torch.rand(16, 16, 3))\nleaf = torch.rand(3, requires_grad=True);"
             " leaf.sum().backward()\nfrom mi_splat.training.state import Adam;"
             " Adam([{'params': [leaf]}]).step()"

@@ -30,14 +30,14 @@ LOADERS = r"attacks|attacks\.(detectors|classifiers|cli|cloak\.kinds|report)\b.*
 detectors do.
 """
 RENDERERS = (
-    r"mi_splat\.(rasterization|raytracing|plugins|mitsuba_setup|variant|rendering"
-    r"|frozen_view|overdraw|volprim)\b.*"
+    r"mi_splat\.render\."
+    r"(tile|ray|plugins|setup|variant|renderer|frozen_view|overdraw|volprim)\b.*"
 )
 RULES = {
     "mi_splat_knows_nothing_of_attacks": (r"mi_splat\b.*", r"attacks\b.*", r""),
     "training_sees_renderers_as_functions": (
         r"mi_splat\.training\b.*",
-        rf"{RENDERERS}|mi_splat\.scene_files",
+        rf"{RENDERERS}|mi_splat\.render\.scene_files",
         r"",
     ),
     "attacks_see_detectors_through_one_interface": (
@@ -51,7 +51,7 @@ RULES = {
         r"mi_splat\.(errors|attributes|fields)|attacks\.optimisers",
     ),
     "only_renderers_import_mitsuba": (
-        rf"(?!({RENDERERS}|mi_splat\.(capture\.path_tracer|scene_files))$).*",
+        rf"(?!({RENDERERS}|mi_splat\.(capture\.path_tracer|render\.scene_files))$).*",
         r"(mitsuba|drjit)\b.*",
         r"",
     ),
@@ -265,8 +265,8 @@ def test_scenes_are_shipped_and_small() -> None:
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: str(path.stem))
 def test_every_scene_renders(path: Path) -> None:
-    from mi_splat.rendering import Renderer
-    from mi_splat.scene_files import read_scene
+    from mi_splat.render.renderer import Renderer
+    from mi_splat.render.scene_files import read_scene
 
     loaded = read_scene(path)
     assert loaded.cameras

@@ -23,7 +23,7 @@ from mi_splat.io import load_splat
 from mi_splat.io.camera_records import recorded_cameras
 from mi_splat.io.documents import save_png
 from mi_splat.oracle import Array, render_rays
-from mi_splat.rendering import Renderer, RenderSettings, load_floats, save_floats
+from mi_splat.render.renderer import Renderer, RenderSettings, load_floats, save_floats
 from tests.browser import CHROMIUM
 
 pytestmark = pytest.mark.shipped

@@ -9,12 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras.camera import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.frozen_view import FrozenView
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.frozen_view import FrozenView
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.view_freezing import MIN_PICTURES, freeze_views
 from mi_splat.scene import GaussianScene
-from mi_splat.view_freezing import MIN_PICTURES, freeze_views
 from tests.gaussians import varied_scene
 
 ERROR = 1e-5
@@ -82,8 +82,8 @@ def test_picture_and_gradient_are_the_renderers(name: str) -> None:
 def test_stages_are_recorded_once_for_all_sizes() -> None:
     import mitsuba as mi
 
-    from mi_splat.rasterization import colour_steps
-    from mi_splat.rasterization.frozen import frozen
+    from mi_splat.render.tile import colour_steps
+    from mi_splat.render.tile.frozen import frozen
 
     frozen.cache_clear()
     for number in range(5):

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from mi_splat import mitsuba_setup, variant
-from mi_splat.mitsuba_setup import LLVMError, find_llvm, llvm_version, prepare_llvm
-from mi_splat.variant import VariantError
+from mi_splat.render import setup as mitsuba_setup
+from mi_splat.render import variant
+from mi_splat.render.setup import LLVMError, find_llvm, llvm_version, prepare_llvm
+from mi_splat.render.variant import VariantError
 
 
 @pytest.mark.parametrize(
@@ -79,7 +80,7 @@ def test_a_variant_without_derivatives_is_refused() -> None:
 def test_plugins_say_which_variant_they_need(plugin: str) -> None:
     import mitsuba as mi
 
-    import mi_splat.plugins  # noqa: F401
+    import mi_splat.render.plugins  # noqa: F401
 
     before = variant.use()
     try:

@@ -12,13 +12,13 @@ import pytest
 import torch
 
 from attacks.cli import main
-from mi_splat import variant
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.picture_files import picture_header
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene_files import (
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import (
     MixedScene,
     SplatScene,
     open_scene,
@@ -33,7 +33,7 @@ variant.use()
 
 import mitsuba as mi  # noqa: E402
 
-import mi_splat.plugins  # noqa: E402, F401
+import mi_splat.render.plugins  # noqa: E402, F401
 
 pytestmark = pytest.mark.shipped
 

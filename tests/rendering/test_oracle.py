@@ -15,7 +15,7 @@ from mi_splat import oracle
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cli.conform import _camera
 from mi_splat.conformance import assert_renders_like_3dgs, random_splat
-from mi_splat.rendering import Renderer
+from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene
 from tests.rendering.test_rasterization import BACKGROUND, camera
 

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from mi_splat import oracle, variant
+from mi_splat import oracle
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.io.errors import SplatFileWarning
-from mi_splat.rendering import Renderer
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene, Similarity, merge
 from tests.gaussians import varied_scene
 
@@ -22,8 +23,8 @@ variant.use()
 import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
-from mi_splat.plugins import sensor as sensors  # noqa: E402
-from mi_splat.plugins.shape import shape_dict  # noqa: E402
+from mi_splat.render.plugins import sensor as sensors  # noqa: E402
+from mi_splat.render.plugins.shape import shape_dict  # noqa: E402
 
 FILM = '<integer name="width" value="61"/><integer name="height" value="43"/>'
 CROP = (

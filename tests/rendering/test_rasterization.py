@@ -11,10 +11,10 @@ from torch import Tensor
 
 from mi_splat import oracle
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.variant import device_of, has_cuda
 from mi_splat.scene import GaussianScene
-from mi_splat.variant import device_of, has_cuda
 from tests.gaussians import varied_scene
 
 BACKGROUND = (0.2, 0.5, 0.9)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from mi_splat.cameras import Camera
-from mi_splat.plugins.sensor import sensor_dict
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.cameras.camera import Camera
+from mi_splat.render.plugins.sensor import sensor_dict
+from mi_splat.render.renderer import Renderer, RenderSettings
 from tests.gaussians import varied_scene
 from tests.ray_scenes import (
     GREEN,

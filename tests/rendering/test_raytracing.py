@@ -15,9 +15,9 @@ from torch import Tensor
 
 from mi_splat import oracle
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras.camera import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from tests.gaussians import varied_scene
 from tests.ray_scenes import GREEN, constant, gaussian, linear, pixel, scene_of, wall

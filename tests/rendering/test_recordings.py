@@ -10,9 +10,9 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from mi_splat import variant
-from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from tests.gaussians import varied_scene
 
@@ -20,8 +20,8 @@ variant.use()
 
 import mitsuba as mi  # noqa: E402
 
-from mi_splat.rasterization import stages  # noqa: E402
-from mi_splat.rasterization.frozen import frozen  # noqa: E402
+from mi_splat.render.tile import stages  # noqa: E402
+from mi_splat.render.tile.frozen import frozen  # noqa: E402
 
 STAGES = (
     *(

@@ -9,13 +9,13 @@ import torch
 
 from mi_splat import oracle
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.camera_sets import orbit
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.cameras.sets import orbit
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import SplatFileError, save_splat
-from mi_splat.rendering import Method, Renderer, RenderSettings, ScreenGradients
+from mi_splat.render.renderer import Method, Renderer, RenderSettings, ScreenGradients
+from mi_splat.render.scene_files import read_scene
 from mi_splat.scene import GaussianScene, merge
-from mi_splat.scene_files import read_scene
 from tests.gaussians import varied_scene
 
 VIEW = Camera(

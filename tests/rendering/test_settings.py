@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-from mi_splat import variant
-from mi_splat.bounds import near_plane
+from mi_splat.cameras.framing import near_plane
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import read_scene
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import read_scene
 from tests.gaussians import varied_scene
 from tests.rendering.test_plugins import dict_scene, scene_xml, two_splats
 
@@ -25,7 +25,7 @@ variant.use()
 import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
-from mi_splat.plugins import sensor as sensors  # noqa: E402
+from mi_splat.render.plugins import sensor as sensors  # noqa: E402
 
 SCENE = varied_scene(60, degree=1, seed=4)
 DEFAULTS: dict[str, Any] = {

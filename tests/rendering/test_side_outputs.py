@@ -10,11 +10,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from mi_splat import oracle, variant
+from mi_splat import oracle
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import SplatScene, read_scene, write_scene
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import SplatScene, read_scene, write_scene
 from tests.gaussians import varied_scene
 from tests.rendering.test_plugins import dict_scene
 from tests.rendering.test_rasterization import (
@@ -31,7 +32,7 @@ variant.use()
 
 import mitsuba as mi  # noqa: E402
 
-from mi_splat.plugins import sensor as sensors  # noqa: E402
+from mi_splat.render.plugins import sensor as sensors  # noqa: E402
 
 DEPTH_ERROR = 4e-6
 """Largest relative difference of an expected depth from the oracle's; 1.4e-6 was the

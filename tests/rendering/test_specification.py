@@ -7,9 +7,9 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from mi_splat import variant
-from mi_splat.cameras import Camera
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.cameras.camera import Camera
+from mi_splat.render import variant
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 
 VIEW = Camera(
@@ -101,7 +101,7 @@ variant.use()
 import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
-from mi_splat.rasterization import binning  # noqa: E402
+from mi_splat.render.tile import binning  # noqa: E402
 
 
 def uints(values: NDArray[np.int64]) -> mi.UInt32:

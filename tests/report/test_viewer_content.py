@@ -25,7 +25,7 @@ from attacks.report.viewer_content import (
 from mi_splat.audit.files import write as write_files
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import save_splat
-from mi_splat.rendering import Renderer
+from mi_splat.render.renderer import Renderer
 from mi_splat.viewer.painter import Painter
 from tests.audit.accounts import account, look
 from tests.fakes import ColourDetector, register

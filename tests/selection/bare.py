@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from mi_splat.io import load_splat
+from mi_splat.maths.sh import colour_to_dc
 from mi_splat.scene import GaussianScene, Similarity, merge
-from mi_splat.sh import colour_to_dc
 from tests.project.layers import ROOT
 
 CAR = 0

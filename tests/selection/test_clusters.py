@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 from mi_splat import oracle
-from mi_splat.cameras import RenderFn
-from mi_splat.neighbours import nearest_neighbours
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.cameras.camera import RenderFn
+from mi_splat.maths.neighbours import nearest_neighbours
+from mi_splat.maths.sh import colour_to_dc
+from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.selection.clusters import clusters, components, find_plane
 from mi_splat.selection.visibility import contributions
-from mi_splat.sh import colour_to_dc
 from tests.gaussians import varied_scene
 from tests.rendering.test_rasterization import camera
 from tests.selection.bare import ground

@@ -10,11 +10,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import save_splat
 from mi_splat.io.points import PointCloud, save_points
-from mi_splat.rendering import Renderer
+from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.selection.clusters import clusters
 from mi_splat.selection.config import Selection

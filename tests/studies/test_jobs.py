@@ -11,7 +11,7 @@ import pytest
 
 from attacks.observe.rows import rows
 from attacks.studies.attack import Attack
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json

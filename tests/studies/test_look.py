@@ -14,10 +14,10 @@ from torch import Tensor
 from attacks.observe.conditions import SunTable, Viewing, condition_of
 from attacks.studies.attack import AttackScene, attack_scene, jittered, with_gradient_of
 from attacks.studies.look import clean_and_attacked
-from mi_splat.cameras import Camera, project_points
+from mi_splat.cameras.camera import Camera, project_points
 from mi_splat.errors import InvalidValueError
+from mi_splat.render.scene_files import MixedScene
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import MixedScene
 from tests.fakes import blobs, camera, toy_scene
 from tests.project.layers import ROOT
 from tests.studies.toy import SCENE, write_toy

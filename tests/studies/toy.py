@@ -17,8 +17,8 @@ from mi_splat.ledger import Event, Job, Store
 from mi_splat.ledger.engines import InProcess
 from mi_splat.ledger.plans import Driver, Result
 from mi_splat.ledger.running import task_for
-from mi_splat.rendering import RenderSettings
-from mi_splat.scene_files import SplatScene, write_scene
+from mi_splat.render.renderer import RenderSettings
+from mi_splat.render.scene_files import SplatScene, write_scene
 from tests.fakes import CoarseDetector, ColourDetector, camera, register, toy_scene
 
 DETECTORS: dict[str, Detector] = {

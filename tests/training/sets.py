@@ -6,10 +6,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from mi_splat.camera_sets import orbit
-from mi_splat.cameras import Camera, View, look_at
+from mi_splat.cameras.camera import Camera, View, look_at
+from mi_splat.cameras.sets import orbit
 from mi_splat.io.points import PointCloud
-from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
+from mi_splat.render.renderer import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import ClassicConfig, Step

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from attacks import cli
 from mi_splat.io import load_splat
-from mi_splat.rendering import Renderer
+from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.loop import Progress, TrainState, advance, fit, scene_extent
 from mi_splat.training.resume import load_state, save_state

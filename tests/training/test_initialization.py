@@ -7,8 +7,8 @@ from torch import Tensor
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
-from mi_splat.metrics import ssim as reported_ssim
-from mi_splat.sh import colour_to_dc
+from mi_splat.maths.metrics import ssim as reported_ssim
+from mi_splat.maths.sh import colour_to_dc
 from mi_splat.training.initialization import (
     from_points,
     random_points,

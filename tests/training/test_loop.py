@@ -5,9 +5,9 @@ import dataclasses
 import pytest
 import torch
 
-from mi_splat.cameras import View
+from mi_splat.cameras.camera import View
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer
+from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene
 from mi_splat.training.loop import (
     FitConfig,

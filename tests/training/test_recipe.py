@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from mi_splat.rendering import Renderer
+from mi_splat.render.renderer import Renderer
 from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import TrainState, advance, scene_extent
 from mi_splat.training.strategies import ClassicConfig, Edit, FixedConfig, MCMCConfig

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from mi_splat.cameras import View
+from mi_splat.cameras.camera import View
 from mi_splat.errors import InvalidValueError
 from mi_splat.processes import sigterm_as_interrupt
 from mi_splat.scene import scene_hash

@@ -20,8 +20,8 @@ from attacks.transformations.draws import (
     draw_camera,
     draw_change,
 )
-from mi_splat.cameras import Camera, look_at, project_points
-from mi_splat.directions import direction_of
+from mi_splat.cameras.camera import Camera, look_at, project_points
+from mi_splat.cameras.directions import direction_of
 from mi_splat.errors import InvalidValueError
 
 CENTRE = (1.0, -2.0, 0.5)

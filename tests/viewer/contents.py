@@ -11,9 +11,9 @@ from torch import Tensor
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.study import SUMMARY
 from mi_splat.io import save_splat
-from mi_splat.rendering import RenderSettings
+from mi_splat.maths.sh import colour_to_dc
+from mi_splat.render.renderer import RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc
 from mi_splat.viewer.content import Content, ShownSplat
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter

@@ -11,14 +11,14 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mi_splat.camera_sets import hemisphere
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.cameras.directions import Point
+from mi_splat.cameras.sets import hemisphere
 from mi_splat.cli.cameras import find_cameras
 from mi_splat.cli.options import CameraOptions
-from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import RenderSettings
-from mi_splat.scene_files import SplatScene
+from mi_splat.render.renderer import RenderSettings
+from mi_splat.render.scene_files import SplatScene
 from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
 from tests.gaussians import random_scene
 

@@ -19,9 +19,9 @@ pytest.importorskip("viser", reason="needs the extra `view`")
 
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
-from mi_splat.rasterization.frozen import between_stages
+from mi_splat.render.tile.frozen import between_stages
 from mi_splat.scene import GaussianScene
 from mi_splat.viewer.content import Inspection
 from mi_splat.viewer.guard import COOKIE, MOST_WINDOWS

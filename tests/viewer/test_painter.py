@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from attacks import cli
-from mi_splat.directions import UP
+from mi_splat.cameras.directions import UP
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.io.images import to_bytes
-from mi_splat.metrics import psnr
-from mi_splat.rasterization.frozen import PictureInterruptedError, interrupted_by
-from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.rotation import from_z
+from mi_splat.maths.metrics import psnr
+from mi_splat.maths.rotation import from_z
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import read_scene
+from mi_splat.render.tile.frozen import PictureInterruptedError, interrupted_by
 from mi_splat.scene import Similarity
-from mi_splat.scene_files import read_scene
 from mi_splat.viewer.content import content_of_file
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import MOST_PIXELS, Painter, Thinned, within

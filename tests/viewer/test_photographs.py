@@ -14,13 +14,13 @@ from PIL import Image
 
 from attacks import cli
 from attacks.report.viewer_content import open_content
-from mi_splat.cameras import Camera, View, orbit_pose
+from mi_splat.cameras.camera import Camera, View, orbit_pose
 from mi_splat.datasets import Dataset, DatasetWarning, load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.images import to_bytes
-from mi_splat.rendering import Renderer
+from mi_splat.render.renderer import Renderer
 from mi_splat.training.resume import poses_digest
 from mi_splat.viewer.content import Photographs
 from mi_splat.viewer.painter import Painter

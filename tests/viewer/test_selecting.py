@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from attacks import cli
-from mi_splat.cameras import project_points
+from mi_splat.cameras.camera import project_points
 from mi_splat.viewer.picking import Click, border, clicked, colours, one_gaussian
 from mi_splat.viewer.selecting import SharedSelection
 from mi_splat.viewer.session import (

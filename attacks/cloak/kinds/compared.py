@@ -24,11 +24,11 @@ from attacks.observe.rows import (
     frame_with,
     write_rows,
 )
-from mi_splat.cameras import Camera
-from mi_splat.directions import direction_of
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.directions import direction_of
 from mi_splat.io import load_splat
 from mi_splat.io.images import through_png
-from mi_splat.metrics import psnr, ssim
+from mi_splat.maths.metrics import psnr, ssim
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from attacks.cloak.mesh_scene import camera_number
 from attacks.cloak.setup import SET, Pose, Setup
-from mi_splat.cameras import Camera, View
+from mi_splat.cameras.camera import Camera, View
 from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.writer import write_capture

@@ -47,11 +47,11 @@ from attacks.observe.rows import (
     write_rows,
 )
 from attacks.observe.views import ViewDetections
-from mi_splat.cameras import Camera
+from mi_splat.cameras.camera import Camera
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
-from mi_splat.metrics import psnr
+from mi_splat.maths.metrics import psnr
 from mi_splat.scene import GaussianScene
 
 if TYPE_CHECKING:

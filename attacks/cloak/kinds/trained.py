@@ -16,7 +16,7 @@ import torch
 
 from attacks.cloak.config import TrainingConfig, fit_config
 from attacks.cloak.setup import SET, SplatJob
-from mi_splat.cameras import RenderFn, View
+from mi_splat.cameras.camera import RenderFn, View
 from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
 from mi_splat.io.documents import save_json

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.loaded import Arrays, Loaded, arrays_of
-from mi_splat.sh import band, degree_of
+from mi_splat.maths.sh import band, degree_of
 
 Signs = tuple[float, float, float]
 

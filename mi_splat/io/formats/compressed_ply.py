@@ -38,7 +38,7 @@ from mi_splat.io.ply import (
     rest_names,
 )
 from mi_splat.io.up_axis import commented_up
-from mi_splat.sh import colour_to_dc
+from mi_splat.maths.sh import colour_to_dc
 
 CHUNK = 256
 """Gaussians that share one range."""

@@ -33,7 +33,7 @@ from mi_splat.io.loaded import (
     validated,
 )
 from mi_splat.io.parsing import Fields, parse
-from mi_splat.srgb import to_linear
+from mi_splat.maths.srgb import to_linear
 
 EXTENSION = "KHR_gaussian_splatting"
 COLOUR_SPACE = "srgb_rec709_display"
@@ -229,7 +229,7 @@ def _matrix(node: Fields) -> Array | None:
         raise node.bad("rotation", "a unit quaternion", [x, y, z, w])
     import torch
 
-    from mi_splat.rotation import normalise, to_matrix
+    from mi_splat.maths.rotation import normalise, to_matrix
 
     matrix = np.eye(4)
     turn = to_matrix(normalise(torch.tensor([w, x, y, z], dtype=torch.float64))).numpy()

@@ -24,7 +24,7 @@ from mi_splat.io.loaded import (
     validated,
     vanished,
 )
-from mi_splat.sh import colour_to_dc
+from mi_splat.maths.sh import colour_to_dc
 
 RECORD = np.dtype(
     [

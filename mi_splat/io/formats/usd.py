@@ -35,7 +35,7 @@ from mi_splat.io.loaded import (
     validated,
 )
 from mi_splat.io.parsing import Fields, parse
-from mi_splat.sh import degree_of
+from mi_splat.maths.sh import degree_of
 
 _WRITER = "mi-splat"
 _ANSWER_LIMIT = 1 << 22

@@ -39,7 +39,7 @@ def normal(like: Tensor, generator: Generator) -> Tensor:
 
 class ScreenGradients(Protocol):
     """Statistics of the last backward pass that a renderer may keep; see
-    `mi_splat.rendering.ScreenGradients`.
+    `mi_splat.render.renderer.ScreenGradients`.
     """
 
     # (N,) length of the gradient of each centre on the screen, in half pictures

@@ -12,7 +12,7 @@ import torch
 from torch import Generator, Tensor
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.rotation import normalise, to_matrix
+from mi_splat.maths.rotation import normalise, to_matrix
 from mi_splat.training.strategies.base import Edit, Step, Strategy, normal
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Generator, Tensor
 
-from mi_splat.rotation import normalise, to_matrix
+from mi_splat.maths.rotation import normalise, to_matrix
 from mi_splat.scene import GaussianScene
 from mi_splat.training.strategies.base import Edit, Step, Strategy, normal
 

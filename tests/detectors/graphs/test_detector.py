@@ -24,8 +24,8 @@ from attacks.detectors.graphs.graph import GraphModel, Node
 from attacks.testing import check_detector
 from mi_splat.datasets.frames import read_picture
 from mi_splat.io.images import quantise
-from mi_splat.rendering import Renderer
-from mi_splat.scene_files import read_scene
+from mi_splat.render.renderer import Renderer
+from mi_splat.render.scene_files import read_scene
 from tests.detectors.contract import slope_is_the_gradient
 
 pytestmark = pytest.mark.shipped

@@ -1,0 +1,1 @@
+"""Cameras, sets of them, the forms of their files, and what they see of a splat."""

@@ -1,0 +1,1 @@
+"""Spherical harmonics, rotations, colour curves, neighbours and image metrics."""

@@ -1,0 +1,1 @@
+"""Renderers of splats: rasteriser, ray tracer, Mitsuba plugins, scene files."""
