@@ -9,8 +9,10 @@ watches it ends, it ends its group itself.
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import queue
+import re
 import shutil
 import signal
 import subprocess
@@ -203,6 +205,28 @@ def _members_by_ps(group: int) -> dict[int, int]:
     return {
         process: 1024 * size for process, its_group, size in rows if its_group == group
     }
+
+
+_ENDINGS = "endings.log"  # of a group's folder: how its processes have ended
+
+
+def log_endings(logger: str) -> None:
+    """Write what a logger says of processes of this group where `ending_of` reads it."""
+    path = Path(os.environ[_FOLDER], _ENDINGS)
+    logging.getLogger(logger).addHandler(logging.FileHandler(path))
+
+
+def ending_of(process: int) -> str:
+    """How a process of this group has ended, in words; empty if nothing is known."""
+    path = Path(os.environ.get(_FOLDER, ""), _ENDINGS)
+    if not path.is_file():
+        return ""
+    lines = path.read_text("utf-8").splitlines()
+    found = "\n".join(line for line in lines if re.search(rf"\b{process}\b", line))
+    if "memory" in found:
+        return "used more memory than it may"
+    number = re.search(r"by signal (\d+)", found)
+    return f"ended by {signal.Signals(int(number[1])).name}" if number else found
 
 
 def inbox(receive: Callable[[], _Message]) -> queue.SimpleQueue[_Message]:

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import statistics
+import time
 from collections import Counter
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ from mi_splat.ledger.job import (
     nobody,
 )
 from mi_splat.ledger.running import lookup, task_for
-from mi_splat.ledger.store import TRIES, Store, checked_key
+from mi_splat.ledger.store import Store, checked_key
 
 STATES = ("waiting", "ready", "running", "done", "failed")
 """For others before it; for an engine; for its end; for nothing; for somebody who mends
@@ -135,6 +136,7 @@ Plan = Generator[Mapping[str, Job], Mapping[str, Result] | None, None]
 """Yields jobs by their labels, and is sent their results once all of them have ended;
 ends when it wants no more.
 """
+_VISIBLE = 60.0  # seconds after which a network disk shows what others have written
 _POLL = 0.5  # seconds between two looks at a job that another process does
 
 
@@ -163,8 +165,6 @@ class Driver:
         self._results: dict[str, Result] = {}
         self._jobs: dict[str, asyncio.Task[Result]] = {}
         self._keys: dict[str, str] = {}
-        self._running: set[str] = set()
-        self._error: BaseException | None = None
         self._free = asyncio.Semaphore(engine.window)
 
     def run(self, plans: Iterable[Plan]) -> dict[str, Result]:
@@ -174,9 +174,6 @@ class Driver:
         loop = asyncio.new_event_loop()
         try:
             loop.run_until_complete(self._all(plans))
-        except asyncio.CancelledError:
-            assert self._error is not None
-            raise self._error from self._error.__cause__
         finally:
             self._engine.close()
             waiting = asyncio.all_tasks(loop)
@@ -235,41 +232,31 @@ class Driver:
             finished[needed.identity] = result
         task = task_for(job, self._store, finished)
         self._keys[job.identity] = task.key
-        while (ended := await self._tried(task)) is None:
-            await asyncio.sleep(_POLL)
-        return ended
-
-    async def _tried(self, task: Task) -> Result | None:
-        """The result of a task, tried until it has failed for good; None while another
-        process does it.
-        """
-        async with self._free:
-            if self._error is not None:
-                raise asyncio.CancelledError
-            if self._store.has(task.key):
-                self._on_event(Event(state="kept", key=task.key, kind=task.kind))
-                return self._store.existing(task.key)
-            while len(tries := self._store.failures(task.key)) < TRIES:
-                if task.key in self._running or self._store.is_held(task.key):
-                    return None
-                self._running.add(task.key)
-                outcome = await self._outcome(task)
-                self._running.discard(task.key)
-                if outcome.state == "done":
-                    return self._store.existing(task.key)
-                if outcome.state == "held":
-                    return None
-                if outcome.state == "stopped":
-                    raise EngineError(outcome.text)
-            why: str = tries[-1]["error"]
-            return why
+        if self._store.has(task.key):
+            self._on_event(task.event("kept"))
+            return self._store.existing(task.key)
+        outcome = await self._outcome(task)
+        if outcome.state == "failed":
+            return outcome.text
+        if outcome.state == "stopped":
+            raise EngineError(outcome.text)
+        return await self._shared(task.key)
 
     async def _outcome(self, task: Task) -> Outcome:
-        """How the engine's try of a task ended; what it raises ends all coroutines
-        first, and then the run.
-        """
-        try:
-            return await asyncio.wrap_future(self._engine.submit(task))
-        except BaseException as error:
-            self._error = self._error or error
-            raise asyncio.CancelledError from error
+        """How a task ended, tried until it is done or has failed for good."""
+        while True:
+            # An error of the engine gives nothing free: nothing else is to begin then.
+            await self._free.acquire()
+            outcome = await self._engine.attempt(task)
+            self._free.release()
+            if outcome.state not in ("again", "held"):
+                return outcome
+            if outcome.state == "held":
+                await asyncio.sleep(_POLL)
+
+    async def _shared(self, key: str) -> Done:
+        """A finished job, once this machine sees what another one has written."""
+        end = time.monotonic() + _VISIBLE
+        while not self._store.has(key) and time.monotonic() < end:
+            await asyncio.sleep(_POLL)
+        return self._store.existing(key)

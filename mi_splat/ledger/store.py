@@ -133,10 +133,21 @@ class Store:
             )
         return done
 
-    def held(self, key: str) -> contextlib.AbstractContextManager[None]:
-        """Have a job for this process alone; `HeldError` if another one has it."""
+    def held(
+        self, key: str
+    ) -> contextlib.AbstractContextManager[Mapping[str, Any] | None]:
+        """Have a job for this process alone; `HeldError` if another one has it.
+
+        Returns:
+            What gives the record of a process that has ended while it had the job, or
+            None.
+        """
         self.path("locks").mkdir(parents=True, exist_ok=True)
         return locked_file(str(self.path("locks", checked_key(key))), f"job {key}")
+
+    def release(self, key: str) -> None:
+        """Give a job up that this process has."""
+        self.path("locks", checked_key(key)).unlink(missing_ok=True)
 
     def is_held(self, key: str) -> bool:
         """Whether a process does a job now."""
