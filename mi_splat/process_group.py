@@ -211,7 +211,7 @@ _ENDINGS = "endings.log"  # of a group's folder: how its processes have ended
 
 
 def log_endings(logger: str) -> None:
-    """Write what a logger says of processes of this group where `ending_of` reads it."""
+    """Write what a logger says of this group where `ending_of` reads it."""
     path = Path(os.environ[_FOLDER], _ENDINGS)
     logging.getLogger(logger).addHandler(logging.FileHandler(path))
 

@@ -134,7 +134,9 @@ def own_cores() -> list[int]:
 
 def share_of_cores(cores: Sequence[int], worker: int, workers: int) -> Sequence[int]:
     """Those of some cores that one of some workers may use."""
-    return cores[worker % len(cores) :: workers] if cores else ()
+    if not cores:
+        return ()
+    return cores[worker % workers % len(cores) :: workers]
 
 
 def keep_to(cores: Sequence[int]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import contextlib
-import dataclasses
 import logging
 import time
 import uuid
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from mi_splat.ledger.workers import Terms
 
 _GRACE = 8.0  # seconds that an interrupted job has to write down how far it is
+_CONNECTING = 10.0  # seconds in which a scheduler has to answer
 _STARTING = Limits(seconds=120.0)
 _PLENTY = 1 << 20  # a scheduler decides itself how many tasks its workers can take
 
@@ -104,33 +104,42 @@ class Cluster:
             self._given -= 1
 
     async def _attempted(self, client: Client, task: Task) -> Outcome:
+        """How a try of a task ended; a worker that has died with it tries it again."""
         from distributed import KilledWorker
 
-        from mi_splat.ledger.workers import attempt
-
+        killed = ""
         for _ in range(TRIES):
-            executor = client.get_executor(pure=False)
-            future = executor.submit(attempt, task, self._terms())
-            self._open.add(future)
+            waiting = self._submitted(client, task)
+            self._open.add(waiting)
             try:
-                return await asyncio.wrap_future(future)
-            except asyncio.CancelledError:
-                if client.status == "running":
-                    raise
-                raise self._lost() from None
+                return await asyncio.wrap_future(waiting)
             except KilledWorker as error:
-                killed = str(error)  # it waited there, or the job counts this as a try
+                killed = one_line(str(error), 300)
             except EngineError:
                 raise
-            except Exception as error:
+            except (Exception, asyncio.CancelledError) as error:
+                if client.status != "running":
+                    raise self._lost() from error
+                if isinstance(error, asyncio.CancelledError):
+                    raise
                 got = f"{type(error).__name__}: {one_line(str(error), 300)}"
                 do = "install the same version of mi-splat on all machines"
                 expected = "one that can run jobs"
                 raise EngineError.of("Dask worker", expected, got, do) from error
             finally:
-                self._open.discard(future)
+                self._open.discard(waiting)
         do = "see the logs of the workers"
-        raise EngineError.of("Dask workers", "some that stay", one_line(killed), do)
+        raise EngineError.of("Dask workers", "some that stay", killed, do)
+
+    def _submitted(
+        self, client: Client, task: Task
+    ) -> concurrent.futures.Future[Outcome]:
+        from mi_splat.ledger.workers import attempt
+
+        name = f"{task.kind}-{task.key}-{uuid.uuid4().hex}"
+        future = client.submit(attempt, task, self._terms(), key=name)
+        gathered = client.gather(future, asynchronous=True)
+        return asyncio.run_coroutine_threadsafe(gathered, client.loop.asyncio_loop)
 
     def _terms(self) -> Terms:
         from mi_splat.ledger.workers import Terms
@@ -162,7 +171,9 @@ class Cluster:
         if not address:
             address, security = self._started()
         try:
-            client = Client(address, security=security, set_as_default=False)
+            client = Client(
+                address, security=security, set_as_default=False, timeout=_CONNECTING
+            )
         except (OSError, ValueError, TypeError, RuntimeError) as error:
             do = "start one with `dask scheduler`, or check the address"
             got = one_line(str(error), 300)
@@ -194,7 +205,8 @@ class Cluster:
 
     def close(self) -> None:
         """End all that it has started; what was interrupted counts as no try."""
-        client, self._client = self._client, None
+        client = self._client
+        self._client = None
         try:
             if client is not None and client.status == "running" and self._open:
                 self._interrupt(client)

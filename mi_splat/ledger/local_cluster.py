@@ -32,7 +32,7 @@ def main() -> int:
     inbox(pipe.recv)
     dask.config.set(_SETTINGS)
     log_endings("distributed.nanny")
-    # Workers start here: in the working directory, files may lie that look like modules.
+    # Workers start here: files of the working directory may look like modules.
     os.chdir(tempfile.gettempdir())
     security = Security.temporary()
     with LocalCluster(

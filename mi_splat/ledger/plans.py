@@ -20,7 +20,6 @@ from mi_splat.ledger.engines import Engine
 from mi_splat.ledger.job import (
     Done,
     EngineError,
-    Event,
     Job,
     OnEvent,
     Outcome,
@@ -166,6 +165,7 @@ class Driver:
         self._jobs: dict[str, asyncio.Task[Result]] = {}
         self._keys: dict[str, str] = {}
         self._free = asyncio.Semaphore(engine.window)
+        self._error: BaseException | None = None
 
     def run(self, plans: Iterable[Plan]) -> dict[str, Result]:
         """Results by labels."""
@@ -174,6 +174,9 @@ class Driver:
         loop = asyncio.new_event_loop()
         try:
             loop.run_until_complete(self._all(plans))
+        except asyncio.CancelledError:
+            assert self._error is not None
+            raise self._error from self._error.__cause__
         finally:
             self._engine.close()
             waiting = asyncio.all_tasks(loop)
@@ -245,14 +248,23 @@ class Driver:
     async def _outcome(self, task: Task) -> Outcome:
         """How a task ended, tried until it is done or has failed for good."""
         while True:
-            # An error of the engine gives nothing free: nothing else is to begin then.
             await self._free.acquire()
-            outcome = await self._engine.attempt(task)
-            self._free.release()
+            outcome = await self._attempt(task)
+            self._free.release()  # after an error, nothing else is to begin
             if outcome.state not in ("again", "held"):
                 return outcome
             if outcome.state == "held":
                 await asyncio.sleep(_POLL)
+
+    async def _attempt(self, task: Task) -> Outcome:
+        """How a try of a task ended; an error of the engine ends all coroutines first,
+        and then the run.
+        """
+        try:
+            return await self._engine.attempt(task)
+        except BaseException as error:
+            self._error = self._error or error
+            raise asyncio.CancelledError from error
 
     async def _shared(self, key: str) -> Done:
         """A finished job, once this machine sees what another one has written."""

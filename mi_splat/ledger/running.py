@@ -44,6 +44,7 @@ def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Outcome:
                 how = ending_of(left["process"])
                 why = how or f"process {left['process']} on {left['host']} ended"
                 on_event(note_failure(store, task, why, 0.0))
+                return Outcome(state="again")
             if store.has(task.key):
                 on_event(task.event("kept"))
                 return Outcome(state="done")

@@ -67,6 +67,7 @@ def attempt(task: Task, terms: Terms) -> Outcome:
         if terms.cores:
             keep_to(share_of_cores(terms.cores, worker.name, terms.sharing))
         reporter = _Reporter(worker, store, task, terms)
+        is_worn = False
         try:
             outcome = run_job(store, task, reporter.tell)
         except KeyboardInterrupt:
@@ -75,9 +76,10 @@ def attempt(task: Task, terms: Terms) -> Outcome:
             outcome = Outcome(state="stopped", text=str(error))
         except Exception:  # noqa: BLE001  # it is noted, and the job is tried again
             outcome = Outcome(state="again")
+            is_worn = True
         finally:
             reporter.close()
-    if outcome.state == "again" or _is_heavy(worker, terms):
+    if is_worn or _is_heavy(worker, terms):
         # What a process keeps of one job must not count against the next.
         worker.loop.add_callback(worker.close_gracefully, restart=True)
     return outcome
@@ -89,7 +91,7 @@ def stop(run: str) -> None:
 
 
 class _Reporter:
-    """Sends the events of a task, and ends this process when the task takes too long."""
+    """Sends the events of a task, and ends this process if the task takes too long."""
 
     def __init__(self, worker: Worker, store: Store, task: Task, terms: Terms) -> None:
         self._worker = worker

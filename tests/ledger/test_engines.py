@@ -94,7 +94,7 @@ def test_one_poisoned_of_20_fails_alone_after_three_tries_with_its_signal_named(
     assert events == []  # it is not tried again until somebody says so
     assert Store(tmp_path).forgive(key)
     run(tmp_path, {"poisoned": jobs["poisoned"]}, events=events)
-    assert [event.state for event in events] == ["running", "failed"] * 3
+    assert [event.state for event in events].count("failed") == 3
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,8 @@ def test_a_plan_goes_on_with_results(tmp_path: Path) -> None:
     asked: list[int] = []
 
     def halved() -> Plan:
-        low, high = 0, 16
+        low = 0
+        high = 16
         while high - low > 1:
             middle = (low + high) // 2
             asked.append(middle)
@@ -167,7 +168,8 @@ def test_an_interrupt_in_this_process_ends_the_plan_at_once(
 
 
 def test_a_plan_is_looked_at_before_it_is_run(tmp_path: Path) -> None:
-    store, first = Store(tmp_path), walk(1)
+    store = Store(tmp_path)
+    first = walk(1)
     jobs = {"second": walk(2, one=first), "third": walk(3)}
     assert states(tmp_path, jobs) == {"ready": 2, "waiting": 1}
     assert forecast(store, status(store, jobs)) == (0.0, 3)
@@ -222,7 +224,9 @@ def until(condition: Callable[[], bool], seconds: float = 120.0) -> None:
 
 
 def test_a_driver_waits_for_a_job_that_another_process_does(tmp_path: Path) -> None:
-    store, job, events = Store(tmp_path), walk(1), list[Event]()
+    store = Store(tmp_path)
+    job = walk(1)
+    events = list[Event]()
     key = task_for(job, store, {}).key
     with ThreadPoolExecutor() as pool:
         with store.held(key):
@@ -387,8 +391,11 @@ def test_a_scheduler_that_is_lost_is_an_error_and_nothing_else(tmp_path: Path) -
     assert all(isinstance(result, Done) for result in run(store, jobs).values())
 
 
-def test_no_scheduler_is_an_error(tmp_path: Path) -> None:
+def test_no_scheduler_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     jobs = {"any": walk(0)}
+    monkeypatch.setattr(engines, "_CONNECTING", 0.5)
     with pytest.raises(EngineError, match="expected the address of a Dask scheduler"):
         run(tmp_path, jobs, scheduler="tcp://127.0.0.1:1")
     with pytest.raises(EngineError, match="expected the address of a Dask scheduler"):
@@ -400,7 +407,8 @@ def test_no_scheduler_is_an_error(tmp_path: Path) -> None:
     reason="the system keeps no process to some cores",
 )
 def test_threads_are_as_many_as_cores() -> None:
-    cores, threads = os.sched_getaffinity(0), dr.thread_count()
+    cores = os.sched_getaffinity(0)
+    threads = dr.thread_count()
     end = threading.Event()
     second = threading.Thread(target=end.wait)
     second.start()
@@ -419,7 +427,8 @@ def test_threads_are_as_many_as_cores() -> None:
 def test_the_plan_of_the_tests_is_the_same_in_one_process_and_in_two(
     tmp_path: Path,
 ) -> None:
-    one, two = tmp_path / "one", tmp_path / "two"
+    one = tmp_path / "one"
+    two = tmp_path / "two"
     Driver(one, InProcess(one)).run([two_levels(6, seconds=0.0)])
     Driver(two, Cluster(two, workers=2)).run([two_levels(6, seconds=0.0)])
     assert bytes_of(one) == bytes_of(two)
@@ -433,7 +442,8 @@ def bytes_of(folder: Path) -> dict[str, object]:
 
 
 def test_a_plan_knows_the_keys_that_it_has_used(tmp_path: Path) -> None:
-    store, jobs = Store(tmp_path), {"second": walk(2, one=walk(1))}
+    store = Store(tmp_path)
+    jobs = {"second": walk(2, one=walk(1))}
     with pytest.raises(InvalidValueError, match="expected a plan, got none"):
         planned(store, "plan")
     assert len(planned_after(plan(store, "plan", jobs), store)) == 1

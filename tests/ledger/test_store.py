@@ -55,6 +55,7 @@ def test_a_second_result_is_dropped(tmp_path: Path) -> None:
         if event.state == "progress":
             shutil.copytree(folder, store.folder_of(task.key))
 
+    assert run_job(store, task, tell).state == "done"
     assert (store.existing(task.key).folder / "sum.txt").read_text() == "7"
 
 
