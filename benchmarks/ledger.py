@@ -109,7 +109,7 @@ def main() -> None:
         timed(lambda: [ledger.do(job) for job in few[10 : 10 + FEW]]) / FEW * 1e3
     )
     engine = Cluster(options.folder / "two", workers=2)
-    driver = Driver(options.folder / "two", engine)
+    driver = Driver(engine)
     results["ms a job in two child processes, their start with it"] = (
         timed(lambda: driver.run([grid(numbers(FEW))])) / FEW * 1e3
     )

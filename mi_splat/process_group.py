@@ -35,7 +35,7 @@ _LOOK = 0.1  # seconds between two looks at the memory of a group
 _LAST_BREATH = 2.0
 _SHOWN = 2000  # characters of what a process said last
 # and not TMPDIR: what it names is deleted, and must be ours
-_FOLDER = "MI_SPLAT_GROUP_FOLDER"
+GROUP_FOLDER = "MI_SPLAT_GROUP_FOLDER"
 
 
 class GroupEndedError(Exception):
@@ -80,7 +80,7 @@ class ProcessGroup:
                     **os.environ,
                     **(environment or {}),
                     "TMPDIR": folder,
-                    _FOLDER: folder,
+                    GROUP_FOLDER: folder,
                 },
                 stdin=subprocess.DEVNULL,
                 stdout=self._output,
@@ -212,13 +212,13 @@ _ENDINGS = "endings.log"  # of a group's folder: how its processes have ended
 
 def log_endings(logger: str) -> None:
     """Write what a logger says of this group where `ending_of` reads it."""
-    path = Path(os.environ[_FOLDER], _ENDINGS)
+    path = Path(os.environ[GROUP_FOLDER], _ENDINGS)
     logging.getLogger(logger).addHandler(logging.FileHandler(path))
 
 
 def ending_of(process: int) -> str:
     """How a process of this group has ended, in words; empty if nothing is known."""
-    path = Path(os.environ.get(_FOLDER, ""), _ENDINGS)
+    path = Path(os.environ.get(GROUP_FOLDER, ""), _ENDINGS)
     if not path.is_file():
         return ""
     lines = path.read_text("utf-8").splitlines()
@@ -249,7 +249,7 @@ def inbox(receive: Callable[[], _Message]) -> queue.SimpleQueue[_Message]:
 def end_own_group() -> None:
     """End this process and all that it started, and remove their temporary files."""
     if os.getpgrp() == os.getpid():  # else whoever started us by hand would end, too
-        shutil.rmtree(os.environ.get(_FOLDER, ""), ignore_errors=True)
+        shutil.rmtree(os.environ.get(GROUP_FOLDER, ""), ignore_errors=True)
         os.killpg(0, signal.SIGKILL)
     os._exit(1)
 

@@ -34,9 +34,13 @@ class Engine(Protocol):
     """Runs tasks of a store.
 
     Attributes:
+        store: The store.
+        on_event: Is called with what happens to jobs.
         window: How many tasks it may be given at a time.
     """
 
+    store: Store
+    on_event: OnEvent
     window: int
 
     async def attempt(self, task: Task) -> Outcome:
@@ -54,15 +58,31 @@ class InProcess:
     window = 1
 
     def __init__(self, folder: Path, *, on_event: OnEvent = nobody) -> None:
-        self._store = Store(folder)
-        self._on_event = on_event
+        self.store = Store(folder)
+        self.on_event = on_event
 
     async def attempt(self, task: Task) -> Outcome:
         """Run a task now."""
-        return run_job(self._store, task, self._on_event)
+        return run_job(self.store, task, self.on_event)
 
     def close(self) -> None:
         """Nothing is left."""
+
+
+def engine_for(
+    folder: Path,
+    *,
+    workers: int,
+    scheduler: str = "",
+    limits: Limits | None = None,
+    on_event: OnEvent = nobody,
+) -> Engine:
+    """An engine for a store: this process if there are 0 workers, else a cluster."""
+    if workers == 0 and not scheduler:
+        return InProcess(folder, on_event=on_event)
+    return Cluster(
+        folder, workers=workers, scheduler=scheduler, limits=limits, on_event=on_event
+    )
 
 
 class Cluster:
@@ -82,10 +102,10 @@ class Cluster:
         on_event: OnEvent = nobody,
     ) -> None:
         self.window = _PLENTY if scheduler else workers
-        self._folder = folder
+        self.store = Store(folder)
+        self.on_event = on_event
         self._scheduler = scheduler
         self._limits = limits or Limits()
-        self._on_event = on_event
         self._run = f"mi-splat-{uuid.uuid4().hex}"
         self._cores = () if scheduler else tuple(own_cores())
         self._given = 0
@@ -142,12 +162,13 @@ class Cluster:
         return asyncio.run_coroutine_threadsafe(gathered, client.loop.asyncio_loop)
 
     def _terms(self) -> Terms:
-        from mi_splat.ledger.workers import Terms
+        from mi_splat.ledger.workers import Terms, own_variables
 
         return Terms(
-            store=str(self._folder.absolute()),
+            store=str(self.store.folder.absolute()),
             run=self._run,
             limits=self._limits,
+            variables=own_variables(),
             cores=self._cores,
             sharing=1 if self._given == 1 else self.window,
         )
@@ -165,7 +186,7 @@ class Cluster:
 
         # What it says of lost connections is said in our errors.
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL + 1)
-        self._folder.mkdir(parents=True, exist_ok=True)
+        self.store.folder.mkdir(parents=True, exist_ok=True)
         address = self._scheduler
         security = None
         if not address:
@@ -182,7 +203,7 @@ class Cluster:
         loop = asyncio.get_running_loop()
 
         def tell(event: tuple[float, Mapping[str, Any]]) -> None:
-            loop.call_soon_threadsafe(self._on_event, Event(**event[1][EVENT]))
+            loop.call_soon_threadsafe(self.on_event, Event(**event[1][EVENT]))
 
         client.subscribe_topic(self._run, tell)
         self._client = client

@@ -10,7 +10,6 @@ import time
 from collections import Counter
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from mi_splat.errors import InvalidValueError
@@ -21,10 +20,8 @@ from mi_splat.ledger.job import (
     Done,
     EngineError,
     Job,
-    OnEvent,
     Outcome,
     Task,
-    nobody,
 )
 from mi_splat.ledger.running import lookup, task_for
 from mi_splat.ledger.store import Store, checked_key
@@ -149,17 +146,9 @@ class Driver:
     ended.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        engine: Engine,
-        *,
-        name: str = "",
-        on_event: OnEvent = nobody,
-    ) -> None:
-        self._store = Store(folder)
+    def __init__(self, engine: Engine, *, name: str = "") -> None:
+        self._store = engine.store
         self._engine = engine
-        self._on_event = on_event
         self._name = name
         self._results: dict[str, Result] = {}
         self._jobs: dict[str, asyncio.Task[Result]] = {}
@@ -236,7 +225,7 @@ class Driver:
         task = task_for(job, self._store, finished)
         self._keys[job.identity] = task.key
         if self._store.has(task.key):
-            self._on_event(task.event("kept"))
+            self._engine.on_event(task.event("kept"))
             return self._store.existing(task.key)
         outcome = await self._outcome(task)
         if outcome.state == "failed":

@@ -10,17 +10,16 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from distributed import Worker, get_worker
 
-from mi_splat.io.folders import LockedError, locked_folder
 from mi_splat.ledger.job import DiskFullError, EngineError, Event, Outcome, Task
 from mi_splat.ledger.running import note_failure, run_job
 from mi_splat.ledger.store import Store
-from mi_splat.process_group import Limits
+from mi_splat.process_group import GROUP_FOLDER, Limits
 from mi_splat.processes import keep_to, share_of_cores
 
 EVENT = "event"  # key of an event in what is sent; Dask puts others beside it
@@ -28,6 +27,7 @@ _BETWEEN = 0.1  # least seconds between two reports of progress
 _FLUSH = 0.3  # seconds in which a last event leaves a process that is ended
 _OVERTIME = 3  # exit status of a process whose job took too long
 
+_OURS = "MI_SPLAT_"
 _ONE_JOB = threading.Lock()  # Mitsuba's variant is one of the process
 _STOPPED: set[str] = set()
 _FOR_GOOD = contextlib.ExitStack()
@@ -41,6 +41,7 @@ class Terms:
         store: Absolute path of the store, which all workers share.
         run: Name of the run, and of the topic of its events.
         limits: What a job may use.
+        variables: Those of the environment that are this program's.
         cores: Cores of this machine that the workers share; none leaves the choice to
             whoever has started a worker.
         sharing: How many workers share them.
@@ -49,6 +50,7 @@ class Terms:
     store: str
     run: str
     limits: Limits
+    variables: Mapping[str, str]
     cores: Sequence[int] = ()
     sharing: int = 1
 
@@ -63,6 +65,7 @@ def attempt(task: Task, terms: Terms) -> Outcome:
         raise EngineError.of(terms.store, expected, got, do)
     with _ONE_JOB:
         worker = get_worker()
+        _take_variables(terms.variables)
         _keep_kernels(store.folder)
         if terms.cores:
             keep_to(share_of_cores(terms.cores, worker.name, terms.sharing))
@@ -139,20 +142,21 @@ def _is_heavy(worker: Worker, terms: Terms) -> bool:
 @functools.cache
 def _keep_kernels(store: Path) -> None:
     """Have Dr.Jit keep its compiled kernels where no other process does."""
-    kernels = free_cache(store, itertools.count(), _FOR_GOOD)
+    kernels = Store(store).free_kernels(itertools.count(), _FOR_GOOD)
     os.environ["DRJIT_CACHE_DIR"] = str(kernels)
 
 
-def free_cache(
-    folder: Path, numbers: Iterator[int], held: contextlib.ExitStack
-) -> Path:
-    """The first folder for compiled kernels that no other process of this machine
-    uses.
-    """
-    for number in numbers:
-        cache = folder / "kernels" / f"{platform.node()}-{number}"
-        # any other error is one of the disk, and comes again
-        with contextlib.suppress(LockedError):
-            held.enter_context(locked_folder(cache))
-            return cache
-    raise AssertionError("numbers do not end")
+def own_variables() -> dict[str, str]:
+    """What the environment says to this program, such as which weights to take."""
+    return {
+        name: value
+        for name, value in os.environ.items()
+        if name.startswith(_OURS) and name != GROUP_FOLDER
+    }
+
+
+def _take_variables(variables: Mapping[str, str]) -> None:
+    """Have the variables that whoever runs the jobs has, and none of an earlier run."""
+    for name in own_variables().keys() - variables.keys():
+        del os.environ[name]
+    os.environ.update(variables)

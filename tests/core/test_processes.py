@@ -35,9 +35,7 @@ def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_jobs(hostile: Path) -> None:
     store = hostile / "store"
-    results = Driver(store, Cluster(store, workers=1)).run(
-        [grid({"one": walk(1, steps=1)})]
-    )
+    results = Driver(Cluster(store, workers=1)).run([grid({"one": walk(1, steps=1)})])
     assert isinstance(results["one"], Done)
     assert not (hostile / "RAN").exists()
 

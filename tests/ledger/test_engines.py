@@ -39,7 +39,6 @@ from mi_splat.ledger.plans import (
     status,
 )
 from mi_splat.ledger.running import task_for
-from mi_splat.ledger.workers import free_cache
 from mi_splat.process_group import Limits
 from mi_splat.processes import keep_to, own_cores
 from tests.ledger.drive import Ledger, two_levels, walk
@@ -61,7 +60,7 @@ def run(
     engine = Cluster(
         folder, workers=2, scheduler=scheduler, limits=limits, on_event=heard.append
     )
-    driver = Driver(folder, engine, name="plan", on_event=heard.append)
+    driver = Driver(engine, name="plan")
     return driver.run([grid(jobs)])
 
 
@@ -134,7 +133,7 @@ def test_a_plan_goes_on_with_results(tmp_path: Path) -> None:
             assert isinstance(result, Done)
             low, high = (low, middle) if middle >= 11 else (middle, high)
 
-    results = Driver(tmp_path, InProcess(tmp_path), name="plan").run(
+    results = Driver(InProcess(tmp_path), name="plan").run(
         [halved(), grid({}), grid({"one": walk(99)})]
     )
     assert asked == [8, 12, 10, 11]
@@ -145,9 +144,7 @@ def test_a_plan_goes_on_with_results(tmp_path: Path) -> None:
 
 def test_what_a_job_raises_in_this_process_ends_the_plan(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no way"):
-        Driver(tmp_path, InProcess(tmp_path)).run(
-            [grid({"bad": walk(0, trouble="raise")})]
-        )
+        Driver(InProcess(tmp_path)).run([grid({"bad": walk(0, trouble="raise")})])
 
 
 def test_an_interrupt_in_this_process_ends_the_plan_at_once(
@@ -160,7 +157,7 @@ def test_an_interrupt_in_this_process_ends_the_plan_at_once(
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        Driver(tmp_path, InProcess(tmp_path, on_event=tell)).run(
+        Driver(InProcess(tmp_path, on_event=tell)).run(
             [grid({str(n): walk(n) for n in range(3)})]
         )
     assert events == ["running"]
@@ -291,10 +288,12 @@ def test_a_full_disk_has_no_free_cache(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with contextlib.ExitStack() as held:
-        assert free_cache(tmp_path, itertools.count(3), held).name.endswith("-3")
+        assert (
+            Store(tmp_path).free_kernels(itertools.count(3), held).name.endswith("-3")
+        )
         monkeypatch.setattr(os, "pwrite", is_full)
         with pytest.raises(SplatFileError, match="No space left on device"):
-            free_cache(tmp_path, itertools.count(5), held)
+            Store(tmp_path).free_kernels(itertools.count(5), held)
 
 
 WHEREABOUTS = "tests.ledger.kinds.whereabouts"
@@ -386,7 +385,7 @@ def test_a_scheduler_that_is_lost_is_an_error_and_nothing_else(tmp_path: Path) -
 
         engine = Cluster(store, scheduler=address, on_event=lose)
         with pytest.raises(EngineError, match="expected a scheduler that answers, got"):
-            Driver(store, engine).run([grid(jobs)])
+            Driver(engine).run([grid(jobs)])
     assert not (store / "failed").exists()
     assert all(isinstance(result, Done) for result in run(store, jobs).values())
 
@@ -429,8 +428,8 @@ def test_the_plan_of_the_tests_is_the_same_in_one_process_and_in_two(
 ) -> None:
     one = tmp_path / "one"
     two = tmp_path / "two"
-    Driver(one, InProcess(one)).run([two_levels(6, seconds=0.0)])
-    Driver(two, Cluster(two, workers=2)).run([two_levels(6, seconds=0.0)])
+    Driver(InProcess(one)).run([two_levels(6, seconds=0.0)])
+    Driver(Cluster(two, workers=2)).run([two_levels(6, seconds=0.0)])
     assert bytes_of(one) == bytes_of(two)
 
 

@@ -201,7 +201,7 @@ def run_killed(
 
 
 def unkilled(folder: Path, count: int) -> dict[str, object]:
-    Driver(folder, Cluster(folder, workers=2)).run([two_levels(count)])
+    Driver(Cluster(folder, workers=2)).run([two_levels(count)])
     return bytes_of(folder)
 
 
