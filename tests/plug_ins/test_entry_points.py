@@ -378,7 +378,7 @@ def test_a_format_is_read_written_and_keeps_its_contract(
     assert file.stat().st_size == 56 * len(scene)
     torch.testing.assert_close(load_splat(file).means, scene.means)
     check_format(".rows")
-    assert cli.main(["convert", str(file), "--out", str(tmp_path / "b.ply")]) == 0
+    assert cli.main(["convert", str(file), str(tmp_path / "b.ply")]) == 0
     torch.testing.assert_close(load_splat(tmp_path / "b.ply").sh, scene.sh)
     file.write_bytes(file.read_bytes()[:-1])
     assert cli.main(["info", str(file)]) == 1
