@@ -6,6 +6,7 @@ import asyncio
 import concurrent.futures
 import contextlib
 import logging
+import os
 import time
 import uuid
 from collections.abc import Mapping
@@ -166,6 +167,7 @@ class Cluster:
 
         return Terms(
             store=str(self.store.folder.absolute()),
+            folder=os.getcwd(),
             run=self._run,
             limits=self._limits,
             variables=own_variables(),

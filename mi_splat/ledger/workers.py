@@ -39,6 +39,7 @@ class Terms:
 
     Attributes:
         store: Absolute path of the store, which all workers share.
+        folder: Working directory of the command, for relative paths.
         run: Name of the run, and of the topic of its events.
         limits: What a job may use.
         variables: Those of the environment that are this program's.
@@ -48,6 +49,7 @@ class Terms:
     """
 
     store: str
+    folder: str
     run: str
     limits: Limits
     variables: Mapping[str, str]
@@ -66,6 +68,8 @@ def attempt(task: Task, terms: Terms) -> Outcome:
     with _ONE_JOB:
         worker = get_worker()
         _take_variables(terms.variables)
+        with contextlib.suppress(OSError):  # then only absolute paths can be read
+            os.chdir(terms.folder)
         _keep_kernels(store.folder)
         if terms.cores:
             keep_to(share_of_cores(terms.cores, worker.name, terms.sharing))
