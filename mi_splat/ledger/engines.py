@@ -21,7 +21,7 @@ from mi_splat.process_group import GroupEndedError, Limits, ProcessGroup
 from mi_splat.processes import own_cores
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, Security
 
     from mi_splat.ledger.workers import Terms
 
@@ -68,6 +68,12 @@ class InProcess:
 
     def close(self) -> None:
         """Nothing is left."""
+
+
+def _check_keys(security: Security) -> None:
+    """Raise unless there are keys for TLS, without which a client ends late."""
+    if security.get_connection_args("client").get("ssl_context") is None:
+        raise ValueError("no keys for TLS in the configuration of Dask")
 
 
 def engine_for(
@@ -144,7 +150,7 @@ class Cluster:
                 if isinstance(error, asyncio.CancelledError):
                     raise
                 got = f"{type(error).__name__}: {one_line(str(error), 300)}"
-                do = "install the same version of mi-splat on all machines"
+                do = "install the same packages on all machines"
                 expected = "one that can run jobs"
                 raise EngineError.of("Dask worker", expected, got, do) from error
             finally:
@@ -182,7 +188,7 @@ class Cluster:
 
     def _connected(self) -> Client:
         """A client of the scheduler, which is started if there is none."""
-        from distributed import Client
+        from distributed import Client, Security
 
         from mi_splat.ledger.workers import EVENT
 
@@ -193,12 +199,15 @@ class Cluster:
         security = None
         if not address:
             address, security = self._started()
+        keys = security or Security()
         try:
+            if address.startswith("tls"):
+                _check_keys(keys)
             client = Client(
-                address, security=security, set_as_default=False, timeout=_CONNECTING
+                address, security=keys, set_as_default=False, timeout=_CONNECTING
             )
         except (OSError, ValueError, TypeError, RuntimeError) as error:
-            do = "start one with `dask scheduler`, or check the address"
+            do = "start one with the command dask scheduler, or check the address"
             got = one_line(str(error), 300)
             expected = "the address of a Dask scheduler that answers"
             raise EngineError.of(f"scheduler {address}", expected, got, do) from error

@@ -359,6 +359,8 @@ def test_no_scheduler_is_an_error(
         run(tmp_path, jobs, scheduler="tcp://127.0.0.1:1")
     with pytest.raises(EngineError, match="expected the address of a Dask scheduler"):
         run(tmp_path, jobs, scheduler="nonsense://")
+    with pytest.raises(EngineError, match="got no keys for TLS in the configuration"):
+        run(tmp_path, jobs, scheduler="tls://127.0.0.1:1")
 
 
 @pytest.mark.skipif(
