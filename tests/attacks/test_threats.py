@@ -89,9 +89,10 @@ def test_a_turn_is_that_of_the_whole_scene_about_its_centre() -> None:
     centred = SCENE.replace(means=SCENE.means - middle.float())
     about = Similarity(rotation=matrix, translation=middle, scale=1.0)
     expected = centred.transform(about)
-    close = {"rtol": 0, "atol": 1e-5}
-    torch.testing.assert_close(turned["means"].float(), expected.means, **close)
-    torch.testing.assert_close(turned["sh"].float(), expected.sh, **close)
+    torch.testing.assert_close(
+        turned["means"].float(), expected.means, rtol=0, atol=1e-5
+    )
+    torch.testing.assert_close(turned["sh"].float(), expected.sh, rtol=0, atol=1e-5)
     ours = normalise(turned["rotations"])
     theirs = normalise(expected.rotations.double())
     assert float((ours * theirs).sum(1).abs().min()) > 1 - 1e-6
