@@ -26,6 +26,7 @@ from mi_splat.assets.mesh import Asset, translation
 from mi_splat.assets.primitives import box, quad
 from mi_splat.assets.street import ground
 from mi_splat.cameras.camera import Camera, View, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.errors import InvalidValueError
 from tests.cloak.test_poisoning import CENTRE
 
@@ -48,7 +49,7 @@ def shown(
 
 def camera(azimuth: float, elevation: float, *, size: int = 16) -> Camera:
     pose = orbit_pose(CENTRE, azimuth=azimuth, elevation=elevation, distance=4.0)
-    return Camera(to_world=pose, focal=1.3 * size, width=size, height=size)
+    return Camera(to_world=pose, lens=Lens(focal=1.3 * size, size=(size, size)))
 
 
 @pytest.fixture(scope="module")
