@@ -102,7 +102,7 @@ def test_pictures_that_are_all_black_are_warned_of(
 ) -> None:
     command = [
         "capture",
-        "car:3",
+        "car",
         "--cameras",
         "orbit:2@10",
         "--size",

@@ -52,8 +52,6 @@ CASES: list[tuple[str, set[str], dict[str, Any]]] = [
         MADE,
         {
             "object": "bird",
-            "seed": 900006,
-            "colour": (0.1, 0.2, 0.6),
             "ground": "grass",
         },
     ),
@@ -134,7 +132,7 @@ CASES: list[tuple[str, set[str], dict[str, Any]]] = [
     (
         "attack",
         SHOWN,
-        {"blur_width": 0.1, "mask": "difference", "other_seed": 1, "lying": True},
+        {"blur_width": 0.1, "mask": "difference", "lying": True},
     ),
     (
         "attack",

@@ -103,8 +103,8 @@ CLOAK = "study = 'cloak'\n"
     [
         (CLOAK + "sedes = [0]", "did you mean seeds"),
         (
-            CLOAK + "[scene]\nobject = 'bird'\ncolour = [0, 0, 1]",
-            "scene.object with a colour: expected one of car",
+            CLOAK + "[scene]\nobject = 'cat'",
+            "scene.object: expected a .glb file, or one of car, person, stop sign",
         ),
         (
             CLOAK + "[cameras]\ntrain = 3.5",

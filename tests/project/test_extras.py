@@ -149,7 +149,7 @@ def test_the_examples_of_the_api_run(checkout: Path, warm: Warm) -> None:
     """As they stand, but with the smallest set and a training of some steps."""
     dagger, curve, aim, cloak = blocks("python", (ROOT / "docs" / "api.md").read_text())
     capture = (
-        "capture car:900004 --rgba --cameras hemisphere:12 --size 24 --samples 1"
+        "capture car --rgba --cameras hemisphere:12 --size 24 --samples 1"
         " --points 200 --out out/car-alone"
     )
     done = warm.run(
