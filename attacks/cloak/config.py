@@ -601,7 +601,7 @@ _GONE = (
         "occluder_radius",
         "occluder_edge",
     ),
-    *("up", "scale", "rotate", "front", "emphasis", "emphasis_depth", "colour"),
+    *("up", "scale", "rotate", "front", "emphasis", "emphasis_depth", "other_seed"),
 )
 """Settings of results of November 2026 that no study has any more; in those results
 they are off.
@@ -613,23 +613,27 @@ def recorded_study(values: Mapping[str, Any], where: str) -> StudyConfig:
 
     def kept(value: Any) -> Any:
         if isinstance(value, Mapping):
-            return {
+            fields = {
                 name: kept(entry) for name, entry in value.items() if name not in _GONE
             }
+            return _by_file(fields) if "object" in fields else fields
         if isinstance(value, list):
             return [kept(entry) for entry in value]
         return value
 
-    study = kept(values)
-    scene = study.get("scene", {})
-    seed = scene.pop("seed", _SHIPPED_SEED)  # which object of a class
-    if seed != _SHIPPED_SEED:
-        scene["label"] = scene["object"]
-        scene["object"] = f"{scene['object']}_{seed}"
-    for attack in study.get("attack", []):
-        attack.pop("other_seed", None)
-    return decode(StudyConfig, study, where)
+    return decode(StudyConfig, kept(values), where)
 
 
 _SHIPPED_SEED = 900004
 """Of the objects that are shipped by name."""
+
+
+def _by_file(scene: dict[str, Any]) -> dict[str, Any]:
+    """A scene of a result whose object a seed chose, by the name of its file."""
+    seed = scene.pop("seed", _SHIPPED_SEED)
+    if scene.get("colour", True) is None:
+        del scene["colour"]
+    if seed == _SHIPPED_SEED:
+        return scene
+    name = scene["object"]
+    return {**scene, "object": f"{name}_{seed}", "label": name}

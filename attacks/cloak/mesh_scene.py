@@ -46,7 +46,7 @@ _SEED_BITS = 28
 def texture_file(name: str, what: str = "texture") -> Path:
     """The file of a shipped texture, or a user's own."""
     shipped = {file.stem: file for file in sorted(_FOLDER.glob(f"*{SUFFIX}"))}
-    known = shipped | {drawn: Path(drawn) for drawn in DRAWN}
+    known = {drawn: Path(drawn) for drawn in DRAWN} | shipped
     return chosen_file(name, known, what, "an image file")
 
 

@@ -541,7 +541,9 @@ def splat_of(
     dome = Asset(
         "sky", (ellipsoid((440.0, 440.0, 440.0), (0.6, 0.7, 0.8), segments=48),)
     )
-    wanted = [(asset, config.objects, 0.62) for asset in contents.assets]
+    wanted: list[tuple[Asset, int, float]] = [
+        (asset, config.objects, 0.62) for asset in contents.assets
+    ]
     wanted += (
         [(contents.surroundings, config.surroundings, 0.62)]
         if contents.surroundings.meshes

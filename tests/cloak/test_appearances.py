@@ -268,7 +268,7 @@ def test_bad_appearances_are_refused() -> None:
             shown(**values)  # type: ignore[arg-type]
     with pytest.raises(
         InvalidValueError,
-        match="texture: expected one of road, grass, clock, football, stop_sign",
+        match="texture: expected an image file, or one of road, grass, clock, football",
     ):
         shown("paint", texture="lava")
     with pytest.raises(

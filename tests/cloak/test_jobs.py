@@ -50,11 +50,10 @@ CASES: list[tuple[str, set[str], dict[str, Any]]] = [
     (
         "scene",
         MADE,
-        {
-            "object": "bird",
-            "ground": "grass",
-        },
+        {"object": "bird", "ground": "grass"},
     ),
+    # in a study's rows, what detectors call the object
+    ("scene", {"seen"}, {"label": "truck"}),
     ("scene", MADE, {"ground_size": 12.0, "sun_azimuth": 10.0, "sun_elevation": 30.0}),
     ("scene", (MADE - {"pictures"}) | {"trained"}, {"background": (0.0, 0.0, 0.0)}),
     (

@@ -111,7 +111,10 @@ CLOAK = "study = 'cloak'\n"
             "cameras, train: expected a whole number >= 1 (pictures), got 3.5",
         ),
         (CLOAK + "[scene]\nobject = 'lorry'", "scene.object"),
-        (ONE + "appearance = 'paint'\ntexture = 'raod'", "did you mean road"),
+        (
+            ONE + "appearance = 'paint'\nelevation = [60, 90]\ntexture = 'raod'",
+            "did you mean road",
+        ),
         (
             ONE + "elevation = [60, 90]\n[[attack]]\nname = 'a'\nelevation = [60, 90]",
             "names of attacks: expected one",

@@ -11,7 +11,8 @@ from mi_splat.capture.mesh import Asset
 from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.objects import FOLDER, OBJECTS, object_file
 from scenes.recipes.objects import BUILDERS, build
-from scenes.recipes.objects.__main__ import IN_WHEEL, SEED, Shipped, shipped
+from scenes.recipes.objects.__main__ import IN_WHEEL, Shipped, shipped
+from scenes.recipes.objects.examples import SEED
 from scenes.recipes.objects.glb import glb_of
 
 pytestmark = pytest.mark.shipped
@@ -30,8 +31,8 @@ def same(read: Asset, made: Asset) -> None:
         assert one.smooth == other.smooth
         if one.texture.shape[:2] != (1, 1):
             # Mitsuba's v runs down
-            down = [np.float32(1) - mesh.uvs[:, 1] for mesh in (one, other)]
-            assert np.array_equal(*down)
+            down, wanted = (np.float32(1) - mesh.uvs[:, 1] for mesh in (one, other))
+            assert np.array_equal(down, wanted)
 
 
 @pytest.mark.parametrize("name", OBJECTS)
