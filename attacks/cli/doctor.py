@@ -333,9 +333,11 @@ REGISTRIES = {
     "mi_splat.audit_rules": ("mi_splat.audit.rules", "ADDED"),
     "mi_splat.conditions": ("attacks.observe.conditions", "CONDITIONS"),
     "mi_splat.detectors": ("attacks.detectors.registry", "DETECTORS"),
+    "mi_splat.formats": ("mi_splat.io.formats.format", "FORMATS"),
     "mi_splat.objectives": ("attacks.aims", "OBJECTIVES"),
     "mi_splat.poisons": ("attacks.poisons.specs", "POISONS"),
     "mi_splat.renderers": ("mi_splat.comparison.methods", "RENDERERS"),
+    "mi_splat.strategies": ("mi_splat.training.strategies", "STRATEGIES"),
 }
 """Who reads each group of entry points."""
 
