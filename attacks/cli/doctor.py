@@ -319,7 +319,7 @@ CHECKS = (
     ),
 )
 EXTRAS = {
-    "meshes": ("trimesh",),
+    "draco": ("DracoPy",),
     "ocr": ("rapidocr_onnxruntime",),
     "photos": ("pycolmap",),
     "report": ("jinja2", "matplotlib"),

@@ -212,8 +212,6 @@ def test_the_command_refuses_scenes(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    if name.endswith(".glb"):
-        pytest.importorskip("trimesh")
     scene = tmp_path / name
     if content is not None:
         scene.write_text(content)

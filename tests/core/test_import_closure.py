@@ -110,7 +110,6 @@ def test_what_is_loaded_by_a_whole_name_in_a_table_is_followed() -> None:
     assert {"mi_splat.io.formats.spz", "mi_splat.io.formats.sog"} <= set(
         closure("mi_splat.io.splat_files")
     )
-    assert "scenes.recipes.objects.elephant" in closure("scenes.recipes.objects")
     assert "attacks.cloak.layers" not in closure("mi_splat.io.splat_files")
 
 
