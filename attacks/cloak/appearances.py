@@ -26,6 +26,7 @@ from attacks.cloak.mesh_scene import (
     stand_in,
 )
 from mi_splat.cameras.camera import Camera, View, look_at, project_points
+from mi_splat.cameras.lens import Lens
 from mi_splat.capture.mesh import Asset, rotation
 from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.objects import object_file
@@ -438,9 +439,7 @@ class GroundLook:
         above = (float(middle[0]), float(middle[1]), float(low[2]) + _HEIGHT * reach)
         camera = Camera(
             to_world=look_at(above, (above[0], above[1], float(low[2]))),
-            focal=_HEIGHT * _SIZE / 2,
-            width=_SIZE,
-            height=_SIZE,
+            lens=Lens(focal=_HEIGHT * _SIZE / 2, size=(_SIZE, _SIZE)),
         )
         empty = self.mesh_scene.with_target(Asset(self.mesh_scene.target.name, ()))
         return camera, empty.picture(camera)

@@ -27,6 +27,7 @@ from attacks.cloak.poisoning import Poisoning
 from mi_splat.cameras.camera import Camera, project_box
 from mi_splat.cameras.directions import Point
 from mi_splat.cameras.framing import near_plane_of
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import HELD_OUT_START, framing, orbit, tiers
 from mi_splat.capture.daylight import Light
 from mi_splat.capture.ground import square_of_ground
@@ -87,14 +88,8 @@ class Pose:
     def camera(self) -> Camera:
         """The camera."""
         pose = torch.tensor(self.to_world, dtype=torch.float64).reshape(4, 4)
-        width, height = self.size
-        return Camera(
-            to_world=pose,
-            focal=self.focal,
-            width=width,
-            height=height,
-            principal=self.principal,
-        )
+        lens = Lens(focal=self.focal, size=self.size, principal=self.principal)
+        return Camera(to_world=pose, lens=lens)
 
 
 OBJECT = "object"
@@ -205,13 +200,13 @@ class Setup:
 
     @cached_property
     def lens(self) -> dict[str, Any]:
-        """Distance, focal length and size of every camera."""
-        cameras, size = self.cameras, (self.cameras.size, self.cameras.size)
-        distance, focal = framing(self._radius, fov=cameras.fov, size=size)
+        """Distance and lens of every camera."""
+        cameras = self.cameras
+        size = (cameras.size, cameras.size)
+        distance, lens = framing(self._radius, fov=cameras.fov, size=size)
         return {
             "distance": distance if cameras.distance is None else cameras.distance,
-            "focal": focal,
-            "size": size,
+            "lens": lens,
         }
 
     @cached_property

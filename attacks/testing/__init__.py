@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from attacks.testing.attacks import check_attack, check_poison
     from attacks.testing.detectors import check_detector, check_objective
     from attacks.testing.formats import check_format
+    from attacks.testing.projections import check_projection
     from attacks.testing.promises import ContractError
     from attacks.testing.renderers import check_condition, check_renderer, check_rule
     from attacks.testing.strategies import check_strategy
@@ -32,6 +33,7 @@ __all__ = [
     "check_format",
     "check_objective",
     "check_poison",
+    "check_projection",
     "check_renderer",
     "check_rule",
     "check_strategy",
@@ -43,6 +45,7 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.testing.attacks": ("check_attack", "check_poison"),
         "attacks.testing.detectors": ("check_detector", "check_objective"),
         "attacks.testing.formats": ("check_format",),
+        "attacks.testing.projections": ("check_projection",),
         "attacks.testing.promises": ("ContractError",),
         "attacks.testing.renderers": (
             "check_condition",

@@ -128,14 +128,13 @@ def _capture(options: CaptureOptions) -> None:
             options.scene, mesh=options.mesh, surroundings=options.surroundings
         )
     size = options.size or SIZE
-    distance, focal = framing(
+    distance, lens = framing(
         source.radius, fov=FOV if options.fov is None else options.fov, size=size
     )
     placed: dict[str, Any] = {
         "centre": source.centre if options.centre is None else options.centre,
         "distance": distance if options.distance is None else options.distance,
-        "focal": focal,
-        "size": size,
+        "lens": lens,
     }
     cameras = camera_set(options.cameras, **placed)
     unseen = no_surface_in_view(source.centre, source.radius, cameras)

@@ -93,12 +93,8 @@ class Capture:
     def cameras(self, centre: Sequence[float], radius: float) -> list[Camera]:
         """The cameras around an object."""
         size = SIZE, SIZE
-        distance, focal = framing(radius, fov=45.0, size=size)
-        lens: dict[str, Any] = {
-            "distance": 1.3 * distance,
-            "focal": focal,
-            "size": size,
-        }
+        distance, lens = framing(radius, fov=45.0, size=size)
+        placed: dict[str, Any] = {"distance": 1.3 * distance, "lens": lens}
         low, high = self.elevation
         if self.span == 360.0 and high - low > 12.0:
             return hemisphere(
@@ -106,14 +102,14 @@ class Capture:
                 count=self.count,
                 elevation=self.elevation,
                 start=self.start,
-                **lens,
+                **placed,
             )
         rings = max(1, round((high - low) / 12.0))
         around: dict[str, Any] = {
             "count": self.count // rings,
             "start": self.start,
             "span": self.span,
-            **lens,
+            **placed,
         }
         heights = [
             low + (high - low) * (number + 0.5) / rings for number in range(rings)

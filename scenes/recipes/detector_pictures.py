@@ -28,6 +28,7 @@ from torch import Tensor
 from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
 from mi_splat.cameras.camera import Camera, RenderFn, View, orbit_pose, project_points
 from mi_splat.cameras.directions import direction_of
+from mi_splat.cameras.lens import Lens
 from mi_splat.capture.daylight import Light
 from mi_splat.capture.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.capture.path_tracer import (
@@ -290,7 +291,7 @@ def framing_camera(
             centre.tolist(), azimuth=azimuth, elevation=elevation, distance=distance
         )
         pixels, _ = project_points(
-            cloud, Camera(to_world=pose, focal=focal, width=size, height=size)
+            cloud, Camera(to_world=pose, lens=Lens(focal=focal, size=(size, size)))
         )
         spread = float((pixels.amax(0) - pixels.amin(0)).max())
         distance = max(
@@ -307,7 +308,8 @@ def framing_camera(
     shift = rng.uniform(-1, 1, 2) * room
     principal = (size / 2 + float(shift[0]), size / 2 + float(shift[1]))
     return Camera(
-        to_world=pose @ turn, focal=focal, width=size, height=size, principal=principal
+        to_world=pose @ turn,
+        lens=Lens(focal=focal, size=(size, size), principal=principal),
     )
 
 
@@ -418,13 +420,12 @@ class SceneRenderer:
         """For each object: which fraction of its outline is seen, and whether that is
         more than an edge; few rays.
         """
-        small = replace(
-            camera,
+        lens = Lens(
             focal=camera.fx / _COARSE,
-            width=camera.width // _COARSE,
-            height=camera.height // _COARSE,
+            size=(camera.width // _COARSE, camera.height // _COARSE),
             principal=(camera.cx / _COARSE, camera.cy / _COARSE),
         )
+        small = replace(camera, lens=lens)
         fractions = []
         for asset, (seen, alone) in zip(
             self.contents.assets, self._outlines(small), strict=True
@@ -505,7 +506,7 @@ def background_camera(rng: Generator, size: int) -> Camera:
         elevation=float(rng.uniform(0, 90)),
         distance=float(rng.uniform(*_DISTANCE)),
     )
-    return Camera(to_world=pose, focal=focal, width=size, height=size)
+    return Camera(to_world=pose, lens=Lens(focal=focal, size=(size, size)))
 
 
 def splat_pictures(

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from mi_splat.cameras.camera import Camera, View, angle_of, look_at
+from mi_splat.cameras.camera import Camera, View, look_at
+from mi_splat.cameras.lens import Lens, angle_of
 from mi_splat.capture.mesh import Asset
 from mi_splat.capture.path_tracer import scene_dict
 from mi_splat.capture.sources import EXAMPLES, ExampleScene, Point
@@ -132,9 +133,7 @@ RECIPES = {
 def _camera(origin: NDArray[np.float64], target: NDArray[np.float64]) -> Camera:
     return Camera(
         to_world=look_at(origin.tolist(), target.tolist()),
-        focal=FOCAL,
-        width=SIZE,
-        height=SIZE,
+        lens=Lens(focal=FOCAL, size=(SIZE, SIZE)),
     )
 
 

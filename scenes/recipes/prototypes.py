@@ -60,15 +60,14 @@ def pictures_of(recipe: Recipe, name: str) -> Iterator[Tensor]:
     for number, (object_seed, ground) in enumerate(scenes):
         target = build(name, object_seed).body
         source = mesh_source(target, name, SurroundingsSettings(ground=ground))
-        distance, focal = framing(source.radius, fov=FOV, size=size)
+        distance, lens = framing(source.radius, fov=FOV, size=size)
         cameras = hemisphere(
             source.centre,
             count=recipe.views,
             distance=distance,
-            focal=focal,
-            size=size,
             elevation=recipe.elevations,
             start=_TURN * number,
+            lens=lens,
         )
         tracer = PathTracer(source.scene, samples=recipe.samples)
         yield from (

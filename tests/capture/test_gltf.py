@@ -173,8 +173,8 @@ def test_draco_is_unpacked_where_it_is_installed(tmp_path: Path) -> None:
     glb.document["buffers"] = [{"byteLength": len(data)}]
     path = tmp_path / "packed.glb"
     path.write_bytes(packed(glb.document, data))
-    rows = [
+    read, wanted = (
         np.sort(triangles(load_mesh(file)).reshape(-1, 3), axis=0)
         for file in (path, written(tmp_path))
-    ]
-    assert np.allclose(*rows, atol=1e-4)
+    )
+    assert np.allclose(read, wanted, atol=1e-4)

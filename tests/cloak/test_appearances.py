@@ -22,6 +22,7 @@ from attacks.cloak.appearances import (
 from attacks.cloak.config import AppearanceName, AttackConfig, SceneConfig
 from attacks.cloak.mesh_scene import MeshScene, repainted, stand_in
 from mi_splat.cameras.camera import Camera, View, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.capture.ground import grass
 from mi_splat.capture.mesh import Asset, translation
 from mi_splat.errors import InvalidValueError
@@ -49,7 +50,7 @@ def shown(
 
 def camera(azimuth: float, elevation: float, *, size: int = 16) -> Camera:
     pose = orbit_pose(CENTRE, azimuth=azimuth, elevation=elevation, distance=4.0)
-    return Camera(to_world=pose, focal=1.3 * size, width=size, height=size)
+    return Camera(to_world=pose, lens=Lens(focal=1.3 * size, size=(size, size)))
 
 
 @pytest.fixture(scope="module")

@@ -164,14 +164,7 @@ def done(
     store = store or folder / "stages"
     with known():
         work = work_of(study)
-        run_with(
-            InProcess(store, on_event=told),
-            work.study,
-            work,
-            store=store,
-            out=folder,
-            on_event=told,
-        )
+        run_with(InProcess(store, on_event=told), work, out=folder)
     return summary(folder), kinds
 
 
