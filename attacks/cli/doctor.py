@@ -337,6 +337,7 @@ REGISTRIES = {
     "mi_splat.poisons": ("attacks.poisons.specs", "POISONS"),
     "mi_splat.projections": ("mi_splat.cameras.lens", "PROJECTIONS"),
     "mi_splat.renderers": ("mi_splat.comparison.methods", "RENDERERS"),
+    "mi_splat.threats": ("attacks.threats", "THREATS"),
     "mi_splat.strategies": ("mi_splat.training.strategies", "STRATEGIES"),
 }
 """Who reads each group of entry points."""

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from attacks.testing.promises import ContractError
     from attacks.testing.renderers import check_condition, check_renderer, check_rule
     from attacks.testing.strategies import check_strategy
+    from attacks.testing.threats import check_threat
 
 __all__ = [
     "ContractError",
@@ -37,6 +38,7 @@ __all__ = [
     "check_renderer",
     "check_rule",
     "check_strategy",
+    "check_threat",
 ]
 
 __getattr__, __dir__ = _lazy.attach(
@@ -53,5 +55,6 @@ __getattr__, __dir__ = _lazy.attach(
             "check_rule",
         ),
         "attacks.testing.strategies": ("check_strategy",),
+        "attacks.testing.threats": ("check_threat",),
     },
 )

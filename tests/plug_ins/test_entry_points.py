@@ -36,7 +36,13 @@ from attacks.report.results import read_section
 from attacks.studies.attack import Attack
 from attacks.studies.dagger import _objective
 from attacks.studies.look import Look
-from attacks.testing import check_format, check_projection, check_strategy
+from attacks.testing import (
+    check_format,
+    check_projection,
+    check_strategy,
+    check_threat,
+)
+from attacks.threats import THREATS
 from mi_splat.audit.linting import lint_scene
 from mi_splat.cameras.camera import View
 from mi_splat.cameras.lens import PROJECTIONS, Lens
@@ -65,6 +71,7 @@ from attacks.observe.conditions import rendered, renderer_of
 from attacks.optimisers import OptimiserSpec
 from attacks.poisons.base import poisoned
 from attacks.poisons.specs import PoisonSpec
+from attacks.threats import Threat
 from mi_splat.audit.rules import Rule
 from mi_splat.cameras.lens import Projection
 from mi_splat.comparison.methods import RendererSpec
@@ -166,6 +173,14 @@ def write_rows(arrays, saving):
 
 
 FORMAT = Format(name="rows", suffixes=(".rows",), read=read_rows, write=write_rows)
+THREAT = Threat(
+    name="swell",
+    about="the object's Gaussians grow",
+    unit="log world units",
+    changes=("scales",),
+    start=lambda clean: clean["scales"].new_zeros(()),
+    apply=lambda value, tensors: {"scales": tensors["scales"] + value},
+)
 PROJECTION = Projection(
     name="shifted",
     ray=lambda u, v: ((u, v, 0.0), (0.5, 0.0, 1.0)),
@@ -207,6 +222,7 @@ ENTRIES = {
     "mi_splat.formats/rows": "brought:FORMAT",
     "mi_splat.strategies/still": "brought:StillConfig",
     "mi_splat.projections/shifted": "brought:PROJECTION",
+    "mi_splat.threats/swell": "brought:THREAT",
     "mi_splat.detectors/plugged": "brought:DETECTOR",
 }
 GROUPS: dict[str, Registry[Any]] = {
@@ -219,6 +235,7 @@ GROUPS: dict[str, Registry[Any]] = {
     "mi_splat.formats": FORMATS,
     "mi_splat.strategies": STRATEGIES,
     "mi_splat.projections": PROJECTIONS,
+    "mi_splat.threats": THREATS,
 }
 VIEWING = Viewing(
     settings=RenderSettings(), centre=(0.0, 0.0, 0.0), alone=lambda splat: splat
@@ -406,6 +423,22 @@ def test_a_projection_is_known_to_lenses(brought: Path) -> None:
     check_projection(lens.model)
     with pytest.raises(InvalidValueError, match="got shifted"):
         lens.require_perspective()
+
+
+def test_a_threat_is_attacked_from_the_command_line(
+    brought: Path, tmp_path: Path
+) -> None:
+    check_threat(THREATS["swell"])
+    scene, mask = toy_scene()
+    config = cli.parse(
+        "dagger", ["a.ply", "--attributes", "swell", "--eps", "0.5", "--steps", "2"]
+    ).config
+    result = attack(
+        scene, mask, camera(), ColourDetector(), hide(), render=blobs, config=config
+    )
+    assert 0 < result.used["swell"] <= 0.5
+    write_report(result, tmp_path / "out")
+    assert "swell" in read_section(tmp_path / "out").done
 
 
 def test_a_detector_is_loaded_and_listed(

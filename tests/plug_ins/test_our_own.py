@@ -33,8 +33,10 @@ from attacks.testing import (
     check_renderer,
     check_rule,
     check_strategy,
+    check_threat,
 )
 from attacks.testing.promises import cloud
+from attacks.threats import THREATS
 from mi_splat.audit.rules import RULES
 from mi_splat.cameras.camera import View
 from mi_splat.cameras.lens import PROJECTIONS
@@ -175,3 +177,8 @@ def test_rules(rule: Any) -> None:
 @pytest.mark.parametrize("name", PROJECTIONS)
 def test_projections(name: str) -> None:
     check_projection(PROJECTIONS[name])
+
+
+@pytest.mark.parametrize("name", THREATS)
+def test_threats(name: str) -> None:
+    check_threat(THREATS[name])

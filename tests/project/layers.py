@@ -75,7 +75,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "viewer": ("mi_splat.viewer",),
     "commands of mi_splat": ("mi_splat.cli",),
     "interfaces of attacks": (
-        *("attacks.rate", "attacks.tables"),
+        *("attacks.rate", "attacks.tables", "attacks.threats"),
         *(
             "attacks.optimisers",
             "attacks.search",
