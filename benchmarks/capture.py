@@ -22,7 +22,7 @@ from mi_splat.capture.sources import open_source
 
 SIZE = 256
 SAMPLES = 32
-SCENES = ("car:900004", "car_street")
+SCENES = ("car", "car_street")
 ANGLES = (0.0, 60.0, 120.0)
 """Azimuths of the pictures, of which each run takes the next one."""
 

@@ -318,7 +318,7 @@ CHECKS = (
     ),
 )
 EXTRAS = {
-    "meshes": ("trimesh",),
+    "draco": ("DracoPy",),
     "ocr": ("rapidocr_onnxruntime",),
     "photos": ("pycolmap",),
     "report": ("jinja2", "matplotlib"),

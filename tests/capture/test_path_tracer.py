@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset
-from mi_splat.assets.primitives import box, ellipsoid, quad, sheet
 from mi_splat.cameras.camera import Camera, look_at, orbit_pose, project_points
 from mi_splat.cameras.lens import Lens
 from mi_splat.capture import path_tracer
+from mi_splat.capture.daylight import Light
+from mi_splat.capture.mesh import Asset
 from mi_splat.capture.path_tracer import (
     FEW_PICTURES,
     MANY_PICTURES,
@@ -27,6 +26,7 @@ from mi_splat.capture.path_tracer import (
 )
 from mi_splat.maths.metrics import psnr
 from scenes.recipes.mesh_views import capture, depth_maps
+from scenes.recipes.objects.primitives import box, ellipsoid, quad, sheet
 
 EVEN = Light(
     sun_strength=0.0, sky_strength=1.0, zenith=(1, 1, 1), horizon=(1, 1, 1), clouds=0.0

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from mi_splat.assets.mesh import Asset
-from mi_splat.assets.primitives import box, quad
 from mi_splat.cameras.camera import Camera, View, look_at
 from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
+from mi_splat.capture.mesh import Asset
 from mi_splat.capture.writer import (
     SurfaceSamples,
     fit_colours,
@@ -20,6 +19,7 @@ from mi_splat.capture.writer import (
     surface_samples,
 )
 from mi_splat.maths.sh import sh_to_colour
+from scenes.recipes.objects.primitives import box, quad
 
 CUBE = Asset("cube", (box((1, 1, 1), (0.7, 0.2, 0.1), centre=(0, 0, 0.5)),))
 PLANE = Asset(

@@ -18,8 +18,6 @@ from mi_splat.capture.sources import open_source
 from mi_splat.datasets import load_dataset
 from tests.capture.trucks import truck, write_glb
 
-pytest.importorskip("trimesh")
-
 
 def picture(source: Any, *, size: int = 32) -> Tensor:
     (camera,) = orbit(

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 import torch
 
-from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset
-from mi_splat.assets.primitives import box, quad
 from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import hemisphere, orbit
+from mi_splat.capture.daylight import Light
+from mi_splat.capture.mesh import Asset
 from mi_splat.capture.path_tracer import PathTracer, scene_dict
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
@@ -23,6 +22,7 @@ from mi_splat.capture.writer import surface_points, write_capture
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from scenes.recipes.mesh_views import capture
+from scenes.recipes.objects.primitives import box, quad
 
 RED = (0.8, 0.1, 0.1)
 GREEN = (0.1, 0.7, 0.1)

@@ -47,13 +47,13 @@ from attacks.detectors.torchvision import (
 )
 from attacks.detectors.weights import apply_weights, fingerprint
 from attacks.testing import check_detector
-from mi_splat.assets import build
 from mi_splat.cameras.camera import Camera, orbit_pose, project_box
 from mi_splat.cameras.lens import Lens
 from mi_splat.capture.path_tracer import scene_dict
 from mi_splat.errors import InvalidValueError
 from scenes.recipes.detector_surroundings import daylight, plain
 from scenes.recipes.mesh_views import capture
+from scenes.recipes.objects import build
 from tests.detectors.contract import random_detector, slope_is_the_gradient, warm_up
 
 LIGHT = ("fasterrcnn_small", "fasterrcnn_mobilenet_v3_large_320_fpn")

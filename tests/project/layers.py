@@ -48,7 +48,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "mi_splat.cameras.sets",
     ),
     "preparation": ("mi_splat.preparation",),
-    "objects": ("mi_splat.assets",),
+    "objects": ("scenes.recipes.objects",),
     "rasterizer": (
         "mi_splat.render",
         "mi_splat.render.settings",
