@@ -201,24 +201,24 @@ def over_objects(
     where it is not that.
     """
     first, *others = studies.values()
-    attacks = [(study.attack, study.scene.object) for study in studies.values()]
-    seeds = {title: study.scene.seed for title, study in studies.items()}
+    attacks = [(study.attack, study.scene.class_name) for study in studies.values()]
+    objects = {title: study.scene.object for title, study in studies.items()}
     if (
         not others
         or any(attack != attacks[0] for attack in attacks)
-        or len({*seeds.values()}) < len(seeds)
+        or len({*objects.values()}) < len(objects)
     ):
         return None
     if "condition" in rows.columns:
         plain = rows.filter(pl.col("condition").is_null())
     else:
         plain = rows
-    numbered = plain.filter(pl.col("attack").is_in([*seeds])).with_columns(
-        object=pl.col("attack").replace_strict(seeds, return_dtype=pl.Int64)
+    numbered = plain.filter(pl.col("attack").is_in([*objects])).with_columns(
+        object=pl.col("attack").replace_strict(objects, return_dtype=pl.String)
     )
     counted = rates(first, numbered, ("detector",), objects="object")
     return {
-        "objects": len(seeds),
+        "objects": len(objects),
         "by_detector": _by_detector(counted, first.evaluation.detectors),
         OWN_REGION: _by_region(first, numbered, objects="object"),
     }
@@ -363,7 +363,7 @@ def by_azimuth(
     is hidden all around.
     """
     confidence = study.evaluation.confidence
-    name = study.scene.object
+    name = study.scene.class_name
     below = [
         pl.col(f"{DEPTH}{attack.name}") < 0
         for attack in study.attack

@@ -45,7 +45,7 @@ class CloakConfig:
 
 def _cloak(config: CloakConfig, given: Given) -> PicturePoison:
     assert given.setup is not None
-    setup = replace(given.setup, attacks=config.attack)
+    setup = replace(given.setup, attacks=config.attack).given(given.appearances)
 
     def kept(appearance: Appearance, attack: AttackConfig) -> Appearance:
         return KeptAppearance(
@@ -105,7 +105,8 @@ def run(config: PoisonedConfig, inputs: Mapping[str, Path], out: Out) -> None:
         write_poisoned(out / SET, views, poisoned(views, pictures, {}))
         return
     chosen = config.poison
-    attack = chosen.spec.make(chosen.config, _given(config, inputs))
+    given = _given(config, chosen.spec, inputs)
+    attack = chosen.spec.make(chosen.config, given)
     with tracing_variant() if chosen.kind == CLOAK else nullcontext():
         done = attack(
             views, seed=config.seed, on_step=partial(out.progress, "poisoning")
@@ -116,8 +117,10 @@ def run(config: PoisonedConfig, inputs: Mapping[str, Path], out: Out) -> None:
         save_png(difference_sheet(done), out / SHEET)
 
 
-def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
-    setup = config.scene
+def _given(
+    config: PoisonedConfig, spec: PoisonSpec, inputs: Mapping[str, Path]
+) -> Given:
+    setup = config.scene and config.scene.given(inputs)
     decoy = classifier = masks = None
     if "splat" in inputs:
         assert config.near is not None
@@ -128,10 +131,11 @@ def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
             start=start, near=config.near, background=config.background, victim=victim
         )
     if config.classifier:
-        assert setup is not None
         classifier = checked_classifier(
             config.classifier, config.fingerprint, config.device
         )
+    if "object" in spec.needs:
+        assert setup is not None
         with tracing_variant():
             masks = [setup.mesh_scene.mask(camera) for camera in setup.training_cameras]
     return Given(

@@ -272,7 +272,10 @@ class PoisonAttempt(Attempt):
         values: dict[str, Any] = {"device": options.device}
         inputs: dict[str, Part | Path] = {"pictures": self.pictures.part(SET_FILES)}
         if "classifier" in needs:
-            values |= {**self._deceived(config.target), "scene": self.steps.scene_job()}
+            values |= self._deceived(getattr(config, "target", None))
+        if "object" in needs:
+            values["scene"] = self.steps.scene_job()
+            inputs |= self.steps.object_input
         if "splat" in needs or getattr(config, "decoy_steps", 0) > 0:
             recipe = options.attacker or options.training
             start = self.clean
@@ -310,7 +313,7 @@ class PoisonAttempt(Attempt):
 
     def _classifier_cells(self, name: str) -> dict[str, Any]:
         """A classifier, which has to know the object's class."""
-        label = self.options.scene.object
+        label = self.options.scene.class_name
         classifier = classifier_of(name)
         check_choice(f"class for {name}", label, classifier.classes)
         device = self.options.device
@@ -370,7 +373,9 @@ class PoisonAttempt(Attempt):
     def _detected(self, name: str, shown: Job, condition: str) -> Job:
         """What a detector reports, which has to know the object's class."""
         detector = loaded(name)
-        check_choice(f"class for {name}", self.options.scene.object, detector.classes)
+        check_choice(
+            f"class for {name}", self.options.scene.class_name, detector.classes
+        )
         return self.steps.seen(shown, detector, training=TRAINING in condition)
 
     def _trained(

@@ -10,6 +10,7 @@ import torch
 
 from mi_splat.attributes import LARGEST
 from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.io import (
     SplatFileError,
     SplatFileWarning,
@@ -354,6 +355,6 @@ def test_renderers_bear_the_largest_values(
         (scene, (LARGEST, 1, 1)),
     ):
         camera = Camera(
-            to_world=look_at(eye, (0, 0, 0)), focal=focal, width=32, height=24
+            to_world=look_at(eye, (0, 0, 0)), lens=Lens(focal=focal, size=(32, 24))
         )
         assert Renderer(RenderSettings(method=method))(shown, camera).isfinite().all()

@@ -181,7 +181,7 @@ def test_converting_what_was_turned_is_turning_what_was_converted(
 
 
 def test_trimesh_draws_our_gltf_as_points(tmp_path: Path) -> None:
-    trimesh = pytest.importorskip("trimesh", reason="the extra meshes is not there")
+    trimesh = pytest.importorskip("trimesh")
     scene = tame_scene(50, 1)
     save_splat(scene, tmp_path / "a.glb")
     with warnings.catch_warnings():

@@ -37,9 +37,16 @@ from attacks.report.results import read_section
 from attacks.studies.attack import Attack
 from attacks.studies.dagger import _objective
 from attacks.studies.look import Look
-from attacks.testing import check_format, check_strategy
+from attacks.testing import (
+    check_format,
+    check_projection,
+    check_strategy,
+    check_threat,
+)
+from attacks.threats import THREATS
 from mi_splat.audit.linting import lint_scene
 from mi_splat.cameras.camera import View
+from mi_splat.cameras.lens import PROJECTIONS, Lens
 from mi_splat.comparison.methods import RENDERERS, load_method
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import load_splat, save_splat
@@ -65,7 +72,9 @@ from attacks.observe.conditions import rendered, renderer_of
 from attacks.optimisers import OptimiserSpec
 from attacks.poisons.base import poisoned
 from attacks.poisons.specs import PoisonSpec
+from attacks.threats import Threat
 from mi_splat.audit.rules import Rule
+from mi_splat.cameras.lens import Projection
 from mi_splat.comparison.methods import RendererSpec
 from mi_splat.io import SplatFileError
 from mi_splat.io.formats.format import Format
@@ -165,6 +174,19 @@ def write_rows(arrays, saving):
 
 
 FORMAT = Format(name="rows", suffixes=(".rows",), read=read_rows, write=write_rows)
+THREAT = Threat(
+    name="swell",
+    about="the object's Gaussians grow",
+    unit="log world units",
+    changes=("scales",),
+    start=lambda clean: clean["scales"].new_zeros(()),
+    apply=lambda value, tensors: {"scales": tensors["scales"] + value},
+)
+PROJECTION = Projection(
+    name="shifted",
+    ray=lambda u, v: ((u, v, 0.0), (0.5, 0.0, 1.0)),
+    place=lambda x, y, z: (x - 0.5 * z, y),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,6 +222,8 @@ ENTRIES = {
     "mi_splat.audit_rules/many": "brought:RULE",
     "mi_splat.formats/rows": "brought:FORMAT",
     "mi_splat.strategies/still": "brought:StillConfig",
+    "mi_splat.projections/shifted": "brought:PROJECTION",
+    "mi_splat.threats/swell": "brought:THREAT",
     "mi_splat.detectors/plugged": "brought:DETECTOR",
 }
 GROUPS: dict[str, Registry[Any]] = {
@@ -211,6 +235,8 @@ GROUPS: dict[str, Registry[Any]] = {
     "mi_splat.poisons": POISONS,
     "mi_splat.formats": FORMATS,
     "mi_splat.strategies": STRATEGIES,
+    "mi_splat.projections": PROJECTIONS,
+    "mi_splat.threats": THREATS,
 }
 VIEWING = Viewing(
     settings=RenderSettings(), centre=(0.0, 0.0, 0.0), alone=lambda splat: splat
@@ -389,6 +415,29 @@ def test_a_strategy_has_flags_of_its_own(brought: Path) -> None:
     assert strategy_name(strategy) == "still"
     assert strategy.patience == 5
     check_strategy(strategy)
+
+
+def test_a_projection_is_known_to_lenses(brought: Path) -> None:
+    lens = Lens(focal=10.0, size=(8, 8), projection="shifted")
+    check_projection(lens.model)
+    with pytest.raises(InvalidValueError, match="got shifted"):
+        lens.require_perspective()
+
+
+def test_a_threat_is_attacked_from_the_command_line(
+    brought: Path, tmp_path: Path
+) -> None:
+    check_threat(THREATS["swell"])
+    scene, mask = toy_scene()
+    config = cli.parse(
+        "dagger", ["a.ply", "--attributes", "swell", "--eps", "0.5", "--steps", "2"]
+    ).config
+    result = attack(
+        scene, mask, camera(), ColourDetector(), hide(), render=blobs, config=config
+    )
+    assert 0 < result.used["swell"] <= 0.5
+    write_report(result, tmp_path / "out")
+    assert "swell" in read_section(tmp_path / "out").done
 
 
 def test_a_detector_is_loaded_and_listed(
