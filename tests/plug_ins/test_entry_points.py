@@ -16,14 +16,14 @@ import pytest
 import torch
 
 from attacks import cli
-from attacks.aims import OBJECTIVES, PluggedObjective, objective_of
 from attacks.cli import doctor
 from attacks.cli.poison import kind_names, kind_of
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary, write_report
 from attacks.detectors import DETECTORS, load_detector
-from attacks.objectives import hide
+from attacks.objectives import OBJECTIVES, PluggedObjective, objective_of
+from attacks.objectives.suppression import hide
 from attacks.observe.conditions import (
     CONDITIONS,
     Viewing,
@@ -65,9 +65,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from attacks.aims import ObjectiveSpec
+from attacks.objectives import ObjectiveSpec
 from attacks.detectors import DetectorSpec
-from attacks.objectives import confidence, objective
+from attacks.objectives.base import confidence
+from attacks.objectives.function import objective
 from attacks.observe.conditions import rendered, renderer_of
 from attacks.optimisers import OptimiserSpec
 from attacks.poisons.base import poisoned
@@ -578,7 +579,7 @@ def test_the_command_line_knows_them(
 
 
 LAZY = (
-    'from attacks.aims import ObjectiveSpec\nIT = ObjectiveSpec(name="dull",'
+    'from attacks.objectives import ObjectiveSpec\nIT = ObjectiveSpec(name="dull",'
     " make=lambda label, least: 3)\n"
 )
 
