@@ -26,8 +26,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from mi_splat.ledger import Event, Job, Store
 from mi_splat.ledger.engines import Cluster
-from mi_splat.ledger.plans import Driver, grid, plan, status
+from mi_splat.ledger.plans import Driver, grid
 from mi_splat.ledger.running import task_for
+from mi_splat.ledger.states import status
 from mi_splat.ledger.store import record_text
 from tests.ledger.drive import Ledger
 from tests.ledger.kinds.configs import NumbersConfig
@@ -121,7 +122,7 @@ def main() -> None:
         results[f"ms a job on a cluster of {workers}"] = each * 1e3
         results[f"times that of one process, on {workers}"] = each / plain
     store = Store(options.folder / "many")
-    results[f"s to plan {MANY:,}"] = timed(lambda: plan(store, "few", numbers(MANY)))
+    results[f"s to plan {MANY:,}"] = timed(lambda: status(store, numbers(MANY)))
     many = numbers(options.jobs)
     fill(store, many)
     results[f"s for the status of {options.jobs:,}"] = timed(
