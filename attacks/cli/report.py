@@ -103,9 +103,9 @@ class RowsOptions(JsonOptions):
 
     result: Positional[Folder]
     """Folder of a result."""
-    table: Literal["rows", "detections", "fidelity", "transition"] = "rows"
-    """Which table: what is reported on the object, every single detection, or (cloak)
-    pictures without a detector.
+    table: Literal["rows", "detections", "fidelity", "transition", "figures"] = "rows"
+    """Which table: what is reported on the object, every single detection, (cloak)
+    images without a detector, or the figures of the result.
     """
     csv: bool = False
     """Write the table as CSV on stdout."""

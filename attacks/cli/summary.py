@@ -21,7 +21,13 @@ def show_summary(result: Path, *, as_json: bool, tables: int = 0) -> None:
     where to look.
     """
     if as_json:
-        show_json({**read_json(result / RECORD), "out": str(result)})
+        from attacks.figures.frame import read_figures
+        from attacks.observe.rows import FIGURES_FILE
+
+        document = {**read_json(result / RECORD), "out": str(result)}
+        if (result / FIGURES_FILE).is_file():
+            document["figures"] = read_figures(result).as_dicts()
+        show_json(document)
         return
     from attacks.report.results import read_section
 
@@ -35,7 +41,8 @@ def show_summary(result: Path, *, as_json: bool, tables: int = 0) -> None:
     if section.pictures:
         show(f"Look at {section.pictures[0].path} first.")
     show(
-        f"{result}: every number is in {RECORD}; mi-splat report {result} makes a page."
+        f"{result}: every figure is in figures.csv; mi-splat report {result} makes a"
+        " page."
     )
 
 

@@ -42,6 +42,8 @@ PATH = "path"
 """
 TABLES = (ROWS, DETECTIONS, FIDELITY, TRANSITION, PATH)
 SUFFIX = ".csv.xz"
+FIGURES = "figures"
+FIGURES_FILE = f"{FIGURES}.csv"
 CLEAN = "clean"
 ATTACKED = "attacked"
 NOISE = "noise"
@@ -102,7 +104,12 @@ TARGET_SCORE = "target_score: "
 """Heads of the columns that each attack of a study of CLOAK has; its name follows."""
 
 _TABLE: tuple[tuple[str, ...], ...] = (
-    ("attack", "text", "name of the attack in its study"),
+    ("part", "text?", "part of the study"),
+    ("axis: ", "text?", "value of NAME, which the study varies"),
+    ("setting", "text?", "all values that the study varies"),
+    ("scope", "text?", "what is counted together, where that is not everything"),
+    ("attack", "text?", "name of the attack in its study"),
+    ("trigger", "text?", "attack of CLOAK whose trigger is counted"),
     ("sources", "text", "attacked detectors, joined by +"),
     (
         "seed",
@@ -116,7 +123,7 @@ _TABLE: tuple[tuple[str, ...], ...] = (
     ),
     (
         "splat",
-        "text",
+        "text?",
         "clean (control), attacked, noise, smooth-noise, norm-noise (random)",
     ),
     (
@@ -124,7 +131,13 @@ _TABLE: tuple[tuple[str, ...], ...] = (
         "whole?",
         "index of the draw of a random change, from 0; empty for other splats",
     ),
-    ("detector", "text", "name of the detector"),
+    ("detector", "text?", "name of the detector; in figures empty: all together"),
+    ("judge", "text?", "name of a detector that checks another one"),
+    (
+        "access",
+        "text?",
+        "white-box: the detector that judges was attacked; else black-box",
+    ),
     ("view", "whole", "index of the camera in cameras.json, or of the image, from 0"),
     (
         "object",
@@ -132,7 +145,7 @@ _TABLE: tuple[tuple[str, ...], ...] = (
         "index of the object in the image, from 0; empty: the detection matches none",
     ),
     ("camera", "text", "name of the camera"),
-    ("meridian", "whole", "index of the meridian of a transition"),
+    ("meridian", "whole?", "index of the meridian of a transition"),
     ("azimuth", "number", "azimuth of the camera, from +x towards +y", "degrees"),
     ("elevation", "number", "elevation of the camera above the ground", "degrees"),
     ("distance", "number", "distance of the camera from the centre", "world units"),
@@ -258,6 +271,16 @@ _TABLE: tuple[tuple[str, ...], ...] = (
         "number",
         "fraction of the transition from the benign to the hidden appearance",
     ),
+    ("from", "number?", "lower end of the angles that are counted", "degrees"),
+    ("to", "number?", "upper end of the angles that are counted", "degrees"),
+    ("measure", "text", "what is counted or measured"),
+    ("successes", "whole?", "of a rate: in how many it holds"),
+    ("total", "whole?", "of a rate: how many are counted; of a mean: of how many"),
+    ("value", "number?", "the figure that is no rate"),
+    ("low", "number?", "lower end of the 95 % interval"),
+    ("high", "number?", "upper end of the 95 % interval"),
+    ("least", "number?", "the smallest of the values that the figure summarises"),
+    ("most", "number?", "the largest of them"),
 )
 """Name, kind, meaning and unit of every column; a question mark: a cell may be
 empty.
@@ -358,7 +381,9 @@ def rows_bytes(rows: pl.DataFrame) -> bytes:
 
 def write_rows(rows: pl.DataFrame, path: Path) -> Path:
     """Write a table; equal tables have equal bytes."""
-    data = packed(rows_bytes(rows))
+    data = rows_bytes(rows)
+    if path.suffix == ".xz":
+        data = packed(data)
     with atomic_write(path) as file:
         file.write(data)
     return path
@@ -422,7 +447,8 @@ def rows(result: str | Path, table: str = ROWS) -> pl.DataFrame:
     Raises:
         InvalidValueError: The result does not have this table, or its file is none.
     """
-    path = file_in(Path(result), f"{table}{SUFFIX}")
+    name = FIGURES_FILE if table == FIGURES else f"{table}{SUFFIX}"
+    path = file_in(Path(result), name)
     if not path.is_file():
         do = "pass a folder that mi-splat dagger, evaluate, cloak or study has written"
         raise InvalidValueError.of(

@@ -16,7 +16,7 @@ import pytest
 
 from attacks import cli
 from attacks.rate import Rate
-from attacks.tables import Table
+from attacks.figures.tables import Table
 
 pytest.importorskip("jinja2", reason="pages need the extra report")
 pytest.importorskip("matplotlib", reason="pages need the extra report")
