@@ -80,7 +80,7 @@ def figures(
             *_rates(study, plain),
             by_elevation(study, plain),
             *_under_conditions(study, conditioned),
-            Figures.of(_costs(study, tables)),
+            Figures.of(costs(study, tables)),
             Figures.of(_sizes(splats)),
         ]
     )
@@ -278,27 +278,34 @@ def _under_conditions(study: StudyConfig, rows: pl.DataFrame) -> Iterator[Figure
     }
     yield rates(paired, targets, *by)
     if "psnr" in paired.columns:
-        for key, seen in paired.group_by([*by, "splat"], maintain_order=True):
-            labels = dict(zip((*by, "splat"), key, strict=True))
-            yield Figures.of(
-                ({MEASURE: f"psnr_{name}", **labels}, pooled_psnr(seen, measure))
-                for name, measure in wanted.items()
-            )
+        yield Figures.of(_psnr_by(paired, wanted, (*by, "splat")))
 
 
-def pooled_psnr(rows: pl.DataFrame, measure: Measure) -> float | None:
-    """PSNR of the mean squared error over all images that a measure counts, dB; None
-    where all are the same, or there are none.
+def _psnr_by(
+    rows: pl.DataFrame, measures: Measures, by: Sequence[str]
+) -> Iterator[tuple[Labels, float | None]]:
+    """PSNR of the images that each measure counts."""
+    for key, seen in rows.group_by(by, maintain_order=True):
+        labels = dict(zip(by, key, strict=True))
+        for name, measure in measures.items():
+            assert measure.given is not None
+            psnr = pooled_psnr(seen.filter(measure.given)["psnr"])
+            yield {MEASURE: f"psnr_{name}", **labels}, psnr
+
+
+def pooled_psnr(values: pl.Series) -> float | None:
+    """PSNR of the mean squared error over all images, dB; None where all are the same,
+    or there are none.
     """
-    counted = rows if measure.given is None else rows.filter(measure.given)
-    errors = [0.0 if psnr is None else 10 ** (-psnr / 10) for psnr in counted["psnr"]]
+    errors = [0.0 if psnr is None else 10 ** (-psnr / 10) for psnr in values]
     return -10 * math.log10(statistics.mean(errors)) if any(errors) else None
 
 
 # What the attack costs in images
 
 
-def _costs(study: StudyConfig, tables: Tables) -> Costs:
+def costs(study: StudyConfig, tables: Tables) -> Costs:
+    """Loss of quality, and the transition."""
     yield from _fidelity(tables[FIDELITY])
     yield from _transition(study, tables)
     attack = switching(study.attack)

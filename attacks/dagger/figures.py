@@ -38,7 +38,7 @@ def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> Fi
         elevations = settings["judged"]["cameras"]["elevations"]
     return attack_figures(
         tables[ROWS],
-        list(record["detectors"]),
+        [str(one["detector"]) for one in record["detectors"]],
         record["target"],
         settings["required_views"],
         elevations,

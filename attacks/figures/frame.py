@@ -18,7 +18,7 @@ import polars as pl
 from attacks.observe.rows import (
     FIGURES_FILE,
     Cell,
-    column_of,
+    columns_of,
     frame_of,
     read_rows,
     write_rows,
@@ -197,10 +197,11 @@ def _rounded(number: float) -> float:
 
 
 def _figure(numbers: Mapping[str, Any]) -> Figure:
-    successes = numbers["successes"]
-    if successes is not None:
+    if numbers["successes"] is not None:
         interval = (numbers["low"], numbers["high"])
-        return Rate.with_interval(successes, numbers["total"], interval)
+        return Rate.with_interval(numbers["successes"], numbers["total"], interval)
+    if numbers["value"] is None:
+        raise ValueError("a figure without a number")
     return Number(**{name: numbers[name] for name in NUMBERS[1:]})
 
 
@@ -226,6 +227,6 @@ def text_of(key: Key) -> str:
     """The labels of a figure in a line, the measure first."""
     labels = dict(key)
     measure = labels.pop(MEASURE, "")
-    columns = sorted(labels, key=lambda name: column_of(name).name)
-    parts = [f"{name.removeprefix(AXIS)} {labels[name]}" for name in columns]
+    names = [column.name for column in columns_of(labels)]
+    parts = [f"{name.removeprefix(AXIS)} {labels[name]}" for name in names]
     return ", ".join([str(measure), *parts])

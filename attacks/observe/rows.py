@@ -103,13 +103,16 @@ POISON_DEPTH = "poison_depth: "
 TARGET_SCORE = "target_score: "
 """Heads of the columns that each attack of a study of CLOAK has; its name follows."""
 
+_MEASURE = "measure"
+"""The column that only tables of figures have: in these, labels may be empty."""
+
 _TABLE: tuple[tuple[str, ...], ...] = (
-    ("part", "text?", "part of the study"),
-    ("axis: ", "text?", "value of NAME, which the study varies"),
-    ("setting", "text?", "all values that the study varies"),
-    ("scope", "text?", "what is counted together, where that is not everything"),
-    ("attack", "text?", "name of the attack in its study"),
-    ("trigger", "text?", "attack of CLOAK whose trigger is counted"),
+    ("part", "text", "part of the study"),
+    ("axis: ", "text", "value of NAME, which the study varies"),
+    ("setting", "text", "all values that the study varies"),
+    ("scope", "text", "what is counted together, where that is not everything"),
+    ("attack", "text", "name of the attack in its study"),
+    ("trigger", "text", "attack of CLOAK whose trigger is counted"),
     ("sources", "text", "attacked detectors, joined by +"),
     (
         "seed",
@@ -123,7 +126,7 @@ _TABLE: tuple[tuple[str, ...], ...] = (
     ),
     (
         "splat",
-        "text?",
+        "text",
         "clean (control), attacked, noise, smooth-noise, norm-noise (random)",
     ),
     (
@@ -131,11 +134,11 @@ _TABLE: tuple[tuple[str, ...], ...] = (
         "whole?",
         "index of the draw of a random change, from 0; empty for other splats",
     ),
-    ("detector", "text?", "name of the detector; in figures empty: all together"),
-    ("judge", "text?", "name of a detector that checks another one"),
+    ("detector", "text", "name of the detector"),
+    ("judge", "text", "name of a detector that checks another one"),
     (
         "access",
-        "text?",
+        "text",
         "white-box: the detector that judges was attacked; else black-box",
     ),
     ("view", "whole", "index of the camera in cameras.json, or of the image, from 0"),
@@ -145,7 +148,7 @@ _TABLE: tuple[tuple[str, ...], ...] = (
         "index of the object in the image, from 0; empty: the detection matches none",
     ),
     ("camera", "text", "name of the camera"),
-    ("meridian", "whole?", "index of the meridian of a transition"),
+    ("meridian", "whole", "index of the meridian of a transition"),
     ("azimuth", "number", "azimuth of the camera, from +x towards +y", "degrees"),
     ("elevation", "number", "elevation of the camera above the ground", "degrees"),
     ("distance", "number", "distance of the camera from the centre", "world units"),
@@ -271,9 +274,9 @@ _TABLE: tuple[tuple[str, ...], ...] = (
         "number",
         "fraction of the transition from the benign to the hidden appearance",
     ),
-    ("from", "number?", "lower end of the angles that are counted", "degrees"),
-    ("to", "number?", "upper end of the angles that are counted", "degrees"),
-    ("measure", "text", "what is counted or measured"),
+    ("from", "number", "lower end of the angles that are counted", "degrees"),
+    ("to", "number", "upper end of the angles that are counted", "degrees"),
+    (_MEASURE, "text", "what is counted or measured"),
     ("successes", "whole?", "of a rate: in how many it holds"),
     ("total", "whole?", "of a rate: how many are counted; of a mean: of how many"),
     ("value", "number?", "the figure that is no rate"),
@@ -374,8 +377,7 @@ def by_camera(rows: pl.DataFrame) -> pl.DataFrame:
 def rows_bytes(rows: pl.DataFrame) -> bytes:
     """A table as the text of a CSV file; equal tables have equal bytes."""
     columns = columns_of(rows.columns)
-    for column in columns:
-        _check_column(column, rows[column.name])
+    _check_columns(columns, rows)
     return rows.select(column.name for column in columns).write_csv().encode()
 
 
@@ -427,8 +429,7 @@ def read_rows(path: Path) -> pl.DataFrame:
             "a CSV file with the types of its columns",
             str(error).splitlines()[0][:160],
         ) from error
-    for column in columns:
-        _check_column(column, table[column.name], f"{path}, ")
+    _check_columns(columns, table, f"{path}, ")
     return table
 
 
@@ -474,7 +475,18 @@ def _unpacked(path: Path) -> bytes:
     return data
 
 
-def _check_column(column: Column, cells: pl.Series, where: str = "") -> None:
+def _check_columns(
+    columns: Sequence[Column], table: pl.DataFrame, where: str = ""
+) -> None:
+    """Raise unless every cell is of the kind of its column."""
+    has_figures = _MEASURE in table.columns
+    for column in columns:
+        if has_figures and column.name != _MEASURE:  # which may be of everything
+            column = replace(column, optional=True)
+        _check_column(column, table[column.name], where)
+
+
+def _check_column(column: Column, cells: pl.Series, where: str) -> None:
     """Raise if a cell is empty that must not be, or a number is not finite."""
     if cells.dtype not in (_TYPES[column.kind], pl.Null):
         raise _broken(

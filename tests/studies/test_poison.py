@@ -14,6 +14,7 @@ from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli import main
 from attacks.cloak.config import SceneConfig
 from attacks.detectors import registry
+from attacks.figures.frame import read_figures
 from attacks.observe.rows import rows
 from attacks.studies.poison import PoisonWork, classifier_of
 from attacks.studies.study_file import study_of
@@ -56,11 +57,12 @@ def test_a_study_is_done_and_shown(
     assert main(["study", "run", "small.toml", "--workers", "0"]) == 0
     folder = Path("out/studies/small")
     record = read_json(folder / "result.json")
-    values = {f"{value['part']}: {value['value']}": value for value in record["values"]}
-    assert [*values] == ["kinds: noise", "defended: defended"]
-    assert values["kinds: noise"]["seeds"] == [0, 1]
-    assert values["kinds: noise"]["splats"]["clean"]["times"]["gaussians"]["mean"] == 1
-    assert [*values["defended: defended"]["splats"]] == [
+    values = read_figures(folder).groups("part", "setting")
+    assert [*values] == [("kinds", "noise"), ("defended", "defended")]
+    noise, defended = values.values()
+    assert noise.value("seeds") == 2
+    assert noise.value("gaussians_ratio", splat="clean") == 1
+    assert defended.labels("splat") == [
         "attacked",
         "attacked, defended",
         "clean",
