@@ -83,7 +83,6 @@ def run(options: EvaluateOptions) -> None:
     )
     from attacks.observe.rows import ATTACKED, CLEAN, ROWS
     from attacks.observe.views import evaluate
-    from attacks.rate import pooled
     from mi_splat.cli.cameras import choose, look_at_object
     from mi_splat.io.documents import save_json, save_png
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
@@ -129,7 +128,7 @@ def run(options: EvaluateOptions) -> None:
             looked.write(folder)
             write_figures(counted, folder)
     pairs = counted.having("judge").groups("detector", "judge").values()
-    flagged = [pair for pair in pairs if pooled(pair.rates("contradicted")).successes]
+    flagged = [pair for pair in pairs if pair.pooled("contradicted").successes]
     show_summary(options.out, as_json=options.json, tables=len(flagged))
 
 

@@ -23,7 +23,7 @@ from attacks.observe.rows import (
     read_rows,
     write_rows,
 )
-from attacks.rate import Rate
+from attacks.rate import Rate, pooled
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.folders import file_in
 
@@ -155,6 +155,10 @@ class Figures:
         """Every rate with these labels, whatever others it has."""
         found = self.where(measure=measure, **labels).by_key.values()
         return [figure for figure in found if isinstance(figure, Rate)]
+
+    def pooled(self, measure: str, **labels: Label | None) -> Rate:
+        """Those rates together."""
+        return pooled(self.rates(measure, **labels))
 
     def table(self) -> pl.DataFrame:
         """The figures as a table, a line for each."""

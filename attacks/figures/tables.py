@@ -5,7 +5,7 @@ Markdown.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from attacks.rate import Rate, number
@@ -79,21 +79,21 @@ class Table:
     def of(
         cls, caption: str, columns: Mapping[str, Column[Line]], lines: Iterable[Line]
     ) -> Table:
-        """A table with a row for each line; columns without any value are left out."""
-        rows = [
-            [_cell_of(line, column) for column in columns.values()] for line in lines
-        ]
-        kept = [
-            number
-            for number in range(len(columns))
-            if number == 0 or any(row[number] != NONE for row in rows)
-        ]
-        head = tuple(columns)
-        return cls(
-            caption=caption,
-            head=tuple(head[number] for number in kept),
-            rows=tuple(tuple(row[number] for number in kept) for row in rows),
+        """A table with a row for each line."""
+        rows = (
+            tuple(_cell_of(line, column) for column in columns.values())
+            for line in lines
         )
+        return cls(caption=caption, head=tuple(columns), rows=tuple(rows))
+
+    @property
+    def filled(self) -> Table:
+        """The table without the columns in which nothing stands."""
+        cells = list(zip(*self.rows, strict=True))
+        kept = [number for number, cells in enumerate(cells) if {*cells} != {NONE}]
+        rows = (tuple(row[number] for number in kept) for row in self.rows)
+        head = tuple(self.head[number] for number in kept)
+        return replace(self, head=head, rows=tuple(rows))
 
     @property
     def markdown(self) -> str:

@@ -86,7 +86,7 @@ def tables(figures: Figures) -> Iterator[Table]:
         under = [line for line in conditions if line[0]["condition"] is not None]
         if under:
             caption = f"By {title}: under other conditions"
-            yield Table.of(caption, {**first, **_UNDER_CONDITIONS}, under)
+            yield Table.of(caption, {**first, **_UNDER_CONDITIONS}, under).filled
 
 
 def _with_spread(measure: str) -> Column[Group]:

@@ -77,7 +77,8 @@ def _settings(part: str, settings: Figures, pairs: Figures) -> Table:
     together = groups_of(pairs, *settings.axes)
     if len(lines) > len(together):
         lines += [({**labels, PAIR: "all"}, figures) for labels, figures in together]
-    return Table.of(part or "The attacks", {**_axes(settings), **_COLUMNS}, lines)
+    columns = {**_axes(settings), **_COLUMNS}
+    return Table.of(part or "The attacks", columns, lines).filled
 
 
 def _score(group: Group) -> str | None:
@@ -202,12 +203,12 @@ def comparison(part: str, settings: Figures) -> Iterator[Table]:
     for labels, _ in groups_of(settings, *others):
         name = ", ".join(str(label) for label in labels.values() if label is not None)
         columns[name or "all"] = _reached(members, labels)
-    columns["together"] = lambda name: pooled(
-        members[name].rates("reached", splat=ATTACKED)
-    ).short(interval=True)
-    columns["random noise"] = lambda name: pooled(
-        members[name].rates("reached", splat=NOISE)
-    ).short()
+    columns["together"] = lambda name: (
+        members[name].pooled("reached", splat=ATTACKED).short(interval=True)
+    )
+    columns["random noise"] = lambda name: (
+        members[name].pooled("reached", splat=NOISE).short()
+    )
     columns["evaluations"] = lambda name: _spread(members[name], "evaluations")
     columns["CPU seconds"] = lambda name: _spread(members[name], "cpu_seconds")
     note = "(successes; in brackets the lowest loss)"

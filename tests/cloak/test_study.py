@@ -52,9 +52,7 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
     result = summary(finished)
     figures = read_figures(finished)
     assert {"versions", "commit", "study", "splats"} <= set(result)
-    assert {*RATES, "benign_psnr_drop", "transition_degrees"} <= set(
-        figures.labels(MEASURE)
-    )
+    assert {*RATES, "benign_psnr_drop"} <= set(figures.labels(MEASURE))
     for measure in RATES:
         rate = figures.rate(measure)
         of_detector = figures.rate(measure, detector="redness")

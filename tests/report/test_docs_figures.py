@@ -492,7 +492,7 @@ def transferred() -> str:
 def transferred_from_many() -> str:
     figures = result_of("transfer_views").figures.where(scope=EVALUATION)
     rates = [
-        pooled(of_one.rates("targeted")).short()
+        of_one.pooled("targeted").short()
         for (name,), of_one in figures.groups("detector").items()
         if name != "fasterrcnn_small"
     ]

@@ -230,13 +230,18 @@ defence = { filter = { name = "blur" } }
     }
     record = read_json(folder / "result.json")
     assert record["detectors"] == {"redness": "0" * 16}
-    assert {line["detector"] for line in record["classified"]} == {"toy"}
-    seen = {(line["splat"], line["condition"]): line for line in record["detected"]}
-    photograph = "photograph, training cameras"
-    assert (
-        seen["clean", photograph]["right"]["successes"]
-        > seen["attacked", photograph]["right"]["successes"]
+    figures = read_figures(folder)
+    assert {
+        name for (name,), of in figures.groups("detector").items() if of.rates("named")
+    } == {"toy"}
+    photographs = figures.where(
+        setting="the study", part="seen", condition="photograph, training cameras"
     )
+    clean, attacked = (
+        photographs.rate("found", detector="redness", splat=splat)
+        for splat in ("clean", "attacked")
+    )
+    assert clean.successes > attacked.successes
     assert (
         "How often the object is found as what it is"
         in (folder / "table.md").read_text()

@@ -292,8 +292,8 @@ def _around(tables: Mapping[str, pl.DataFrame], study: StudyConfig) -> Iterator[
     for detector in counts.labels("detector"):
         of_detector = counts.where(detector=detector)
         lines = []
-        for splat in (ATTACKED, CLEAN):
-            for name in of_detector.labels(MEASURE):
+        for name in of_detector.labels(MEASURE):
+            for splat in (ATTACKED, CLEAN):
                 if splat == ATTACKED or name == shown:
                     role: Role = "control" if splat == CLEAN else "attack"
                     title = f"{name}, {NAMES[splat]}"

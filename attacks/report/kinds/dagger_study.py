@@ -121,20 +121,20 @@ def _headline(figures: Figures) -> tuple[Figure, Rate, str]:
     evaluations = figures.where(scope=EVALUATION)
     for part, settings in of_parts(figures, SETTING)[:1]:
         aim = _aim_of(settings)
-        noise = pooled(settings.rates(aim.measure, splat=NOISE))
+        noise = settings.pooled(aim.measure, splat=NOISE)
         if noise.total or not len(evaluations):
             label = f"{aim.counting} with {aim.words}{f' ({part})' if part else ''}"
-            rate = pooled(settings.rates(aim.measure, splat=ATTACKED))
+            rate = settings.pooled(aim.measure, splat=ATTACKED)
             return Figure(label=label, rate=rate), noise, aim.counting
     labels = evaluations.labels("access")
     access = BLACK_BOX if BLACK_BOX in labels else WHITE_BOX
     others = evaluations.where(access=access)
     kind = next(kind for kind in KINDS if kind in others.labels("measure"))
     label = f"{_JUDGES[access]}: {KINDS[kind].lower()}"
-    rate = pooled(others.rates(kind))
+    rate = others.pooled(kind)
     return (
         Figure(label=label, rate=rate),
-        pooled(others.rates(f"noise_{kind}")),
+        others.pooled(f"noise_{kind}"),
         "looks",
     )
 
@@ -158,7 +158,7 @@ def _figures(figures: Figures) -> Iterator[Figure]:
     }
     for measure, label in strict.items():
         if measure in known:
-            rate = pooled(settings.rates(measure, splat=ATTACKED))
+            rate = settings.pooled(measure, splat=ATTACKED)
             yield Figure(label=label, rate=rate)
     evaluations = figures.where(scope=EVALUATION)
     for access, judges in _JUDGES.items():
@@ -166,8 +166,8 @@ def _figures(figures: Figures) -> Iterator[Figure]:
         for kind, meaning in KINDS.items():
             if kind in seen.labels("measure"):
                 label = f"{judges}: {meaning.lower()}"
-                yield Figure(label=label, rate=pooled(seen.rates(kind)))
-                noise = pooled(seen.rates(f"noise_{kind}"))
+                yield Figure(label=label, rate=seen.pooled(kind))
+                noise = seen.pooled(f"noise_{kind}")
                 yield Figure(label=f"{label}, with noise alone", rate=noise)
 
 
@@ -193,8 +193,8 @@ def _doubts(figures: Figures) -> Iterator[str]:
     """
     evaluations = figures.where(scope=EVALUATION)
     others = evaluations.where(access=BLACK_BOX)
-    gone = pooled(others.rates("untargeted"))
-    noise = pooled(others.rates("noise_untargeted"))
+    gone = others.pooled("untargeted")
+    noise = others.pooled("noise_untargeted")
     if gone.successes and noise.total and noise.fraction >= gone.fraction:
         yield (
             "to detectors that were not attacked, random noise hides the object as"
@@ -230,8 +230,7 @@ def _charts(figures: Figures) -> Iterator[Chart]:
             lines = compared
         rates = {
             splat: [
-                pooled(of_line.rates(aim.measure, splat=splat))
-                for of_line in lines.values()
+                of_line.pooled(aim.measure, splat=splat) for of_line in lines.values()
             ]
             for splat in (ATTACKED, NOISE)
         }

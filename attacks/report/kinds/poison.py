@@ -52,8 +52,8 @@ def read_study(result: Result) -> Section:
     more = [_figure(value, splats) for value, splats in values.items()]
     if measures:
         measure = measures[0]
-        attacked = pooled(seen.rates(measure, splat=ATTACKED))
-        clean = pooled(seen.rates(measure, splat=CLEAN))
+        attacked = seen.pooled(measure, splat=ATTACKED)
+        clean = seen.pooled(measure, splat=CLEAN)
         headline = Figure(label=_SEEN[measure], rate=attacked)
         control = Figure(label="the same on the clean splat", rate=clean)
         more = [larger, *more]
