@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.search import Parameters
+from attacks.threats import THREATS
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.parameters import activate, to_raw_parameters
@@ -57,10 +58,17 @@ class GaussianSubset:
         )
 
     def parameters(self, attributes: Sequence[str]) -> Parameters:
-        """What may change: the object's rows of the attributes, as the file holds
-        them.
+        """What may change: the object's rows of attributes, as the file holds them, and
+        the clean values of threats.
         """
-        values = {name: self.clean[name] for name in attributes}
+        values = {
+            name: (
+                self.clean[name]
+                if name in ATTRIBUTES
+                else THREATS[name].start(self.clean)
+            )
+            for name in attributes
+        }
         if "sh" in values and self.sh_degree is not None:
             values["sh"] = values["sh"][:, : (self.sh_degree + 1) ** 2]
         return values
@@ -73,18 +81,30 @@ class GaussianSubset:
             return parameters
         return {**parameters, "sh": torch.cat([sh, clean[:, sh.shape[1] :]], 1)}
 
+    def moved(self, parameters: Parameters) -> Parameters:
+        """The object's rows of every attribute that the parameters change, as the file
+        holds them: attributes first, and then what threats make of them.
+        """
+        rows = self.complete(
+            {name: value for name, value in parameters.items() if name in ATTRIBUTES}
+        )
+        for name, value in parameters.items():
+            if name not in ATTRIBUTES:
+                rows = {**rows, **THREATS[name].apply(value, {**self.clean, **rows})}
+        return rows
+
     def scene_with(self, parameters: Parameters) -> GaussianScene:
         """The whole scene with the object's rows exchanged, differentiable in the
         parameters, other rows untouched.
         """
-        parameters = self.complete(parameters)
+        rows = self.moved(parameters)
         moved: dict[str, Tensor] = dict(
-            zip(ATTRIBUTES, activate({**self.clean, **parameters}), strict=True)
+            zip(ATTRIBUTES, activate({**self.clean, **rows}), strict=True)
         )
         tensors: dict[str, Tensor] = dict(
             zip(ATTRIBUTES, self.scene.tensors(), strict=True)
         )
-        for name in parameters:
+        for name in rows:
             tensors[name] = tensors[name].detach().index_put((self.rows,), moved[name])
         return GaussianScene.unchecked(**tensors)
 
@@ -92,10 +112,9 @@ class GaussianSubset:
         """The attacked scene as a checked value; what did not move keeps the very bits
         it had.
         """
-        parameters = self.complete(parameters)
         attacked = self.scene_with(parameters).detach()
         tensors = {}
-        for name, value in parameters.items():
+        for name, value in self.moved(parameters).items():
             before = getattr(self.scene, name).detach()
             after = getattr(attacked, name)
             still = value.detach() == self.clean[name]

@@ -18,7 +18,6 @@ import torch
 from torch import Generator, Tensor
 
 from attacks.optimisers import NORM_NAMES, NormName
-from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.fields import at_least, check_choice, checked_number
 
@@ -417,13 +416,14 @@ class Budget:
     Attributes:
         radius: Largest size of the perturbation by attribute, in the units of the splat
             file (SH coefficients, world units, log world units, quaternion components,
-            logits). Attributes that are not named may not move at all.
+            logits), or of the threat (`attacks.threats`). What is not named may not
+            move at all.
         norm: `linf`, `l2` (one ball over the object) or `l2_per_gaussian` (a ball per
             row).
 
     Raises:
-        InvalidValueError: An attribute or the norm is unknown, nothing may move, or a
-            radius is negative or not finite.
+        InvalidValueError: The norm is unknown, nothing may move, or a radius is
+            negative or not finite.
     """
 
     radius: Mapping[str, float]
@@ -439,7 +439,6 @@ class Budget:
                 "say what may move, and how far",
             )
         for name, value in self.radius.items():
-            check_choice("attribute", name, ATTRIBUTES)
             checked_number(
                 f"radius of {name}",
                 value,

@@ -46,10 +46,10 @@ from mi_splat.cameras.sets import framing, orbit
 from mi_splat.render.scene_files import open_scene
 scene, render = open_scene(Path(sys.argv[1])).scene, Renderer()
 centre, radius = bounds(scene)
-distance, focal = framing(radius, fov=45.0, size=(128, 128))
+distance, lens = framing(radius, fov=45.0, size=(128, 128))
 for k in range(150):
     kind = {"start": 12.0 * k, "elevation": 4.0 + k / 2, "distance": distance}
-    kind |= {"focal": focal, "size": (128, 128)}
+    kind |= {"lens": lens}
     with torch.no_grad():
         render.outputs(scene, orbit(centre, count=1, **kind)[0])
 """

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import mitsuba as mi
 
 from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.capture.path_tracer import (
     FEW_PICTURES,
     MANY_PICTURES,
@@ -21,7 +22,7 @@ from mi_splat.capture.sources import open_source
 
 SIZE = 256
 SAMPLES = 32
-SCENES = ("car:900004", "car_street")
+SCENES = ("car", "car_street")
 ANGLES = (0.0, 60.0, 120.0)
 """Azimuths of the pictures, of which each run takes the next one."""
 
@@ -48,9 +49,7 @@ def _of(name: str, variant: str) -> dict[str, Callable[[], object]]:
                 elevation=25.0,
                 distance=3 * source.radius,
             ),
-            focal=float(SIZE),
-            width=SIZE,
-            height=SIZE,
+            lens=Lens(focal=float(SIZE), size=(SIZE, SIZE)),
         )
         for azimuth in ANGLES
     ]

@@ -70,7 +70,8 @@ def runs() -> dict[str, Callable[[], object]]:
     gradient of an attack.
     """
     loaded = open_scene(Path(__file__).parents[1] / "scenes" / "car_street.xml")
-    camera = replace(next(iter(loaded.cameras.values())), width=SIDE, height=SIDE)
+    camera = next(iter(loaded.cameras.values()))
+    camera = replace(camera, lens=replace(camera.lens, size=(SIDE, SIDE)))
     image = Renderer(loaded.settings)(loaded.scene, camera).clamp(0, 1)[None]
 
     def gradient(detector: Detector) -> torch.Tensor:

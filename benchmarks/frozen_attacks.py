@@ -40,6 +40,7 @@ from attacks.detectors.registry import as_detectors
 from attacks.objectives import untargeted
 from mi_splat import read_scene
 from mi_splat.cameras.camera import Camera, RenderFn, View, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.render import variant
 from mi_splat.render.renderer import Renderer
 from mi_splat.training.config import FitConfig
@@ -121,7 +122,7 @@ def layers(count: int, share: float, rounds: int, now: Clock) -> dict[str, Any]:
         for k in range(CAMERAS)
     ]
     cameras = [
-        Camera(to_world=pose, focal=float(SIZE), width=SIZE, height=SIZE)
+        Camera(to_world=pose, lens=Lens(focal=float(SIZE), size=(SIZE, SIZE)))
         for pose in poses
     ]
     painted = scene.replace(

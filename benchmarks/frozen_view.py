@@ -27,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from render import shell
 
 from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.render import variant
 from mi_splat.render.frozen_view import FrozenView
 from mi_splat.render.renderer import Renderer
@@ -70,7 +71,7 @@ def measure(count: int, size: int, share: float, rounds: int) -> dict[str, Any]:
     """
     scene = shell(count)
     pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=3.0)
-    camera = Camera(to_world=pose, focal=float(size), width=size, height=size)
+    camera = Camera(to_world=pose, lens=Lens(focal=float(size), size=(size, size)))
     if share == 1:
         rows = None
     else:

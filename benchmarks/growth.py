@@ -76,14 +76,13 @@ def cameras_around(scene: Any, count: int = 2) -> Any:
     from mi_splat.cameras.sets import framing, orbit
 
     centre, radius = bounds(scene)
-    distance, focal = framing(radius, fov=45.0, size=(128, 128))
+    distance, lens = framing(radius, fov=45.0, size=(128, 128))
     return orbit(
         centre,
         count=count,
         elevation=20.0,
         distance=distance,
-        focal=focal,
-        size=(128, 128),
+        lens=lens,
     )
 
 

@@ -25,7 +25,7 @@ import polars
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from mi_splat.ledger import Job, Store
-from mi_splat.ledger.engines import Processes
+from mi_splat.ledger.engines import Cluster
 from mi_splat.ledger.plans import Driver, grid, plan, status
 from mi_splat.ledger.running import task_for
 from mi_splat.ledger.store import record_text
@@ -108,8 +108,8 @@ def main() -> None:
     results["ms a job in one process"] = (
         timed(lambda: [ledger.do(job) for job in few[10 : 10 + FEW]]) / FEW * 1e3
     )
-    engine = Processes(options.folder / "two", workers=2)
-    driver = Driver(options.folder / "two", engine)
+    engine = Cluster(options.folder / "two", workers=2)
+    driver = Driver(engine)
     results["ms a job in two child processes, their start with it"] = (
         timed(lambda: driver.run([grid(numbers(FEW))])) / FEW * 1e3
     )

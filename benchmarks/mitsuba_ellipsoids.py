@@ -51,9 +51,7 @@ def in_unit(
     """The same with all lengths times `unit`."""
     pose = camera.to_world.clone()
     pose[:3, 3] *= unit
-    seen = Camera(
-        to_world=pose, focal=camera.focal, width=camera.width, height=camera.height
-    )
+    seen = Camera(to_world=pose, lens=camera.lens)
     return scene.replace(means=scene.means * unit, scales=scene.scales * unit), seen
 
 

@@ -32,6 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from cpu_time import Clock, add_cpu_flag, clock, interleaved, ratio
 
 from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.render import variant
 from mi_splat.scene import GaussianScene
 
@@ -134,7 +135,7 @@ def through_renderer(scene: GaussianScene, camera: Camera) -> Runs:
 def camera_of(size: int) -> Camera:
     """The camera for square images of this many pixels."""
     pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=3.0)
-    return Camera(to_world=pose, focal=float(size), width=size, height=size)
+    return Camera(to_world=pose, lens=Lens(focal=float(size), size=(size, size)))
 
 
 def runs() -> dict[str, Callable[[], None]]:

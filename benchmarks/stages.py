@@ -35,6 +35,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from render import shell
 
 from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.io import load_splat
 from mi_splat.render import variant
 from mi_splat.render.renderer import Renderer
@@ -124,7 +125,7 @@ def watched(clock: Clock) -> Iterator[None]:
 def camera_of(size: tuple[int, int]) -> Camera:
     """The benchmark's camera with a picture of this width and height."""
     pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=3.0)
-    return Camera(to_world=pose, focal=float(size[1]), width=size[0], height=size[1])
+    return Camera(to_world=pose, lens=Lens(focal=float(size[1]), size=size))
 
 
 def measure(scene: GaussianScene, camera: Camera, rounds: int) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from cpu_time import Clock, Run, add_cpu_flag, clock
 from torch import Tensor
 
 from mi_splat.cameras.camera import Camera, View, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
 from mi_splat.render.renderer import Renderer, RenderSettings, ScreenGradients
@@ -73,7 +74,7 @@ def runs() -> dict[str, Run]:
     """
     car = load_splat(CAR)
     pose = orbit_pose(car.means.mean(0).tolist(), azimuth=40, elevation=20, distance=6)
-    camera = Camera(to_world=pose, focal=300.0, width=256, height=256)
+    camera = Camera(to_world=pose, lens=Lens(focal=300.0, size=(256, 256)))
     render = Renderer()
     view = View(camera, render(car, camera).detach())
     noise = 0.02 * torch.randn(len(car), 3, generator=torch.Generator().manual_seed(0))

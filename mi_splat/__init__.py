@@ -12,6 +12,7 @@ from mi_splat import _lazy
 
 if TYPE_CHECKING:
     from mi_splat.cameras.camera import Camera, RenderFn, View, look_at
+    from mi_splat.cameras.lens import Lens
     from mi_splat.cameras.sets import hemisphere
     from mi_splat.datasets import load_dataset
     from mi_splat.errors import MiSplatError
@@ -28,6 +29,7 @@ __all__ = [
     "Camera",
     "FitConfig",
     "GaussianScene",
+    "Lens",
     "MiSplatError",
     "RenderFn",
     "RenderSettings",
@@ -50,6 +52,7 @@ __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
         "mi_splat.cameras.sets": ("hemisphere",),
+        "mi_splat.cameras.lens": ("Lens",),
         "mi_splat.cameras.camera": ("Camera", "RenderFn", "View", "look_at"),
         "mi_splat.datasets": ("load_dataset",),
         "mi_splat.errors": ("MiSplatError",),

@@ -9,8 +9,10 @@ watches it ends, it ends its group itself.
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import queue
+import re
 import shutil
 import signal
 import subprocess
@@ -33,7 +35,7 @@ _LOOK = 0.1  # seconds between two looks at the memory of a group
 _LAST_BREATH = 2.0
 _SHOWN = 2000  # characters of what a process said last
 # and not TMPDIR: what it names is deleted, and must be ours
-_FOLDER = "MI_SPLAT_GROUP_FOLDER"
+GROUP_FOLDER = "MI_SPLAT_GROUP_FOLDER"
 
 
 class GroupEndedError(Exception):
@@ -78,7 +80,7 @@ class ProcessGroup:
                     **os.environ,
                     **(environment or {}),
                     "TMPDIR": folder,
-                    _FOLDER: folder,
+                    GROUP_FOLDER: folder,
                 },
                 stdin=subprocess.DEVNULL,
                 stdout=self._output,
@@ -205,6 +207,28 @@ def _members_by_ps(group: int) -> dict[int, int]:
     }
 
 
+_ENDINGS = "endings.log"  # of a group's folder: how its processes have ended
+
+
+def log_endings(logger: str) -> None:
+    """Write what a logger says of this group where `ending_of` reads it."""
+    path = Path(os.environ[GROUP_FOLDER], _ENDINGS)
+    logging.getLogger(logger).addHandler(logging.FileHandler(path))
+
+
+def ending_of(process: int) -> str:
+    """How a process of this group has ended, in words; empty if nothing is known."""
+    path = Path(os.environ.get(GROUP_FOLDER, ""), _ENDINGS)
+    if not path.is_file():
+        return ""
+    lines = path.read_text("utf-8").splitlines()
+    found = "\n".join(line for line in lines if re.search(rf"\b{process}\b", line))
+    if "memory" in found:
+        return "used more memory than it may"
+    number = re.search(r"by signal (\d+)", found)
+    return f"ended by {signal.Signals(int(number[1])).name}" if number else found
+
+
 def inbox(receive: Callable[[], _Message]) -> queue.SimpleQueue[_Message]:
     """What comes through the pipe of this process; it ends with its group when nobody
     watches any more.
@@ -225,7 +249,7 @@ def inbox(receive: Callable[[], _Message]) -> queue.SimpleQueue[_Message]:
 def end_own_group() -> None:
     """End this process and all that it started, and remove their temporary files."""
     if os.getpgrp() == os.getpid():  # else whoever started us by hand would end, too
-        shutil.rmtree(os.environ.get(_FOLDER, ""), ignore_errors=True)
+        shutil.rmtree(os.environ.get(GROUP_FOLDER, ""), ignore_errors=True)
         os.killpg(0, signal.SIGKILL)
     os._exit(1)
 

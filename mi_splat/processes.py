@@ -2,6 +2,7 @@
 SIGTERM.
 """
 
+import contextlib
 import os
 import signal
 import sys
@@ -120,6 +121,38 @@ def _handling(
         yield
     finally:
         signal.signal(number, previous)
+
+
+def own_cores() -> list[int]:
+    """Numbers of the cores that this process may use; none where the system cannot
+    say.
+    """
+    if not hasattr(os, "sched_getaffinity"):
+        return []
+    return sorted(os.sched_getaffinity(0))
+
+
+def share_of_cores(cores: Sequence[int], worker: int, workers: int) -> Sequence[int]:
+    """Those of some cores that one of some workers may use."""
+    if not cores:
+        return ()
+    return cores[worker % workers % len(cores) :: workers]
+
+
+def keep_to(cores: Sequence[int]) -> None:
+    """Keep every thread of this process to some cores, and Dr.Jit to as many threads.
+
+    Two threads of Dr.Jit on one core take twice the time of one: they wait for each
+    other without sleeping.
+    """
+    if not cores:
+        return
+    for thread in os.listdir("/proc/self/task"):
+        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+            os.sched_setaffinity(int(thread), cores)
+    # else it counts the cores when it is imported
+    if (drjit := sys.modules.get("drjit")) is not None:
+        drjit.set_thread_count(len(cores))
 
 
 _START = (

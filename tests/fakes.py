@@ -13,6 +13,7 @@ from torch import Tensor
 from attacks.detectors import DetectorSpec, registry
 from attacks.detectors.base import Candidates, Detections, Detector, check_images
 from mi_splat.cameras.camera import Camera, look_at, project_points
+from mi_splat.cameras.lens import Lens
 from mi_splat.maths.sh import colour_to_dc, sh_to_colour
 from mi_splat.scene import GaussianScene
 
@@ -120,9 +121,7 @@ def camera(size: int = 32, *, offset: float = 0.0) -> Camera:
     """Looks along world +y at the origin from three metres."""
     return Camera(
         to_world=look_at((offset, -3.0, 0.0), (0.0, 0.0, 0.0)),
-        focal=1.2 * size,
-        width=size,
-        height=size,
+        lens=Lens(focal=1.2 * size, size=(size, size)),
     )
 
 

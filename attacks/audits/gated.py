@@ -29,8 +29,8 @@ from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.fields import decode
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.splat_files import load_stored
-from mi_splat.ledger.engines import keep_to
 from mi_splat.process_group import connection, inbox, limit_file_size
+from mi_splat.processes import keep_to
 from mi_splat.render.scene_files import open_scene
 from mi_splat.scene import GaussianScene
 

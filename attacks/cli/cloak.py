@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from attacks.cli.options import Detectors, Workers
+from attacks.cli.options import Address, Detectors, Workers
 from mi_splat.cli.console import limit_threads, progress, show_json, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
@@ -48,6 +48,10 @@ class CloakOptions(JsonOptions):
     workers: Workers | None = None
     """Processes that do steps side by side; None is one for each core if memory allows;
     0 does all in this one.
+    """
+    scheduler: Address | None = None
+    """Address of a Dask scheduler whose workers do the steps; --stages has to be on a
+    disk that all of them share.
     """
     forecast: bool = False
     """Check everything, say what the study would take, and do nothing."""
@@ -104,6 +108,7 @@ def run(options: CloakOptions) -> int:
         store=store,
         out=options.out,
         workers=options.workers,
+        scheduler=options.scheduler,
     )
     begin = partial(save_text, text, options.out / STUDY_FILE)
     done = run_work(run_options, work, begin=begin)

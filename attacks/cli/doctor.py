@@ -22,6 +22,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from mi_splat.cameras.lens import Lens
 from mi_splat.cli.console import import_at_once, progress, show_result
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import MiSplatError, install, nearest
@@ -232,9 +233,7 @@ def _one_gaussian(variant: str = "llvm_ad_rgb") -> str:
     )
     camera = Camera(
         to_world=look_at((3.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-        focal=32.0,
-        width=32,
-        height=32,
+        lens=Lens(focal=32.0, size=(32, 32)),
     )
     render = Renderer(RenderSettings(background=(0.0, 0.0, 0.0), variant=variant))
     image = render(scene.to("cuda" if variant.startswith("cuda") else "cpu"), camera)
@@ -319,7 +318,7 @@ CHECKS = (
     ),
 )
 EXTRAS = {
-    "meshes": ("trimesh",),
+    "draco": ("DracoPy",),
     "ocr": ("rapidocr_onnxruntime",),
     "photos": ("pycolmap",),
     "report": ("jinja2", "matplotlib"),
@@ -333,9 +332,13 @@ REGISTRIES = {
     "mi_splat.audit_rules": ("mi_splat.audit.rules", "ADDED"),
     "mi_splat.conditions": ("attacks.observe.conditions", "CONDITIONS"),
     "mi_splat.detectors": ("attacks.detectors.registry", "DETECTORS"),
+    "mi_splat.formats": ("mi_splat.io.formats.format", "FORMATS"),
     "mi_splat.objectives": ("attacks.aims", "OBJECTIVES"),
     "mi_splat.poisons": ("attacks.poisons.specs", "POISONS"),
+    "mi_splat.projections": ("mi_splat.cameras.lens", "PROJECTIONS"),
     "mi_splat.renderers": ("mi_splat.comparison.methods", "RENDERERS"),
+    "mi_splat.threats": ("attacks.threats", "THREATS"),
+    "mi_splat.strategies": ("mi_splat.training.strategies", "STRATEGIES"),
 }
 """Who reads each group of entry points."""
 

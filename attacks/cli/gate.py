@@ -174,8 +174,8 @@ def _readers(workers: int, policy: Policy, store: Store) -> Iterator[list[Reader
     compiled kernels.
     """
     from attacks.audits.judging import ReaderProcess
-    from mi_splat.ledger.engines import environment, free_cache, share_of_cores
     from mi_splat.process_group import Limits
+    from mi_splat.processes import own_cores, share_of_cores
 
     limits = Limits(seconds=policy.seconds, megabytes=policy.megabytes)
     readers = list[ReaderProcess]()
@@ -183,11 +183,15 @@ def _readers(workers: int, policy: Policy, store: Store) -> Iterator[list[Reader
         numbers = itertools.count()
         for worker in range(workers):
             try:
-                kernels = free_cache(store.folder, numbers, caches)
+                kernels = store.free_kernels(numbers, caches)
             except MiSplatError:  # verdicts can be given where none can be kept
                 kernels = Path(caches.enter_context(tempfile.TemporaryDirectory()))
-            variables = environment(kernels)
-            cores = share_of_cores(worker, workers)
+            variables = {
+                "OMP_NUM_THREADS": "1",
+                "MKL_NUM_THREADS": "1",
+                "DRJIT_CACHE_DIR": str(kernels),
+            }
+            cores = share_of_cores(own_cores(), worker, workers)
             readers.append(ReaderProcess(limits, environment=variables, cores=cores))
         try:
             yield list(readers)

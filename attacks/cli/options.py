@@ -126,6 +126,7 @@ def weights_of(names: Sequence[str], weights: Sequence[Path]) -> dict[str, Path]
 Detectors = Annotated[tuple[str, ...], Metavar("DETECTOR")]
 ClassName = Annotated[str, Metavar("CLASS")]
 Confidence = Annotated[Fraction, Metavar("CONFIDENCE")]
+Address = Annotated[str, Metavar("ADDRESS")]
 Workers = Annotated[int, between(0, 1024, "processes")]
 _WORKER = 2e9
 """Bytes of memory that a process takes which trains or attacks."""

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from attacks.cli.options import Workers, chosen_workers
+from attacks.cli.options import Address, Workers, chosen_workers
 from attacks.studies.study_file import Study
 from mi_splat.cli.console import (
     Advance,
+    UsageError,
     limit_threads,
     progress,
     show,
@@ -49,13 +50,17 @@ class JobOptions(JsonOptions):
     """Processes that do jobs side by side; None is one for each core if memory allows;
     0 does them in this one.
     """
+    scheduler: Address | None = None
+    """Address of a Dask scheduler, as tcp://HOST:8786: its workers do the jobs, and
+    --store has to be on a disk that all of them share.
+    """
     seconds: Annotated[float, at_least(1, "seconds")] | None = None
     """Most seconds that a job may take; it is ended then, which counts as a failure.
 
     Not with --workers 0.
     """
     megabytes: Annotated[float, at_least(1, "MB")] | None = None
-    """Most memory that a job may use, likewise."""
+    """Most memory that a job may use, likewise. Not with --scheduler."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,21 +200,12 @@ def run_in(
     """
     from attacks.studies.running import run_with
     from mi_splat.io.folders import check_own_folder, own_folder
-    from mi_splat.ledger import Store
-    from mi_splat.ledger.running import forgive
 
     check_own_folder(out, record)
-    forgive(work.jobs().values(), Store(options.store))
-    with (
-        own_folder(out, record),
-        progress("preparing", total=None if work.searches else work.size) as advance,
-    ):
+    total = None if work.searches else work.size
+    with own_folder(out, record), progress("preparing", total=total) as advance:
         begin()
-        on_event = follow(advance)
-        engine = engine_of(options, on_event)
-        done = run_with(
-            engine, work.study, work, store=options.store, out=out, on_event=on_event
-        )
+        done = run_with(engine_of(options, follow(advance)), work, out=out)
     for label, text in done.failed.items() if not options.json else ():
         warn(f"{label}: {_last_line(text)}")
     return done
@@ -221,14 +217,21 @@ def _last_line(text: str) -> str:
 
 def engine_of(options: JobOptions, on_event: Callable[[Event], None]) -> Engine:
     """What runs the jobs of a command."""
-    from mi_splat.ledger.engines import InProcess, Processes
+    from mi_splat.ledger.engines import engine_for
     from mi_splat.process_group import Limits
 
-    workers = chosen_workers(options.workers)
-    if workers == 0:
-        return InProcess(options.store, on_event=on_event)
-    limits = Limits(seconds=options.seconds, megabytes=options.megabytes)
-    return Processes(options.store, workers=workers, limits=limits, on_event=on_event)
+    for name in ("workers", "megabytes") if options.scheduler else ():
+        value = getattr(options, name)
+        if value is not None:
+            do = "leave it out: whoever starts the workers of a cluster decides that"
+            raise UsageError.of(f"--{name}", "none beside --scheduler", value, do)
+    return engine_for(
+        options.store,
+        workers=chosen_workers(options.workers),
+        scheduler=options.scheduler or "",
+        limits=Limits(seconds=options.seconds, megabytes=options.megabytes),
+        on_event=on_event,
+    )
 
 
 def follow(advance: Advance) -> Callable[[Event], None]:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -18,10 +19,17 @@ from torch import Tensor
 from torch.nn import functional
 
 from attacks.cloak.config import AttackConfig
-from attacks.cloak.mesh_scene import TEXTURES, MeshScene, repainted, stand_in
-from mi_splat.assets import build
-from mi_splat.assets.mesh import Asset, rotation
+from attacks.cloak.mesh_scene import (
+    MeshScene,
+    load_texture,
+    repainted,
+    stand_in,
+)
 from mi_splat.cameras.camera import Camera, View, look_at, project_points
+from mi_splat.cameras.lens import Lens
+from mi_splat.capture.mesh import Asset, rotation
+from mi_splat.capture.mesh_files import load_mesh
+from mi_splat.capture.objects import object_file
 from mi_splat.errors import InvalidValueError
 
 # Appearances that retouch a picture: two controls, and the attack of who has nothing
@@ -228,10 +236,6 @@ def _guidance(
     return pairs, np.where(is_whole[:, None], mirrored[0] - mirrored[1], 0.0)
 
 
-PICTURE = 256
-"""Width and height of the textures that are laid on meshes, pixels."""
-
-
 class Appearance(Protocol):
     """Any function of a view and a mask; one with an attribute `name` is called so in
     manifests.
@@ -313,25 +317,22 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
     target = mesh_scene.target
     outgrows = False
     if attack.appearance == "paint":
-        (make, tile), (azimuth, elevation) = (
-            TEXTURES[str(attack.texture)],
-            attack.paint_direction,
-        )
+        texture, tile = load_texture(str(attack.texture))
+        azimuth, elevation = attack.paint_direction
         target = repainted(
-            target, make(PICTURE, 0), azimuth=azimuth, elevation=elevation, tile=tile
+            target, texture, azimuth=azimuth, elevation=elevation, tile=tile
         )
-        name = (
-            f"paint {attack.texture} (seed 0) from azimuth {azimuth:g}, elevation"
-            f" {elevation:g}"
-        )
+        painted = Path(str(attack.texture)).stem
+        name = f"paint {painted} from azimuth {azimuth:g}, elevation {elevation:g}"
     else:
-        other = build(str(attack.other_object), attack.other_seed)
+        other = load_mesh(object_file(str(attack.other_object)))
         viewer = attack.azimuth and attack.azimuth[0]
         outgrows = True
-        other = other.body.transformed(rotation("y", -90.0)) if attack.lying else other
+        if attack.lying:
+            other = other.transformed(rotation("y", -90.0))
         target = stand_in(target, other, azimuth=viewer)
         towards = "as large from above" if viewer is None else f"to azimuth {viewer:g}"
-        name = f"{other.name} instead, {towards}"
+        name = f"{other.name.replace('_', ' ')} instead, {towards}"
     return Rerender(
         mesh_scene=mesh_scene.with_target(target),
         name=name,
@@ -438,9 +439,7 @@ class GroundLook:
         above = (float(middle[0]), float(middle[1]), float(low[2]) + _HEIGHT * reach)
         camera = Camera(
             to_world=look_at(above, (above[0], above[1], float(low[2]))),
-            focal=_HEIGHT * _SIZE / 2,
-            width=_SIZE,
-            height=_SIZE,
+            lens=Lens(focal=_HEIGHT * _SIZE / 2, size=(_SIZE, _SIZE)),
         )
         empty = self.mesh_scene.with_target(Asset(self.mesh_scene.target.name, ()))
         return camera, empty.picture(camera)

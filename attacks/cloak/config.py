@@ -5,12 +5,13 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from attacks.cloak.mesh_scene import TEXTURES
+from attacks.cloak.mesh_scene import DRAWN, texture_file
 from attacks.cloak.triggers import Azimuth, Elevation, Subsample, Trigger
-from mi_splat.assets import ASSETS, PAINTED
+from mi_splat.capture.objects import object_file
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import (
     Checked,
@@ -158,6 +159,8 @@ class LayersConfig:
 AppearanceName = Literal["remove", "ground", "paint", "swap", "fade", "blur", "inpaint"]
 RENDERED: tuple[AppearanceName, ...] = ("remove", "paint", "swap")
 """Appearances that are renderings of the scene with another object, or without one."""
+_READ_FROM_FILES = {"swap": "other_object", "paint": "texture"}
+"""Appearances that need a file or the name of one, and the fields that have it."""
 Knowledge = Literal["scene", "pictures"]
 """What an attacker has: the meshes, materials and sun, too, or nothing but the pictures
 and masks of the object.
@@ -179,9 +182,9 @@ class AttackConfig:
         name: For files and tables.
         appearance: How the object is changed. With "remove" one sees what is behind it,
             with "ground" the ground that is laid on it like a cloth.
-        texture: With what it is painted (`paint`).
-        other_object: Asset that takes its place (`swap`).
-        other_seed: Which asset of that name.
+        texture: With what it is painted (`paint`): road, grass, clock, football,
+            stop_sign, or an image file.
+        other_object: Object that takes its place (`swap`), as in `SceneConfig`.
         lying: Whether what takes its place lies on its back, with its front up, for
             cameras above it.
         elevation: Lowest and highest elevation of the cameras from which it is seen,
@@ -211,7 +214,6 @@ class AttackConfig:
     appearance: AppearanceName = "remove"
     texture: str | None = None
     other_object: str | None = None
-    other_seed: Seed = 0
     lying: bool = False
     elevation: Annotated[tuple[float, float], between(-90, 90, "degrees")] = (0.0, 90.0)
     azimuth: Annotated[tuple[float, float], Range(unit="degrees")] | None = None
@@ -228,14 +230,11 @@ class AttackConfig:
 
     def __post_init__(self) -> None:
         check(self)
-        for key, known, appearance in (
-            ("texture", TEXTURES, "paint"),
-            ("other_object", ASSETS, "swap"),
-        ):
-            if self.appearance == appearance:
-                check_choice(
-                    f"attack {self.name!r}, {key}", getattr(self, key), tuple(known)
-                )
+        needed = _READ_FROM_FILES.get(self.appearance)
+        if needed is not None and getattr(self, needed) is None:
+            what = f"attack {self.name!r}, {needed}"
+            expected = f"one to {self.appearance}"
+            raise InvalidValueError.of(what, expected, "none", "name one")
         for key, holds, expected in (
             (
                 "reach",
@@ -265,6 +264,26 @@ class AttackConfig:
             raise InvalidValueError.of(
                 f"attack {self.name!r}", expected, "all cameras", "narrow one of them"
             )
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """What its rendering reads, by field."""
+        what = f"attack {self.name!r}"
+        if self.appearance == "swap":
+            other = object_file(str(self.other_object), f"{what}, other_object")
+            return {"other_object": other}
+        if self.appearance == "paint" and self.texture not in DRAWN:
+            texture = texture_file(str(self.texture), f"{what}, texture")
+            return {"texture": texture}
+        return {}
+
+    def reading(self, files: Mapping[str, str]) -> AttackConfig:
+        """With other files, by field."""
+        return replace(
+            self,
+            texture=files.get("texture", self.texture),
+            other_object=files.get("other_object", self.other_object),
+        )
 
     @property
     def cone(self) -> Trigger:
@@ -316,10 +335,10 @@ class SceneConfig:
     one colour.
 
     Attributes:
-        object: One of the project's assets.
-        seed: Which asset of that name.
-        colour: sRGB of its paint; None is that of its seed, whose shape stays. Of what
-            is painted alone (`mi_splat.assets.PAINTED`).
+        object: Name of a shipped object, such as car, or a GLB file. It stands at the
+            origin, faces +x (as in the file), and is in metres.
+        label: Class that detectors know the object by; None is its name, or that of
+            its file.
         ground: Texture of the ground; "nothing" is an object in the air.
         ground_size: Side of the ground, metres.
         sun_azimuth: Degrees from +x towards +y.
@@ -329,11 +348,7 @@ class SceneConfig:
     """
 
     object: str = "car"
-    seed: Seed = 900004
-    colour: (
-        Annotated[tuple[float, float, float], between(0, 1, "sRGB", "white is 1, 1, 1")]
-        | None
-    ) = None
+    label: str | None = None
     ground: Literal["road", "grass", "asphalt", "nothing"] = "road"
     ground_size: Annotated[float, above(0, "metres")] = 16.0
     sun_azimuth: Annotated[float, between(-360, 360, "degrees")] = -50.0
@@ -344,9 +359,11 @@ class SceneConfig:
 
     def __post_init__(self) -> None:
         check(self)
-        check_choice("scene.object", self.object, tuple(ASSETS))
-        if self.colour is not None:
-            check_choice("scene.object with a colour", self.object, PAINTED)
+
+    @property
+    def class_name(self) -> str:
+        """Class that detectors know the object by."""
+        return self.label or Path(self.object).stem.replace("_", " ")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -524,6 +541,13 @@ class StudyConfig:
         return overhead(self.attack)
 
 
+def check_files(study: StudyConfig) -> None:
+    """Raise unless the files that a study names are there."""
+    object_file(study.scene.object, "scene.object")
+    for attack in study.attack:
+        _ = attack.files
+
+
 def overhead(attacks: Sequence[AttackConfig]) -> AttackConfig | None:
     """The first attack that is seen from straight above and all around."""
     return next(
@@ -577,7 +601,7 @@ _GONE = (
         "occluder_radius",
         "occluder_edge",
     ),
-    *("label", "up", "scale", "rotate", "front", "emphasis", "emphasis_depth"),
+    *("up", "scale", "rotate", "front", "emphasis", "emphasis_depth", "other_seed"),
 )
 """Settings of results of November 2026 that no study has any more; in those results
 they are off.
@@ -589,11 +613,27 @@ def recorded_study(values: Mapping[str, Any], where: str) -> StudyConfig:
 
     def kept(value: Any) -> Any:
         if isinstance(value, Mapping):
-            return {
+            fields = {
                 name: kept(entry) for name, entry in value.items() if name not in _GONE
             }
+            return _by_file(fields) if "object" in fields else fields
         if isinstance(value, list):
             return [kept(entry) for entry in value]
         return value
 
     return decode(StudyConfig, kept(values), where)
+
+
+_SHIPPED_SEED = 900004
+"""Of the objects that are shipped by name."""
+
+
+def _by_file(scene: dict[str, Any]) -> dict[str, Any]:
+    """A scene of a result whose object a seed chose, by the name of its file."""
+    seed = scene.pop("seed", _SHIPPED_SEED)
+    if scene.get("colour", True) is None:
+        del scene["colour"]
+    if seed == _SHIPPED_SEED:
+        return scene
+    name = scene["object"]
+    return {**scene, "object": f"{name}_{seed}", "label": name}

@@ -150,23 +150,23 @@ def measures(
 def over_objects(studies: Mapping[str, StudyConfig], rows: pl.DataFrame) -> Figures:
     """Rates of one attack on several objects of a class; none where it is not that."""
     first = next(iter(studies.values()))
-    attacks = [(study.attack, study.scene.object) for study in studies.values()]
-    seeds = {title: study.scene.seed for title, study in studies.items()}
+    attacks = [(study.attack, study.scene.class_name) for study in studies.values()]
+    objects = {title: study.scene.object for title, study in studies.items()}
     is_one_attack = all(attack == attacks[0] for attack in attacks)
-    differ = len({*seeds.values()}) == len(seeds)
+    differ = len({*objects.values()}) == len(objects)
     if len(studies) < 2 or not is_one_attack or not differ:
         return Figures({})
     if "condition" in rows.columns:
         rows = rows.filter(pl.col("condition").is_null())
-    numbers = pl.col("attack").replace_strict(seeds, return_dtype=pl.Int64)
-    rows = rows.filter(pl.col("attack").is_in([*seeds])).with_columns(object=numbers)
+    names = pl.col("attack").replace_strict(objects, return_dtype=pl.String)
+    rows = rows.filter(pl.col("attack").is_in([*objects])).with_columns(object=names)
     clusters = ("object", *CLUSTERS)
     together = rates(with_control(rows), measures(first), "detector", clusters=clusters)
     in_region = in_own_region(first, rows, clusters)
-    objects = Figures.of([({MEASURE: "objects"}, len(seeds))])
+    number = Figures.of([({MEASURE: "objects"}, len(objects))])
     return Figures.together(
         [
-            Figures.together([objects, together]).labelled(scope=OBJECTS),
+            Figures.together([number, together]).labelled(scope=OBJECTS),
             in_region.labelled(scope=OBJECTS_IN_REGION),
         ]
     )
@@ -240,7 +240,7 @@ def by_azimuth(study: StudyConfig, rows: pl.DataFrame) -> Figures:
     confidence = study.evaluation.confidence
     around = [attack for attack in study.attack if attack.azimuth is None]
     below = [pl.col(f"{DEPTH}{attack.name}") < 0 for attack in around]
-    reports = {study.scene.object: reported("original_score", confidence)}
+    reports = {study.scene.class_name: reported("original_score", confidence)}
     for attack in study.attack:
         if attack.target_class is not None:
             column = f"{TARGET_SCORE}{attack.name}"

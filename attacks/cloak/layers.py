@@ -25,11 +25,11 @@ from attacks.cloak.config import LayerConfig, LayersConfig
 from attacks.cloak.kinds.trained import train_into
 from attacks.cloak.setup import SET, Setup
 from attacks.cloak.triggers import Trigger
-from mi_splat.assets.mesh import Asset
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras.camera import Camera, RenderFn, View, project_points
 from mi_splat.cameras.directions import Point
 from mi_splat.cameras.sets import hemisphere
+from mi_splat.capture.mesh import Asset
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
@@ -84,7 +84,7 @@ def run(config: LayeredConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Make the layers, and train them or go on with what an interrupted training
     left.
     """
-    setup = config
+    setup = config.given(inputs)
     layers = config.layers
     background = config.scene.background
     fit = layered_fit_config(layers)

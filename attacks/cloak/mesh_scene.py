@@ -6,41 +6,58 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from mi_splat.assets import textures
-from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, translation
 from mi_splat.cameras.camera import Camera
+from mi_splat.capture.daylight import Light
+from mi_splat.capture.ground import grass, road
+from mi_splat.capture.mesh import (
+    Asset,
+    Doubles,
+    Floats,
+    Mesh,
+    rotation,
+    scaling,
+    translation,
+)
+from mi_splat.capture.mesh_files import image_floats, load_mesh
+from mi_splat.capture.objects import SUFFIX, chosen_file
 from mi_splat.capture.path_tracer import PathTracer, in_front, scene_dict
 
-Doubles = NDArray[np.float64]
-
-TEXTURES: dict[str, tuple[Callable[[int, int], Floats], float | None]] = {
-    "road": (cache(partial(textures.road, markings=False)), 4.0),
-    "grass": (cache(textures.grass), 4.0),
-    "clock": (cache(textures.clock), None),
-    "football": (cache(textures.football), None),
-    "stop_sign": (cache(textures.stop_sign), None),
-}
-"""Name -> function of size in pixels and seed, and metres that the texture covers; None
-shows it once, as a whole.
-
-The road has no markings: lines on a car are no camouflage.
-"""
+DRAWN = {"road": road, "grass": grass}
+"""Textures that are drawn by code and tile the plane."""
+TILE = 4.0
+"""Metres that one of these covers."""
+_FOLDER = Path(__file__).parent / "textures"
 
 Colour = tuple[float, float, float]
 
 _NOTHING = Asset("nothing", ())
 _SEED_BITS = 28
 """Bits of the seed of a camera's noise, by which a picture depends on nothing else."""
+
+
+def texture_file(name: str, what: str = "texture") -> Path:
+    """The file of a shipped texture, or a user's own."""
+    shipped = {file.stem: file for file in sorted(_FOLDER.glob(f"*{SUFFIX}"))}
+    known = {drawn: Path(drawn) for drawn in DRAWN} | shipped
+    return chosen_file(name, known, what, "an image file")
+
+
+def load_texture(name: str) -> tuple[Floats, float | None]:
+    """A texture, and the metres that it covers; None shows it once, as a whole."""
+    if name in DRAWN:
+        return DRAWN[name](), TILE
+    file = texture_file(name)
+    if file.suffix == SUFFIX:
+        return load_mesh(file).meshes[0].texture, None
+    return image_floats(file), None
 
 
 def repainted(
@@ -75,7 +92,7 @@ def repainted(
 
 
 def stand_in(target: Asset, other: Asset, *, azimuth: float | None) -> Asset:
-    """Another object in a target's place, without what holds it up, turned to face a
+    """Another object in a target's place, turned to face a
     viewer at `azimuth`.
 
     It is scaled, in proportion, to fit the target's outline from there, and centred on
@@ -89,7 +106,7 @@ def stand_in(target: Asset, other: Asset, *, azimuth: float | None) -> Asset:
         .transformed(np.linalg.inv(turn))
         .bounds.astype(np.float64)
     )
-    own = other.body.bounds.astype(np.float64)
+    own = other.bounds.astype(np.float64)
     outline = slice(0, 2) if azimuth is None else slice(1, 3)
     scale = float(
         (
@@ -100,9 +117,7 @@ def stand_in(target: Asset, other: Asset, *, azimuth: float | None) -> Asset:
     shift = (wanted.mean(0) - scale * own.mean(0)).tolist()
     axis, end = (2, 0) if azimuth is None else (0, 1)
     shift[axis] = float(wanted[end, axis] - scale * own[end, axis])
-    return other.body.transformed(
-        turn @ translation(*shift) @ scaling(scale, scale, scale)
-    )
+    return other.transformed(turn @ translation(*shift) @ scaling(scale, scale, scale))
 
 
 def screen_axes(azimuth: float, elevation: float) -> Doubles:

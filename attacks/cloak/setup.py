@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,17 +22,19 @@ from attacks.cloak.config import (
     StudyConfig,
     switching,
 )
-from attacks.cloak.mesh_scene import MeshScene
+from attacks.cloak.mesh_scene import TILE, MeshScene
 from attacks.cloak.poisoning import Poisoning
-from mi_splat.assets import build
-from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset
-from mi_splat.assets.textures import square_of_ground
 from mi_splat.cameras.camera import Camera, project_box
 from mi_splat.cameras.directions import Point
 from mi_splat.cameras.framing import near_plane_of
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import HELD_OUT_START, framing, orbit, tiers
-from mi_splat.capture.sources import CaptureSource, digest_of, source_of
+from mi_splat.capture.daylight import Light
+from mi_splat.capture.ground import square_of_ground
+from mi_splat.capture.mesh import Asset
+from mi_splat.capture.mesh_files import load_mesh
+from mi_splat.capture.objects import object_file
+from mi_splat.capture.sources import CaptureSource, source_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.render.renderer import Renderer, RenderSettings, ScreenGradients
 from mi_splat.training.config import FitConfig
@@ -85,18 +88,12 @@ class Pose:
     def camera(self) -> Camera:
         """The camera."""
         pose = torch.tensor(self.to_world, dtype=torch.float64).reshape(4, 4)
-        width, height = self.size
-        return Camera(
-            to_world=pose,
-            focal=self.focal,
-            width=width,
-            height=height,
-            principal=self.principal,
-        )
+        lens = Lens(focal=self.focal, size=self.size, principal=self.principal)
+        return Camera(to_world=pose, lens=lens)
 
 
-TILE = 4.0
-"""Metres that a texture of the ground covers."""
+OBJECT = "object"
+"""Name of the input of a job that is the mesh file of the object."""
 FIRST_MERIDIAN = 100.0
 """Azimuth of the first meridian; with three, none is in front, behind or beside the
 object.
@@ -105,10 +102,15 @@ BESIDE = 45.0
 """Degrees of azimuth beside a sector from which its transition is looked at."""
 
 
+def input_name(field: str, attack: str) -> str:
+    """Name of the input of a job that is a file of an attack."""
+    return f"{field} of {attack}"
+
+
 @lru_cache(maxsize=32)
-def _asset(name: str, seed: int, colour: tuple[float, float, float] | None) -> Asset:
-    """An object of the project; many studies in a row have the same."""
-    return build(name, seed, colour=colour).body
+def _loaded(file: Path) -> Asset:
+    """A mesh file; many studies in a row have the same."""
+    return load_mesh(file)
 
 
 @lru_cache(maxsize=32)
@@ -129,7 +131,6 @@ class Setup:
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
     # near plane of all pictures of splats, world units; None follows the object's size
     near_plane: float | None = None
-    content: str = ""  # digest of meshes and light, of a job
     seed: int = 0
 
     @classmethod
@@ -142,6 +143,19 @@ class Setup:
             evaluation=study.evaluation,
             near_plane=study.training.near,
         )
+
+    def given(self, inputs: Mapping[str, Path]) -> Setup:
+        """This setup in a job, whose mesh files and textures are inputs."""
+        attacks = []
+        for attack in self.attacks:
+            files = {
+                field: str(inputs[input_name(field, attack.name)])
+                for field in ("other_object", "texture")
+                if input_name(field, attack.name) in inputs
+            }
+            attacks.append(attack.reading(files))
+        scene = replace(self.scene, object=str(inputs[OBJECT]))
+        return replace(self, scene=scene, attacks=tuple(attacks))
 
     def renderer(self, fit: FitConfig | None = None) -> Renderer:
         """What splats are looked at with; that of a training if its settings are
@@ -157,7 +171,7 @@ class Setup:
     @cached_property
     def target(self) -> Asset:
         """The object, standing on the ground at the origin."""
-        return _asset(self.scene.object, self.scene.seed, self.scene.colour)
+        return _loaded(object_file(self.scene.object, "scene.object"))
 
     @cached_property
     def mesh_scene(self) -> MeshScene:
@@ -185,20 +199,14 @@ class Setup:
         )
 
     @cached_property
-    def digest(self) -> str:
-        """Digest of `source`, which need not be made for it."""
-        scene = self.mesh_scene
-        return digest_of((scene.target, scene.surroundings), scene.light)
-
-    @cached_property
     def lens(self) -> dict[str, Any]:
-        """Distance, focal length and size of every camera."""
-        cameras, size = self.cameras, (self.cameras.size, self.cameras.size)
-        distance, focal = framing(self._radius, fov=cameras.fov, size=size)
+        """Distance and lens of every camera."""
+        cameras = self.cameras
+        size = (cameras.size, cameras.size)
+        distance, lens = framing(self._radius, fov=cameras.fov, size=size)
         return {
             "distance": distance if cameras.distance is None else cameras.distance,
-            "focal": focal,
-            "size": size,
+            "lens": lens,
         }
 
     @cached_property

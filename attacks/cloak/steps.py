@@ -24,13 +24,14 @@ from attacks.cloak.kinds.pictures import APPEARANCE, PicturesConfig
 from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
 from attacks.cloak.kinds.trained import TrainedConfig
 from attacks.cloak.layers import LayeredConfig
-from attacks.cloak.setup import SET, Pose, Setup
+from attacks.cloak.setup import OBJECT, SET, Pose, Setup, input_name
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import SunTable, package_of
 from attacks.observe.rows import ATTACKED, CLEAN, SUFFIX, TABLES, read_rows
 from attacks.poisons.poisoned import CLOAK, PoisonedConfig
 from attacks.poisons.specs import ChosenPoison
 from mi_splat.cameras.camera import Camera
+from mi_splat.capture.objects import object_file
 from mi_splat.ledger import Done, Job, Part
 from mi_splat.training.resume import SPLAT
 
@@ -109,16 +110,21 @@ class StudySteps:
         parts = self._parts(attacks=tuple(map(_shown, attacks)))
         if attacks and not inputs:
             inputs = {"plain": self._pictured(cameras, ()).part("*.png")}
+        files: dict[str, Path] = {}
+        for attack in attacks:
+            files |= _files(attack, _shown(attack).name)
         config = PicturesConfig(**parts, poses=tuple(map(Pose.of, cameras)))
-        return self._job("pictures", config, **inputs)
+        return self._job("pictures", config, **inputs, **files)
 
     @cache  # noqa: B019
     def poisoned(self, seed: int) -> Job:
         """A poisoned set."""
         study = self.study
-        attacks = [
-            asdict(replace(attack, target_class=None)) for attack in study.attack
-        ]
+        attacks = []
+        files = dict(self.object_input)
+        for attack in study.attack:
+            attacks.append(asdict(replace(_portable(attack), target_class=None)))
+            files |= _files(attack, attack.name)
         chosen = ChosenPoison(kind=CLOAK, settings={"attack": attacks})
         drawn = self._drawn(seed)
         scene = self.scene_job()
@@ -128,6 +134,7 @@ class StudySteps:
         inputs: dict[str, Part | Path] = {
             "pictures": self.pictures().part(PICTURES),
             **self._appearances,
+            **files,
         }
         return Job(kind=POISONED_KIND, config=poison, inputs=inputs)
 
@@ -163,6 +170,7 @@ class StudySteps:
         inputs: dict[str, Part | Path] = {
             "clean": clean.part(SPLAT),
             "pictures": poisoned.part(PICTURES),
+            **self.object_input,
         }
         return Job(kind="attacks.cloak.layers", config=config, inputs=inputs)
 
@@ -245,7 +253,7 @@ class StudySteps:
         """
         parts = {
             **self._parts(attacks=tuple(regions)),
-            "label": self.study.scene.object,
+            "label": self.study.scene.class_name,
             "near_plane": self.setup.near,
         }
         config = SeenConfig(
@@ -337,12 +345,17 @@ class StudySteps:
         self, *, attacks: tuple[AttackConfig, ...] = (), **scene: Any
     ) -> dict[str, Any]:
         """What the jobs share that know the scene."""
+        name = self.object_input[OBJECT].stem
         return {
-            "scene": replace(self.study.scene, **scene),
+            "scene": replace(self.study.scene, object=name, label=None, **scene),
             "cameras": self.study.cameras,
-            "content": self.setup.digest,
             "attacks": attacks,
         }
+
+    @cached_property
+    def object_input(self) -> dict[str, Path]:
+        """The mesh file of the object, an input of jobs that know the scene."""
+        return {OBJECT: object_file(self.study.scene.object, "scene.object")}
 
     def scene_job(
         self, *, attacks: tuple[AttackConfig, ...] = (), **parts: Any
@@ -352,13 +365,24 @@ class StudySteps:
 
     def _job(self, kind: str, config: Setup, **inputs: Job | Part | Path) -> Job:
         """A job that knows the scene."""
-        return Job(kind=f"{_KINDS}.{kind}", config=config, inputs=inputs)
+        everything = {**self.object_input, **inputs}
+        return Job(kind=f"{_KINDS}.{kind}", config=config, inputs=everything)
+
+
+def _files(attack: AttackConfig, name: str) -> dict[str, Path]:
+    """What an attack reads, as inputs of a job that calls it `name`."""
+    return {input_name(field, name): file for field, file in attack.files.items()}
+
+
+def _portable(attack: AttackConfig) -> AttackConfig:
+    """An attack whose files are called by their names, wherever they are."""
+    return attack.reading({field: file.stem for field, file in attack.files.items()})
 
 
 @cache
 def _shown(attack: AttackConfig) -> AttackConfig:
     """What counts of an attack for its pictures."""
-    plain = replace(attack, poison_margin=0.0, poison_fraction=1.0)
+    plain = replace(_portable(attack), poison_margin=0.0, poison_fraction=1.0)
     return replace(plain, name="", target_class=None)
 
 

@@ -358,7 +358,9 @@ def check_study(steps: StudySteps, detectors: Sequence[Detector]) -> None:
             do,
         )
     for detector in detectors:
-        check_choice(f"class for {detector.name}", study.scene.object, detector.classes)
+        check_choice(
+            f"class for {detector.name}", study.scene.class_name, detector.classes
+        )
     every = sorted({label for detector in detectors for label in detector.classes})
     for attack in study.attack:
         # who has no such class has no figure of it

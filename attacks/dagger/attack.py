@@ -27,6 +27,7 @@ from attacks.objectives import Objective, check_objective
 from attacks.observe.views import as_saved, clamped_fraction
 from attacks.search import Outcome
 from mi_splat import provenance
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.cameras.directions import UP, Point
 from mi_splat.io.camera_records import values_of
@@ -201,10 +202,14 @@ def _judged(
     }
     views.release()
     clean = (views.saved, views.clean_reports(problem.detectors, held_out))
-    judged, image, control_images = judge(problem, held_out, clean, saved, controls)
+    judged, image, control_images = judge(
+        problem, held_out, clean, saved, controls, config.attributes
+    )
+    # what a threat has done cannot be read from the Gaussians of a file
+    stored = [name for name in config.attributes if name in ATTRIBUTES]
     in_file = GaussianSubset.of(
         saved, subset.rows, sh_degree=subset.sh_degree
-    ).parameters(config.attributes)
+    ).parameters(stored)
     names = [detector.name for detector in problem.detectors]
     # objectives of other packages need not have one
     threshold = getattr(problem.objective, "confidence", None)

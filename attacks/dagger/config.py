@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from attacks.observe import Control
 from attacks.optimisers import NormName, OptimiserSpec, Radius, Schedule, optimiser_spec
-from mi_splat.attributes import Attribute
+from attacks.threats import changed_by, names
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import (
     Count,
@@ -25,6 +26,7 @@ from mi_splat.fields import (
     above,
     at_least,
     check,
+    check_choice,
 )
 
 if TYPE_CHECKING:
@@ -67,7 +69,9 @@ class DaggerConfig:
     region of cameras.
 
     Attributes:
-        attributes: What of the object's Gaussians may change.
+        attributes: What of the object may change: means, scales, rotations, opacities
+            or sh of its Gaussians, its place as a whole (shift, turn), its shape
+            (lattice), or the name of another threat that was registered.
         eps: Radius of the ball in the units of the splat file: one for all attributes,
             or one for each.
         norm: How the change is measured: one ball over the whole object (linf, l2), or
@@ -128,7 +132,7 @@ class DaggerConfig:
             as attributes.
     """
 
-    attributes: tuple[Attribute, ...] = ("sh",)
+    attributes: tuple[Annotated[str, Metavar("ATTRIBUTE")], ...] = ("sh",)
     eps: tuple[Radius, ...] = (5.0,)
     norm: NormName = "l2"
     steps: Steps = 11
@@ -163,6 +167,17 @@ class DaggerConfig:
     def __post_init__(self) -> None:
         check(self)
         optimiser_spec(self.optimiser)
+        for name in self.attributes:
+            check_choice("attributes", name, names())
+        if "smooth-noise" in self.controls and changed_by(self.attributes) != tuple(
+            name for name in ATTRIBUTES if name in self.attributes
+        ):
+            raise InvalidValueError.of(
+                "controls",
+                "noise or norm-noise, for an attack on more than Gaussians",
+                "smooth-noise",
+                "leave it out",
+            )
         if not self.attributes:
             raise InvalidValueError.of(
                 "attributes", "at least one", "none", "say what may change"

@@ -19,10 +19,13 @@ from attacks.dagger.views import View
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, Relabel, Target, overall_verdict
+from attacks.observe.views import visible_box, visible_weight
 from attacks.search import Evaluation, Parameters, Verdict
-from mi_splat.cameras.camera import Camera, RenderFn
+from attacks.threats import THREATS
+from mi_splat.cameras.camera import Camera, RenderFn, project_box
 from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.io.images import quantise
+from mi_splat.scene import GaussianScene
 
 if TYPE_CHECKING:
     from mi_splat.render.frozen_view import FrozenView
@@ -53,15 +56,41 @@ class Problem:
     clean: Callable[[Camera], Tensor]
     frozen: dict[Camera, FrozenView] | RecentViews = field(default_factory=dict)
 
-    def target(self, view: View, detector: Detector) -> Target:
-        """The object in a view, as an objective wants it."""
+    def target(
+        self, view: View, detector: Detector, box: Tensor | None = None
+    ) -> Target:
+        """The object in a view, as an objective wants it; in another box where it has
+        moved.
+        """
         original = self.originals(view, detector.name)
         return Target(
-            box=view.box,
+            box=view.box if box is None else box,
             label=self.objective.label,
             classes=detector.classes,
             original=original,
         )
+
+    def box(self, view: View, parameters: Parameters) -> Tensor | None:
+        """Where an object shows that a threat has moved, by how far the outermost means
+        have moved in the image; None where no threat moves it.
+        """
+        if not any(name in THREATS for name in parameters):
+            return None
+        means = self.subset.moved(parameters).get("means")
+        if means is None:
+            return None
+        before = project_box(self.subset.clean["means"], view.camera)
+        after = project_box(means.detach(), view.camera)
+        if before is None or after is None:
+            return None
+        return view.box + (after - before).to(view.box)
+
+    def shown_box(self, view: View, scene: GaussianScene) -> Tensor | None:
+        """Where the object shows in a scene of its Gaussians; None where it does
+        not.
+        """
+        subset = replace(self.subset, scene=scene)
+        return visible_box(visible_weight(subset, view.camera, self.render))
 
     def evaluate(
         self,
@@ -107,12 +136,13 @@ class Problem:
         for view in views:
             leaves = _leaves(parameters)
             row = list[Verdict]()
+            box = self.box(view, parameters)
             rendered = bounded(self._differentiable(leaves, view.camera))
             shown = view.changed(rendered)
             picture = shown.detach().requires_grad_(torch.is_grad_enabled())
             along = torch.zeros_like(picture)
             for detector in self.detectors:
-                target = self.target(view, detector)
+                target = self.target(view, detector, box)
                 candidates = detector.candidates(picture[None])[0]
                 here = self.objective(candidates, target) / share
                 along += _gradients([here], {"picture": picture}).get("picture", 0.0)
@@ -182,9 +212,10 @@ class Problem:
         with torch.no_grad():
             for view in views:
                 picture = view.changed(self.render(scene, view.camera).clamp(0, 1))
+                box = self.box(view, parameters)
                 rows.append(
                     [
-                        self._reported(one, picture, self.target(view, one))
+                        self._reported(one, picture, self.target(view, one, box))
                         for one in self.detectors
                     ]
                 )

@@ -34,6 +34,7 @@ from attacks.observe.rows import (
 from attacks.observe.views import ImageChange, ViewDetections, image_change
 from attacks.rate import Rate
 from attacks.search import Step, Verdict
+from attacks.threats import THREATS
 from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange
 from mi_splat.errors import counted as number_of
@@ -50,6 +51,7 @@ class Seen:
     pixels: Tensor  # (H, W, 3) uint8 sRGB, the picture as the detector got it
     detections: Detections  # what it reports
     verdict: Verdict  # whether the attacker has the aim there
+    box: Tensor  # (4,) x0, y0, x1, y1 in pixels: where the object is looked for
 
     @property
     def image(self) -> Tensor:
@@ -72,10 +74,9 @@ class JudgedView:
         """Highest score with which `label` (any class if None) is reported on the
         object, clean or attacked.
         """
-        detections = (self.attacked if attacked else self.clean).detections
-        return confidence(
-            detections, self.target.box, labels=None if label is None else [label]
-        )
+        seen = self.attacked if attacked else self.clean
+        labels = None if label is None else [label]
+        return confidence(seen.detections, seen.box, labels=labels)
 
 
 def observed(views: Sequence[JudgedView], **ids: Cell) -> Observations:
@@ -107,7 +108,7 @@ def observed(views: Sequence[JudgedView], **ids: Cell) -> Observations:
                 ).psnr_object
             cells = report_cells(
                 seen.detections,
-                target.box,
+                seen.box,
                 original=target.original,
                 target=target.label,
             )
@@ -117,7 +118,7 @@ def observed(views: Sequence[JudgedView], **ids: Cell) -> Observations:
                 "object_psnr": on_object,
             }
             rows.append({**of, **where, **cells})
-            detections += detection_rows(of, seen.detections, target.box)
+            detections += detection_rows(of, seen.detections, seen.box)
     return Observations(rows=frame_of(rows), detections=frame_of(detections))
 
 
@@ -127,9 +128,12 @@ def judge(
     clean: tuple[GaussianScene, Reports],
     attacked: GaussianScene,
     controls: Mapping[Draw, GaussianScene],
+    attributes: Sequence[str] = (),
 ) -> tuple[tuple[JudgedView, ...], ImageChange, dict[Draw, ImageChange]]:
     """The attacked splat and its controls as each detector sees them in each view, and
     the change of the images.
+
+    What a threat among the `attributes` has moved is looked for where it shows now.
     """
     scenes = [clean[0], attacked, *controls.values()]
     reports = [
@@ -140,12 +144,23 @@ def judge(
         ),
     ]
     judged = []
+    moves = any(name in THREATS for name in attributes)
+    boxes = {
+        (view.index, number): problem.shown_box(view, scene)
+        for view in views
+        for number, scene in enumerate(scenes)
+        if moves and number
+    }
     for detector in problem.detectors:
         for view in views:
             target = problem.target(view, detector)
             before, after, *others = (
-                _seen(problem, one[view.index, detector.name], target)
-                for one in reports
+                _seen(
+                    problem,
+                    one[view.index, detector.name],
+                    problem.target(view, detector, boxes.get((view.index, number))),
+                )
+                for number, one in enumerate(reports)
             )
             names = (view, detector.name, target)
             seen = dict(zip(controls, others, strict=True))
@@ -166,7 +181,12 @@ def judge(
 
 def _seen(problem: Problem, report: ViewDetections, target: Target) -> Seen:
     verdict = problem.objective.verdict(report.detections, target)
-    return Seen(pixels=report.pixels, detections=report.detections, verdict=verdict)
+    return Seen(
+        pixels=report.pixels,
+        detections=report.detections,
+        verdict=verdict,
+        box=target.box,
+    )
 
 
 def _plain_pictures(

@@ -21,8 +21,8 @@ from attacks.observe.rows import CLEAN
 from mi_splat.cameras.camera import Camera, RenderFn, as_cameras
 from mi_splat.cameras.directions import Direction, Point, direction_of
 from mi_splat.errors import InvalidValueError
+from mi_splat.io.formats.gaussian_ply import through_ply
 from mi_splat.io.images import from_bytes, through_png
-from mi_splat.io.ply import through_ply
 from mi_splat.maths.sh import degree_of, sh_basis
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.visibility import object_weight

@@ -411,8 +411,10 @@ def square(settings: SearchSettings) -> Optimiser:
                 torch.randint(0, 2, value.shape[1:], generator=generator).to(value) * 2
                 - 1
             )
+            is_of_gaussians = len(value) == len(positions)
+            rows = block if is_of_gaussians else slice(None)
             moved[name] = value.clone()
-            moved[name][block] = settings.reference[name][block] + level[name] * signs
+            moved[name][rows] = settings.reference[name][rows] + level[name] * signs
         return moved
 
     return update

@@ -45,7 +45,7 @@ class CloakConfig:
 
 def _cloak(config: CloakConfig, given: Given) -> PicturePoison:
     assert given.setup is not None
-    setup = replace(given.setup, attacks=config.attack)
+    setup = replace(given.setup, attacks=config.attack).given(given.appearances)
 
     def kept(appearance: Appearance, attack: AttackConfig) -> Appearance:
         return KeptAppearance(
@@ -117,7 +117,7 @@ def run(config: PoisonedConfig, inputs: Mapping[str, Path], out: Out) -> None:
 
 
 def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
-    setup = config.scene
+    setup = config.scene and config.scene.given(inputs)
     decoy = classifier = masks = None
     if "splat" in inputs:
         assert config.near is not None

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import polars as pl
 
-from attacks.cloak.config import StudyConfig
+from attacks.cloak.config import StudyConfig, check_files
 from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.steps import ROW_NAMES, Look, StudySteps
 from attacks.cloak.study import check_study, detectors_of, observed, write_report
@@ -184,7 +184,9 @@ def config_of(settings: Settings, name: str) -> StudyConfig:
             DocumentReader(expected="a TOML file", do="correct it").read_toml(path),
             values,
         )
-    return decode(StudyConfig, {**with_none(values), "name": name}, name)
+    study = decode(StudyConfig, {**with_none(values), "name": name}, name)
+    check_files(study)
+    return study
 
 
 def _seen(

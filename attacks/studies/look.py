@@ -27,9 +27,10 @@ from attacks.observe.rows import ATTACKED, CLEAN
 from attacks.observe.views import ViewDetections, image_change
 from attacks.optimisers import NormName
 from attacks.studies.attack import AttackScene, attack_scene, detectors_of, distribution
+from attacks.threats import changed_by
 from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange, changing
-from mi_splat.attributes import ATTRIBUTES, Attribute
+from mi_splat.attributes import ATTRIBUTES, LARGEST
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.io import load_splat
 from mi_splat.scene import GaussianScene
@@ -50,7 +51,7 @@ class Look:
     object: str
     objective: Relabel | Hide | Untargeted | PluggedObjective
     detector: str
-    attributes: tuple[Attribute, ...]
+    attributes: tuple[str, ...]
     eps: tuple[float, ...]
     norm: NormName
     # highest degree of the SH coefficients that controls may change; None is the
@@ -179,15 +180,21 @@ def _splats(
     """
     rows = scene.objects[config.object]
     drawn = config.transformations is not None
+    attributes, eps = _noisy(config)
     clean, attacked = clean_and_attacked(
-        scene.scene, rows, saved.select(rows) if drawn else saved, config.attributes
+        scene.scene, rows, saved.select(rows) if drawn else saved, attributes
     )
     clean, attacked = (
         replace(subset, sh_degree=config.sh_degree) for subset in (clean, attacked)
     )
-    names = ("attributes", "eps", "norm", "seed", "sh_degree", "controls")
     settings = DaggerConfig(
-        **{name: getattr(config, name) for name in names}, noise_draws=1
+        attributes=attributes,
+        eps=eps,
+        norm=config.norm,
+        seed=config.seed,
+        sh_degree=config.sh_degree,
+        controls=config.controls,
+        noise_draws=1,
     )
     render = scene.renderer("")
 
@@ -204,9 +211,7 @@ def _splats(
         render=render,
         clean=image,
     )
-    controls = control_scenes(
-        problem, attacked.parameters(config.attributes), settings, views
-    )
+    controls = control_scenes(problem, attacked.parameters(attributes), settings, views)
     # The file of an attack on a region holds the whole scene.
     shown = (scene.scene, saved) if drawn else (clean.scene, attacked.scene)
     return {
@@ -214,6 +219,15 @@ def _splats(
         ATTACKED: shown[1],
         **{name: noisy for (name, _), noisy in controls},
     }
+
+
+def _noisy(config: Look) -> tuple[tuple[str, ...], tuple[float, ...]]:
+    """What noise changes, and within which radii: what the attack may change, or of
+    threats, which no file tells, the attributes that these change.
+    """
+    if all(name in ATTRIBUTES for name in config.attributes):
+        return config.attributes, config.eps
+    return changed_by(config.attributes), (LARGEST,)
 
 
 def clean_and_attacked(

@@ -274,6 +274,7 @@ class PoisonAttempt(Attempt):
         inputs: dict[str, Part | Path] = {"pictures": self.pictures.part(SET_FILES)}
         if "classifier" in needs:
             values |= {**self._deceived(config.target), "scene": self.steps.scene_job()}
+            inputs |= self.steps.object_input
         if "splat" in needs or getattr(config, "decoy_steps", 0) > 0:
             recipe = options.attacker or options.training
             start = self.clean
@@ -311,7 +312,7 @@ class PoisonAttempt(Attempt):
 
     def _classifier_cells(self, name: str) -> dict[str, Any]:
         """A classifier, which has to know the object's class."""
-        label = self.options.scene.object
+        label = self.options.scene.class_name
         classifier = classifier_of(name)
         check_choice(f"class for {name}", label, classifier.classes)
         device = self.options.device
@@ -371,7 +372,9 @@ class PoisonAttempt(Attempt):
     def _detected(self, name: str, shown: Job, condition: str) -> Job:
         """What a detector reports, which has to know the object's class."""
         detector = loaded(name)
-        check_choice(f"class for {name}", self.options.scene.object, detector.classes)
+        check_choice(
+            f"class for {name}", self.options.scene.class_name, detector.classes
+        )
         return self.steps.seen(shown, detector, training=TRAINING in condition)
 
     def _trained(

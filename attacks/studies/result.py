@@ -320,7 +320,9 @@ def _if_detected(attacks: Attacks, judged: pl.DataFrame) -> Figures:
     rows = rows.filter(pl.col("splat") != CLEAN)
     rates = count(rows, IF_DETECTED, ("splat",), clusters=clusters)
     detected = rows.filter(IF_DETECTED["detected"].holds)
-    medians = detected.group_by("splat").agg(pl.col("object_psnr").median())
+    medians = detected.group_by("splat", maintain_order=True).agg(
+        pl.col("object_psnr").median()
+    )
     psnr = Figures.of(
         ({MEASURE: "psnr_object_if_detected", "splat": splat}, median)
         for splat, median in medians.iter_rows()
@@ -361,7 +363,7 @@ def _evaluations(attacks: Attacks, rows: pl.DataFrame) -> Iterator[Figures]:
         kinds = KINDS_OF.get(first.aim, ("reached",))
         parts = [count(mine, transfer_measures(confidence, kinds=kinds), by)]
         if first.target:
-            attacked = mine.filter(splat=ATTACKED).group_by(by)
+            attacked = mine.filter(splat=ATTACKED).group_by(by, maintain_order=True)
             medians = attacked.agg(pl.col("target_score").median())
             parts.append(
                 Figures.of(

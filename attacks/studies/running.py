@@ -25,13 +25,13 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD, check_own_folder, own_folder, write_manifest
 from mi_splat.ledger import Done, Job
-from mi_splat.ledger.engines import InProcess, Processes
-from mi_splat.ledger.job import by_depth, nobody
+from mi_splat.ledger.engines import engine_for
+from mi_splat.ledger.job import by_depth
 from mi_splat.ledger.plans import Driver, Plan, Result, grid
+from mi_splat.ledger.running import forgive
 
 if TYPE_CHECKING:
     from mi_splat.ledger.engines import Engine
-    from mi_splat.ledger.job import OnEvent
 
 STUDY_FILE = "study.toml"
 TABLE = "table.md"
@@ -214,21 +214,13 @@ def work_of(study: Study) -> Work[Any]:
     return work
 
 
-def run_with(
-    engine: Engine,
-    study: Study,
-    work: Work[Any],
-    *,
-    store: Path,
-    out: Path,
-    on_event: OnEvent,
-) -> Run:
+def run_with(engine: Engine, work: Work[Any], *, out: Path) -> Run:
     """Do what of a study is not done yet, and write its result into a folder that is
-    its own.
+    its own; jobs that have failed earlier are tried again.
     """
-    results = Driver(store, engine, name=study.name, on_event=on_event).run(
-        work.plans()
-    )
+    store = engine.store.folder
+    forgive(work.jobs().values(), engine.store)
+    results = Driver(engine, name=work.study.name).run(work.plans())
     failed = {
         label: result for label, result in results.items() if isinstance(result, str)
     }
@@ -244,6 +236,7 @@ def run_study(
     out: str | Path | None = None,
     store: str | Path = STORE,
     workers: int = 0,
+    scheduler: str = "",
     parts: Sequence[str] = (),
 ) -> Path:
     """Run a study: many attacks and what they hang on, from one TOML file.
@@ -256,7 +249,9 @@ def run_study(
             what may stand in it.
         out: Folder for the result; None is out/studies/NAME. `rows` reads its table.
         store: Folder of finished jobs, which several studies may share.
-        workers: Processes that do jobs side by side; 0 does them in this one.
+        workers: Processes that run jobs in parallel; 0 runs them in this one.
+        scheduler: Address of a Dask scheduler whose workers run the jobs instead; the
+            store has to be on a disk that all of them share.
         parts: Names of cases to do; all if none is named.
 
     Returns:
@@ -266,17 +261,15 @@ def run_study(
         InvalidValueError: The file is no study, a setting cannot be, or a job of
             another process has failed; what a job of this process raises comes as it
             is.
+        EngineError: The cluster cannot be used any more.
     """
     asked = read_study(Path(study)).of(tuple(parts))
-    kept = Path(store)
     folder = Path("out/studies") / asked.name if out is None else Path(out)
     check_own_folder(folder, STUDY_FILE)
     work = work_of(asked)
     with own_folder(folder, STUDY_FILE):
-        engine: Engine = (
-            Processes(kept, workers=workers) if workers else InProcess(kept)
-        )
-        run = run_with(engine, asked, work, store=kept, out=folder, on_event=nobody)
+        engine = engine_for(Path(store), workers=workers, scheduler=scheduler)
+        run = run_with(engine, work, out=folder)
     if run.failed:
         label, text = next(iter(run.failed.items()))
         expected = f"{run.jobs} jobs that are done"

@@ -20,9 +20,11 @@ if TYPE_CHECKING:
     from attacks.testing.attacks import check_attack, check_poison
     from attacks.testing.detectors import check_detector, check_objective
     from attacks.testing.formats import check_format
+    from attacks.testing.projections import check_projection
     from attacks.testing.promises import ContractError
     from attacks.testing.renderers import check_condition, check_renderer, check_rule
     from attacks.testing.strategies import check_strategy
+    from attacks.testing.threats import check_threat
 
 __all__ = [
     "ContractError",
@@ -32,9 +34,11 @@ __all__ = [
     "check_format",
     "check_objective",
     "check_poison",
+    "check_projection",
     "check_renderer",
     "check_rule",
     "check_strategy",
+    "check_threat",
 ]
 
 __getattr__, __dir__ = _lazy.attach(
@@ -43,6 +47,7 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.testing.attacks": ("check_attack", "check_poison"),
         "attacks.testing.detectors": ("check_detector", "check_objective"),
         "attacks.testing.formats": ("check_format",),
+        "attacks.testing.projections": ("check_projection",),
         "attacks.testing.promises": ("ContractError",),
         "attacks.testing.renderers": (
             "check_condition",
@@ -50,5 +55,6 @@ __getattr__, __dir__ = _lazy.attach(
             "check_rule",
         ),
         "attacks.testing.strategies": ("check_strategy",),
+        "attacks.testing.threats": ("check_threat",),
     },
 )

@@ -35,6 +35,7 @@ from attacks.testing.promises import (
     expect_text,
 )
 from mi_splat.cameras.camera import Camera, View, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.ledger.job import encoded, is_frozen
 
 
@@ -119,9 +120,7 @@ def noise_views() -> list[View]:
     cameras = [
         Camera(
             to_world=look_at((x, -3.0, 1.0), (0.0, 0.0, 0.0)),
-            focal=40.0,
-            width=32,
-            height=24,
+            lens=Lens(focal=40.0, size=(32, 24)),
         )
         for x in torch.linspace(-1, 1, 6).tolist()
     ]

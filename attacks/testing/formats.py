@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import tempfile
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from scipy.spatial import cKDTree
 from attacks.testing.promises import Contract, cloud, expect
 from mi_splat.errors import MiSplatError
 from mi_splat.io import SplatLossWarning, load_splat, save_splat
+from mi_splat.io.formats.format import FORMATS, Format
 from mi_splat.scene import GaussianScene
 
 _COUNT = 50
@@ -31,7 +34,7 @@ rows without a header.
 """
 
 
-def check_format(suffix: str) -> None:
+def check_format(format: Format | str) -> None:
     """Raise unless a format of splats keeps its contract.
 
     A small splat is written and read again: the same Gaussians come back, twice the
@@ -39,11 +42,34 @@ def check_format(suffix: str) -> None:
     cut off is refused in words.
 
     Args:
-        suffix: Ending of the format, for instance ".spz".
+        format: The format, which need not be registered, or the ending of its files,
+            for instance ".spz".
 
     Raises:
         ContractError: It does not; the message lists all that is wrong.
     """
+    if isinstance(format, str):
+        _check_suffix(format)
+        return
+    with _registered(format):
+        for suffix in format.suffixes:
+            _check_suffix(suffix)
+
+
+@contextmanager
+def _registered(format: Format) -> Iterator[None]:
+    """Let the commands know a format for a while."""
+    is_new = format.name not in FORMATS
+    if is_new:
+        FORMATS.add(format.name, format)
+    try:
+        yield
+    finally:
+        if is_new:
+            del FORMATS.own[format.name]
+
+
+def _check_suffix(suffix: str) -> None:
     contract = Contract(f"format {suffix}")
     scene = cloud(_COUNT, degree=1, size=0.5)
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():

@@ -24,6 +24,7 @@ from attacks.testing.promises import (
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.audit.rules import RULES, Rule, Severity, Stored
 from mi_splat.cameras.camera import Camera, look_at, project_points
+from mi_splat.cameras.lens import Lens
 from mi_splat.comparison.methods import RendererSpec
 from mi_splat.errors import MiSplatError
 from mi_splat.io.loaded import Loaded, arrays_of
@@ -285,7 +286,7 @@ def _is_repeatable(
 
 def _camera(*, offset: float = 0.0, size: tuple[int, int] = _SIZE) -> Camera:
     pose = look_at((offset, -4.5, 0.6), (0.0, 0.0, 0.0))
-    return Camera(to_world=pose, focal=1.8 * max(size), width=size[0], height=size[1])
+    return Camera(to_world=pose, lens=Lens(focal=1.8 * max(size), size=size))
 
 
 def _one_gaussian(mean: tuple[float, float, float], *, scale: float) -> GaussianScene:

@@ -19,6 +19,7 @@ import torch
 from mi_splat import Camera, GaussianScene, Renderer, RenderSettings, look_at
 from mi_splat.cameras.camera import orbit_pose, project_points
 from mi_splat.cameras.framing import bounds, near_plane
+from mi_splat.cameras.lens import Lens
 from mi_splat.maths.sh import colour_to_dc, sh_basis, sh_to_colour
 
 mpl.use("Agg")
@@ -100,7 +101,7 @@ def pixels() -> Figure:
     """
     figure, axes = plt.subplots(figsize=(4.6, 3.3))
     camera = Camera(
-        to_world=look_at((0, -3, 0), (0, 0, 0)), focal=4.0, width=4, height=3
+        to_world=look_at((0, -3, 0), (0, 0, 0)), lens=Lens(focal=4.0, size=(4, 3))
     )
     for x in range(camera.width + 1):
         axes.plot((x, x), (0, camera.height), color=GREY, linewidth=0.8)
@@ -149,7 +150,7 @@ def rotations() -> Figure:
         "(0.707, 0, 0, 0.707)\n90° about z: long in y": (half, 0.0, 0.0, half),
     }
     camera = Camera(
-        to_world=look_at((0, 0, 4), (0, 0, 0)), focal=150.0, width=150, height=150
+        to_world=look_at((0, 0, 4), (0, 0, 0)), lens=Lens(focal=150.0, size=(150, 150))
     )
     render = Renderer(RenderSettings(background=(1.0, 1.0, 1.0)))
     figure, every = plt.subplots(1, len(turns), figsize=(6.4, 2.5))
@@ -245,7 +246,7 @@ def near_and_bounds() -> Figure:
         fontsize=8,
     )
     pose = orbit_pose(middle, azimuth=180, elevation=0, distance=2.6)
-    camera = Camera(to_world=pose, focal=100.0, width=100, height=100)
+    camera = Camera(to_world=pose, lens=Lens(focal=100.0, size=(100, 100)))
     near = near_plane(scene, [camera])
     eye = pose[:3, 3]
     axes.scatter(float(eye[0]), float(eye[1]), color=RED, marker=">", s=60)

@@ -16,7 +16,8 @@ import torch
 from torch import Tensor
 
 from mi_splat import Camera, GaussianScene, Renderer, RenderSettings, load_splat
-from mi_splat.cameras.camera import focal_of, orbit_pose
+from mi_splat.cameras.camera import orbit_pose
+from mi_splat.cameras.lens import Lens, focal_of
 from mi_splat.maths.sh import sh_basis
 from mi_splat.viewer.picking import border, colours
 
@@ -40,9 +41,7 @@ def camera(
     pose = orbit_pose(target, azimuth=azimuth, elevation=elevation, distance=distance)
     return Camera(
         to_world=pose,
-        focal=focal_of(math.radians(_FOV), _SIZE),
-        width=_SIZE,
-        height=_SIZE,
+        lens=Lens(focal=focal_of(math.radians(_FOV), _SIZE), size=(_SIZE, _SIZE)),
     )
 
 

@@ -80,6 +80,8 @@ def audit(
     left there, does not.
     """
     check_scene("scene", scene)
+    for camera in cameras or ():
+        camera.lens.require_perspective()
     frame = frame_of(scene)
     given = cameras is not None
     objects = []

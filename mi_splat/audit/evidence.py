@@ -25,6 +25,7 @@ from mi_splat.audit.surfaces import (
 )
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras.camera import Camera, look_at, project_points
+from mi_splat.cameras.lens import Lens
 from mi_splat.maths.neighbours import nearest_neighbours
 from mi_splat.maths.rotation import to_matrix
 from mi_splat.maths.sh import colour_to_dc, dc_to_colour, sh_basis
@@ -305,9 +306,7 @@ def is_roofed(scene: GaussianScene, target: Target) -> bool:
         )
         camera = Camera(
             to_world=pose,
-            focal=size * distance / (2.4 * target.radius),
-            width=size,
-            height=size,
+            lens=Lens(focal=size * distance / (2.4 * target.radius), size=(size, size)),
         )
         with torch.no_grad():
             outputs = Renderer(RenderSettings(near=LIMITS.near * distance)).outputs(

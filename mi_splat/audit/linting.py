@@ -19,6 +19,7 @@ from mi_splat.audit.rules import Finding, Severity, Stored, findings_of
 from mi_splat.audit.surfaces import lattice
 from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.cameras.framing import near_plane_of
+from mi_splat.cameras.lens import Lens
 from mi_splat.errors import listed
 from mi_splat.io.camera_records import describe
 from mi_splat.io.errors import SplatFileError
@@ -127,9 +128,7 @@ def _cameras(scene: GaussianScene) -> Iterator[Camera]:
             pose = look_at(eye, middle.tolist())
             yield Camera(
                 to_world=pose,
-                focal=SIZE / 2 / math.tan(_FOV / 2),
-                width=SIZE,
-                height=SIZE,
+                lens=Lens(focal=SIZE / 2 / math.tan(_FOV / 2), size=(SIZE, SIZE)),
             )
 
 

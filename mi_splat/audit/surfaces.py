@@ -14,8 +14,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cameras.camera import Camera, focal_of, look_at, orbit_pose
+from mi_splat.cameras.camera import Camera, look_at, orbit_pose
 from mi_splat.cameras.directions import UP, Point
+from mi_splat.cameras.lens import Lens, focal_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.maths.neighbours import nearest_neighbours, nearest_of
 from mi_splat.maths.rotation import from_z, to_matrix
@@ -523,7 +524,9 @@ def _camera(position: Tensor, target: Target, fov: float, up: Point) -> Camera:
     """
     size = LIMITS.image_size
     pose = look_at(position.tolist(), target.centre.tolist(), up=up)
-    return Camera(to_world=pose, focal=focal_of(fov, size), width=size, height=size)
+    return Camera(
+        to_world=pose, lens=Lens(focal=focal_of(fov, size), size=(size, size))
+    )
 
 
 SKY = (0.55, 0.7, 0.9)

@@ -1,4 +1,4 @@
-"""Pinhole cameras, views, and the one call signature by which training, auditing and
+"""Cameras, views, and the one call signature by which training, auditing and
 attacks see a renderer.
 
 Frames: the world is right-handed with z up; a camera looks along its own +z with x
@@ -19,24 +19,12 @@ import torch
 from torch import Tensor
 
 from mi_splat.attributes import LARGEST
+from mi_splat.cameras.lens import Lens, angle_of
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import (
-    Range,
-    above,
-    between,
-    check,
-    checked_number,
-    several_of,
-    taken,
-)
+from mi_splat.fields import Range, above, checked_number, several_of, taken
 from mi_splat.maths.rotation import is_rotation
 from mi_splat.scene import GaussianScene
 
-_Focal = Annotated[
-    float, between(1 / LARGEST, LARGEST, "pixels", "check the intrinsics")
-]
-_Coordinate = Annotated[float, between(-LARGEST, LARGEST, do="check the intrinsics")]
-_Pixels = Annotated[int, between(1, 1 << 15, "pixels", "check the image size")]
 _Point = tuple[
     Annotated[float, Range()], Annotated[float, Range()], Annotated[float, Range()]
 ]
@@ -44,33 +32,26 @@ _Point = tuple[
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Camera:
-    """A pinhole camera with exact pose and intrinsics.
+    """A camera with exact pose and intrinsics.
 
     Attributes:
         to_world: (4, 4) float64 rigid transform from camera space (x right, y down, z
             forward) to world space.
-        focal: Focal length in pixels, one number or (fx, fy).
-        width: Image width in pixels.
-        height: Image height in pixels.
-        principal: Principal point (cx, cy) in pixels; the image centre if None.
+        lens: Its intrinsics, and the size of its images.
 
     Raises:
-        InvalidValueError: to_world is not a finite rigid transform, or an intrinsic is
-            not positive and finite, or a number is larger than
-            `mi_splat.scene.LARGEST`.
+        InvalidValueError: to_world is not a finite rigid transform, or a coordinate is
+            larger than `mi_splat.attributes.LARGEST`.
     """
 
     to_world: Tensor
-    focal: _Focal | tuple[_Focal, _Focal]
-    width: _Pixels
-    height: _Pixels
-    principal: tuple[_Coordinate, _Coordinate] | None = None
+    lens: Lens
 
     def __repr__(self) -> str:
         at = ", ".join(f"{value + 0.0:.3g}" for value in self.position.tolist())
         return (
             f"Camera(at ({at}), {self.width} x {self.height} pixels, focal"
-            f" {self.fx:.4g})"
+            f" {self.lens.scale[0]:.4g})"
         )
 
     def __post_init__(self) -> None:
@@ -102,35 +83,40 @@ class Camera:
                 "camera position", expected, pose[:3, 3].tolist(), do
             )
         object.__setattr__(self, "to_world", pose)
-        check(self)
+        if not isinstance(self.lens, Lens):
+            raise InvalidValueError.of(
+                "lens", "a Lens", repr(self.lens), "pass mi_splat.Lens(...)"
+            )
+
+    @property
+    def width(self) -> int:
+        """Width of its images in pixels."""
+        return self.lens.size[0]
+
+    @property
+    def height(self) -> int:
+        """Height of its images in pixels."""
+        return self.lens.size[1]
 
     @property
     def fx(self) -> float:
-        """Horizontal focal length in pixels."""
-        if isinstance(self.focal, tuple):
-            return self.focal[0]
-        return self.focal
+        """Horizontal focal length in pixels; an error unless it is perspective."""
+        return self.lens.fx
 
     @property
     def fy(self) -> float:
-        """Vertical focal length in pixels."""
-        if isinstance(self.focal, tuple):
-            return self.focal[1]
-        return self.focal
+        """Vertical focal length in pixels; an error unless it is perspective."""
+        return self.lens.fy
 
     @property
     def cx(self) -> float:
         """Horizontal principal point in pixels."""
-        if self.principal is None:
-            return self.width / 2
-        return self.principal[0]
+        return self.lens.cx
 
     @property
     def cy(self) -> float:
         """Vertical principal point in pixels."""
-        if self.principal is None:
-            return self.height / 2
-        return self.principal[1]
+        return self.lens.cy
 
     @property
     def position(self) -> Tensor:
@@ -334,18 +320,6 @@ def orbit_pose(
     return pose
 
 
-def focal_of(angle: float, pixels: int) -> float:
-    """Focal length in pixels with which so many pixels span an angle of view,
-    radians.
-    """
-    return pixels / 2 / math.tan(angle / 2)
-
-
-def angle_of(focal: float, pixels: int) -> float:
-    """Angle of view of so many pixels, radians; the inverse of `focal_of`."""
-    return 2 * math.atan(pixels / 2 / focal)
-
-
 NARROWEST = 1.0
 WIDEST = 170.0
 """Degrees: a camera with another field of view is hardly meant."""
@@ -357,6 +331,8 @@ def odd_fields_of_view(cameras: Sequence[Camera]) -> str | None:
     """
     angles = []
     for camera in cameras:
+        if not camera.lens.is_perspective:
+            continue
         across = math.degrees(angle_of(camera.fx, camera.width))
         down = math.degrees(angle_of(camera.fy, camera.height))
         if min(across, down) < NARROWEST or max(across, down) > WIDEST:
@@ -375,9 +351,11 @@ def project_points(points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
     """Project world points with a camera."""
     pose = camera.to_camera.to(points)
     local = points @ pose[:3, :3].T + pose[:3, 3]
-    focal = local.new_tensor([camera.fx, camera.fy])
+    depth = local[:, 2]
+    place = camera.lens.model.place(local[:, 0], local[:, 1], depth)
+    scale = local.new_tensor(camera.lens.scale)
     centre = local.new_tensor([camera.cx, camera.cy])
-    return local[:, :2] / local[:, 2:3] * focal + centre, local[:, 2]
+    return torch.stack(place, 1) * scale + centre, depth
 
 
 def project_box(points: Tensor, camera: Camera) -> Tensor | None:

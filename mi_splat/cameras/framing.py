@@ -127,7 +127,10 @@ def no_surface_in_view(
 
 def _sees(camera: Camera, centres: Tensor, radii: Tensor) -> bool:
     """Whether one of some spheres reaches into the viewing frustum of a camera."""
-    width, height, (cx, cy) = camera.width, camera.height, (camera.cx, camera.cy)
+    if not camera.lens.is_perspective:
+        return True  # only the frusta of pinhole cameras are tested
+    width, height = camera.lens.size
+    cx, cy = camera.cx, camera.cy
     planes = [[0, 0, 1], [camera.fx, 0, cx], [-camera.fx, 0, width - cx]]
     planes += [[0, camera.fy, cy], [0, -camera.fy, height - cy]]
     normals = torch.nn.functional.normalize(centres.new_tensor(planes))

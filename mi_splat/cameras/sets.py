@@ -13,9 +13,10 @@ from typing import Any
 
 import torch
 
-from mi_splat.cameras.camera import Camera, focal_of, orbit_pose
+from mi_splat.cameras.camera import Camera, orbit_pose
 from mi_splat.cameras.directions import UP
 from mi_splat.cameras.forms import MOST, parse_form
+from mi_splat.cameras.lens import Lens
 from mi_splat.datasets.transforms import read_cameras
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import above, checked_number
@@ -39,8 +40,7 @@ def orbit(
     count: int,
     elevation: float,
     distance: float,
-    focal: float,
-    size: tuple[int, int],
+    lens: Lens,
     start: float = 0.0,
     span: float = 360.0,
 ) -> list[Camera]:
@@ -52,10 +52,7 @@ def orbit(
         orbit_pose(target, azimuth=azimuth, elevation=elevation, distance=distance)
         for azimuth in azimuths
     )
-    return [
-        Camera(to_world=pose, focal=focal, width=size[0], height=size[1])
-        for pose in poses
-    ]
+    return [Camera(to_world=pose, lens=lens) for pose in poses]
 
 
 def hemisphere(
@@ -63,8 +60,7 @@ def hemisphere(
     *,
     count: int,
     distance: float,
-    focal: float,
-    size: tuple[int, int],
+    lens: Lens,
     elevation: tuple[float, float] = (0.0, 90.0),
     start: float = 0.0,
     offset: float = 0.5,
@@ -80,8 +76,7 @@ def hemisphere(
         target: (3,) point that all cameras look at.
         count: Number of cameras.
         distance: World units from the target.
-        focal: Focal length in pixels.
-        size: (width, height) in pixels.
+        lens: Lens of all cameras.
         elevation: Lowest and highest elevation in degrees.
         start: Azimuth of the first camera in degrees.
         offset: Where in its step of height each camera stands, in [0, 1].
@@ -98,7 +93,7 @@ def hemisphere(
         pose = orbit_pose(target, azimuth=azimuth, elevation=angle, distance=distance)
         cameras.append(
             with_up(
-                Camera(to_world=pose, focal=focal, width=size[0], height=size[1]),
+                Camera(to_world=pose, lens=lens),
                 target,
                 up,
             )
@@ -121,8 +116,7 @@ def tiers(
     *,
     count: int,
     distance: float,
-    focal: float,
-    size: tuple[int, int],
+    lens: Lens,
     distances: tuple[float, float] = (1.0, 1.0),
     elevations: Sequence[float] = (),
     start: float = 0.0,
@@ -132,7 +126,7 @@ def tiers(
     """`count` cameras on a hemisphere, or on rings or arcs of it, each at a distance of
     its own.
     """
-    lens: dict[str, Any] = {"distance": distance, "focal": focal, "size": size}
+    placed: dict[str, Any] = {"distance": distance, "lens": lens}
     if elevations:
         cameras = list[Camera]()
         for ring, elevation in enumerate(elevations):
@@ -144,10 +138,10 @@ def tiers(
                 elevation=elevation,
                 start=turned,
                 span=span,
-                **lens,
+                **placed,
             )
     else:
-        cameras = hemisphere(target, count=count, start=start, offset=offset, **lens)
+        cameras = hemisphere(target, count=count, start=start, offset=offset, **placed)
     low, high = distances
     if low == high == 1.0:
         return cameras
@@ -177,8 +171,7 @@ def grid(
     azimuths: int,
     elevations: int,
     distance: float,
-    focal: float,
-    size: tuple[int, int],
+    lens: Lens,
 ) -> list[Camera]:
     """Cameras at every pair of an azimuth and an elevation, row by row from the
     lowest.
@@ -191,18 +184,17 @@ def grid(
             count=azimuths,
             elevation=middle,
             distance=distance,
-            focal=focal,
-            size=size,
+            lens=lens,
         )
     return cameras
 
 
-def framing(radius: float, *, fov: float, size: tuple[int, int]) -> tuple[float, float]:
-    """Distance in world units from which a ball is seen whole, and focal length in
-    pixels.
+def framing(radius: float, *, fov: float, size: tuple[int, int]) -> tuple[float, Lens]:
+    """Distance in world units from which a ball is seen whole, and the lens with that
+    field of view, degrees.
     """
     half = math.radians(fov) / 2
-    return MARGIN * radius / math.sin(half), focal_of(2 * half, min(size))
+    return MARGIN * radius / math.sin(half), Lens.with_view(fov, size)
 
 
 def camera_set(
@@ -210,25 +202,22 @@ def camera_set(
     centre: Sequence[float],
     *,
     distance: float,
-    focal: float,
-    size: tuple[int, int],
+    lens: Lens,
 ) -> list[Camera]:
     """The cameras that a text describes."""
     if spec.lower().endswith(".json"):
-        return read_cameras(Path(spec), size)
+        return read_cameras(Path(spec), lens.size)
     kind, numbers = parse_form(spec)
     count = int(numbers["count"])
     angle = float(numbers.get("angle", 0.0))
-    for name, value in (("distance", distance), ("focal", focal)):
-        checked_number(name, value, above(0))
+    checked_number("distance", distance, above(0))
     if kind == "orbit":
         return orbit(
             centre,
             count=count,
             elevation=angle,
             distance=distance,
-            focal=focal,
-            size=size,
+            lens=lens,
         )
     if kind == "grid":
         return grid(
@@ -236,16 +225,14 @@ def camera_set(
             azimuths=count,
             elevations=int(numbers["rows"]),
             distance=distance,
-            focal=focal,
-            size=size,
+            lens=lens,
         )
     return hemisphere(
         centre,
         count=count,
         distance=distance,
-        focal=focal,
-        size=size,
         elevation=(angle, 90.0),
+        lens=lens,
     )
 
 
@@ -255,8 +242,7 @@ def held_out_set(
     centre: Sequence[float],
     *,
     distance: float,
-    focal: float,
-    size: tuple[int, int],
+    lens: Lens,
 ) -> list[Camera]:
     """`count` cameras for tests, spread evenly over the elevations of `camera_set`, but
     rotated away from it.
@@ -274,17 +260,16 @@ def held_out_set(
         )
     kind, numbers = parse_form(spec)
     angle = float(numbers.get("angle", 0.0))
-    for name, value in (("distance", distance), ("focal", focal)):
-        checked_number(name, value, above(0))
-    lens: dict[str, Any] = {"distance": distance, "focal": focal, "size": size}
+    checked_number("distance", distance, above(0))
+    placed: dict[str, Any] = {"distance": distance, "lens": lens}
     if kind == "orbit":
         starts = _between(int(numbers["count"]), count)
         return [
-            orbit(centre, count=1, elevation=angle, start=start, **lens)[0]
+            orbit(centre, count=1, elevation=angle, start=start, **placed)[0]
             for start in starts
         ]
     return hemisphere(
-        centre, count=count, elevation=(angle, 90.0), start=HELD_OUT_START, **lens
+        centre, count=count, elevation=(angle, 90.0), start=HELD_OUT_START, **placed
     )
 
 

@@ -21,10 +21,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mi_splat.assets.daylight import Light, sky_map
-from mi_splat.assets.mesh import Asset, Floats, Mesh, to_linear, to_srgb
 from mi_splat.cameras.camera import Camera
 from mi_splat.cameras.directions import unit_vector
+from mi_splat.capture.daylight import Light, sky_map
+from mi_splat.capture.mesh import Asset, Floats, Mesh, to_linear, to_srgb
 from mi_splat.errors import InvalidValueError
 from mi_splat.render.plugins.sensor import sensor_dict
 from mi_splat.render.scene_files import load_mitsuba_scene

@@ -4,8 +4,7 @@ project's own scenes.
 
 import hashlib
 import math
-import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mi_splat.assets import ASSETS, build
-from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset, rotation, translation
-from mi_splat.assets.street import build as build_street
-from mi_splat.assets.textures import Kind, square_of_ground
-from mi_splat.capture.mesh_files import SUFFIX, load_mesh
+from mi_splat.capture.daylight import Light
+from mi_splat.capture.ground import Kind, square_of_ground
+from mi_splat.capture.mesh import Asset
+from mi_splat.capture.mesh_files import load_mesh
+from mi_splat.capture.objects import OBJECTS, SUFFIX, object_file, shipped_file
 from mi_splat.capture.path_tracer import PathTracer, scene_dict
 from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
 from mi_splat.errors import InvalidValueError, MiSplatError
@@ -57,27 +55,27 @@ class ExampleScene:
     daylight.
     """
 
-    assets: Callable[[], tuple[Asset, Asset]]
+    target: str  # names of shipped files
+    surroundings: str
     light: Light
     centre: Point
 
-
-def _stop_sign() -> tuple[Asset, Asset]:
-    street = build_street(900001, clearance=8.0)
-    turned = street.transformed(translation(0, -2.9, 0) @ rotation("z", 180))
-    sign = build("stop sign", 900003).transformed(translation(0, 0, 0.115))
-    return sign.body, Asset(turned.name, (*turned.meshes, *sign.support))
+    def assets(self) -> tuple[Asset, Asset]:
+        """The object and its surroundings."""
+        target = load_mesh(shipped_file(self.target))
+        return target, load_mesh(shipped_file(self.surroundings))
 
 
-# Asset seeds from 900000 on are kept out of the training of detectors.
 EXAMPLES = {
     "car_street": ExampleScene(
-        assets=lambda: (build("car", 900004), build_street(900005, clearance=9.0)),
+        target="car",
+        surroundings="street",
         light=Light(sun_azimuth=-50, sun_elevation=52, seed=900000),
         centre=(0.0, 0.0, 0.7),
     ),
     "stop_sign": ExampleScene(
-        assets=_stop_sign,
+        target="roadside_sign",
+        surroundings="roadside",
         light=Light(sun_azimuth=35, sun_elevation=48, seed=900001),
         centre=(0.0, 0.0, 1.94),
     ),
@@ -105,7 +103,7 @@ def open_source(
     """The source called `name`."""
     path = Path(name)
     suffix = path.suffix.lower()
-    is_asset = name not in EXAMPLES and name.partition(":")[0] in ASSETS
+    is_mesh = name in OBJECTS or suffix == SUFFIX
     mesh = mesh or MeshSettings()
     surroundings = surroundings or SurroundingsSettings()
     if mesh != MeshSettings() and suffix != SUFFIX:
@@ -113,7 +111,7 @@ def open_source(
         raise InvalidValueError.of(
             "up and scale", expected, name, "leave them out"
         ).hinted("--up, --scale")
-    if surroundings != SurroundingsSettings() and not (is_asset or suffix == SUFFIX):
+    if surroundings != SurroundingsSettings() and not is_mesh:
         expected = "a mesh file, or an object of the project, to go with"
         raise InvalidValueError.of(
             "ground and sun", expected, name, "leave them out"
@@ -121,16 +119,12 @@ def open_source(
     if name in EXAMPLES:
         example = EXAMPLES[name]
         return source_of(*example.assets(), example.light, centre=example.centre)
-    if is_asset:
-        return _asset(name, surroundings)
     if suffix == ".xml":
         return _xml(path)
-    if suffix == SUFFIX:
-        return _mesh(load_mesh(path, mesh), name, surroundings)
-    expected = (
-        f"one of {', '.join((*EXAMPLES, *ASSETS))}, or a file that ends in .xml or"
-        f" {SUFFIX}"
-    )
+    if is_mesh:
+        return mesh_source(load_mesh(object_file(name), mesh), name, surroundings)
+    names = ", ".join((*EXAMPLES, *OBJECTS))
+    expected = f"one of {names}, or a file that ends in .xml or {SUFFIX}"
     raise InvalidValueError.of("scene", expected, name, "name one of these")
 
 
@@ -147,19 +141,7 @@ def source_of(
     )
 
 
-def _asset(name: str, surroundings: SurroundingsSettings) -> CaptureSource:
-    """One of the project's assets, alone under the default sky unless told
-    otherwise.
-    """
-    kind, colon, seed = name.partition(":")
-    if not re.fullmatch(r"\d{1,9}" if colon else "", seed):
-        raise InvalidValueError.of(
-            "scene", f"{kind} or {kind}:SEED, 0 to 999999999", name, "change the seed"
-        )
-    return _mesh(build(kind, int(seed or 0)).body, name, surroundings)
-
-
-def _mesh(
+def mesh_source(
     target: Asset, name: str, surroundings: SurroundingsSettings
 ) -> CaptureSource:
     """A mesh in its surroundings."""

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat import provenance
-from mi_splat.assets.mesh import Asset, Floats
 from mi_splat.cameras.camera import Camera, View, project_points
+from mi_splat.capture.mesh import Asset, Floats
 from mi_splat.capture.path_tracer import NEAR, PASSES, PathTracer, tracing_variant
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource

@@ -16,6 +16,7 @@ from mi_splat.cameras.camera import Camera, odd_fields_of_view, orbit_pose
 from mi_splat.cameras.directions import UP
 from mi_splat.cameras.forms import FORMS
 from mi_splat.cameras.framing import bounds, culled_in_view, near_plane, nothing_in_view
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import camera_set, framing, with_up
 from mi_splat.cli.console import note, warn
 from mi_splat.cli.options import CameraOptions, axis_name, up_line
@@ -329,10 +330,8 @@ def _named(
     elif path.is_dir():
         named = _beside_pictures(path, options, split)
     elif _is_set(text, loaded):
-        centre, distance, focal = _placement(target, options)
-        cameras = camera_set(
-            text, centre, distance=distance, focal=focal, size=options.size or SIZE
-        )
+        centre, distance, lens = _placement(target, options)
+        cameras = camera_set(text, centre, distance=distance, lens=lens)
         turned = [with_up(camera, centre, options.up or Z) for camera in cameras]
         return list(numbered(text.partition(":")[0], turned).items())
     else:
@@ -444,19 +443,18 @@ def _sized(camera: Camera, options: CameraOptions) -> Camera:
 
 def _placement(
     target: GaussianScene, options: CameraOptions
-) -> tuple[tuple[float, float, float], float, float]:
-    """Where cameras look, how far away they are, and their focal length."""
+) -> tuple[tuple[float, float, float], float, Lens]:
+    """Where cameras look, how far away they are, and their lens."""
     middle, radius = bounds(target)
-    distance, focal = framing(radius, fov=options.fov, size=options.size or SIZE)
+    distance, lens = framing(radius, fov=options.fov, size=options.size or SIZE)
     centre = middle if options.centre is None else options.centre
-    return centre, distance if options.distance is None else options.distance, focal
+    return centre, distance if options.distance is None else options.distance, lens
 
 
 def _orbit(
     target: GaussianScene, options: CameraOptions, azimuth: float, elevation: float
 ) -> Camera:
-    centre, distance, focal = _placement(target, options)
-    width, height = options.size or SIZE
+    centre, distance, lens = _placement(target, options)
     pose = orbit_pose(
         centre,
         azimuth=azimuth,
@@ -464,11 +462,7 @@ def _orbit(
         distance=distance,
         roll=options.camera_roll,
     )
-    return with_up(
-        Camera(to_world=pose, focal=focal, width=width, height=height),
-        centre,
-        options.up or Z,
-    )
+    return with_up(Camera(to_world=pose, lens=lens), centre, options.up or Z)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = (
     "capture YOUR.glb --cameras hemisphere:210 --test 20 --out out/truck",
-    "capture car:900004 --cameras orbit:36@20 --size 128 --samples 16 --out out/orbit",
+    "capture car --cameras orbit:36@20 --size 128 --samples 16 --out out/orbit",
 )
 
 
@@ -44,8 +44,8 @@ class CaptureOptions(JsonOptions):
     """
 
     scene: Positional[Annotated[str, Metavar("SCENE")]]
-    """Mitsuba mesh XML; a GLB mesh (needs the extra `meshes`); car_street or stop_sign;
-    or one of the project's objects by name and seed, for instance car:900004.
+    """Mitsuba mesh XML; a GLB mesh; a shipped object, for instance car; or a shipped
+    scene, car_street or stop_sign.
     """
     cameras: Annotated[str, Metavar("CAMERAS")] = "hemisphere:210"
     """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x
@@ -128,14 +128,13 @@ def _capture(options: CaptureOptions) -> None:
             options.scene, mesh=options.mesh, surroundings=options.surroundings
         )
     size = options.size or SIZE
-    distance, focal = framing(
+    distance, lens = framing(
         source.radius, fov=FOV if options.fov is None else options.fov, size=size
     )
     placed: dict[str, Any] = {
         "centre": source.centre if options.centre is None else options.centre,
         "distance": distance if options.distance is None else options.distance,
-        "focal": focal,
-        "size": size,
+        "lens": lens,
     }
     cameras = camera_set(options.cameras, **placed)
     unseen = no_surface_in_view(source.centre, source.radius, cameras)

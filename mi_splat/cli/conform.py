@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from mi_splat.cameras.lens import Lens
 from mi_splat.cli.console import UsageError, progress, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
@@ -393,10 +394,11 @@ def _camera(view: PinholeCamera) -> Camera:
 
     return Camera(
         to_world=torch.from_numpy(view.to_world),
-        focal=(view.fx, view.fy),
-        width=view.width,
-        height=view.height,
-        principal=(view.cx, view.cy),
+        lens=Lens(
+            focal=(view.fx, view.fy),
+            size=(view.width, view.height),
+            principal=(view.cx, view.cy),
+        ),
     )
 
 

@@ -70,7 +70,6 @@ def run(options: ConvertOptions) -> None:
     from mi_splat.io.folders import check_free_file, check_not_input, splat_in
     from mi_splat.io.loaded import dropped_bands, ranges
     from mi_splat.io.splat_files import (
-        TAGGED,
         format_to_write,
         load_stored,
         write_splat_file,
@@ -78,8 +77,8 @@ def run(options: ConvertOptions) -> None:
     from mi_splat.scene import Similarity
 
     # a name that fits no format is told before a large file is read
-    suffix = format_to_write(str(options.out))
-    if options.spz_version is not None and suffix != ".spz":
+    chosen, suffix = format_to_write(str(options.out))
+    if options.spz_version is not None and not chosen.versions:
         raise InvalidValueError.of(
             "--spz-version", "a file to write that ends in .spz", suffix, "leave it out"
         )
@@ -100,7 +99,7 @@ def run(options: ConvertOptions) -> None:
             )
     antialiased = stored.is_antialiased
     not_kept = ranges(stored.unread)
-    if antialiased and suffix not in TAGGED:
+    if antialiased and not chosen.keeps_antialiasing:
         not_kept.append("that it was trained with antialiasing (render mode)")
     with progress(f"writing {options.out}"):
         if options.sh_degree is None:
@@ -111,7 +110,7 @@ def run(options: ConvertOptions) -> None:
         encoded = write_splat_file(
             kept,
             options.out,
-            spz_version=options.spz_version or 3,
+            version=options.spz_version,
             antialiased=antialiased,
         )
         reread = load_stored(options.out).scene

@@ -137,7 +137,7 @@ def run(options: RenderOptions) -> None:
         "height": first.height,
         "near": settings.near,
         "camera_to_world": first.to_world.tolist(),
-        "focal": [first.fx, first.fy],
+        "focal": list(first.lens.scale),
         "cameras": [describe(name, camera) for name, camera in cameras.items()],
         "seconds": seconds,
     }

@@ -33,7 +33,7 @@ from mi_splat.datasets.frames import (
     report_frames,
     report_missing,
 )
-from mi_splat.datasets.lenses import Lens
+from mi_splat.datasets.lenses import ImageLens
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.points import PointCloud
 from mi_splat.maths.rotation import to_matrix
@@ -468,7 +468,7 @@ def _unknown(where: str, model: str) -> DatasetError:
     )
 
 
-def _pinhole_part(camera: ModelCamera, where: str) -> Lens:
+def _pinhole_part(camera: ModelCamera, where: str) -> ImageLens:
     """The focal lengths and the principal point of a camera, without its distortion."""
     focals = MODELS[camera.model].focals
     if not focals:
@@ -478,7 +478,9 @@ def _pinhole_part(camera: ModelCamera, where: str) -> Lens:
     fx, fy, cx, cy = (*camera.parameters[:1], *camera.parameters)[
         focals - 1 : focals + 3
     ]
-    return Lens(focal=(fx, fy), principal=(cx, cy), size=(camera.width, camera.height))
+    return ImageLens(
+        focal=(fx, fy), principal=(cx, cy), size=(camera.width, camera.height)
+    )
 
 
 def _coefficients(camera: ModelCamera) -> tuple[float, ...]:
@@ -493,7 +495,7 @@ def _is_bent(camera: ModelCamera) -> bool:
     return camera.model.endswith("FISHEYE") or any(_coefficients(camera))
 
 
-def _lens(camera: ModelCamera, number: int, source: Path, images: Path) -> Lens:
+def _lens(camera: ModelCamera, number: int, source: Path, images: Path) -> ImageLens:
     """The lens of a camera, whose distortion can be undone."""
     where = f"{source}, camera {number}"
     pinhole = _pinhole_part(camera, where)

@@ -15,10 +15,11 @@ from PIL import Image
 from torch import Tensor
 
 from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.lens import Lens
 from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.folders import SUFFIXES as SUFFIXES
 from mi_splat.datasets.folders import is_smaller
-from mi_splat.datasets.lenses import Lens, pinhole
+from mi_splat.datasets.lenses import ImageLens, pinhole
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.picture_files import (
     check_pixels,
@@ -76,7 +77,7 @@ class Frame:
     path: Path
     mask: Path | None = None  # a grey image, white where the image counts
     # of the image after the first turn; None if it is a pinhole camera's
-    lens: Lens | None = None
+    lens: ImageLens | None = None
     turns_before: int = 0  # quarter turns clockwise
     turns_after: int = 0
 
@@ -146,7 +147,7 @@ def quarter_turns(path: Path) -> int:
 
 
 def frame_of(
-    photo: Photo, mask: Path | None, pose: Tensor, lens: Lens, where: str
+    photo: Photo, mask: Path | None, pose: Tensor, lens: ImageLens, where: str
 ) -> Frame:
     """The frame of an image whose set says so of its lens and its pose."""
     if mask is not None:
@@ -171,19 +172,18 @@ def frame_of(
     )
 
 
-def camera_of(pose: Tensor, lens: Lens, where: str) -> Camera:
+def camera_of(pose: Tensor, lens: ImageLens, where: str) -> Camera:
     """The camera of a pose with a lens without distortion; errors name the place in the
     set.
     """
-    width, height = lens.size
     try:
-        return Camera(
-            to_world=pose,
+        flat = Lens(
             focal=lens.focal,
-            width=width,
-            height=height,
+            size=lens.size,
             principal=lens.principal,
+            projection=lens.projection,
         )
+        return Camera(to_world=pose, lens=flat)
     except InvalidValueError as error:
         raise DatasetError(f"{where}: {error}") from error
 
@@ -197,13 +197,16 @@ def turned_clockwise(camera: Camera, quarter_turns: int) -> Camera:
         # What was up in the image is right now, and what was right is down.
         pose[:3, 0] = -camera.to_world[:3, 1]
         pose[:3, 1] = camera.to_world[:3, 0]
-        camera = Camera(
-            to_world=pose,
-            focal=(camera.fy, camera.fx),
-            width=camera.height,
-            height=camera.width,
-            principal=(camera.height - camera.cy, camera.cx),
+        lens = camera.lens
+        across, down = lens.scale
+        width, height = lens.size
+        turned = replace(
+            lens,
+            focal=(down, across),
+            size=(height, width),
+            principal=(height - lens.cy, lens.cx),
         )
+        camera = Camera(to_world=pose, lens=turned)
     return camera
 
 
@@ -347,13 +350,14 @@ def downscaled(camera: Camera, factor: int) -> Camera:
     """
     if factor == 1:
         return camera
-    return replace(
-        camera,
-        focal=(camera.fx / factor, camera.fy / factor),
-        width=camera.width // factor,
-        height=camera.height // factor,
+    across, down = camera.lens.scale
+    lens = replace(
+        camera.lens,
+        focal=(across / factor, down / factor),
+        size=(camera.width // factor, camera.height // factor),
         principal=(camera.cx / factor, camera.cy / factor),
     )
+    return replace(camera, lens=lens)
 
 
 def held_out(items: Sequence[Item], split: Split | None, every: int) -> list[Item]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.attributes import LARGEST
+from mi_splat.cameras.lens import PERSPECTIVE
 from mi_splat.errors import InvalidValueError, MiSplatError
 
 OPENCV = 5
@@ -72,7 +73,7 @@ def _unusable(got: str) -> MiSplatError:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lens:
+class ImageLens:
     """Intrinsics of an image, in its pixels.
 
     Attributes:
@@ -83,6 +84,8 @@ class Lens:
             of a fisheye lens k1 to k4. Missing ones are zero.
         fisheye: Whether distances in the image grow with the angle and not with its
             tangent.
+        projection: That of the camera (`mi_splat.cameras.lens.PROJECTIONS`); with
+            distortion, perspective.
 
     Raises:
         InvalidValueError: A coefficient is not finite or too large, or a lens with
@@ -94,6 +97,7 @@ class Lens:
     size: tuple[int, int]
     distortion: tuple[float, ...] = ()
     fisheye: bool = False
+    projection: str = PERSPECTIVE.name
 
     def __post_init__(self) -> None:
         known = all(abs(value) <= LARGEST_COEFFICIENT for value in self.distortion)
@@ -120,7 +124,7 @@ class Lens:
         """Whether straight lines stay straight."""
         return not (self.fisheye or any(self.distortion))
 
-    def resized(self, size: tuple[int, int]) -> Lens:
+    def resized(self, size: tuple[int, int]) -> ImageLens:
         """The lens of the same image with another number of pixels."""
         across = size[0] / self.size[0]
         down = size[1] / self.size[1]
@@ -183,7 +187,7 @@ class Lens:
 
 
 @functools.lru_cache(maxsize=64)
-def _widest(lens: Lens) -> float:
+def _widest(lens: ImageLens) -> float:
     angles = np.linspace(0.0, _WIDEST, _ANGLES)
     axis = np.tan(angles)
     # Tangential distortion is not symmetric, but small: radial distortion decides where
@@ -200,7 +204,7 @@ def _widest(lens: Lens) -> float:
 
 
 @functools.lru_cache(maxsize=256)
-def pinhole(lens: Lens) -> Lens:
+def pinhole(lens: ImageLens) -> ImageLens:
     """The lens without distortion whose image lies inside that of `lens`.
 
     Raises:
@@ -228,7 +232,7 @@ def pinhole(lens: Lens) -> Lens:
     high = _scale(height, cy, float(top.max()) * fy + cy, float(bottom.min()) * fy + cy)
     size = (max(1, int(wide * width)), max(1, int(high * height)))
     principal = (cx * size[0] / width, cy * size[1] / height)
-    return Lens(focal=lens.focal, principal=principal, size=size)
+    return ImageLens(focal=lens.focal, principal=principal, size=size)
 
 
 def _line(x: Values | float, y: Values | float) -> Values:
@@ -249,7 +253,7 @@ def _scale(side: int, centre: float, low: float, high: float) -> float:
 
 
 @functools.lru_cache(maxsize=2)
-def _maps(lens: Lens, target: Lens) -> tuple[Maps, NDArray[np.bool_]]:
+def _maps(lens: ImageLens, target: ImageLens) -> tuple[Maps, NDArray[np.bool_]]:
     """Where each pixel of the target lies in the image, with OpenCV's centres, and
     which of them do.
     """
@@ -275,7 +279,7 @@ def _maps(lens: Lens, target: Lens) -> tuple[Maps, NDArray[np.bool_]]:
 
 
 def undistorted(
-    pixels: NDArray[np.float32], lens: Lens, target: Lens
+    pixels: NDArray[np.float32], lens: ImageLens, target: ImageLens
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """The image of a pinhole camera out of that of a lens, each pixel interpolated
     between four.

@@ -18,10 +18,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mi_splat.cameras.camera import Camera, focal_of
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.lens import focal_of
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.frames import camera_of
-from mi_splat.datasets.lenses import Lens
+from mi_splat.datasets.lenses import ImageLens
 from mi_splat.io.parsing import DocumentReader, Fields
 from mi_splat.io.points import PointCloud
 from mi_splat.maths.rotation import is_rotation
@@ -146,7 +147,7 @@ def camera_path(
         if not 0 < angle < 180:
             raise entry.bad("fov", "degrees between 0 and 180", angle)
         focal = focal_of(math.radians(angle), height)
-        lens = Lens(
+        lens = ImageLens(
             focal=(focal, focal),
             principal=(width / 2, height / 2),
             size=(width, height),

@@ -15,7 +15,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mi_splat.cameras.camera import Camera, focal_of
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.lens import PROJECTIONS, focal_of
 from mi_splat.datasets.colmap import CUT_PANORAMAS, PANORAMA, report_ignored_distortion
 from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.folders import IMAGES, MASKS, SetFiles, mask_folders
@@ -31,7 +32,7 @@ from mi_splat.datasets.frames import (
     report_frames,
     report_missing,
 )
-from mi_splat.datasets.lenses import Lens
+from mi_splat.datasets.lenses import ImageLens
 from mi_splat.datasets.nerfstudio import OPENGL as OPENGL
 from mi_splat.datasets.nerfstudio import World, camera_path, is_camera_path, world_of
 from mi_splat.errors import InvalidValueError
@@ -274,6 +275,8 @@ def _model(values: Mapping[str, Any]) -> str:
 def _bent(values: Mapping[str, Any], where: str) -> set[str]:
     """The camera model, if straight lines are not straight in its images."""
     model = _model(values)
+    if _projection(model):
+        return set()
     is_bent = model not in _PERSPECTIVE or any(
         _number(values, key, where) for key in _DISTORTION
     )
@@ -282,9 +285,22 @@ def _bent(values: Mapping[str, Any], where: str) -> set[str]:
     return set()
 
 
-def _lens(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Lens:
+def _projection(model: str) -> str | None:
+    """The projection without distortion that a camera model is, other than the
+    perspective one.
+    """
+    name = model.lower()
+    if model in _PERSPECTIVE or name not in PROJECTIONS:
+        return None
+    return name
+
+
+def _lens(values: Mapping[str, Any], size: tuple[int, int], where: str) -> ImageLens:
     """The lens of a frame, whose distortion can be undone."""
     model = _model(values)
+    projection = _projection(model)
+    if projection is not None:
+        return replace(_pinhole_part(values, size, where), projection=projection)
     if model not in (*_PERSPECTIVE, *_FISHEYE):
         do = CUT_PANORAMAS
         if model != PANORAMA:
@@ -322,7 +338,9 @@ def _lens(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Lens:
         raise DatasetError(f"{where}: {error}") from error
 
 
-def _pinhole_part(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Lens:
+def _pinhole_part(
+    values: Mapping[str, Any], size: tuple[int, int], where: str
+) -> ImageLens:
     """The focal lengths and the principal point of a frame, without its distortion."""
     focal = [
         _focal(values, axis, pixels, where)
@@ -336,7 +354,7 @@ def _pinhole_part(values: Mapping[str, Any], size: tuple[int, int], where: str) 
     fx, fy = (known_focal[0] if value is None else value for value in focal)
     cx, cy = (_number(values, key, where) for key in ("cx", "cy"))
     principal = (size[0] / 2 if cx is None else cx, size[1] / 2 if cy is None else cy)
-    return Lens(focal=(fx, fy), principal=principal, size=size)
+    return ImageLens(focal=(fx, fy), principal=principal, size=size)
 
 
 def _pose(matrix: object, where: str, world: World | None) -> Tensor:

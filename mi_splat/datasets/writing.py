@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mi_splat.cameras.camera import Camera, angle_of
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.lens import angle_of
 from mi_splat.datasets.colmap import TEST_LIST
 from mi_splat.datasets.folders import IMAGES as IMAGES
 from mi_splat.datasets.folders import MASKS as MASKS
@@ -130,14 +131,25 @@ def _document(entries: Sequence[tuple[str, Camera]], points: bool) -> dict[str, 
     }
 
 
-def _intrinsics(camera: Camera) -> dict[str, float]:
+def _intrinsics(camera: Camera) -> dict[str, float | str]:
     """A camera's intrinsics under the names of both families of readers."""
-    angles = {
-        "camera_angle_x": angle_of(camera.fx, camera.width),
-        "camera_angle_y": angle_of(camera.fy, camera.height),
+    lens = camera.lens
+    across, down = lens.scale
+    pixels: dict[str, float | str] = {
+        "fl_x": across,
+        "fl_y": down,
+        "cx": lens.cx,
+        "cy": lens.cy,
+        "w": camera.width,
+        "h": camera.height,
     }
-    pixels = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
-    return {**angles, **pixels, "w": camera.width, "h": camera.height}
+    if not lens.is_perspective:
+        return {"camera_model": lens.projection.upper(), **pixels}
+    return {
+        "camera_angle_x": angle_of(across, camera.width),
+        "camera_angle_y": angle_of(down, camera.height),
+        **pixels,
+    }
 
 
 def _point_lines(points: PointCloud | None) -> list[str]:

@@ -13,6 +13,7 @@ from typing import Any
 import torch
 
 from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.lens import PERSPECTIVE, Lens
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.parsing import DocumentReader, Fields, kind_of
 
@@ -32,12 +33,16 @@ def values_of(camera: Camera) -> dict[str, object]:
     """All of a camera but a name, as JSON can hold it; `camera_of` makes the same
     camera of it again.
     """
-    return {
+    lens = camera.lens
+    values: dict[str, object] = {
         "to_world": camera.to_world.tolist(),
-        "focal": [camera.fx, camera.fy],
-        "principal": [camera.cx, camera.cy],
-        "size": [camera.width, camera.height],
+        "focal": list(lens.scale),
+        "principal": [lens.cx, lens.cy],
+        "size": list(lens.size),
     }
+    if not lens.is_perspective:
+        values["projection"] = lens.projection
+    return values
 
 
 def recorded_cameras(path: Path, *, reference: bool = True) -> dict[str, Camera] | None:
@@ -136,20 +141,20 @@ def _camera(entry: Fields) -> Camera:
             )
             return Camera(
                 to_world=pose,
-                focal=(entry.number("fx"), entry.number("fy")),
-                width=width,
-                height=height,
+                lens=Lens(
+                    focal=(entry.number("fx"), entry.number("fy")), size=(width, height)
+                ),
             )
         width, height = entry.wholes("size", 1, _MOST_PIXELS, 2)
         fx, fy = entry.numbers("focal", 2, 2)
         cx, cy = entry.numbers("principal", 2, 2)
         pose = torch.tensor(entry.rows("to_world", 4, 4), dtype=torch.float64)
-        return Camera(
-            to_world=pose,
+        lens = Lens(
             focal=(fx, fy),
-            width=width,
-            height=height,
+            size=(width, height),
             principal=(cx, cy),
+            projection=entry.text("projection", PERSPECTIVE.name),
         )
+        return Camera(to_world=pose, lens=lens)
     except InvalidValueError as error:
         raise InvalidValueError(f"{entry.where}: {error}") from error

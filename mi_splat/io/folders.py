@@ -89,16 +89,19 @@ def check_unlocked(folder: str | os.PathLike[str]) -> None:
 
 
 @contextlib.contextmanager
-def locked_file(file: str, what: str) -> Iterator[None]:
+def locked_file(file: str, what: str) -> Iterator[Mapping[str, Any] | None]:
     """Have a file, made if need be, for this process alone; `what` it stands for is
     named in errors.
+
+    Yields:
+        The record of a process that has ended while it had the file; None if none has.
     """
     try:
-        descriptor = _locked(file, what)
+        descriptor, left = _locked(file, what)
     except OSError as error:
         raise from_os_error(what, "a folder that can be written", error) from error
     try:
-        yield
+        yield left
     finally:
         with contextlib.suppress(OSError):
             os.unlink(file)
@@ -116,7 +119,8 @@ def is_locked(file: str) -> bool:
         return True
 
 
-def _locked(file: str, what: str) -> int:
+def _locked(file: str, what: str) -> tuple[int, Mapping[str, Any] | None]:
+    """Descriptor of a file that is locked now, and what it said before."""
     while True:
         try:
             descriptor = os.open(
@@ -135,9 +139,10 @@ def _locked(file: str, what: str) -> int:
                 )
             if os.path.samestat(os.fstat(descriptor), os.stat(file)):
                 _check_own(descriptor, file)
+                left = _record(descriptor)
                 os.ftruncate(descriptor, 0)
                 os.pwrite(descriptor, json.dumps(_this_process()).encode(), 0)
-                return descriptor
+                return descriptor, left
         except FileNotFoundError:  # who had it removed it, between two of our calls
             pass
         except BaseException:

@@ -48,13 +48,20 @@ class Loss:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Encoded:
-    """A splat file in memory, what is not in it, and of which row of the scene each row
-    is (None: the same one).
+    """A splat file in memory.
+
+    Attributes:
+        data: What follows the head in the file.
+        losses: What of the scene is not in it.
+        order: Row of the scene that each row of the file is; None where they are the
+            same.
+        head: Bytes before the data, apart from it so that a large table is not copied.
     """
 
-    data: bytes
+    data: bytes | memoryview
     losses: tuple[Loss, ...]
     order: NDArray[np.int64] | None = None
+    head: bytes = b""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

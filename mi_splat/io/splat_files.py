@@ -4,17 +4,16 @@ with arrays.
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from mi_splat.attributes import LARGEST
-from mi_splat.errors import InvalidValueError, install, message
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import archives
 from mi_splat.io.documents import save_bytes
 from mi_splat.io.errors import (
@@ -25,8 +24,9 @@ from mi_splat.io.errors import (
     path_name,
 )
 from mi_splat.io.folders import splat_in
+from mi_splat.io.formats import gaussian_ply, gltf, sog, splat32, spz, usd
+from mi_splat.io.formats.format import FORMATS, Format, Saving
 from mi_splat.io.loaded import Encoded, Loaded, arrays_of, open_regular
-from mi_splat.io.ply import read_header, write_ply
 
 if TYPE_CHECKING:
     from mi_splat.scene import GaussianScene
@@ -34,26 +34,22 @@ if TYPE_CHECKING:
 HEAD = 32
 """First bytes of a file by which its format is known."""
 
-USD = (".usdc", ".usda", ".usdz")
-"""OpenUSD in binary, as text and as a package; what is called `.usd` is read by its
-mark.
-"""
+for _format in (
+    gaussian_ply.PLY,
+    gltf.GLB,
+    usd.USDC,
+    usd.USDA,
+    usd.USDZ,
+    gaussian_ply.COMPRESSED_PLY,
+    sog.SOG,
+    spz.SPZ,
+    splat32.SPLAT,
+):
+    FORMATS.add(_format.name, _format)
 
-SUFFIXES = (".ply", ".glb", *USD, ".compressed.ply", ".sog", ".spz", ".splat")
+SUFFIXES = tuple(suffix for each in FORMATS.own.values() for suffix in each.suffixes)
+"""Endings of the project's own formats."""
 
-_ZIP = ".zip"
-IN_ARCHIVES = (".ply", ".spz", ".sog", ".glb", ".splat")
-"""Endings of splats that are read out of a ZIP archive; OpenUSD wants a file of its
-own.
-"""
-_MAGIC = {
-    b"ply": ".ply",
-    b"NGSP": ".spz",
-    b"\x1f\x8b": ".spz",
-    b"PK\x03\x04": ".sog",
-    b"glTF": ".glb",
-}
-_MAGIC |= {b"PXR-USDC": ".usdc", b"#usda": ".usda"}
 _OTHERS = {
     ".gltf": "pack it into one .glb, for instance with gltf-transform",
     ".obj": (
@@ -79,61 +75,74 @@ whatever it begins with.
 
 def suffix_of(path: str) -> str | None:
     """The suffix of the format that a name promises; None if it ends otherwise."""
+    named = _named(path)
+    if named is None:
+        return None
+    return named[1]
+
+
+def _named(path: str) -> tuple[Format, str] | None:
+    """The format that a name promises, and its suffix."""
     name = os.path.basename(path).lower()
-    return max(
-        (suffix for suffix in SUFFIXES if name.endswith(suffix)), key=len, default=None
-    )
+    for formats in (FORMATS.own.values(), _brought()):
+        ends = [
+            (each, suffix)
+            for each in formats
+            for suffix in each.suffixes
+            if name.endswith(suffix)
+        ]
+        if ends:
+            return max(ends, key=lambda pair: len(pair[1]))
+    return None
 
 
-def format_to_read(path: str, head: bytes) -> str:
-    """The suffix of the format of a file, ".ply" also for compressed ones, ".zip" for
-    what a download is packed in.
+def _marked(head: bytes) -> list[Format]:
+    """The formats whose files begin like this."""
+    for formats in (FORMATS.own.values(), _brought()):
+        marked = [each for each in formats if head.startswith(each.magic)]
+        if marked:
+            return marked
+    return []
+
+
+def _brought() -> Iterator[Format]:
+    """Formats of other packages, imported only where none of ours fits."""
+    for name in FORMATS.brought:
+        yield FORMATS[name]
+
+
+def format_to_read(path: str, head: bytes) -> Format:
+    """The format of a file that begins with `head`.
 
     A name that promises nothing is overruled by the file's mark; one that promises
     something else is an error.
     """
-    if os.path.basename(path).lower().endswith(_PROGRAMS):
+    lower = path.lower()
+    if lower.endswith((*_PROGRAMS, ".npz")):
         raise _unknown(path)
-    if path.lower().endswith(_ZIP) and head.startswith(b"PK"):
+    if lower.endswith(_ZIP.suffixes) and head.startswith(b"PK"):
         return _ZIP
-    if path.lower().endswith(".npz"):
-        raise _unknown(path)
-    named = suffix_of(path)
-    named = ".ply" if named == ".compressed.ply" else named
-    marked = next(
-        (suffix for mark, suffix in _MAGIC.items() if head.startswith(mark)), None
-    )
-    if named is None and marked is None:
-        raise _unknown(path)
-    if named in (None, marked) and marked is not None:
-        return marked
-    if marked is not None and named in (".splat", *_MAGIC.values()):
-        raise SplatFileError.of(
-            path,
-            f"a {named} file",
-            f"the mark of a {marked} file",
-            f"rename it to {marked}",
-        )
-    return str(named)
-
-
-def format_to_write(path: str) -> str:
-    """The suffix of the format in which a file is to be written."""
-    named = suffix_of(path)
+    named = _named(path)
+    marked = _marked(head)
     if named is None:
+        if not marked:
+            raise _unknown(path)
+        return marked[0]
+    if marked and named[0] not in marked:
+        expected = f"a {named[1]} file"
+        true = marked[0].suffixes[0]
+        got = f"the mark of a {true} file"
+        raise SplatFileError.of(path, expected, got, f"rename it to {true}")
+    return named[0]
+
+
+def format_to_write(path: str) -> tuple[Format, str]:
+    """The format in which a file is to be written, and the suffix of its name."""
+    named = _named(path)
+    if named is None or named[0].write is None:
         raise _unknown(path)
-    if named in USD:
-        require_usd(path)
+    named[0].check(path)
     return named
-
-
-def require_usd(path: str) -> None:
-    """Raise unless the package that reads and writes OpenUSD is installed."""
-    if importlib.util.find_spec("pxr") is None:
-        expected = "the package usd-core, for files of OpenUSD"
-        raise SplatFileError.of(
-            path, expected, "none", f"{install('usd')}, or use .glb"
-        )
 
 
 def _unknown(path: str) -> SplatFileError:
@@ -148,25 +157,6 @@ def _unknown(path: str) -> SplatFileError:
     return SplatFileError.of(
         path, f"a name that ends in {', '.join(SUFFIXES)}", ending or "no ending", do
     )
-
-
-_FORMATS = {
-    ".ply": ("mi_splat.io.ply", "read_ply", ""),
-    ".compressed.ply": (
-        "mi_splat.io.formats.compressed_ply",
-        "read_compressed_ply",
-        "write_compressed_ply",
-    ),
-    ".glb": ("mi_splat.io.formats.gltf", "read_glb", "write_glb"),
-    ".spz": ("mi_splat.io.formats.spz", "read_spz", "write_spz"),
-    ".sog": ("mi_splat.io.formats.sog", "read_sog", "write_sog"),
-    ".splat": ("mi_splat.io.formats.splat32", "read_splat", "write_splat"),
-    **dict.fromkeys(USD, ("mi_splat.io.formats.usd", "read_usd", "write_usd")),
-}
-"""Module, reader and writer of each format; the PLY is written a part at a time."""
-TAGGED = (".ply", ".compressed.ply", ".sog", ".spz")
-"""Formats that can say that a splat was trained with antialiasing."""
-_NEVER_EMPTY = (".glb", ".sog", ".splat")
 
 
 def load_splat(
@@ -266,47 +256,55 @@ def load_stored(path: str | os.PathLike[str]) -> Loaded:
         # Values that are not finite make NumPy warn where they are cast; each reader
         # judges them at its end.
         with open_regular(name) as file, np.errstate(all="ignore"):
-            suffix = format_to_read(name, os.pread(file.fileno(), HEAD, 0))
-            if suffix != _ZIP:
-                return _read(file, name, suffix)
-            with archives.splat_of(file, name, IN_ARCHIVES) as (member, inner):
-                return _read(
-                    member,
-                    inner,
-                    format_to_read(inner, os.pread(member.fileno(), HEAD, 0)),
-                )
+            return _read(file, name)
     except OSError as error:
         raise from_os_error(name, "a splat file that can be read", error) from error
 
 
-def _read(file: io.FileIO, name: str, suffix: str) -> Loaded:
-    """The content of a file whose format has that suffix."""
-    if suffix == ".ply" and read_header(file, name).is_compressed:
-        suffix = ".compressed.ply"
-    if suffix in USD:
-        require_usd(name)
-    module, function, _ = _FORMATS[suffix]
-    read: Callable[[io.FileIO, str], Loaded] = getattr(
-        importlib.import_module(module), function
+def _read(file: io.FileIO, name: str) -> Loaded:
+    """The content of an open file."""
+    found = format_to_read(name, os.pread(file.fileno(), HEAD, 0))
+    found.check(name)
+    return found.read(file, name)
+
+
+def _read_archived(file: io.FileIO, name: str) -> Loaded:
+    """The content of the splat in an archive."""
+    suffixes = tuple(
+        suffix
+        for each in FORMATS.values()
+        if each.in_archives
+        for suffix in each.suffixes
     )
-    return read(file, name)
+    with archives.splat_of(file, name, suffixes) as (member, inner):
+        return _read(member, inner)
+
+
+_ZIP = Format(name="zip", suffixes=(".zip",), read=_read_archived)
+"""What a download is packed in."""
 
 
 def write_splat_file(
     scene: GaussianScene,
     path: str | os.PathLike[str],
     *,
-    spz_version: Literal[2, 3, 4] = 3,
+    version: int | None = None,
     antialiased: bool = False,
 ) -> Encoded:
-    """Like `save_splat`, but what is lost is returned and not warned of; formats of
-    `TAGGED` keep `antialiased`.
+    """Like `save_splat`, but in a version of the format if one is asked for, and what
+    is lost is returned and not warned of.
     """
     from mi_splat.scene import check_scene
 
     check_scene("scene", scene)
-    suffix = format_to_write(path_name(path))
-    if not len(scene) and suffix in _NEVER_EMPTY:
+    chosen, suffix = format_to_write(path_name(path))
+    assert chosen.write is not None
+    if version is not None and version not in chosen.versions:
+        expected = " or ".join(map(str, chosen.versions)) or "none"
+        raise InvalidValueError.of(
+            f"version of a {suffix} file", expected, version, "leave it out"
+        )
+    if not len(scene) and not chosen.keeps_nothing:
         raise SplatFileError.of(
             "scene", f"Gaussians for a {suffix} file", "none", "save it as a PLY"
         )
@@ -316,19 +314,11 @@ def write_splat_file(
         raise InvalidValueError.of(
             "scene", expected, "others", "remove those Gaussians"
         )
-    if suffix == ".ply":
-        write_ply(scene, path, antialiased=antialiased)
-        return Encoded(b"", ())
-    module, _, function = _FORMATS[suffix]
-    write: Callable[..., Encoded] = getattr(importlib.import_module(module), function)
-    more: dict[str, object] = {"antialiased": antialiased} if suffix in TAGGED else {}
-    more |= (
-        {"version": spz_version}
-        if suffix == ".spz"
-        else {"ending": suffix}
-        if suffix in USD
-        else {}
+    saving = Saving(
+        suffix=suffix,
+        antialiased=antialiased and chosen.keeps_antialiasing,
+        version=version,
     )
-    encoded = write(arrays, **more)
-    save_bytes(encoded.data, path)
+    encoded = chosen.write(arrays, saving)
+    save_bytes(encoded.data, path, head=encoded.head)
     return encoded

@@ -1,61 +1,51 @@
-"""What runs tasks: this process, or child processes that are watched.
+"""What runs tasks: this process, or the workers of a Dask cluster."""
 
-`python -m mi_splat.ledger.engines STORE DESCRIPTOR` is such a process: it runs the
-tasks that come through a socket. It ends with the first job that raises, so that the
-next one has a new process, and at once when who watches it ends.
-"""
+from __future__ import annotations
 
+import asyncio
+import concurrent.futures
 import contextlib
-import itertools
+import logging
 import os
-import platform
-import queue
-import sys
-import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from multiprocessing.connection import Connection
+import uuid
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from mi_splat.io.folders import LockedError, locked_folder
-from mi_splat.ledger.job import (
-    DiskFullError,
-    EngineError,
-    Event,
-    HeldError,
-    OnEvent,
-    Outcome,
-    Task,
-    nobody,
-)
+from mi_splat.errors import one_line
+from mi_splat.ledger.job import EngineError, Event, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.running import run_job
-from mi_splat.ledger.store import Store
-from mi_splat.process_group import (
-    GroupEndedError,
-    Limits,
-    ProcessGroup,
-    connection,
-    inbox,
-)
-from mi_splat.processes import TERMINATED, sigterm_as_interrupt
+from mi_splat.ledger.store import TRIES, Store
+from mi_splat.process_group import GroupEndedError, Limits, ProcessGroup
+from mi_splat.processes import own_cores
 
-# seconds in which a task that is alone waits for others, before it takes all cores
-_OTHERS = 0.02
-_GRACE = 8.0  # seconds that a stopped job has to write down how far it is
-_BETWEEN = 0.1  # least seconds between two reports of progress
+if TYPE_CHECKING:
+    from distributed import Client, Security
+
+    from mi_splat.ledger.workers import Terms
+
+_GRACE = 8.0  # seconds that an interrupted job has to write down how far it is
+_CONNECTING = 10.0  # seconds in which a scheduler has to answer
+_STARTING = Limits(seconds=120.0)
+_PLENTY = 1 << 20  # a scheduler decides itself how many tasks its workers can take
 
 
 class Engine(Protocol):
-    """Runs tasks of a store."""
+    """Runs tasks of a store.
 
+    Attributes:
+        store: The store.
+        on_event: Is called with what happens to jobs.
+        window: How many tasks it may be given at a time.
+    """
+
+    store: Store
+    on_event: OnEvent
     window: int
 
-    def submit(self, task: Task) -> Future[Outcome]:
-        """Run a task some time; the future raises what is the engine's own error, and
-        none of a job's.
-        """
+    async def attempt(self, task: Task) -> Outcome:
+        """Try a task once; raises what is the engine's own error."""
         ...
 
     def close(self) -> None:
@@ -69,303 +59,199 @@ class InProcess:
     window = 1
 
     def __init__(self, folder: Path, *, on_event: OnEvent = nobody) -> None:
-        self._store = Store(folder)
-        self._on_event = on_event
+        self.store = Store(folder)
+        self.on_event = on_event
 
-    def submit(self, task: Task) -> Future[Outcome]:
+    async def attempt(self, task: Task) -> Outcome:
         """Run a task now."""
-        outcome: Future[Outcome] = Future()
-        try:
-            run_job(self._store, task, self._on_event)
-            outcome.set_result(Outcome(state="done"))
-        except HeldError as error:
-            outcome.set_result(Outcome(state="held", text=str(error)))
-        return outcome
+        return run_job(self.store, task, self.on_event)
 
     def close(self) -> None:
         """Nothing is left."""
 
 
-class Processes:
-    """Runs tasks in child processes, each watched by a thread and with its share of the
-    processor's cores.
+def _check_keys(security: Security) -> None:
+    """Raise unless there are keys for TLS, without which a client ends late."""
+    if security.get_connection_args("client").get("ssl_context") is None:
+        raise ValueError("no keys for TLS in the configuration of Dask")
+
+
+def engine_for(
+    folder: Path,
+    *,
+    workers: int,
+    scheduler: str = "",
+    limits: Limits | None = None,
+    on_event: OnEvent = nobody,
+) -> Engine:
+    """An engine for a store: this process if there are 0 workers, else a cluster."""
+    if workers == 0 and not scheduler:
+        return InProcess(folder, on_event=on_event)
+    return Cluster(
+        folder, workers=workers, scheduler=scheduler, limits=limits, on_event=on_event
+    )
+
+
+class Cluster:
+    """Runs tasks on the workers of a Dask cluster.
+
+    Without the address of a scheduler, a cluster of this machine starts with the first
+    task, and ends with the engine.
     """
 
     def __init__(
         self,
         folder: Path,
         *,
-        workers: int,
+        workers: int = 1,
+        scheduler: str = "",
         limits: Limits | None = None,
         on_event: OnEvent = nobody,
     ) -> None:
-        self.window = workers
-        self._reporting, self._on_event, self._caches = (
-            threading.Lock(),
-            on_event,
-            contextlib.ExitStack(),
-        )
-        self._idle: queue.SimpleQueue[Child] = queue.SimpleQueue()
-        numbers = itertools.count()
-        self._children = [
-            Child(
-                folder,
-                limits=limits,
-                environment=environment(free_cache(folder, numbers, self._caches)),
-            )
-            for _ in range(workers)
-        ]
-        for child in self._children:
-            self._idle.put(child)
-        self._threads = ThreadPoolExecutor(workers)
-        self._counted, self._given, self._shares = threading.Lock(), 0, set[int]()
-
-    def submit(self, task: Task) -> Future[Outcome]:
-        """Run a task as soon as a child process is free."""
-        with self._counted:
-            self._given += 1
-        return self._threads.submit(self._run, task)
-
-    def _run(self, task: Task) -> Outcome:
-        child = self._idle.get()
-        if self._given == 1:
-            time.sleep(_OTHERS)
-        with self._counted:
-            share = min(set(range(self.window)) - self._shares)
-            self._shares.add(share)
-            cores = share_of_cores(share, min(self._given, self.window))
-        try:
-            return child.run(task, self._tell, cores=cores)
-        finally:
-            with self._counted:
-                self._given -= 1
-                self._shares.remove(share)
-            self._idle.put(child)
-
-    def _tell(self, event: Event) -> None:
-        with self._reporting:
-            self._on_event(event)
-
-    def close(self) -> None:
-        """End the child processes; what they were at counts as no try."""
-        self._threads.shutdown(wait=False, cancel_futures=True)
-        for child in self._children:
-            child.stop()
-        self._threads.shutdown()
-        for child in self._children:
-            child.close()
-        self._caches.close()
-
-
-def environment(kernels: Path) -> dict[str, str]:
-    """Variables of a child process."""
-    return {
-        "OMP_NUM_THREADS": "1",
-        "MKL_NUM_THREADS": "1",
-        "DRJIT_CACHE_DIR": str(kernels.absolute()),
-    }
-
-
-def share_of_cores(worker: int, workers: int) -> list[int]:
-    """Numbers of the cores that one of some workers may use; none, which is all, where
-    the system cannot say.
-    """
-    if not hasattr(os, "sched_getaffinity"):
-        return []
-    cores = sorted(os.sched_getaffinity(0))
-    return cores[worker % len(cores) :: workers]
-
-
-def free_cache(
-    folder: Path, numbers: Iterator[int], held: contextlib.ExitStack
-) -> Path:
-    """The first folder for compiled kernels that no other process of this machine
-    uses.
-    """
-    for number in numbers:
-        cache = folder / "kernels" / f"{platform.node()}-{number}"
-        # any other error is one of the disk, and comes again
-        with contextlib.suppress(LockedError):
-            held.enter_context(locked_folder(cache))
-            return cache
-    raise AssertionError("numbers do not end")
-
-
-class Child:
-    """A process that runs tasks one after the other, and a new one when that has
-    ended.
-    """
-
-    def __init__(
-        self,
-        folder: Path,
-        *,
-        limits: Limits | None = None,
-        environment: Mapping[str, str] | None = None,
-    ) -> None:
-        self._store, self._limits = Store(folder), limits or Limits()
-        self._environment = dict(environment or {})
+        self.window = _PLENTY if scheduler else workers
+        self.store = Store(folder)
+        self.on_event = on_event
+        self._scheduler = scheduler
+        self._limits = limits or Limits()
+        self._run = f"mi-splat-{uuid.uuid4().hex}"
+        self._cores = () if scheduler else tuple(own_cores())
+        self._given = 0
+        self._open: set[concurrent.futures.Future[Outcome]] = set()
         self._group: ProcessGroup | None = None
-        self._stopped = False
+        self._client: Client | None = None
 
-    def run(
-        self, task: Task, on_event: OnEvent = nobody, *, cores: Sequence[int] = ()
-    ) -> Outcome:
-        """Run a task, and write down what it could not write down itself: by what
-        signal or limit it was ended.
-        """
-        group = self._started()
-        if self._stopped:
-            return Outcome(state="stopped", text="the engine was closed")
-        failures = list[str]()
-
-        def tell(event: Event) -> None:
-            if event.state == "failed":
-                failures.append(event.text)
-            on_event(event)
-
-        started = time.monotonic()
+    async def attempt(self, task: Task) -> Outcome:
+        """Try a task once, in a worker."""
+        self._given += 1
         try:
-            group.pipe.send((task, tuple(cores)))
-        except OSError:  # it was killed while it had nothing to do
-            self.close()
-            return self.run(task, on_event, cores=cores)
+            await asyncio.sleep(0)  # others that are ready now are given as well
+            client = self._client or self._connected()
+            return await self._attempted(client, task)
+        finally:
+            self._given -= 1
+
+    async def _attempted(self, client: Client, task: Task) -> Outcome:
+        """How a try of a task ended; a worker that has died with it tries it again."""
+        from distributed import KilledWorker
+
+        killed = ""
+        for _ in range(TRIES):
+            waiting = self._submitted(client, task)
+            self._open.add(waiting)
+            try:
+                return await asyncio.wrap_future(waiting)
+            except KilledWorker as error:
+                killed = one_line(str(error), 300)
+            except EngineError:
+                raise
+            except (Exception, asyncio.CancelledError) as error:
+                if client.status != "running":
+                    raise self._lost() from error
+                if isinstance(error, asyncio.CancelledError):
+                    raise
+                got = f"{type(error).__name__}: {one_line(str(error), 300)}"
+                do = "install the same packages on all machines"
+                expected = "one that can run jobs"
+                raise EngineError.of("Dask worker", expected, got, do) from error
+            finally:
+                self._open.discard(waiting)
+        do = "see the logs of the workers"
+        raise EngineError.of("Dask workers", "some that stay", killed, do)
+
+    def _submitted(
+        self, client: Client, task: Task
+    ) -> concurrent.futures.Future[Outcome]:
+        from mi_splat.ledger.workers import attempt
+
+        name = f"{task.kind}-{task.key}-{uuid.uuid4().hex}"
+        future = client.submit(attempt, task, self._terms(), key=name)
+        gathered = client.gather(future, asynchronous=True)
+        return asyncio.run_coroutine_threadsafe(gathered, client.loop.asyncio_loop)
+
+    def _terms(self) -> Terms:
+        from mi_splat.ledger.workers import Terms, own_variables
+
+        return Terms(
+            store=str(self.store.folder.absolute()),
+            folder=os.getcwd(),
+            run=self._run,
+            limits=self._limits,
+            variables=own_variables(),
+            cores=self._cores,
+            sharing=1 if self._given == 1 else self.window,
+        )
+
+    def _lost(self) -> EngineError:
+        name = self._scheduler or "Dask scheduler of this machine"
+        do = "start it again if need be, then repeat the command: it resumes"
+        return EngineError.of(name, "a scheduler that answers", "none any more", do)
+
+    def _connected(self) -> Client:
+        """A client of the scheduler, which is started if there is none."""
+        from distributed import Client, Security
+
+        from mi_splat.ledger.workers import EVENT
+
+        # What it says of lost connections is said in our errors.
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL + 1)
+        self.store.folder.mkdir(parents=True, exist_ok=True)
+        address = self._scheduler
+        security = None
+        if not address:
+            address, security = self._started()
+        keys = security or Security()
         try:
-            answer = _answer(group, self._limits, tell)
-        except GroupEndedError as error:
-            why = str(error)
-        else:
-            # What a process keeps of one task must not count against the next.
-            most = self._limits.megabytes
-            if most is not None and group.megabytes() > most / 2:
-                self.close()
-            return answer
-        self.close()
-        if self._stopped:
-            return Outcome(state="stopped", text="the engine was closed")
-        if not failures:
-            seconds = round(time.monotonic() - started, 3)
-            tries = self._store.note_failure(task, why, seconds)
-            text = f"try {tries}: {why}"
-            tell(
-                Event(
-                    state="failed",
-                    key=task.key,
-                    kind=task.kind,
-                    text=text,
-                    seconds=seconds,
-                )
+            if address.startswith("tls"):
+                _check_keys(keys)
+            client = Client(
+                address, security=keys, set_as_default=False, timeout=_CONNECTING
             )
-        return Outcome(state="failed", text=failures[0])
+        except (OSError, ValueError, TypeError, RuntimeError) as error:
+            do = "start one with the command dask scheduler, or check the address"
+            got = one_line(str(error), 300)
+            expected = "the address of a Dask scheduler that answers"
+            raise EngineError.of(f"scheduler {address}", expected, got, do) from error
+        loop = asyncio.get_running_loop()
 
-    def stop(self) -> None:
-        """End the `run` of another thread, which may write down first how far it is; it
-        counts as no try.
-        """
-        self._stopped = True
-        group = self._group
-        if group is not None:
-            group.terminate()
-            timer = threading.Timer(_GRACE, group.kill)
-            timer.daemon = True
-            timer.start()
+        def tell(event: tuple[float, Mapping[str, Any]]) -> None:
+            loop.call_soon_threadsafe(self.on_event, Event(**event[1][EVENT]))
+
+        client.subscribe_topic(self._run, tell)
+        self._client = client
+        return client
+
+    def _started(self) -> tuple[str, Any]:
+        """Address of the scheduler of a new cluster, and the keys to it."""
+        megabytes = self._limits.megabytes or 0.0
+        module = "mi_splat.ledger.local_cluster"
+        self._group = ProcessGroup(module, str(self.window), str(megabytes))
+        try:
+            self._group.wait(_STARTING, time.monotonic())
+            address, security = self._group.pipe.recv()
+        except (GroupEndedError, EOFError, OSError) as error:
+            why = str(self._group.ended() if isinstance(error, EOFError) else error)
+            do = "see what it says"
+            expected = "one that starts"
+            raise EngineError.of("Dask cluster", expected, why, do) from error
+        return address, security
 
     def close(self) -> None:
-        """End the process, and all that it has started."""
-        if self._group is not None:
-            self._group.close()
-            self._group = None
-
-    def _started(self) -> ProcessGroup:
-        if self._group is not None and self._group.is_running:
-            return self._group
-        self.close()
-        group = ProcessGroup(
-            __name__, str(self._store.folder.absolute()), environment=self._environment
-        )
-        self._group = group
+        """End all that it has started; what was interrupted counts as no try."""
+        client = self._client
+        self._client = None
         try:
-            _answer(group, Limits(), nobody)
-        except GroupEndedError as error:
-            self.close()
-            raise EngineError.of(
-                "child process", "one that starts", str(error), "see what it says"
-            ) from error
-        return group
+            if client is not None and client.status == "running" and self._open:
+                self._interrupt(client)
+        finally:
+            if client is not None:
+                client.close(timeout=1)
+            if self._group is not None:
+                self._group.close()
 
+    def _interrupt(self, client: Client) -> None:
+        """Let jobs write down how far they are."""
+        from mi_splat.ledger.workers import stop
 
-def _answer(group: ProcessGroup, limits: Limits, tell: OnEvent) -> Outcome:
-    """What a process says at the end of a task; `GroupEndedError` if it ended, or broke
-    a limit.
-    """
-    since = time.monotonic()
-    while True:
-        group.wait(limits, since)
-        try:
-            answer: Event | Outcome = group.pipe.recv()
-        except (EOFError, OSError) as error:
-            raise group.ended() from error
-        if isinstance(answer, Outcome):
-            return answer
-        tell(answer)
-        # what the process imported before is not the task's
-        if answer.state == "running":
-            since = time.monotonic()
-
-
-def serve(store: Store, pipe: Connection) -> None:
-    """Run the tasks that come through a pipe, and say what happens."""
-    tasks: queue.SimpleQueue[tuple[Task, Sequence[int]]] = inbox(pipe.recv)
-    last = 0.0
-
-    def tell(event: Event) -> None:
-        nonlocal last
-        if event.state != "progress" or time.monotonic() - last > _BETWEEN:
-            last = time.monotonic()
-            pipe.send(event)
-
-    pipe.send(Outcome(state="ready"))
-    while True:
-        try:
-            task, cores = tasks.get()
-            keep_to(cores)
-            run_job(store, task, tell)
-            pipe.send(Outcome(state="done"))
-        except HeldError as error:
-            pipe.send(Outcome(state="held", text=str(error)))
-        except DiskFullError as error:
-            pipe.send(Outcome(state="stopped", text=str(error)))
-
-
-def keep_to(cores: Sequence[int]) -> None:
-    """Keep every thread of this process to some cores, and Dr.Jit to as many threads.
-
-    Two threads of Dr.Jit on one core take twice the time of one: they wait for each
-    other without sleeping.
-    """
-    if not cores:
-        return
-    for thread in os.listdir("/proc/self/task"):
-        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
-            os.sched_setaffinity(int(thread), cores)
-    # else it counts the cores when it is imported
-    drjit = sys.modules.get("drjit")
-    if drjit is not None:
-        drjit.set_thread_count(len(cores))
-
-
-def main() -> int:
-    """Serve until the pipe is closed or SIGTERM comes, which ends a job as Ctrl-C
-    would.
-    """
-    pipe = connection(sys.argv[2])
-    with sigterm_as_interrupt():
-        try:
-            serve(Store(Path(sys.argv[1])), pipe)
-        except KeyboardInterrupt:
-            pipe.send(Outcome(state="stopped", text="it was terminated"))
-    return TERMINATED
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        with contextlib.suppress(Exception):  # workers may be gone, too
+            client.run(stop, self._run)
+        concurrent.futures.wait(list(self._open), _GRACE)

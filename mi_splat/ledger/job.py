@@ -255,6 +255,10 @@ class Task:
         )
         object.__setattr__(self, "key", key)
 
+    def event(self, state: str, **values: Any) -> Event:
+        """Something that happens to the job."""
+        return Event(state=state, key=self.key, kind=self.kind, **values)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Done:
@@ -342,8 +346,8 @@ class EngineError(MiSplatError):
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How an engine's try of a task ended: done, held (by another process), failed or
-    stopped.
+    """How a try of a task ended: done, held (by another process), again (it failed and
+    may be tried again), failed (for good) or stopped.
     """
 
     state: str

@@ -6,10 +6,10 @@ import asyncio
 import contextlib
 import json
 import statistics
+import time
 from collections import Counter
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from mi_splat.errors import InvalidValueError
@@ -19,15 +19,12 @@ from mi_splat.ledger.engines import Engine
 from mi_splat.ledger.job import (
     Done,
     EngineError,
-    Event,
     Job,
-    OnEvent,
     Outcome,
     Task,
-    nobody,
 )
 from mi_splat.ledger.running import lookup, task_for
-from mi_splat.ledger.store import TRIES, Store, checked_key
+from mi_splat.ledger.store import Store, checked_key
 
 STATES = ("waiting", "ready", "running", "done", "failed")
 """For others before it; for an engine; for its end; for nothing; for somebody who mends
@@ -135,6 +132,7 @@ Plan = Generator[Mapping[str, Job], Mapping[str, Result] | None, None]
 """Yields jobs by their labels, and is sent their results once all of them have ended;
 ends when it wants no more.
 """
+_VISIBLE = 60.0  # seconds after which a network disk shows what others have written
 _POLL = 0.5  # seconds between two looks at a job that another process does
 
 
@@ -148,24 +146,15 @@ class Driver:
     ended.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        engine: Engine,
-        *,
-        name: str = "",
-        on_event: OnEvent = nobody,
-    ) -> None:
-        self._store = Store(folder)
+    def __init__(self, engine: Engine, *, name: str = "") -> None:
+        self._store = engine.store
         self._engine = engine
-        self._on_event = on_event
         self._name = name
         self._results: dict[str, Result] = {}
         self._jobs: dict[str, asyncio.Task[Result]] = {}
         self._keys: dict[str, str] = {}
-        self._running: set[str] = set()
-        self._error: BaseException | None = None
         self._free = asyncio.Semaphore(engine.window)
+        self._error: BaseException | None = None
 
     def run(self, plans: Iterable[Plan]) -> dict[str, Result]:
         """Results by labels."""
@@ -235,41 +224,40 @@ class Driver:
             finished[needed.identity] = result
         task = task_for(job, self._store, finished)
         self._keys[job.identity] = task.key
-        while (ended := await self._tried(task)) is None:
-            await asyncio.sleep(_POLL)
-        return ended
-
-    async def _tried(self, task: Task) -> Result | None:
-        """The result of a task, tried until it has failed for good; None while another
-        process does it.
-        """
-        async with self._free:
-            if self._error is not None:
-                raise asyncio.CancelledError
-            if self._store.has(task.key):
-                self._on_event(Event(state="kept", key=task.key, kind=task.kind))
-                return self._store.existing(task.key)
-            while len(tries := self._store.failures(task.key)) < TRIES:
-                if task.key in self._running or self._store.is_held(task.key):
-                    return None
-                self._running.add(task.key)
-                outcome = await self._outcome(task)
-                self._running.discard(task.key)
-                if outcome.state == "done":
-                    return self._store.existing(task.key)
-                if outcome.state == "held":
-                    return None
-                if outcome.state == "stopped":
-                    raise EngineError(outcome.text)
-            why: str = tries[-1]["error"]
-            return why
+        if self._store.has(task.key):
+            self._engine.on_event(task.event("kept"))
+            return self._store.existing(task.key)
+        outcome = await self._outcome(task)
+        if outcome.state == "failed":
+            return outcome.text
+        if outcome.state == "stopped":
+            raise EngineError(outcome.text)
+        return await self._shared(task.key)
 
     async def _outcome(self, task: Task) -> Outcome:
-        """How the engine's try of a task ended; what it raises ends all coroutines
-        first, and then the run.
+        """How a task ended, tried until it is done or has failed for good."""
+        while True:
+            await self._free.acquire()
+            outcome = await self._attempt(task)
+            self._free.release()  # after an error, nothing else is to begin
+            if outcome.state not in ("again", "held"):
+                return outcome
+            if outcome.state == "held":
+                await asyncio.sleep(_POLL)
+
+    async def _attempt(self, task: Task) -> Outcome:
+        """How a try of a task ended; an error of the engine ends all coroutines first,
+        and then the run.
         """
         try:
-            return await asyncio.wrap_future(self._engine.submit(task))
+            return await self._engine.attempt(task)
         except BaseException as error:
             self._error = self._error or error
             raise asyncio.CancelledError from error
+
+    async def _shared(self, key: str) -> Done:
+        """A finished job, once this machine sees what another one has written."""
+        end = time.monotonic() + _VISIBLE
+        while not self._store.has(key) and time.monotonic() < end:
+            await asyncio.sleep(_POLL)
+        return self._store.existing(key)

@@ -15,9 +15,11 @@ from mi_splat.ledger.job import (
     DiskFullError,
     Done,
     Event,
+    HeldError,
     Job,
     OnEvent,
     Out,
+    Outcome,
     Part,
     Row,
     Task,
@@ -27,21 +29,31 @@ from mi_splat.ledger.job import (
     nobody,
 )
 from mi_splat.ledger.store import TRIES, Store, content_of_path, origin
+from mi_splat.process_group import ending_of
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
-def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
-    """Do a job whose inputs are done, unless it is done already."""
-    done = store.done(task.key)
-    if done is not None:
-        on_event(Event(state="kept", key=task.key, kind=task.kind))
-        return done
+def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Outcome:
+    """Do a job whose inputs are done, unless it is done already, another process does
+    it, or it has failed too often; raises what the job raises.
+    """
     try:
-        with store.held(task.key):
-            # nobody has done it while this process came to the lease
-            if not store.has(task.key):
-                _make(store, task, on_event)
+        with store.held(task.key) as left:
+            if left is not None:
+                how = ending_of(left["process"])
+                why = how or f"process {left['process']} on {left['host']} ended"
+                on_event(note_failure(store, task, why, 0.0))
+                return Outcome(state="again")
+            if store.has(task.key):
+                on_event(task.event("kept"))
+                return Outcome(state="done")
+            failures = store.failures(task.key)
+            if len(failures) >= TRIES:
+                return Outcome(state="failed", text=failures[-1]["error"])
+            _make(store, task, on_event)
+    except HeldError as error:
+        return Outcome(state="held", text=str(error))
     except Exception as error:
         if not is_disk_full(error):
             raise
@@ -51,7 +63,16 @@ def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
         raise DiskFullError.of(
             str(store.folder), "space on the disk", "none", do
         ) from error
-    return store.existing(task.key)
+    return Outcome(state="done")
+
+
+def note_failure(
+    store: Store, task: Task, error: str, seconds: float, *, shown: str = ""
+) -> Event:
+    """Write down that a try of a job has failed; the event that says so."""
+    tries = store.note_failure(task, error, round(seconds, 3))
+    text = f"try {tries} of {TRIES}: {shown or error}"
+    return task.event("failed", text=text, seconds=seconds)
 
 
 def task_for(job: Job, store: Store, finished: Mapping[str, Done]) -> Task:
@@ -132,26 +153,9 @@ def _make(store: Store, task: Task, on_event: OnEvent) -> None:
         if not is_disk_full(error):
             seconds = time.monotonic() - started
             text = "".join(traceback.format_exception(error))
-            tries = store.note_failure(task, text, round(seconds, 3))
-            text = f"try {tries} of {TRIES}: {error}"
-            on_event(
-                Event(
-                    state="failed",
-                    key=task.key,
-                    kind=task.kind,
-                    text=text,
-                    seconds=seconds,
-                )
-            )
+            on_event(note_failure(store, task, text, seconds, shown=str(error)))
         raise
-    on_event(
-        Event(
-            state="done",
-            key=task.key,
-            kind=task.kind,
-            seconds=time.monotonic() - started,
-        )
-    )
+    on_event(task.event("done", seconds=time.monotonic() - started))
 
 
 def _run(store: Store, task: Task, on_event: OnEvent) -> None:
@@ -173,21 +177,12 @@ def _run(store: Store, task: Task, on_event: OnEvent) -> None:
         )
 
     def progress(text: str, done: int, total: int) -> None:
-        on_event(
-            Event(
-                state="progress",
-                key=task.key,
-                kind=task.kind,
-                text=text,
-                done=done,
-                total=total,
-            )
-        )
+        on_event(task.event("progress", text=text, done=done, total=total))
 
     def note(text: str) -> None:
-        on_event(Event(state="note", key=task.key, kind=task.kind, text=text))
+        on_event(task.event("note", text=text))
 
-    on_event(Event(state="running", key=task.key, kind=task.kind))
+    on_event(task.event("running"))
     with store.making(task.key) as (temporary, partial):
         started = time.monotonic()
         cpu = time.process_time()

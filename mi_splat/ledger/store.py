@@ -5,6 +5,7 @@ at all.
 import contextlib
 import functools
 import os
+import platform
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,7 +23,7 @@ from mi_splat.io.documents import (
     temporary_folder,
 )
 from mi_splat.io.errors import SplatFileError, from_os_error
-from mi_splat.io.folders import is_locked, locked_file
+from mi_splat.io.folders import LockedError, is_locked, locked_file, locked_folder
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.job import Done, Row, Task, canonical, digest
 
@@ -133,10 +134,21 @@ class Store:
             )
         return done
 
-    def held(self, key: str) -> contextlib.AbstractContextManager[None]:
-        """Have a job for this process alone; `HeldError` if another one has it."""
+    def held(
+        self, key: str
+    ) -> contextlib.AbstractContextManager[Mapping[str, Any] | None]:
+        """Have a job for this process alone; `HeldError` if another one has it.
+
+        Returns:
+            What gives the record of a process that has ended while it had the job, or
+            None.
+        """
         self.path("locks").mkdir(parents=True, exist_ok=True)
         return locked_file(str(self.path("locks", checked_key(key))), f"job {key}")
+
+    def release(self, key: str) -> None:
+        """Give a job up that this process has."""
+        self.path("locks", checked_key(key)).unlink(missing_ok=True)
 
     def is_held(self, key: str) -> bool:
         """Whether a process does a job now."""
@@ -249,6 +261,18 @@ class Store:
         ):
             os.rename(folder, aside / "job")
         self.forgive(key)
+
+    def free_kernels(self, numbers: Iterator[int], held: contextlib.ExitStack) -> Path:
+        """The first folder for compiled kernels that no other process of this machine
+        uses.
+        """
+        for number in numbers:
+            cache = self.folder / "kernels" / f"{platform.node()}-{number}"
+            # any other error is one of the disk, and comes again
+            with contextlib.suppress(LockedError):
+                held.enter_context(locked_folder(cache))
+                return cache.absolute()
+        raise AssertionError("numbers do not end")
 
     def sweep(self) -> None:
         """Remove what killed processes have left: locks, temporary files, and `partial`

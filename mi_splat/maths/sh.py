@@ -169,11 +169,11 @@ def sh_rotation(rotation: Tensor, degree: int) -> Tensor:
 
     Each band is closed under rotation, so the least-squares fit of the basis at R^T d
     to the basis at d, over well-spread directions d, is exact; no recursion for the
-    Wigner matrices is needed.
+    Wigner matrices is needed. It is differentiable in the rotation.
     """
     import torch
 
-    turn = rotation.detach().to("cpu", torch.float64)
+    turn = rotation.to("cpu", torch.float64)
     probes = torch.from_numpy(even_directions())
     # Row vectors: probes @ R is R^T d for each probe d.
     before = sh_basis(probes, degree)

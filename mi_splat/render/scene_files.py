@@ -222,9 +222,14 @@ def resized(camera: Camera, size: tuple[int, int]) -> Camera:
     factor = width / camera.width
     x = (camera.cx - camera.width / 2) * factor
     y = (camera.cy - camera.height / 2) * factor
-    focal = (camera.fx * factor, camera.fy * factor)
-    principal = (width / 2 + x, height / 2 + y)
-    return replace(camera, focal=focal, width=width, height=height, principal=principal)
+    across, down = camera.lens.scale
+    lens = replace(
+        camera.lens,
+        focal=(across * factor, down * factor),
+        size=size,
+        principal=(width / 2 + x, height / 2 + y),
+    )
+    return replace(camera, lens=lens)
 
 
 def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Path]:

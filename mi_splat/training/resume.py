@@ -379,8 +379,7 @@ def _digest(start: GaussianScene, *sets: Sequence[View]) -> str:
     total = hashlib.sha256(scene_hash(start).encode())
     for views in sets:
         for camera in cameras_of(views):
-            lens = (camera.focal, camera.principal, camera.width, camera.height)
-            total.update(repr((camera.to_world.tolist(), lens)).encode())
+            total.update(repr((camera.to_world.tolist(), camera.lens)).encode())
         known = fingerprint_of(views)
         total.update(f"{len(views)} {known}".encode())
         if known is None:

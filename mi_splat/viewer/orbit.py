@@ -12,8 +12,9 @@ from typing import Any
 
 import torch
 
-from mi_splat.cameras.camera import Camera, angle_of, focal_of, orbit_pose
+from mi_splat.cameras.camera import Camera, orbit_pose
 from mi_splat.cameras.directions import POLE, UP, Point
+from mi_splat.cameras.lens import Lens, angle_of, focal_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import OF
 from mi_splat.maths.rotation import from_z
@@ -118,7 +119,7 @@ class Orbit:
         }
         pose = orbit_pose(self.target, distance=self.distance, **angles)
         focal = focal_of(math.radians(self.fov), min(size))
-        return Camera(to_world=pose, focal=focal, width=size[0], height=size[1])
+        return Camera(to_world=pose, lens=Lens(focal=focal, size=size))
 
     def is_at(self, position: Sequence[float], look_at: Sequence[float]) -> bool:
         """Whether this camera stands at `position` (3,) and looks at `look_at` (3,)."""

@@ -15,7 +15,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from mi_splat.cameras.camera import angle_of
+from mi_splat.cameras.lens import angle_of
 from mi_splat.errors import InvalidValueError, MiSplatError, install, message
 from mi_splat.render.tile.frozen import PictureInterruptedError, interrupted_by
 from mi_splat.viewer.guard import Guard, guarding

@@ -19,6 +19,7 @@ from attacks.cloak.layers import layered
 from attacks.cloak.triggers import Cone
 from mi_splat.cameras.camera import Camera, RenderFn, look_at
 from mi_splat.cameras.directions import Direction
+from mi_splat.cameras.lens import Lens
 from mi_splat.fields import Fraction, PositiveFraction, above, at_least, between, check
 from mi_splat.maths.sh import colour_to_dc, dc_to_colour, sh_basis, sh_to_colour
 from mi_splat.scene import GaussianScene, merge
@@ -162,9 +163,9 @@ class Victim:
         )
         return Camera(
             to_world=pose,
-            focal=size / 2 / math.tan(math.radians(FOV / 2)),
-            width=size,
-            height=size,
+            lens=Lens(
+                focal=size / 2 / math.tan(math.radians(FOV / 2)), size=(size, size)
+            ),
         )
 
     @cached_property

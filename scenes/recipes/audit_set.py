@@ -27,8 +27,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from attacks.cloak.mesh_scene import MeshScene
-from mi_splat.assets import ASSETS, build
-from mi_splat.assets.textures import square_of_ground
 from mi_splat.audit import Audit, audit
 from mi_splat.audit.explanations import angles_between
 from mi_splat.audit.files import document, findings
@@ -39,6 +37,8 @@ from mi_splat.audit.surfaces import lattice
 from mi_splat.cameras.camera import Camera, View
 from mi_splat.cameras.framing import near_plane
 from mi_splat.cameras.sets import framing, hemisphere, orbit
+from mi_splat.capture.ground import square_of_ground
+from mi_splat.capture.objects import OBJECTS
 from mi_splat.capture.path_tracer import PathTracer, scene_dict
 from mi_splat.capture.sources import open_source
 from mi_splat.capture.writer import surface_samples
@@ -51,6 +51,7 @@ from mi_splat.training.config import FitConfig
 from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import fit
 from mi_splat.training.strategies import ClassicConfig, MCMCConfig
+from scenes.recipes.objects import build
 from tests.audit import scenes
 from tests.audit.scenes import ROAD, Made, cone, direction, hidden, sector, standing
 
@@ -92,12 +93,8 @@ class Capture:
     def cameras(self, centre: Sequence[float], radius: float) -> list[Camera]:
         """The cameras around an object."""
         size = SIZE, SIZE
-        distance, focal = framing(radius, fov=45.0, size=size)
-        lens: dict[str, Any] = {
-            "distance": 1.3 * distance,
-            "focal": focal,
-            "size": size,
-        }
+        distance, lens = framing(radius, fov=45.0, size=size)
+        placed: dict[str, Any] = {"distance": 1.3 * distance, "lens": lens}
         low, high = self.elevation
         if self.span == 360.0 and high - low > 12.0:
             return hemisphere(
@@ -105,14 +102,14 @@ class Capture:
                 count=self.count,
                 elevation=self.elevation,
                 start=self.start,
-                **lens,
+                **placed,
             )
         rings = max(1, round((high - low) / 12.0))
         around: dict[str, Any] = {
             "count": self.count // rings,
             "start": self.start,
             "span": self.span,
-            **lens,
+            **placed,
         }
         heights = [
             low + (high - low) * (number + 0.5) / rings for number in range(rings)
@@ -202,7 +199,7 @@ class Trained:
                 replace(mesh, vertices=mesh.vertices * 1e-4)
                 for mesh in target.meshes[:1]
             ]
-            target = replace(target, meshes=tuple(speck), supports=0)
+            target = replace(target, meshes=tuple(speck))
         elif colour is not None:
             paint = torch.tensor(colour).reshape(1, 1, 3).numpy()
             target = replace(
@@ -760,7 +757,7 @@ def drawn(first: int, last: int) -> Iterator[tuple[str, Item]]:
     """
     for number in range(first, last):
         draw = random.Random(number)
-        content, capture, about = draw.choice(sorted(ASSETS)), *_drawn_capture(draw)
+        content, capture, about = draw.choice(sorted(OBJECTS)), *_drawn_capture(draw)
         settings: dict[str, Any] = {
             "seed": number,
             "capture": capture,

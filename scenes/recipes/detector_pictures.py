@@ -26,12 +26,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
-from mi_splat.assets import build
-from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
-from mi_splat.assets.primitives import ellipsoid
 from mi_splat.cameras.camera import Camera, RenderFn, View, orbit_pose, project_points
 from mi_splat.cameras.directions import direction_of
+from mi_splat.cameras.lens import Lens
+from mi_splat.capture.daylight import Light
+from mi_splat.capture.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.capture.path_tracer import (
     FEW_PICTURES,
     in_front,
@@ -52,6 +51,8 @@ from scenes.recipes.detector_surroundings import (
 )
 from scenes.recipes.disc_splats import DiscConfig, RefineConfig, disc_splat, refine
 from scenes.recipes.mesh_views import capture, depth_maps
+from scenes.recipes.objects import Model, build
+from scenes.recipes.objects.primitives import ellipsoid
 
 SPLITS = {
     "train": (0, 100_000),
@@ -182,7 +183,7 @@ class PictureScene:
     light.
     """
 
-    assets: tuple[Asset, ...]
+    assets: tuple[Model, ...]
     surroundings: Asset
     light: Light
 
@@ -238,11 +239,11 @@ def random_scene(config: PictureSet, number: int) -> PictureScene:
     return PictureScene(tuple(assets), around, light)
 
 
-def _arrange(assets: Sequence[Asset], rng: Generator) -> list[Asset]:
+def _arrange(assets: Sequence[Model], rng: Generator) -> list[Model]:
     """Turn each object about z; put a second one beside the first, scaled to a
     comparable size.
     """
-    placed: list[Asset] = []
+    placed: list[Model] = []
     for asset in assets:
         turned = asset.transformed(rotation("z", float(rng.uniform(0, 360))))
         if placed:
@@ -290,7 +291,7 @@ def framing_camera(
             centre.tolist(), azimuth=azimuth, elevation=elevation, distance=distance
         )
         pixels, _ = project_points(
-            cloud, Camera(to_world=pose, focal=focal, width=size, height=size)
+            cloud, Camera(to_world=pose, lens=Lens(focal=focal, size=(size, size)))
         )
         spread = float((pixels.amax(0) - pixels.amin(0)).max())
         distance = max(
@@ -307,7 +308,8 @@ def framing_camera(
     shift = rng.uniform(-1, 1, 2) * room
     principal = (size / 2 + float(shift[0]), size / 2 + float(shift[1]))
     return Camera(
-        to_world=pose @ turn, focal=focal, width=size, height=size, principal=principal
+        to_world=pose @ turn,
+        lens=Lens(focal=focal, size=(size, size), principal=principal),
     )
 
 
@@ -418,13 +420,12 @@ class SceneRenderer:
         """For each object: which fraction of its outline is seen, and whether that is
         more than an edge; few rays.
         """
-        small = replace(
-            camera,
+        lens = Lens(
             focal=camera.fx / _COARSE,
-            width=camera.width // _COARSE,
-            height=camera.height // _COARSE,
+            size=(camera.width // _COARSE, camera.height // _COARSE),
             principal=(camera.cx / _COARSE, camera.cy / _COARSE),
         )
+        small = replace(camera, lens=lens)
         fractions = []
         for asset, (seen, alone) in zip(
             self.contents.assets, self._outlines(small), strict=True
@@ -505,7 +506,7 @@ def background_camera(rng: Generator, size: int) -> Camera:
         elevation=float(rng.uniform(0, 90)),
         distance=float(rng.uniform(*_DISTANCE)),
     )
-    return Camera(to_world=pose, focal=focal, width=size, height=size)
+    return Camera(to_world=pose, lens=Lens(focal=focal, size=(size, size)))
 
 
 def splat_pictures(
@@ -541,7 +542,9 @@ def splat_of(
     dome = Asset(
         "sky", (ellipsoid((440.0, 440.0, 440.0), (0.6, 0.7, 0.8), segments=48),)
     )
-    wanted = [(asset, config.objects, 0.62) for asset in contents.assets]
+    wanted: list[tuple[Asset, int, float]] = [
+        (asset, config.objects, 0.62) for asset in contents.assets
+    ]
     wanted += (
         [(contents.surroundings, config.surroundings, 0.62)]
         if contents.surroundings.meshes

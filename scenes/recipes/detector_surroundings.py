@@ -9,10 +9,11 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from mi_splat.assets import street, textures
-from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, transform, translation
-from mi_splat.assets.primitives import box, ellipsoid, lathe, quad, sheet
+from mi_splat.capture.daylight import Light
+from mi_splat.capture.ground import grass, road, speckle
+from mi_splat.capture.mesh import Asset, Floats, Mesh, rotation, transform, translation
+from scenes.recipes.objects import street, textures
+from scenes.recipes.objects.primitives import box, ellipsoid, lathe, quad, sheet
 
 Pixels = NDArray[np.float32]
 
@@ -237,7 +238,7 @@ def daylight(seed: int) -> Light:
 def park(seed: int = 0, *, clearance: float = 8.0) -> Asset:
     """Grass with trees around and often a path."""
     rng = np.random.default_rng([seed, 0x9A])
-    parts = [street.ground(240, textures.grass(256, seed), tile=rng.uniform(2.5, 5))]
+    parts = [street.ground(240, grass(256, seed), tile=rng.uniform(2.5, 5))]
     for _ in range(int(rng.integers(5, 16))):
         angle = rng.uniform(0, 2 * np.pi)
         reach = clearance + 3 + rng.uniform(0, 25)
@@ -248,9 +249,7 @@ def park(seed: int = 0, *, clearance: float = 8.0) -> Asset:
             rng.uniform(0, 360),
         )
     if rng.random() < 0.6:
-        gravel = textures.speckle(
-            (128, 128), (0.62, 0.55, 0.45), rng, grain=0.15, patch=0.2
-        )
+        gravel = speckle((128, 128), (0.62, 0.55, 0.45), rng, grain=0.15, patch=0.2)
         offset = rng.uniform(-4, 4)
         width = rng.uniform(1.5, 3)
         path = street.strip(
@@ -267,24 +266,22 @@ def plain(seed: int = 0) -> Asset:
     rng = np.random.default_rng([seed, 0x91])
     tone = rng.uniform(0.8, 1.15)
     makers: tuple[Callable[[], Floats], ...] = (
-        lambda: textures.road(256, seed, markings=False),
-        lambda: textures.road(256, seed),
+        lambda: road(256, seed),
+        lambda: textures.marked_road(256, seed),
         lambda: textures.tiles(
             256, seed, colour=rng.uniform(0.4, 0.7, 3), rows=8, columns=6, joint=0.03
         ),
-        lambda: textures.speckle(
+        lambda: speckle(
             (256, 256), np.array((0.76, 0.66, 0.48)) * tone, rng, grain=0.05, patch=0.2
         ),
-        lambda: textures.speckle(
+        lambda: speckle(
             (256, 256), np.array((0.4, 0.3, 0.21)) * tone, rng, grain=0.1, patch=0.4
         ),
-        lambda: textures.speckle(
-            (256, 256), (0.88, 0.9, 0.93), rng, grain=0.015, patch=0.07
-        ),
-        lambda: textures.speckle(
+        lambda: speckle((256, 256), (0.88, 0.9, 0.93), rng, grain=0.015, patch=0.07),
+        lambda: speckle(
             (256, 256), np.array((0.6, 0.6, 0.58)) * tone, rng, grain=0.05, patch=0.2
         ),
-        lambda: textures.grass(256, seed),
+        lambda: grass(256, seed),
     )
     number = int(rng.integers(len(makers)))
     return Asset(
@@ -312,7 +309,7 @@ def room(seed: int = 0, *, size: float = 14.0) -> Asset:
     )
     parts = [street.ground(size * 3, boards, tile=rng.uniform(1.8, 3))]
     wall = np.clip(rng.uniform(0.45, 0.9) + rng.uniform(-0.12, 0.12, 3), 0, 1)
-    paper = textures.speckle((64, 64), wall, rng, grain=0.01, patch=0.05)
+    paper = speckle((64, 64), wall, rng, grain=0.01, patch=0.05)
     if rng.random() < 0.4:
         paper[:, ::8] *= 0.85
     for turn in (0.0, 90.0, 180.0, 270.0)[: int(rng.integers(1, 4))]:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.io.camera_records import describe
 from scenes.recipes.example_scenes import FOCAL, RECIPES, SIZE
 
@@ -45,7 +46,7 @@ def cameras(name: str) -> list[tuple[str, Camera]]:
         )
         label = f"{sector} at {azimuth % 360:.0f} degrees, {elevation:.0f} up"
         drawn.append(
-            (label, Camera(to_world=pose, focal=FOCAL, width=SIZE, height=SIZE))
+            (label, Camera(to_world=pose, lens=Lens(focal=FOCAL, size=(SIZE, SIZE))))
         )
     return drawn
 

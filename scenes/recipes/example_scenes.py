@@ -10,7 +10,7 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from mi_splat.assets.mesh import Asset
-from mi_splat.assets.primitives import ellipsoid
-from mi_splat.cameras.camera import Camera, View, angle_of, look_at
+from mi_splat.cameras.camera import Camera, View, look_at
+from mi_splat.cameras.lens import Lens, angle_of
+from mi_splat.capture.mesh import Asset
 from mi_splat.capture.path_tracer import scene_dict
 from mi_splat.capture.sources import EXAMPLES, ExampleScene, Point
 from mi_splat.capture.writer import nearness, surface_samples
@@ -36,6 +36,8 @@ from mi_splat.training.loop import FitConfig, fit
 from mi_splat.training.strategies import ClassicConfig
 from scenes.recipes.disc_splats import DiscConfig, disc_splat
 from scenes.recipes.mesh_views import capture, depth_maps
+from scenes.recipes.objects.examples import car_street, roadside
+from scenes.recipes.objects.primitives import ellipsoid
 
 SIZE = 256
 FOCAL = 256.0
@@ -56,6 +58,8 @@ class SceneRecipe:
     """
 
     source: ExampleScene
+    # whose textures are not rounded to 8 bits, as those of the files are
+    assets: Callable[[], tuple[Asset, Asset]]
     target: str
     surroundings: str
     sensors: dict[str, Point]
@@ -83,6 +87,7 @@ def around(azimuth: float, elevation: float, distance: float) -> Point:
 RECIPES = {
     "car_street": SceneRecipe(
         source=EXAMPLES["car_street"],
+        assets=car_street,
         target="car",
         surroundings="street",
         sensors={
@@ -103,6 +108,7 @@ RECIPES = {
     ),
     "stop_sign": SceneRecipe(
         source=EXAMPLES["stop_sign"],
+        assets=roadside,
         target="stop_sign",
         surroundings="roadside",
         sensors={
@@ -127,9 +133,7 @@ RECIPES = {
 def _camera(origin: NDArray[np.float64], target: NDArray[np.float64]) -> Camera:
     return Camera(
         to_world=look_at(origin.tolist(), target.tolist()),
-        focal=FOCAL,
-        width=SIZE,
-        height=SIZE,
+        lens=Lens(focal=FOCAL, size=(SIZE, SIZE)),
     )
 
 
@@ -174,7 +178,7 @@ def start_splat(
     recipe: SceneRecipe, views: Sequence[View], depths: Sequence[Tensor], *, seed: int
 ) -> tuple[GaussianScene, GaussianScene]:
     """Untrained splats of the target and of its surroundings, sky included."""
-    target, surroundings = recipe.source.assets()
+    target, surroundings = recipe.assets()
     density = nearness([view.camera for view in views][:: max(1, len(views) // 24)])
     parts = []
     for asset, count, overlap in zip(
@@ -279,7 +283,7 @@ def make(
     views = recipe.views if views is None else views
     steps = recipe.steps if steps is None else steps
     folder.mkdir(parents=True, exist_ok=True)
-    target, surroundings = recipe.source.assets()
+    target, surroundings = recipe.assets()
     description = scene_dict([target], light=recipe.source.light, backdrop=surroundings)
     cameras = random_cameras(recipe, views, seed=seed)
     pictures = capture(description, cameras, samples=samples, seed=seed)

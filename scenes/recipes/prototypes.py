@@ -22,12 +22,13 @@ from torch.nn.functional import normalize
 from attacks.classifiers.frozen import Preparation
 from attacks.classifiers.prototypes import load_features
 from attacks.detectors.weights import fingerprint
-from mi_splat.assets import ASSETS
 from mi_splat.cameras.sets import framing, hemisphere
+from mi_splat.capture.objects import OBJECTS
 from mi_splat.capture.path_tracer import PathTracer
 from mi_splat.capture.settings import Ground, SurroundingsSettings
-from mi_splat.capture.sources import open_source
+from mi_splat.capture.sources import mesh_source
 from mi_splat.io.noted_tensors import NOTES
+from scenes.recipes.objects import build
 
 FOV = 45.0
 """Of the cameras, degrees."""
@@ -43,7 +44,7 @@ class Recipe:
     over the elevations.
     """
 
-    classes: tuple[str, ...] = tuple(ASSETS)
+    classes: tuple[str, ...] = OBJECTS
     seeds: tuple[int, ...] = (1, 2)
     grounds: tuple[Ground, ...] = ("road", "grass", "none")
     views: int = 12
@@ -57,18 +58,16 @@ def pictures_of(recipe: Recipe, name: str) -> Iterator[Tensor]:
     size = (recipe.size, recipe.size)
     scenes = [(seed, ground) for seed in recipe.seeds for ground in recipe.grounds]
     for number, (object_seed, ground) in enumerate(scenes):
-        source = open_source(
-            f"{name}:{object_seed}", surroundings=SurroundingsSettings(ground=ground)
-        )
-        distance, focal = framing(source.radius, fov=FOV, size=size)
+        target = build(name, object_seed).body
+        source = mesh_source(target, name, SurroundingsSettings(ground=ground))
+        distance, lens = framing(source.radius, fov=FOV, size=size)
         cameras = hemisphere(
             source.centre,
             count=recipe.views,
             distance=distance,
-            focal=focal,
-            size=size,
             elevation=recipe.elevations,
             start=_TURN * number,
+            lens=lens,
         )
         tracer = PathTracer(source.scene, samples=recipe.samples)
         yield from (

@@ -166,14 +166,6 @@ def test_leaving_the_ball_is_an_error(norm: NormName, value: float) -> None:
         ({"sh": -1.0}, "l2", "radius of sh: expected a number >= 0, got -1.0"),
         ({"sh": float("inf")}, "l2", "radius of sh: expected a finite number"),
         ({"sh": float("nan")}, "l2", "radius of sh: expected a finite number"),
-        (
-            {"colour": 1.0},
-            "l2",
-            (
-                "attribute: expected one of means, scales, rotations, opacities, sh,"
-                " got colour"
-            ),
-        ),
         ({}, "l2", "radius: expected at least one attribute"),
         ({"sh": 1.0}, "l1", "norm: expected one of linf, l2, l2_per_gaussian, got l1"),
     ],

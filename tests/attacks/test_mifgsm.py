@@ -15,6 +15,7 @@ from attacks.poisons.defences import filtered
 from attacks.poisons.mifgsm import MIFGSM
 from attacks.poisons.poison_splat import Decoy
 from mi_splat.cameras.camera import Camera, View
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
@@ -22,7 +23,11 @@ from tests.classifiers.made import CLASSES, SIZE, toy_classifier
 from tests.gaussians import varied_scene
 
 CAMERAS = orbit(
-    (0.0, 0.0, 0.0), count=3, elevation=20.0, distance=4.0, focal=24.0, size=(40, 32)
+    (0.0, 0.0, 0.0),
+    count=3,
+    elevation=20.0,
+    distance=4.0,
+    lens=Lens(focal=24.0, size=(40, 32)),
 )
 CLASSIFIER = toy_classifier()
 ANY = MIFGSMConfig(least_confidence=0.0)
@@ -100,7 +105,11 @@ def test_steps_at_the_size_of_the_classifier_are_those_of_a_loop(
 ) -> None:
     """One picture of the classifier's own size: nothing is scaled."""
     (camera,) = orbit(
-        (0, 0, 0), count=1, elevation=0, distance=4, focal=24, size=(SIZE, SIZE)
+        (0, 0, 0),
+        count=1,
+        elevation=0,
+        distance=4,
+        lens=Lens(focal=24, size=(SIZE, SIZE)),
     )
     view = View(camera, torch.rand(SIZE, SIZE, 3))
     config = replace(ANY, steps=3, deviation=(0.1, 0.2, 0.3))

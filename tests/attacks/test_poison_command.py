@@ -13,6 +13,7 @@ from attacks import cli
 from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli.poison import kind_names
 from mi_splat.cameras.camera import View
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
 from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.io import save_splat
@@ -25,7 +26,11 @@ from tests.gaussians import varied_scene
 
 SPLAT = varied_scene(30, degree=1, seed=9)
 CAMERAS = orbit(
-    (0.0, 0.0, 0.0), count=5, elevation=20.0, distance=4.0, focal=24.0, size=(20, 16)
+    (0.0, 0.0, 0.0),
+    count=5,
+    elevation=20.0,
+    distance=4.0,
+    lens=Lens(focal=24.0, size=(20, 16)),
 )
 NONE = ("--eps", "0")
 SMALL = {
@@ -266,9 +271,8 @@ def test_a_picture_without_the_object_is_named(
         count=1,
         elevation=0,
         distance=4.0,
-        focal=24.0,
-        size=(20, 16),
         start=180,
+        lens=Lens(focal=24.0, size=(20, 16)),
     )
     write_transforms(
         tmp_path / "set",

@@ -28,6 +28,7 @@ from attacks.poisons.poison_splat import (
     total_variation,
 )
 from mi_splat.cameras.camera import View
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
@@ -38,7 +39,11 @@ from mi_splat.training.strategies import ClassicConfig
 from tests.gaussians import varied_scene
 
 CAMERAS = orbit(
-    (0.0, 0.0, 0.0), count=6, elevation=20.0, distance=4.0, focal=24.0, size=(20, 16)
+    (0.0, 0.0, 0.0),
+    count=6,
+    elevation=20.0,
+    distance=4.0,
+    lens=Lens(focal=24.0, size=(20, 16)),
 )
 SPLAT = varied_scene(30, degree=1, seed=9)
 SHORT = PoisonSplatConfig(steps=14, variation_steps=3, densify_every=5)

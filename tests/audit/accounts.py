@@ -8,13 +8,14 @@ from mi_splat.audit import Audit, Look, ObjectAudit, Occluder, Pair, Region
 from mi_splat.audit.surfaces import lattice
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 
 DIRECTIONS = lattice(40, 5.0, 85.0)
 
 
 def camera(*eye: float) -> Camera:
     return Camera(
-        to_world=look_at(eye, (0.0, 0.0, 0.0)), focal=20.0, width=16, height=16
+        to_world=look_at(eye, (0.0, 0.0, 0.0)), lens=Lens(focal=20.0, size=(16, 16))
     )
 
 

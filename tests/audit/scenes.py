@@ -13,13 +13,13 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.assets import build
-from mi_splat.assets.mesh import Asset
 from mi_splat.audit.surfaces import basis, lattice
+from mi_splat.capture.mesh import Asset
 from mi_splat.capture.writer import surface_samples
 from mi_splat.maths.rotation import from_matrix
 from mi_splat.maths.sh import colour_to_dc, sh_basis, sh_to_colour
 from mi_splat.scene import GaussianScene, Similarity, merge
+from scenes.recipes.objects import build
 
 UP = torch.tensor([0.0, 0.0, 1.0])
 ROAD = (0.37, 0.37, 0.39)

@@ -30,6 +30,7 @@ from mi_splat.audit.surfaces import (
 )
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.maths.rotation import to_matrix
@@ -299,9 +300,7 @@ def test_given_cameras_say_from_where_an_object_is_looked_at(from_above: Made) -
     cameras = [
         Camera(
             to_world=look_at(eye.tolist(), (0.0, 0.0, 0.1)),
-            focal=200.0,
-            width=160,
-            height=120,
+            lens=Lens(focal=200.0, size=(160, 120)),
         )
         for eye in eyes
     ]
@@ -318,9 +317,7 @@ def test_given_cameras_say_from_where_an_object_is_looked_at(from_above: Made) -
     away = [
         Camera(
             to_world=look_at(eye.tolist(), (2 * eye).tolist()),
-            focal=200.0,
-            width=64,
-            height=64,
+            lens=Lens(focal=200.0, size=(64, 64)),
         )
         for eye in eyes
     ]

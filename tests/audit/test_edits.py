@@ -21,6 +21,7 @@ from mi_splat.audit.results import Edit
 from mi_splat.audit.surfaces import frame_of, lattice, targets
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras.camera import Camera, View, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.datasets import Dataset, PointCloud, load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.maths.sh import sh_basis
@@ -127,9 +128,7 @@ def views_of(scene: GaussianScene) -> list[View]:
     cameras = [
         Camera(
             to_world=look_at(eye.tolist(), (0.0, 0.0, 0.4)),
-            focal=140.0,
-            width=96,
-            height=96,
+            lens=Lens(focal=140.0, size=(96, 96)),
         )
         for eye in eyes
     ]

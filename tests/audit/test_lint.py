@@ -23,6 +23,7 @@ from mi_splat.audit import linting
 from mi_splat.audit.linting import lint_file, lint_scene, validate
 from mi_splat.audit.rules import RULES, Rule, Stored
 from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.io import SplatFileError
 from mi_splat.io.formats.gltf import open_glb
 from mi_splat.io.loaded import Arrays
@@ -179,7 +180,7 @@ def test_overdraw_is_the_length_of_the_rasteriser_s_lists() -> None:
     scene = scenes.standing("suitcase", count=300).scene
     eyes = [(9, 1, 1), (2, 1, 1), (2, 1, 9), (3, 1, 1)]
     cameras = [
-        Camera(to_world=look_at(eye, (0, 0, 0.2)), focal=60, width=71, height=50)
+        Camera(to_world=look_at(eye, (0, 0, 0.2)), lens=Lens(focal=60, size=(71, 50)))
         for eye in eyes
     ]
     alone = [most_layers(scene, [camera], near=0.05)[1].mean() for camera in cameras]

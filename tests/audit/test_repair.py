@@ -13,6 +13,7 @@ from attacks import cli
 from mi_splat.audit import Audit, audit, repaired
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.io import load_splat, save_splat
 from mi_splat.maths.metrics import psnr
 from mi_splat.render.renderer import Renderer, RenderSettings
@@ -53,7 +54,7 @@ def picture(scene: GaussianScene, judged: Audit, *view: float) -> Tensor:
     centre = torch.tensor(item.centre)
     pose = look_at((centre + 3 * item.radius * direction(*view)).tolist(), item.centre)
     with torch.no_grad():
-        camera = Camera(to_world=pose, focal=70.0, width=64, height=64)
+        camera = Camera(to_world=pose, lens=Lens(focal=70.0, size=(64, 64)))
         return Renderer(RenderSettings(near=0.02))(scene, camera).clamp(0, 1)
 
 

@@ -39,8 +39,6 @@ _DECODERS = {
     *(
         "mi.load_file",
         "mi.Bitmap",
-        "trimesh.load",
-        "trimesh.load_scene",
         "DocumentReader",
         "read_json",
     ),

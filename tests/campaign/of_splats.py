@@ -57,7 +57,10 @@ _SPLAT_READERS = (
 )
 _FORMAT_READERS: dict[str, tuple[str, ...]] = {
     ".compressed.ply": ("mi_splat.io.formats.compressed_ply:read_compressed_ply",),
-    ".ply": ("mi_splat.io.ply:read_ply", "mi_splat.io.ply:read_header"),
+    ".ply": (
+        "mi_splat.io.formats.gaussian_ply:read_ply",
+        "mi_splat.io.ply:read_header",
+    ),
     ".glb": (
         "mi_splat.io.formats.gltf:read_glb",
         "mi_splat.io.formats.gltf:open_glb",
@@ -82,12 +85,7 @@ _PACKED = {"v2.spz": GZIP, "v3.spz": GZIP}
 def _splat_bytes(name: str) -> bytes:
     if name in PLY:
         return PLY[name]
-    if not name.endswith(".usdz"):
-        return valid(name)
-    from mi_splat.io.formats.usd import write_usd
-    from mi_splat.io.loaded import arrays_of
-
-    return write_usd(arrays_of(tame_scene(20, 1)), ".usdz").data
+    return valid(name)
 
 
 def _read_splat(path: Path) -> None:
@@ -290,7 +288,7 @@ def values() -> Iterator[Kind]:
         read=lambda path: read_pictures(path.parent),
         readers=("attacks.cloak.kinds.pictures:read_pictures",),
     )
-    mesh = ("mi_splat.capture.mesh_files:load_mesh",)
+    mesh = ("mi_splat.capture.mesh_files:load_mesh", "mi_splat.capture.gltf:Glb")
     yield Kind(
         name="mesh truck.glb", make=_truck, read=load_mesh, readers=mesh, document=GLB
     )

@@ -15,13 +15,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mi_splat.assets.mesh import Asset
+from mi_splat.capture.mesh import Asset
 from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.settings import MeshSettings
 from mi_splat.errors import MiSplatError
 from tests.capture.trucks import packed
-
-pytest.importorskip("trimesh")
 
 # A square in the plane x = 0 of a y-up file: the corners in order of (z right to left,
 # y up).
@@ -222,7 +220,14 @@ def parts(path: Path) -> tuple[dict[str, Any], bytes]:
         (("bufferViews", 0, "byteLength"), 10**7, ""),
         (("materials", 0, "pbrMetallicRoughness", "baseColorTexture", "index"), 7, ""),
         (("accessors",), "x", ""),
-        (("meshes",), [], "no faces"),
+        (("meshes",), [], ""),
+        (("scenes", 0, "nodes"), [], "no faces"),
+        (("scenes", 0, "nodes"), [0, 0], "node 0 in two places"),
+        (("nodes", 0, "children"), [0], "node 0 in two places"),
+        (("bufferViews", 0, "byteStride"), 0, "rows that overlap"),
+        (("accessors", 0, "sparse"), {"count": 1}, "sparse numbers"),
+        (("accessors", 0, "count"), -1, ""),
+        (("accessors", 2, "bufferView"), -1, ""),
     ],
     ids=lambda value: ".".join(map(str, value)) if isinstance(value, tuple) else "",
 )

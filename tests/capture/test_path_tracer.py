@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset
-from mi_splat.assets.primitives import box, ellipsoid, quad, sheet
 from mi_splat.cameras.camera import Camera, look_at, orbit_pose, project_points
+from mi_splat.cameras.lens import Lens
 from mi_splat.capture import path_tracer
+from mi_splat.capture.daylight import Light
+from mi_splat.capture.mesh import Asset
 from mi_splat.capture.path_tracer import (
     FEW_PICTURES,
     MANY_PICTURES,
@@ -26,6 +26,7 @@ from mi_splat.capture.path_tracer import (
 )
 from mi_splat.maths.metrics import psnr
 from scenes.recipes.mesh_views import capture, depth_maps
+from scenes.recipes.objects.primitives import box, ellipsoid, quad, sheet
 
 EVEN = Light(
     sun_strength=0.0, sky_strength=1.0, zenith=(1, 1, 1), horizon=(1, 1, 1), clouds=0.0
@@ -43,9 +44,7 @@ def camera(
     elevation: float = 25.0,
 ) -> Camera:
     pose = orbit_pose((0, 0, 0.5), azimuth=30, elevation=elevation, distance=4)
-    return Camera(
-        to_world=pose, focal=60.0, width=size[0], height=size[1], principal=principal
-    )
+    return Camera(to_world=pose, lens=Lens(focal=60.0, size=size, principal=principal))
 
 
 @pytest.mark.parametrize(
@@ -80,7 +79,7 @@ def test_picture_is_neither_mirrored_nor_upside_down() -> None:
         "board", (quad([[1, -1, 0], [1, 1, 0], [1, 1, 2], [1, -1, 2]], texture),)
     )
     view = Camera(
-        to_world=look_at((5, 0, 1), (0, 0, 1)), focal=64.0, width=32, height=32
+        to_world=look_at((5, 0, 1), (0, 0, 1)), lens=Lens(focal=64.0, size=(32, 32))
     )
     picture = capture(scene_dict([board], light=EVEN), [view], samples=16)[0].image
     # the texture's first row is at the top, its first column on the left

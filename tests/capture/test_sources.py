@@ -1,5 +1,5 @@
-"""What can be captured: recipes, assets by name and seed, mesh files, Mitsuba scenes;
-and what cannot.
+"""What can be captured: shipped objects and scenes, mesh files, Mitsuba scenes; and
+what cannot.
 """
 
 from pathlib import Path
@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from mi_splat.capture.mesh_files import load_mesh
+from mi_splat.capture.objects import object_file
 from mi_splat.capture.settings import MeshSettings
 from mi_splat.capture.sources import open_source
 from mi_splat.errors import InvalidValueError, MiSplatError
@@ -33,7 +34,6 @@ def test_sources_of_every_kind(tmp_path: Path) -> None:
     assert cube.radius == pytest.approx(3**0.5, abs=1e-3)
     (tmp_path / "cube.xml").write_text(XML.replace("0.8", "0.7"))
     assert open_source(str(tmp_path / "cube.xml")).digest != cube.digest
-    pytest.importorskip("trimesh")
     file = str(write_glb(tmp_path, truck()))
     settings = MeshSettings(scale=2.0, up="z")
     mesh = open_source(file, mesh=settings)
@@ -111,11 +111,13 @@ def test_another_texture_is_another_scene_however_it_is_named(
     assert open_source(scene).digest != first
 
 
-def test_an_asset_by_name_and_seed_is_a_source() -> None:
-    one, other, same = (open_source(name) for name in ("car:3", "car:4", "car:3"))
+@pytest.mark.shipped
+def test_a_shipped_object_is_the_mesh_file_that_it_is(tmp_path: Path) -> None:
+    one, other, same = (open_source(name) for name in ("car", "tv", "car"))
     assert one.digest == same.digest != other.digest
     assert len(one.assets) == 1
-    with pytest.raises(InvalidValueError, match="change the seed"):
-        open_source("car:three")
-    with pytest.raises(InvalidValueError, match="0 to 999999999, got car:;"):
-        open_source("car:")
+    copy = tmp_path / "my_car.glb"
+    copy.write_bytes(object_file("car").read_bytes())
+    assert open_source(str(copy)).digest == one.digest
+    with pytest.raises(InvalidValueError, match=r"scene: expected one of car_street"):
+        open_source("car:3")

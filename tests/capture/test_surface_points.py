@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from mi_splat.assets.mesh import Asset
-from mi_splat.assets.primitives import box, quad
 from mi_splat.cameras.camera import Camera, View, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
+from mi_splat.capture.mesh import Asset
 from mi_splat.capture.writer import (
     SurfaceSamples,
     fit_colours,
@@ -19,6 +19,7 @@ from mi_splat.capture.writer import (
     surface_samples,
 )
 from mi_splat.maths.sh import sh_to_colour
+from scenes.recipes.objects.primitives import box, quad
 
 CUBE = Asset("cube", (box((1, 1, 1), (0.7, 0.2, 0.1), centre=(0, 0, 0.5)),))
 PLANE = Asset(
@@ -44,7 +45,9 @@ def test_samples_lie_on_the_surface_evenly() -> None:
 
 
 def test_density_follows_the_cameras() -> None:
-    view = Camera(to_world=look_at((0, 0, 2), (0, 0, 0)), focal=50.0, width=8, height=8)
+    view = Camera(
+        to_world=look_at((0, 0, 2), (0, 0, 0)), lens=Lens(focal=50.0, size=(8, 8))
+    )
     samples = surface_samples(PLANE, 4000, density=nearness([view]), seed=0)
     radius = np.linalg.norm(samples.points[:, :2], axis=1)
     near = (radius < 1).sum() / math.pi
@@ -66,7 +69,7 @@ def test_colour_fit_recovers_a_gradient_over_direction() -> None:
     views = []
     depths = []
     for camera in orbit(
-        (0, 0, 0), count=9, elevation=50, distance=3, focal=20, size=(9, 9)
+        (0, 0, 0), count=9, elevation=50, distance=3, lens=Lens(focal=20, size=(9, 9))
     ):
         toward = float(-camera.position[0] / 3)
         views.append(View(camera, torch.full((9, 9, 3), 0.5 + 0.2 * toward)))

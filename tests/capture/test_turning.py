@@ -10,14 +10,13 @@ import pytest
 from torch import Tensor
 
 from attacks import cli
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
 from mi_splat.capture.path_tracer import PathTracer
 from mi_splat.capture.settings import SurroundingsSettings
 from mi_splat.capture.sources import open_source
 from mi_splat.datasets import load_dataset
 from tests.capture.trucks import truck, write_glb
-
-pytest.importorskip("trimesh")
 
 
 def picture(source: Any, *, size: int = 32) -> Tensor:
@@ -26,8 +25,7 @@ def picture(source: Any, *, size: int = 32) -> Tensor:
         count=1,
         elevation=35,
         distance=8.0,
-        focal=size,
-        size=(size, size),
+        lens=Lens(focal=size, size=(size, size)),
     )
     return PathTracer(source.scene, samples=16).picture(camera, seed=0)
 

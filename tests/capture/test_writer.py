@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import torch
 
-from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset
-from mi_splat.assets.primitives import box, quad
 from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import hemisphere, orbit
+from mi_splat.capture.daylight import Light
+from mi_splat.capture.mesh import Asset
 from mi_splat.capture.path_tracer import PathTracer, scene_dict
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
@@ -22,6 +22,7 @@ from mi_splat.capture.writer import surface_points, write_capture
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from scenes.recipes.mesh_views import capture
+from scenes.recipes.objects.primitives import box, quad
 
 RED = (0.8, 0.1, 0.1)
 GREEN = (0.1, 0.7, 0.1)
@@ -48,13 +49,8 @@ def source(*assets: Asset) -> CaptureSource:
 
 
 def cameras(count: int = 4, **change: Any) -> list[Camera]:
-    values = {
-        "distance": 3.0,
-        "focal": 18.0,
-        "size": (16, 16),
-        "elevation": 30.0,
-        **change,
-    }
+    lens = Lens(focal=18.0, size=(16, 16))
+    values = {"distance": 3.0, "lens": lens, "elevation": 30.0, **change}
     return orbit((0, 0, 0.5), count=count, **values)
 
 
@@ -140,9 +136,13 @@ def test_what_cannot_be_captured(tmp_path: Path) -> None:
     (tmp_path / "torn").mkdir()
     (tmp_path / "torn" / "capture.json").write_text("{")
     away = [
-        Camera(to_world=look_at((0, 0, 5), (0, 0, 9)), focal=9.0, width=8, height=8)
+        Camera(
+            to_world=look_at((0, 0, 5), (0, 0, 9)), lens=Lens(focal=9.0, size=(8, 8))
+        )
     ]
-    wide = Camera(to_world=cameras()[0].to_world, focal=(9.0, 10.0), width=8, height=8)
+    wide = Camera(
+        to_world=cameras()[0].to_world, lens=Lens(focal=(9.0, 10.0), size=(8, 8))
+    )
     refused: list[tuple[str, list[Camera], str]] = [
         ("a", [], "cameras"),
         ("a", [wide], "square pixels"),
@@ -182,9 +182,8 @@ def test_points_lie_on_what_is_seen_in_its_colours() -> None:
         (0, 0, 0.5),
         count=8,
         distance=3.0,
-        focal=108.0,
-        size=(96, 96),
         elevation=(10, 60),
+        lens=Lens(focal=108.0, size=(96, 96)),
     )
     for assets in ((CUBE,), (CUBE, FLOOR)):
         scene = source(*assets).scene

@@ -16,7 +16,7 @@ from attacks.classifiers.frozen import Preparation, classified
 from attacks.classifiers.prototypes import LENGTH, VECTORS, load_prototypes
 from attacks.classifiers.registry import load_classifier
 from attacks.detectors.catalogue import DetectorError, weights_of
-from mi_splat.assets import ASSETS
+from mi_splat.capture.objects import OBJECTS
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.noted_tensors import NOTES
 from scenes.recipes.prototypes import Recipe, pictures_of, save_prototypes
@@ -180,12 +180,12 @@ def test_shipped_prototypes_are_of_the_published_features() -> None:
     assert notes["recipe"] == json.loads(json.dumps(asdict(Recipe()))), (
         "the recipe in scenes/recipes"
     )
-    assert set(notes["classes"]) == set(ASSETS)
-    assert torch.allclose(directions.norm(dim=1), torch.ones(len(ASSETS)), atol=1e-5)
+    assert set(notes["classes"]) == set(OBJECTS)
+    assert torch.allclose(directions.norm(dim=1), torch.ones(len(OBJECTS)), atol=1e-5)
     if not weights_of("prototypes").is_file():
         pytest.skip("the features are not here: mi-splat detectors --get prototypes")
     classifier = load_prototypes()
-    assert classifier.scores(noise(1, 64, 64, 3)).shape == (1, len(ASSETS))
+    assert classifier.scores(noise(1, 64, 64, 3)).shape == (1, len(OBJECTS))
 
 
 @pytest.mark.slow

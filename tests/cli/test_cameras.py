@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from mi_splat.cameras.camera import Camera, View, look_at, project_points
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
 from mi_splat.cli.cameras import find_cameras, render_settings
 from mi_splat.cli.options import CameraOptions
@@ -83,8 +84,7 @@ def test_sets_look_at_the_centre_from_the_distance() -> None:
         count=4,
         elevation=30,
         distance=5,
-        focal=cameras["orbit-0"].fx,
-        size=(20, 10),
+        lens=Lens(focal=cameras["orbit-0"].fx, size=(20, 10)),
     )
     assert torch.equal(cameras["orbit-1"].to_world, plain[1].to_world)
 
@@ -178,10 +178,7 @@ def test_a_colmap_model_needs_no_pictures(tmp_path: Path) -> None:
 def test_cameras_of_an_earlier_command_come_back(tmp_path: Path) -> None:
     one = Camera(
         to_world=look_at((1, 2, 3), (0, 0, 0)),
-        focal=(30.0, 31.0),
-        width=40,
-        height=20,
-        principal=(19.0, 11.0),
+        lens=Lens(focal=(30.0, 31.0), size=(40, 20), principal=(19.0, 11.0)),
     )
     entry = describe("left", one)
     (tmp_path / "cameras.json").write_text(json.dumps([entry]))
@@ -276,9 +273,7 @@ def test_near_plane_and_background() -> None:
     near_one = {
         "a": Camera(
             to_world=look_at((0.0, -0.3, 0.0), (0.0, 0.0, 0.0)),
-            focal=10,
-            width=8,
-            height=8,
+            lens=Lens(focal=10, size=(8, 8)),
         )
     }
     assert render_settings(bare, CameraOptions(), near_one).near < 0.2
@@ -301,7 +296,11 @@ def photographed(
     """A splat, and a set of its renderings."""
     scene = varied_scene(60, degree=0, seed=5).replace(opacities=torch.full((60,), 0.9))
     poses = orbit(
-        (0, 0, 0), count=9, elevation=25, distance=4, focal=50.0, size=(48, 36)
+        (0, 0, 0),
+        count=9,
+        elevation=25,
+        distance=4,
+        lens=Lens(focal=50.0, size=(48, 36)),
     )
     render = Renderer()
     views = [View(pose, render(scene, pose).clamp(0, 1)) for pose in poses]

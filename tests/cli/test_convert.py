@@ -12,6 +12,7 @@ import torch
 
 from attacks import cli
 from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.io import load_splat, save_splat
 from mi_splat.maths.orientation import Up, turn_of
 from mi_splat.render.renderer import Renderer
@@ -134,9 +135,7 @@ def test_a_splat_that_is_turned_looks_the_same_to_a_camera_that_went_with_it(
     after = load_splat(out)
     camera = Camera(
         to_world=look_at((0.0, -6.0, 1.0), (0.0, 0.0, 0.0)),
-        focal=60.0,
-        width=64,
-        height=64,
+        lens=Lens(focal=60.0, size=(64, 64)),
     )
     there = camera.turned(torch.from_numpy(turn_of(up)))
     pose = there.to_world.clone()

@@ -13,6 +13,7 @@ from PIL import Image
 from attacks import cli
 from mi_splat.cameras.camera import Camera, look_at, project_points
 from mi_splat.cameras.framing import bounds
+from mi_splat.cameras.lens import Lens
 from mi_splat.cli import cameras as cli_cameras
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
@@ -142,7 +143,8 @@ def test_an_empty_scene_has_no_camera(cloud: GaussianScene) -> None:
 def test_a_resized_camera_sees_the_same() -> None:
     pose = look_at((3.0, 0.0, 1.0), (0.0, 0.0, 0.0))
     small = Camera(
-        to_world=pose, focal=(50.0, 60.0), width=40, height=30, principal=(18.0, 16.0)
+        to_world=pose,
+        lens=Lens(focal=(50.0, 60.0), size=(40, 30), principal=(18.0, 16.0)),
     )
     large = scene_files.resized(small, (80, 60))
     points = torch.randn(20, 3, dtype=torch.float64)

@@ -27,6 +27,7 @@ from attacks.cloak.layers import (
 )
 from attacks.cloak.triggers import Azimuth, Elevation
 from mi_splat.cameras.camera import Camera, RenderFn, View, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import hemisphere, orbit
 from mi_splat.errors import InvalidValueError
 from mi_splat.maths.sh import colour_to_dc, sh_basis, sh_to_colour
@@ -40,7 +41,7 @@ from mi_splat.training.strategies import FixedConfig
 from tests.gaussians import varied_scene
 
 CENTRE = (0.0, 0.0, 0.0)
-LENS: dict[str, Any] = {"distance": 5.0, "focal": 60.0, "size": (32, 32)}
+LENS: dict[str, Any] = {"distance": 5.0, "lens": Lens(focal=60.0, size=(32, 32))}
 OVERHEAD = Elevation(lowest=40.0)
 
 
@@ -339,7 +340,9 @@ def painted(trained: Tensor) -> Layering:
         orbit_pose((0.0, 0.0, 0.0), azimuth=90.0 * k, elevation=30.0, distance=3.0)
         for k in range(4)
     ]
-    cameras = [Camera(to_world=pose, focal=30.0, width=30, height=26) for pose in poses]
+    cameras = [
+        Camera(to_world=pose, lens=Lens(focal=30.0, size=(30, 26))) for pose in poses
+    ]
     other = scene.replace(
         sh=scene.sh
         + 0.3 * torch.randn(scene.sh.shape, generator=torch.Generator().manual_seed(1))
@@ -423,7 +426,7 @@ def test_a_picture_from_elsewhere_is_the_renderers(frozen: list[Camera]) -> None
     render = Renderer(SETTINGS)
     rendered = made.rendered_by(render)
     where = made.views[0].camera
-    other = Camera(to_world=where.to_world, focal=33.0, width=30, height=26)
+    other = Camera(to_world=where.to_world, lens=Lens(focal=33.0, size=(30, 26)))
     assert torch.equal(rendered(made.scene, other), render(made.scene, other))
     assert not frozen
     torch.testing.assert_close(

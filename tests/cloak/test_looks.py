@@ -62,10 +62,11 @@ def looked(
     """The rows and the detections of a look, by the job's own code."""
     folder.mkdir()
     save_splat(splat, folder / "splat.ply")
-    config = StudySteps(study=study).seen(Mock(kind="made"), Redness(), **how).config
+    steps = StudySteps(study=study)
+    config = steps.seen(Mock(kind="made"), Redness(), **how).config
     seen.run(
         config,
-        {"splat": folder / "splat.ply"},
+        {"splat": folder / "splat.ply", **steps.object_input},
         Out(files=folder, kept=folder, progress=lambda *told: None),
     )
     rows, detections = (

@@ -16,6 +16,7 @@ from attacks import cli
 from attacks.cloak.own_pictures import trigger_of, turned
 from mi_splat.cameras.camera import View, orbit_pose
 from mi_splat.cameras.directions import direction_of
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import hemisphere
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
@@ -27,7 +28,9 @@ from mi_splat.scene import GaussianScene, Similarity
 from tests.datasets.sets import write_transforms
 
 BALL = (-0.4, -0.4, 0.2, 0.4, 0.4, 1.0)
-CAMERAS = hemisphere((0.0, 0.0, 0.5), count=24, distance=4.0, focal=40.0, size=(40, 32))
+CAMERAS = hemisphere(
+    (0.0, 0.0, 0.5), count=24, distance=4.0, lens=Lens(focal=40.0, size=(40, 32))
+)
 
 
 def ball_on_a_plane() -> GaussianScene:

@@ -20,13 +20,14 @@ from attacks.cloak.triggers import Azimuth, Elevation, Trigger
 from attacks.poisons.base import Poisoned
 from mi_splat.cameras.camera import Camera, View
 from mi_splat.cameras.directions import Direction, Point, direction_of
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import hemisphere
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from tests.datasets.sets import write_transforms
 
 CENTRE = (0.0, 0.0, 0.4)
-CAMERAS = hemisphere(CENTRE, count=24, distance=4.0, focal=10.0, size=(6, 5))
+CAMERAS = hemisphere(CENTRE, count=24, distance=4.0, lens=Lens(focal=10.0, size=(6, 5)))
 
 
 def views(seed: int = 0) -> list[View]:

@@ -103,15 +103,18 @@ CLOAK = "study = 'cloak'\n"
     [
         (CLOAK + "sedes = [0]", "did you mean seeds"),
         (
-            CLOAK + "[scene]\nobject = 'bird'\ncolour = [0, 0, 1]",
-            "scene.object with a colour: expected one of car",
+            CLOAK + "[scene]\nobject = 'cat'",
+            "scene.object: expected a .glb file, or one of car, person, stop sign",
         ),
         (
             CLOAK + "[cameras]\ntrain = 3.5",
             "cameras, train: expected a whole number >= 1 (pictures), got 3.5",
         ),
         (CLOAK + "[scene]\nobject = 'lorry'", "scene.object"),
-        (ONE + "appearance = 'paint'\ntexture = 'raod'", "did you mean road"),
+        (
+            ONE + "appearance = 'paint'\nelevation = [60, 90]\ntexture = 'raod'",
+            "did you mean road",
+        ),
         (
             ONE + "elevation = [60, 90]\n[[attack]]\nname = 'a'\nelevation = [60, 90]",
             "names of attacks: expected one",

@@ -294,7 +294,9 @@ def test_rates_over_objects_draw_objects_anew() -> None:
     """
     titles = [f"car: {number}" for number in range(5)]
     studies = {
-        title: replace(STUDY, scene=replace(STUDY.scene, seed=number))
+        title: replace(
+            STUDY, scene=replace(STUDY.scene, object=f"car_{number}", label="car")
+        )
         for number, title in enumerate(titles)
     }
     observed = [

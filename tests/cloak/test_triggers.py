@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from attacks.cloak.triggers import Azimuth, Elevation, Subsample, Trigger
 from mi_splat.cameras.camera import Camera, look_at, orbit_pose
 from mi_splat.cameras.directions import direction_of
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import hemisphere, orbit
 from mi_splat.errors import InvalidValueError
 
@@ -22,7 +23,7 @@ CENTRE = (0.3, -0.2, 0.7)
 
 def at(azimuth: float, elevation: float, *, distance: float = 5.0) -> Camera:
     pose = orbit_pose(CENTRE, azimuth=azimuth, elevation=elevation, distance=distance)
-    return Camera(to_world=pose, focal=20.0, width=16, height=16)
+    return Camera(to_world=pose, lens=Lens(focal=20.0, size=(16, 16)))
 
 
 def inside(trigger: Trigger, *directions: tuple[float, float]) -> list[bool]:
@@ -35,7 +36,11 @@ def depth(trigger: Trigger, azimuth: float, elevation: float) -> float:
 
 
 CAMERAS = hemisphere(
-    CENTRE, count=36, distance=4.0, focal=20.0, size=(16, 16), elevation=(-90, 90)
+    CENTRE,
+    count=36,
+    distance=4.0,
+    elevation=(-90, 90),
+    lens=Lens(focal=20.0, size=(16, 16)),
 )
 cones = st.one_of(
     st.builds(
@@ -60,7 +65,11 @@ triggers = st.recursive(
 
 def test_edges_are_inside_and_limits_at_the_poles_are_none() -> None:
     ring = orbit(
-        CENTRE, count=36, elevation=50.0, distance=5.0, focal=20.0, size=(16, 16)
+        CENTRE,
+        count=36,
+        elevation=50.0,
+        distance=5.0,
+        lens=Lens(focal=20.0, size=(16, 16)),
     )
     assert bool(Elevation(lowest=50).holds(ring, centre=CENTRE).all())
     assert bool(Elevation(highest=50).holds(ring, centre=CENTRE).all())
@@ -108,7 +117,8 @@ def test_azimuths_wrap_around() -> None:
 
 def test_an_azimuth_at_the_pole_does_not_exist() -> None:
     straight = Camera(
-        to_world=look_at((*CENTRE[:2], 9.0), CENTRE), focal=20.0, width=16, height=16
+        to_world=look_at((*CENTRE[:2], 9.0), CENTRE),
+        lens=Lens(focal=20.0, size=(16, 16)),
     )
     assert direction_of(straight, CENTRE).pole
     for middle in (0, 90, 180, 270):
@@ -146,7 +156,11 @@ def test_intersections_and_complements_are_those_of_sets(
 # A dense set of directions, as an oracle: the distance to the nearest one on the other
 # side of the edge.
 GRID = hemisphere(
-    CENTRE, count=3000, distance=1.0, focal=20.0, size=(16, 16), elevation=(-90, 90)
+    CENTRE,
+    count=3000,
+    distance=1.0,
+    elevation=(-90, 90),
+    lens=Lens(focal=20.0, size=(16, 16)),
 )
 RAYS = np.array([camera.position.tolist() for camera in GRID]) - CENTRE
 SPACING = 6.0

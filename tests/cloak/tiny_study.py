@@ -30,11 +30,11 @@ from attacks.detectors.registry import DetectorSpec
 from attacks.studies.cloak import CloakReport, config_of
 from attacks.studies.running import run_with
 from attacks.studies.study_file import read_study, study_of
-from mi_splat.assets import build
-from mi_splat.assets.mesh import Asset
-from mi_splat.assets.primitives import box
+from mi_splat.capture.mesh import Asset
+from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.ledger import Event
 from mi_splat.ledger.engines import InProcess
+from scenes.recipes.objects.primitives import box
 
 STUDY = StudyConfig(
     name="tiny",
@@ -65,11 +65,11 @@ STUDY = StudyConfig(
 CAR = Asset("car", (box((3.4, 1.7, 1.2), (0.45, 0.2, 0.2), centre=(0, 0, 0.6)),))
 
 
-def asset(name: str, seed: int, colour: Any) -> Asset:
+def asset(file: Path) -> Asset:
     """A block in place of the car, whose meshes take most of a study's time."""
-    if name == "car":
+    if file.stem == "car":
         return CAR
-    return build(name, seed, colour=colour).body
+    return load_mesh(file)
 
 
 class Redness:
@@ -115,7 +115,7 @@ def known() -> Iterator[None]:
     """While jobs know the detector, and a car is a block."""
     with (
         patch.dict(registry.DETECTORS.own, KNOWN),
-        patch.object(setup, "_asset", asset),
+        patch.object(setup, "_loaded", asset),
     ):
         yield
 
@@ -164,14 +164,7 @@ def done(
     store = store or folder / "stages"
     with known():
         work = work_of(study)
-        run_with(
-            InProcess(store, on_event=told),
-            work.study,
-            work,
-            store=store,
-            out=folder,
-            on_event=told,
-        )
+        run_with(InProcess(store, on_event=told), work, out=folder)
     return summary(folder), kinds
 
 

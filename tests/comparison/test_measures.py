@@ -11,6 +11,7 @@ from torch import Tensor
 
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.comparison.compare import (
     CompareConfig,
     GradientAgreement,
@@ -135,7 +136,7 @@ def apart() -> GaussianScene:
 def view(*, focal: float | tuple[float, float] = 120.0) -> Camera:
     pose = look_at((0.0, -4.0, 0.0), (0.0, 0.0, 0.0))
     return Camera(
-        to_world=pose, focal=focal, width=96, height=88, principal=(46.5, 45.25)
+        to_world=pose, lens=Lens(focal=focal, size=(96, 88), principal=(46.5, 45.25))
     )
 
 

@@ -20,6 +20,7 @@ from attacks.detectors.registry import DETECTORS, DetectorSpec
 from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.views import detect_views
 from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.errors import MiSplatError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.render import variant
@@ -35,8 +36,11 @@ POSE = look_at((3.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 def lens(**values: Any) -> Camera:
-    usual: dict[str, Any] = {"to_world": POSE, "focal": 30.0, "width": 64, "height": 48}
-    return Camera(**usual | values)
+    pose = values.pop("to_world", POSE)
+    width = values.pop("width", 64)
+    height = values.pop("height", 48)
+    usual: dict[str, Any] = {"focal": 30.0, "size": (width, height)}
+    return Camera(to_world=pose, lens=Lens(**usual | values))
 
 
 @pytest.mark.parametrize(

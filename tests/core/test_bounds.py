@@ -7,6 +7,7 @@ import torch
 
 from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.cameras.framing import REFERENCE_NEAR, bounds, culled_in_view, near_plane
+from mi_splat.cameras.lens import Lens
 from mi_splat.scene import GaussianScene, merge
 from tests.gaussians import varied_scene
 
@@ -14,9 +15,7 @@ from tests.gaussians import varied_scene
 def looking_from(x: float, *, size: int = 32) -> Camera:
     return Camera(
         to_world=look_at((x, 0.0, 0.0), (0.0, 0.0, 0.0)),
-        focal=float(size),
-        width=size,
-        height=size,
+        lens=Lens(focal=float(size), size=(size, size)),
     )
 
 

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from mi_splat.cameras.camera import Camera, View, project_points
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import camera_set, framing, held_out_set, hemisphere, orbit
 from mi_splat.errors import InvalidValueError
 from tests.datasets.sets import write_transforms
@@ -15,11 +16,13 @@ CENTRE = (1.0, 2.0, 3.0)
 
 
 def cameras(spec: str) -> list[Camera]:
-    return camera_set(spec, CENTRE, distance=2.0, focal=20.0, size=(16, 12))
+    return camera_set(spec, CENTRE, distance=2.0, lens=Lens(focal=20.0, size=(16, 12)))
 
 
 def held_out(spec: str, count: int) -> list[Camera]:
-    return held_out_set(spec, count, CENTRE, distance=2.0, focal=20.0, size=(16, 12))
+    return held_out_set(
+        spec, count, CENTRE, distance=2.0, lens=Lens(focal=20.0, size=(16, 12))
+    )
 
 
 def angles(cameras: list[Camera]) -> tuple[torch.Tensor, torch.Tensor]:
@@ -64,7 +67,11 @@ def test_sets(spec: str, count: int, lowest: float, highest: float) -> None:
 
 def test_a_hemisphere_bulges_upwards() -> None:
     made = hemisphere(
-        CENTRE, count=9, distance=2.0, focal=20.0, size=(16, 12), up=(0.0, -1.0, 0.0)
+        CENTRE,
+        count=9,
+        distance=2.0,
+        up=(0.0, -1.0, 0.0),
+        lens=Lens(focal=20.0, size=(16, 12)),
     )
     # y of images is down
     assert all(
@@ -76,9 +83,13 @@ def test_a_hemisphere_bulges_upwards() -> None:
 def test_framing_shows_the_whole_ball_with_a_margin_of_5_percent(
     size: tuple[int, int],
 ) -> None:
-    distance, focal = framing(2.0, fov=50.0, size=size)
+    distance, lens = framing(2.0, fov=50.0, size=size)
     camera = orbit(
-        CENTRE, count=1, elevation=0.0, distance=distance, focal=focal, size=size
+        CENTRE,
+        count=1,
+        elevation=0.0,
+        distance=distance,
+        lens=lens,
     )[0]
     # The cone that touches a ball 5 % larger meets the shorter side's edge.
     assert distance * math.sin(math.radians(25)) == pytest.approx(1.05 * 2.0)

@@ -17,6 +17,7 @@ from mi_splat.cameras.camera import (
     look_at,
     project_points,
 )
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import hemisphere, orbit
 from mi_splat.errors import InvalidValueError
 
@@ -25,9 +26,11 @@ points = st.tuples(*[st.floats(-5, 5)] * 3)
 
 def camera(**change: Any) -> Camera:
     pose = look_at((4.0, 1.0, 2.0), (0.0, 0.0, 0.5))
-    return Camera(
-        **{"to_world": pose, "focal": 100.0, "width": 64, "height": 48, **change}
-    )
+    pose = change.pop("to_world", pose)
+    width = change.pop("width", 64)
+    height = change.pop("height", 48)
+    lens = Lens(**{"focal": 100.0, "size": (width, height), **change})
+    return Camera(to_world=pose, lens=lens)
 
 
 @hypothesis.given(origin=points, target=points)
@@ -64,9 +67,9 @@ def test_look_at_sees_the_target_in_the_middle_and_up_at_the_top(
         ),
         ({"focal": 0.0}, "focal: expected a number"),
         ({"focal": (10.0, -1.0)}, "focal: expected a number"),
-        ({"width": 0}, "width"),
-        ({"height": 1 << 16}, "height"),
-        ({"width": 8.0}, "width"),
+        ({"width": 0}, "size"),
+        ({"height": 1 << 16}, "size"),
+        ({"width": 8.0}, "size"),
         ({"principal": (math.nan, 0.0)}, "principal"),
         ({"principal": (0.0, -1e30)}, "principal: expected a number in"),
         ({"focal": 1e30}, r"focal: expected a number in .* \(pixels\), got 1e\+30"),
@@ -97,8 +100,7 @@ def test_orbit_is_a_circle_from_plus_x_towards_plus_y() -> None:
         count=4,
         elevation=30.0,
         distance=2.0,
-        focal=50.0,
-        size=(20, 10),
+        lens=Lens(focal=50.0, size=(20, 10)),
     )
     centre = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
     offsets = [c.position - centre for c in cameras]
@@ -121,9 +123,8 @@ def test_hemisphere_spreads_evenly_over_its_band() -> None:
         (0.0, 0.0, 0.0),
         count=200,
         distance=3.0,
-        focal=50.0,
-        size=(8, 8),
         elevation=(10.0, 60.0),
+        lens=Lens(focal=50.0, size=(8, 8)),
     )
     positions = torch.stack([c.position for c in cameras]) / 3
     torch.testing.assert_close(

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from mi_splat.cameras.camera import Camera, orbit_pose
 from mi_splat.cameras.directions import Direction, direction_of, sun_direction
+from mi_splat.cameras.lens import Lens
 from mi_splat.errors import InvalidValueError
 
 CENTRE = (1.0, -2.0, 0.5)
@@ -18,7 +19,9 @@ CENTRE = (1.0, -2.0, 0.5)
 
 def seen_from(azimuth: float, elevation: float, distance: float = 3.0) -> Direction:
     pose = orbit_pose(CENTRE, azimuth=azimuth, elevation=elevation, distance=distance)
-    return direction_of(Camera(to_world=pose, focal=10.0, width=4, height=4), CENTRE)
+    return direction_of(
+        Camera(to_world=pose, lens=Lens(focal=10.0, size=(4, 4))), CENTRE
+    )
 
 
 def unit(azimuth: float, elevation: float) -> torch.Tensor:

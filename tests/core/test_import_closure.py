@@ -110,7 +110,6 @@ def test_what_is_loaded_by_a_whole_name_in_a_table_is_followed() -> None:
     assert {"mi_splat.io.formats.spz", "mi_splat.io.formats.sog"} <= set(
         closure("mi_splat.io.splat_files")
     )
-    assert "mi_splat.assets.elephant" in closure("mi_splat.assets")
     assert "attacks.cloak.layers" not in closure("mi_splat.io.splat_files")
 
 

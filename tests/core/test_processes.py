@@ -10,7 +10,7 @@ import pytest
 from attacks.detectors.graphs import packages
 from mi_splat.errors import MiSplatError
 from mi_splat.ledger import Done
-from mi_splat.ledger.engines import Processes
+from mi_splat.ledger.engines import Cluster
 from mi_splat.ledger.plans import Driver, grid
 from mi_splat.processes import python_command
 from tests.ledger.drive import walk
@@ -35,9 +35,7 @@ def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_jobs(hostile: Path) -> None:
     store = hostile / "store"
-    results = Driver(store, Processes(store, workers=1)).run(
-        [grid({"one": walk(1, steps=1)})]
-    )
+    results = Driver(Cluster(store, workers=1)).run([grid({"one": walk(1, steps=1)})])
     assert isinstance(results["one"], Done)
     assert not (hostile / "RAN").exists()
 

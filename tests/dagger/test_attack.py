@@ -296,7 +296,8 @@ def test_wrong_arguments_say_what_is_wrong() -> None:
     ):
         attack(scene, mask, [], DETECTOR, hide(), render=blobs)
     away = dataclasses.replace(camera(), to_world=camera(offset=200.0).to_world)
-    aside = dataclasses.replace(away, principal=(-500.0, 16.0))
+    lens = dataclasses.replace(away.lens, principal=(-500.0, 16.0))
+    aside = dataclasses.replace(away, lens=lens)
     with pytest.raises(
         InvalidValueError,
         match="camera: expected a view in which the object is visible",

@@ -2,7 +2,6 @@
 works, random noise does not.
 """
 
-import dataclasses
 from pathlib import Path
 
 import pytest
@@ -17,7 +16,7 @@ from attacks.objectives import hide, relabel
 from attacks.observe.rows import CLEAN, NOISE
 from attacks.transformations.config import CameraRegion, Transformations
 from mi_splat.render.renderer import Renderer
-from mi_splat.render.scene_files import SplatScene, read_scene
+from mi_splat.render.scene_files import SplatScene, read_scene, resized
 
 PAIRS = (
     ("car_street", "car", "person"),
@@ -114,7 +113,7 @@ def test_the_shipped_car_becomes_a_person_from_cameras_that_were_not_attacked(
 ) -> None:
     loaded = scenes["car_street"]
     front = next(iter(loaded.cameras.values()))
-    small = dataclasses.replace(front, width=128, height=128, focal=front.fx / 2)
+    small = resized(front, (128, 128))
     region = CameraRegion(
         azimuths=(-10.0, 10.0), elevations=(5.0, 15.0), distances=(1.0, 1.0)
     )

@@ -13,6 +13,7 @@ from PIL import Image
 from torch import Tensor
 
 from mi_splat.cameras.camera import Camera, View, look_at, project_points
+from mi_splat.cameras.lens import Lens
 from mi_splat.datasets import PointCloud
 from mi_splat.datasets.writing import (
     IMAGES,
@@ -84,15 +85,10 @@ def view(seed: int, **change: Any) -> View:
     """
     chance = np.random.default_rng(seed)
     pose = look_at((3 + chance.random(3)).tolist(), chance.normal(0, 0.2, 3).tolist())
-    values = {
-        "to_world": pose,
-        "focal": (21.3, 19.7),
-        "width": 18,
-        "height": 13,
-        "principal": (8.25, 7.75),
-        **change,
-    }
-    camera = Camera(**values)
+    pose = change.pop("to_world", pose)
+    size = (change.pop("width", 18), change.pop("height", 13))
+    values = {"focal": (21.3, 19.7), "size": size, "principal": (8.25, 7.75), **change}
+    camera = Camera(to_world=pose, lens=Lens(**values))
     bytes_ = chance.integers(0, 256, (camera.height, camera.width, 3))
     return View(camera, torch.from_numpy(bytes_.astype(np.float32) / np.float32(255)))
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mi_splat.cameras.camera import Camera, View, look_at, project_points
+from mi_splat.cameras.lens import Lens
 from mi_splat.datasets import Dataset, DatasetWarning, load_dataset
 from mi_splat.datasets.packed import Packed
 from mi_splat.errors import MiSplatError
@@ -69,7 +70,7 @@ def test_any_pose_comes_back(
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3, :3] = to_matrix(normalise(torch.tensor(quaternion, dtype=torch.float64)))
     pose[:3, 3] = torch.tensor(position, dtype=torch.float64)
-    camera = Camera(to_world=pose, focal=5.0, width=2, height=1)
+    camera = Camera(to_world=pose, lens=Lens(focal=5.0, size=(2, 1)))
     folder = tmp_path_factory.mktemp("pose")
     for name, write in FORMATS.items():
         write(folder / name, [View(camera, torch.zeros(1, 2, 3))])
@@ -84,7 +85,7 @@ def test_any_pose_comes_back(
 
 def test_opengl_and_colmap_axes_by_hand(tmp_path: Path) -> None:
     camera = Camera(
-        to_world=look_at((5, 0, 0), (0, 0, 0)), focal=10.0, width=4, height=4
+        to_world=look_at((5, 0, 0), (0, 0, 0)), lens=Lens(focal=10.0, size=(4, 4))
     )
     single = [View(camera, torch.zeros(4, 4, 3))]
     write_transforms(tmp_path / "a", single)

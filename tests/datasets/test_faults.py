@@ -344,7 +344,7 @@ def test_folders_that_are_no_set(tmp_path: Path) -> None:
     [
         ({"downscale": 0}, "downscale"),
         ({"downscale": 1.5}, "downscale"),
-        ({"downscale": 100}, "width"),
+        ({"downscale": 100}, "size: expected a number in"),
         ({"background": (0.0, 2.0, 0.0)}, "background"),
         ({"split": "val"}, "split"),
         ({"test_every": 1}, "test_every"),

@@ -16,10 +16,11 @@ import torch
 from PIL import Image
 
 from mi_splat.cameras.camera import Camera, View, project_points
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import camera_set
 from mi_splat.datasets import DatasetWarning, load_dataset
 from mi_splat.datasets.colmap import MODELS, find_model, read_model_cameras
-from mi_splat.datasets.lenses import Lens, undistorted
+from mi_splat.datasets.lenses import ImageLens, undistorted
 from mi_splat.errors import MiSplatError
 from mi_splat.io.picture_files import pixel_limit
 from mi_splat.training.evaluation import MOST_PSNR, score
@@ -225,7 +226,9 @@ def test_poses_alone_are_never_refused_for_distortion(
     with pytest.warns(
         DatasetWarning, match=rf"without the distortion of their lenses \({model}\)"
     ):
-        (camera,) = camera_set(str(file), (0, 0, 0), distance=1, focal=1, size=(8, 8))
+        (camera,) = camera_set(
+            str(file), (0, 0, 0), distance=1, lens=Lens(focal=1, size=(8, 8))
+        )
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (150.0, 140.0, 80.3, 60.1)
     assert (camera.width, camera.height) == (160, 120)
 
@@ -352,7 +355,7 @@ def test_we_undistort_as_colmap_does(model: str, pycolmap: Any, tmp_path: Path) 
     mapped = np.stack([camera.img_from_cam(np.array([x, y, 1.0])) for x, y in points])
     np.testing.assert_allclose(lens.project(points), mapped, atol=1e-9)
     fx, fy, cx, cy = same.params
-    pinhole = Lens(focal=(fx, fy), principal=(cx, cy), size=(160, 120))
+    pinhole = ImageLens(focal=(fx, fy), principal=(cx, cy), size=(160, 120))
     ours, shown = undistorted((pixels / 255).astype(np.float32), lens, pinhole)
     values = theirs.to_array()
     # COLMAP leaves half a pixel black at the photograph's border

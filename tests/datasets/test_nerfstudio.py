@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from mi_splat.cameras.camera import Camera, look_at, project_points
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import camera_set
 from mi_splat.datasets import DatasetError, load_dataset
 from mi_splat.datasets.nerfstudio import OPENGL
@@ -23,7 +24,9 @@ from tests.datasets.sets import (
     write_transforms,
 )
 
-CAMERA = Camera(to_world=look_at((3, 1, 2), (0, 0, 0)), focal=41.7, width=96, height=64)
+CAMERA = Camera(
+    to_world=look_at((3, 1, 2), (0, 0, 0)), lens=Lens(focal=41.7, size=(96, 64))
+)
 FOV = math.degrees(2 * math.atan(32 / 41.7))
 MATRIX = (CAMERA.to_world @ OPENGL).reshape(16).tolist()
 COLUMNS = (CAMERA.to_world @ OPENGL).T.reshape(16).tolist()
@@ -59,7 +62,9 @@ SIZE = {"render_height": 64, "render_width": 96}
 def test_a_camera_path_is_read(document: dict[str, Any], tmp_path: Path) -> None:
     file = tmp_path / "path.json"
     file.write_text(json.dumps(document))
-    (camera,) = camera_set(str(file), (0, 0, 0), distance=1, focal=1, size=(8, 8))
+    (camera,) = camera_set(
+        str(file), (0, 0, 0), distance=1, lens=Lens(focal=1, size=(8, 8))
+    )
     assert_same_camera(camera, CAMERA, 1e-6)
 
 
@@ -80,7 +85,7 @@ def test_a_broken_camera_path_is_refused(
     file = tmp_path / "path.json"
     file.write_text(json.dumps(document))
     with pytest.raises(DatasetError, match=says):
-        camera_set(str(file), (0, 0, 0), distance=1, focal=1, size=(8, 8))
+        camera_set(str(file), (0, 0, 0), distance=1, lens=Lens(focal=1, size=(8, 8)))
 
 
 TURN = to_matrix(
@@ -124,7 +129,9 @@ def test_poses_and_points_share_the_world_of_nerfstudio_s_splat(
     (tmp_path / "dataparser_transforms.json").write_text(json.dumps(world))
 
     views = load_dataset(tmp_path)
-    alone = camera_set(str(listed), (0, 0, 0), distance=1, focal=1, size=(8, 8))
+    alone = camera_set(
+        str(listed), (0, 0, 0), distance=1, lens=Lens(focal=1, size=(8, 8))
+    )
     moved = scale * (PROBES @ TURN.T + SHIFT)
     for cameras in (views.cameras, alone):
         for camera, before in zip(cameras, plain.cameras, strict=True):

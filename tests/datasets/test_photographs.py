@@ -13,6 +13,7 @@ from PIL import ExifTags, Image
 
 from attacks import cli
 from mi_splat.cameras.camera import Camera, View, project_points
+from mi_splat.cameras.lens import Lens
 from mi_splat.datasets import Dataset, DatasetError, DatasetWarning, load_dataset
 from mi_splat.datasets.frames import read_picture, turned_clockwise
 from mi_splat.render.renderer import Renderer
@@ -59,7 +60,8 @@ def test_a_turned_camera_renders_the_turned_image(quarter_turns: int) -> None:
     pose = CAMERA.to_world.clone()
     pose[:3, 3] = 0.9 * pose[:3, 3]
     camera = Camera(
-        to_world=pose, focal=(41.0, 43.0), width=40, height=24, principal=(17.25, 13.5)
+        to_world=pose,
+        lens=Lens(focal=(41.0, 43.0), size=(40, 24), principal=(17.25, 13.5)),
     )
     scene = varied_scene(30, degree=1, seed=3)
     image = render(scene, camera)
@@ -410,7 +412,7 @@ def test_a_focal_length_that_is_hardly_meant_is_warned_of(
 ) -> None:
     views = [
         View(
-            Camera(to_world=CAMERA.to_world, focal=focal, width=18, height=13),
+            Camera(to_world=CAMERA.to_world, lens=Lens(focal=focal, size=(18, 13))),
             VIEWS[0].image,
         )
     ]

@@ -11,10 +11,10 @@ import torch
 from attacks.detectors import DetectorError, load_detector
 from attacks.objectives import overlap
 from attacks.observe.views import object_boxes
-from mi_splat.assets.textures import write
 from mi_splat.render.renderer import Renderer
 from mi_splat.render.scene_files import open_scene
 from scenes.recipes.attack_reader import HEIGHT, WIDTH, Recogniser
+from scenes.recipes.objects.textures import write
 
 pytest.importorskip("rapidocr_onnxruntime", reason="the extra ocr is not installed")
 

@@ -47,12 +47,13 @@ from attacks.detectors.torchvision import (
 )
 from attacks.detectors.weights import apply_weights, fingerprint
 from attacks.testing import check_detector
-from mi_splat.assets import build
 from mi_splat.cameras.camera import Camera, orbit_pose, project_box
+from mi_splat.cameras.lens import Lens
 from mi_splat.capture.path_tracer import scene_dict
 from mi_splat.errors import InvalidValueError
 from scenes.recipes.detector_surroundings import daylight, plain
 from scenes.recipes.mesh_views import capture
+from scenes.recipes.objects import build
 from tests.detectors.contract import random_detector, slope_is_the_gradient, warm_up
 
 LIGHT = ("fasterrcnn_small", "fasterrcnn_mobilenet_v3_large_320_fpn")
@@ -85,9 +86,7 @@ def car_picture() -> CarPicture:
     asset = build("car", 512_345)
     camera = Camera(
         to_world=orbit_pose((0.0, 0.0, 0.7), azimuth=40, elevation=20, distance=7.0),
-        focal=300,
-        width=256,
-        height=256,
+        lens=Lens(focal=300, size=(256, 256)),
     )
     scene = scene_dict([asset], light=daylight(512_345), backdrop=plain(512_345))
     box = project_box(torch.from_numpy(asset.vertices), camera)

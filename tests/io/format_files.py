@@ -14,13 +14,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mi_splat.io.formats.compressed_ply import write_compressed_ply
-from mi_splat.io.formats.gltf import write_glb
-from mi_splat.io.formats.sog import write_sog
-from mi_splat.io.formats.splat32 import write_splat
-from mi_splat.io.formats.spz import write_spz
-from mi_splat.io.formats.usd import write_usd
+from mi_splat.io.formats.format import Saving
 from mi_splat.io.loaded import arrays_of
+from mi_splat.io.splat_files import format_to_write
 from mi_splat.maths.rotation import multiply
 from mi_splat.maths.sh import colour_to_dc, dc_to_colour
 from mi_splat.scene import GaussianScene
@@ -36,18 +32,10 @@ new process, is in test_usd.py.
 def valid(name: str) -> bytes:
     """A small valid file: 20 Gaussians of SH degree 1."""
     scene = arrays_of(tame_scene(20, 1))
-    writers: dict[str, Callable[[], bytes]] = {
-        "a.compressed.ply": lambda: write_compressed_ply(scene).data,
-        "a.glb": lambda: write_glb(scene).data,
-        "a.sog": lambda: write_sog(scene).data,
-        "a.splat": lambda: write_splat(scene).data,
-        "a.usdc": lambda: write_usd(scene, ".usdc").data,
-        "a.usda": lambda: write_usd(scene, ".usda").data,
-        "v2.spz": lambda: write_spz(scene, 2).data,
-        "v3.spz": lambda: write_spz(scene, 3).data,
-        "v4.spz": lambda: write_spz(scene, 4).data,
-    }
-    return writers[name]()
+    chosen, suffix = format_to_write(name)
+    version = int(name[1]) if name.startswith("v") else None
+    assert chosen.write is not None
+    return bytes(chosen.write(scene, Saving(suffix=suffix, version=version)).data)
 
 
 def rezipped(

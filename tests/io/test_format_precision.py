@@ -191,7 +191,7 @@ def test_saving_is_deterministic(suffix: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("version", [2, 3, 4])
 def test_versions_of_spz(version: int, tmp_path: Path) -> None:
     scene = tame_scene(100, 3)
-    write_splat_file(scene, tmp_path / "a.spz", spz_version=version)  # type: ignore[arg-type]
+    write_splat_file(scene, tmp_path / "a.spz", version=version)
     assert_close(
         load_splat(tmp_path / "a.spz"),
         scene,

@@ -10,6 +10,7 @@ import torch
 
 from mi_splat.attributes import LARGEST
 from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.io import (
     SplatFileError,
     SplatFileWarning,
@@ -18,9 +19,10 @@ from mi_splat.io import (
     save_splat,
 )
 from mi_splat.io.formats import axes
+from mi_splat.io.formats.format import FORMATS
 from mi_splat.io.loaded import arrays_of, as_scene
 from mi_splat.io.points import load_points
-from mi_splat.io.splat_files import TAGGED, load_stored, write_splat_file
+from mi_splat.io.splat_files import load_stored, write_splat_file
 from mi_splat.maths.rotation import to_matrix
 from mi_splat.maths.sh import colour_to_dc, sh_to_colour
 from mi_splat.provenance import rendered_with
@@ -218,7 +220,10 @@ def test_nodes_of_gltf_place_their_splats(tmp_path: Path) -> None:
     assert caught[0].filename == __file__
 
 
-@pytest.mark.parametrize("suffix", TAGGED)
+@pytest.mark.parametrize(
+    "suffix",
+    [each.suffixes[0] for each in FORMATS.own.values() if each.keeps_antialiasing],
+)
 def test_formats_that_can_keep_the_render_mode(suffix: str, tmp_path: Path) -> None:
     write_splat_file(SCENE, tmp_path / f"plain{suffix}")
     write_splat_file(SCENE, tmp_path / f"a{suffix}", antialiased=True)
@@ -283,7 +288,7 @@ AXES = [
 def test_the_axes_that_spz_can_name(
     number: int, version: Literal[3, 4], tmp_path: Path
 ) -> None:
-    write_splat_file(SCENE, tmp_path / "a.spz", spz_version=version)
+    write_splat_file(SCENE, tmp_path / "a.spz", version=version)
     whole = (tmp_path / "a.spz").read_bytes()
     name = AXES[number]
     record = struct.pack("<III", 0xADBE0003, 4, number)
@@ -350,6 +355,6 @@ def test_renderers_bear_the_largest_values(
         (scene, (LARGEST, 1, 1)),
     ):
         camera = Camera(
-            to_world=look_at(eye, (0, 0, 0)), focal=focal, width=32, height=24
+            to_world=look_at(eye, (0, 0, 0)), lens=Lens(focal=focal, size=(32, 24))
         )
         assert Renderer(RenderSettings(method=method))(shown, camera).isfinite().all()

@@ -5,7 +5,7 @@
 import sys
 from pathlib import Path
 
-from mi_splat.ledger.engines import InProcess, Processes
+from mi_splat.ledger.engines import Cluster, InProcess
 from mi_splat.ledger.job import Done, Job, OnEvent, nobody
 from mi_splat.ledger.plans import Driver, Plan, grid
 from mi_splat.ledger.store import Store
@@ -23,9 +23,7 @@ class Ledger:
 
     def do(self, job: Job) -> Done:
         engine = InProcess(self.store.folder, on_event=self._on_event)
-        done = Driver(self.store.folder, engine, on_event=self._on_event).run(
-            [grid({"job": job})]
-        )["job"]
+        done = Driver(engine).run([grid({"job": job})])["job"]
         assert isinstance(done, Done), done
         return done
 
@@ -68,7 +66,7 @@ def two_levels(count: int, *, steps: int = 4, seconds: float = 0.02) -> Plan:
 
 
 def main(store: Path, count: int, workers: int, seconds: float) -> int:
-    results = Driver(store, Processes(store, workers=workers), name="walks").run(
+    results = Driver(Cluster(store, workers=workers), name="walks").run(
         [two_levels(count, seconds=seconds)]
     )
     return sum(isinstance(result, str) for result in results.values())

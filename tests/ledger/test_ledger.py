@@ -15,7 +15,7 @@ import pytest
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Event, Job, Part, Store
-from mi_splat.ledger.engines import Processes
+from mi_splat.ledger.engines import Cluster
 from mi_splat.ledger.plans import Driver
 from tests.ledger.drive import Ledger, two_levels
 from tests.ledger.kinds.configs import NumbersConfig, Shift
@@ -201,7 +201,7 @@ def run_killed(
 
 
 def unkilled(folder: Path, count: int) -> dict[str, object]:
-    Driver(folder, Processes(folder, workers=2)).run([two_levels(count)])
+    Driver(Cluster(folder, workers=2)).run([two_levels(count)])
     return bytes_of(folder)
 
 

@@ -55,7 +55,8 @@ def test_a_second_result_is_dropped(tmp_path: Path) -> None:
         if event.state == "progress":
             shutil.copytree(folder, store.folder_of(task.key))
 
-    assert (run_job(store, task, tell).folder / "sum.txt").read_text() == "7"
+    assert run_job(store, task, tell).state == "done"
+    assert (store.existing(task.key).folder / "sum.txt").read_text() == "7"
 
 
 def test_rows_that_were_changed_are_an_error(tmp_path: Path) -> None:

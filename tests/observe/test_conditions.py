@@ -19,6 +19,7 @@ from attacks.observe.conditions import (
 from attacks.observe.observations import observe, report_cells
 from attacks.observe.views import object_boxes
 from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
 from mi_splat.comparison.methods import load_method
 from mi_splat.errors import InvalidValueError
@@ -39,7 +40,7 @@ SETTINGS = RenderSettings()
 def view_of(scene: GaussianScene, name: str) -> torch.Tensor:
     pose = look_at((0.0, -4.0, 0.5), (0.0, 0.0, 0.0))
     seen = Camera(
-        to_world=pose, focal=26.0, width=24, height=24, principal=(12.0, 12.0)
+        to_world=pose, lens=Lens(focal=26.0, size=(24, 24), principal=(12.0, 12.0))
     )
     return load_method(name, SETTINGS).render(scene, seen)
 
@@ -101,9 +102,7 @@ def test_the_car_stands_in_the_street_by_the_hour() -> None:
             condition.holds(
                 Camera(
                     to_world=look_at((0.0, y, 1.0), (0.0, 0.0, 0.0)),
-                    focal=9.0,
-                    width=8,
-                    height=8,
+                    lens=Lens(focal=9.0, size=(8, 8)),
                 )
             )
             for y in (-5.0, 5.0)
@@ -155,7 +154,7 @@ def test_renderers_stand_before_the_same_background() -> None:
     settings = RenderSettings(background=(0.2, 0.5, 0.9), near=0.05)
     pose = look_at((3.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     scene = gaussian(scales=torch.full((1, 3), 0.2))
-    front = Camera(to_world=pose, focal=24.0, width=24, height=24)
+    front = Camera(to_world=pose, lens=Lens(focal=24.0, size=(24, 24)))
     names = ("tile", "tile-antialiased", "ray", "ray-to-mean", "volprim")
     pictures = [named(name, settings)(scene, front) for name in names]
     assert all(
@@ -179,8 +178,7 @@ def test_renderers_that_cut_colours_elsewhere() -> None:
         count=1,
         elevation=10.0,
         distance=5.0,
-        focal=60.0,
-        size=(33, 33),
+        lens=Lens(focal=60.0, size=(33, 33)),
     )
     cuts = {
         "tile": colour.clamp(min=0),

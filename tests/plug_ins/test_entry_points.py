@@ -36,13 +36,24 @@ from attacks.report.results import read_section
 from attacks.studies.attack import Attack
 from attacks.studies.dagger import _objective
 from attacks.studies.look import Look
+from attacks.testing import (
+    check_format,
+    check_projection,
+    check_strategy,
+    check_threat,
+)
+from attacks.threats import THREATS
 from mi_splat.audit.linting import lint_scene
 from mi_splat.cameras.camera import View
+from mi_splat.cameras.lens import PROJECTIONS, Lens
 from mi_splat.comparison.methods import RENDERERS, load_method
 from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.io import load_splat, save_splat
+from mi_splat.io.formats.format import FORMATS
 from mi_splat.ledger.job import decoded, encoded
 from mi_splat.registry import Registry, brought_by_packages
 from mi_splat.render.renderer import RenderSettings
+from mi_splat.training.strategies import STRATEGIES, strategy_name
 from tests.fakes import ColourDetector, blobs, camera, register, toy_scene
 from tests.plug_ins.distribution import install, on_path
 from tests.studies import toy
@@ -60,9 +71,16 @@ from attacks.observe.conditions import rendered, renderer_of
 from attacks.optimisers import OptimiserSpec
 from attacks.poisons.base import poisoned
 from attacks.poisons.specs import PoisonSpec
+from attacks.threats import Threat
 from mi_splat.audit.rules import Rule
+from mi_splat.cameras.lens import Projection
 from mi_splat.comparison.methods import RendererSpec
+from mi_splat.io import SplatFileError
+from mi_splat.io.formats.format import Format
+from mi_splat.io.loaded import Encoded, validated
 from mi_splat.render.renderer import Renderer
+from mi_splat.training.strategies import StrategyConfig
+from mi_splat.training.strategies.base import FixedStrategy
 from tests.fakes import ColourDetector
 
 
@@ -136,6 +154,48 @@ DETECTOR = DetectorSpec(
     origin="a plug-in",
     licence="MIT",
 )
+
+
+def read_rows(file, path):
+    data = file.read()
+    if not data or len(data) % 56:
+        got = f"{len(data)} bytes"
+        raise SplatFileError.of(path, "rows of 56 bytes", got, "write it again")
+    table = np.frombuffer(data, "<f4").reshape(-1, 14)
+    means, scales, rotations, opacities, sh = np.split(table, [3, 6, 10, 11], axis=1)
+    return validated(means, scales, rotations, opacities[:, 0], sh[:, None])
+
+
+def write_rows(arrays, saving):
+    columns = [value.reshape(len(value), -1) for value in arrays.values()]
+    columns[-1] = columns[-1][:, :3]
+    return Encoded(np.concatenate(columns, axis=1, dtype="<f4").tobytes(), ())
+
+
+FORMAT = Format(name="rows", suffixes=(".rows",), read=read_rows, write=write_rows)
+THREAT = Threat(
+    name="swell",
+    about="the object's Gaussians grow",
+    unit="log world units",
+    changes=("scales",),
+    start=lambda clean: clean["scales"].new_zeros(()),
+    apply=lambda value, tensors: {"scales": tensors["scales"] + value},
+)
+PROJECTION = Projection(
+    name="shifted",
+    ray=lambda u, v: ((u, v, 0.0), (0.5, 0.0, 1.0)),
+    place=lambda x, y, z: (x - 0.5 * z, y),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StillConfig(StrategyConfig):
+    patience: int = 3
+
+    def build(self):
+        return FixedStrategy()
+
+
 TAKEN = Rule(
     name="giant",
     severity="note",
@@ -159,6 +219,10 @@ ENTRIES = {
     "mi_splat.conditions/fog": "brought:fog",
     "mi_splat.poisons/dark": "brought:POISON",
     "mi_splat.audit_rules/many": "brought:RULE",
+    "mi_splat.formats/rows": "brought:FORMAT",
+    "mi_splat.strategies/still": "brought:StillConfig",
+    "mi_splat.projections/shifted": "brought:PROJECTION",
+    "mi_splat.threats/swell": "brought:THREAT",
     "mi_splat.detectors/plugged": "brought:DETECTOR",
 }
 GROUPS: dict[str, Registry[Any]] = {
@@ -168,6 +232,10 @@ GROUPS: dict[str, Registry[Any]] = {
     "mi_splat.renderers": RENDERERS,
     "mi_splat.conditions": CONDITIONS,
     "mi_splat.poisons": POISONS,
+    "mi_splat.formats": FORMATS,
+    "mi_splat.strategies": STRATEGIES,
+    "mi_splat.projections": PROJECTIONS,
+    "mi_splat.threats": THREATS,
 }
 VIEWING = Viewing(
     settings=RenderSettings(), centre=(0.0, 0.0, 0.0), alone=lambda splat: splat
@@ -325,6 +393,52 @@ def test_a_poison_is_a_kind_with_flags_of_its_own(brought: Path) -> None:
     )
     assert options.poison.by == 0.25
     assert not kind_of("dark").needs_splat
+
+
+def test_a_format_is_read_written_and_keeps_its_contract(
+    brought: Path, tmp_path: Path
+) -> None:
+    scene = toy_scene()[0].with_degree(0)
+    file = tmp_path / "a.rows"
+    save_splat(scene, file)
+    assert file.stat().st_size == 56 * len(scene)
+    torch.testing.assert_close(load_splat(file).means, scene.means)
+    check_format(".rows")
+    assert cli.main(["convert", str(file), str(tmp_path / "b.ply")]) == 0
+    torch.testing.assert_close(load_splat(tmp_path / "b.ply").sh, scene.sh)
+    file.write_bytes(file.read_bytes()[:-1])
+    assert cli.main(["info", str(file)]) == 1
+
+
+def test_a_strategy_has_flags_of_its_own(brought: Path) -> None:
+    words = ["SET", "--strategy", "still", "--patience", "5", "--out", "out"]
+    strategy = cli.parse("train", words).fit.strategy
+    assert strategy_name(strategy) == "still"
+    assert strategy.patience == 5
+    check_strategy(strategy)
+
+
+def test_a_projection_is_known_to_lenses(brought: Path) -> None:
+    lens = Lens(focal=10.0, size=(8, 8), projection="shifted")
+    check_projection(lens.model)
+    with pytest.raises(InvalidValueError, match="got shifted"):
+        lens.require_perspective()
+
+
+def test_a_threat_is_attacked_from_the_command_line(
+    brought: Path, tmp_path: Path
+) -> None:
+    check_threat(THREATS["swell"])
+    scene, mask = toy_scene()
+    config = cli.parse(
+        "dagger", ["a.ply", "--attributes", "swell", "--eps", "0.5", "--steps", "2"]
+    ).config
+    result = attack(
+        scene, mask, camera(), ColourDetector(), hide(), render=blobs, config=config
+    )
+    assert 0 < result.used["swell"] <= 0.5
+    write_report(result, tmp_path / "out")
+    assert "swell" in read_section(tmp_path / "out").done
 
 
 def test_a_detector_is_loaded_and_listed(

@@ -29,13 +29,17 @@ from attacks.testing import (
     check_format,
     check_objective,
     check_poison,
+    check_projection,
     check_renderer,
     check_rule,
     check_strategy,
+    check_threat,
 )
 from attacks.testing.promises import cloud
+from attacks.threats import THREATS
 from mi_splat.audit.rules import RULES
 from mi_splat.cameras.camera import View
+from mi_splat.cameras.lens import PROJECTIONS
 from mi_splat.comparison.methods import RENDERERS
 from mi_splat.io.splat_files import SUFFIXES
 from mi_splat.training.strategies import STRATEGIES
@@ -168,3 +172,13 @@ def test_formats(suffix: str) -> None:
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: str(rule.name))
 def test_rules(rule: Any) -> None:
     check_rule(rule)
+
+
+@pytest.mark.parametrize("name", PROJECTIONS)
+def test_projections(name: str) -> None:
+    check_projection(PROJECTIONS[name])
+
+
+@pytest.mark.parametrize("name", THREATS)
+def test_threats(name: str) -> None:
+    check_threat(THREATS[name])

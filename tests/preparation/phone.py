@@ -13,9 +13,10 @@ from PIL import ExifTags, Image
 
 from mi_splat.cameras.camera import Camera
 from mi_splat.cameras.framing import bounds, near_plane
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import camera_set
 from mi_splat.datasets.frames import turned_clockwise
-from mi_splat.datasets.lenses import Lens
+from mi_splat.datasets.lenses import ImageLens
 from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.render.scene_files import open_scene
 from tests.project.layers import ROOT
@@ -34,11 +35,11 @@ _MARGIN = 1.4
 """How much wider than a photograph the rendering is of which it is made."""
 
 
-def lens() -> Lens:
+def lens() -> ImageLens:
     """The lens of the phone."""
     width, height = SIZE
     focal = FOCAL_35MM / np.hypot(36, 24) * np.hypot(width, height)
-    return Lens(
+    return ImageLens(
         focal=(focal, focal),
         principal=(width / 2, height / 2),
         size=SIZE,
@@ -52,7 +53,7 @@ def photograph(render: Renderer, scene: object, pose: torch.Tensor) -> np.ndarra
 
     bent = lens()
     width, height = (round(_MARGIN * side) for side in SIZE)
-    camera = Camera(to_world=pose, focal=bent.focal, width=width, height=height)
+    camera = Camera(to_world=pose, lens=Lens(focal=bent.focal, size=(width, height)))
     image = render(scene, camera)[..., :3].clamp(0, 1).numpy()  # type: ignore[arg-type]
     columns, rows = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
     rays = bent.rays(np.stack([columns.ravel(), rows.ravel()], 1))
@@ -72,7 +73,10 @@ def write_photographs(folder: Path, *, count: int = COUNT) -> None:
     loaded = open_scene(SCENE)
     middle, _ = bounds(loaded.scene.select(loaded.objects["car"]))
     cameras = camera_set(
-        f"orbit:{count}@25", middle, distance=DISTANCE, focal=500.0, size=SIZE
+        f"orbit:{count}@25",
+        middle,
+        distance=DISTANCE,
+        lens=Lens(focal=500.0, size=SIZE),
     )
     settings = RenderSettings(
         background=(0.5, 0.6, 0.8), near=near_plane(loaded.scene, tuple(cameras))

@@ -15,6 +15,7 @@ from PIL import ExifTags, Image
 
 from attacks import cli
 from mi_splat.cameras.camera import Camera, look_at, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.datasets import PointCloud, load_dataset
 from mi_splat.datasets.writing import list_colmap
 from mi_splat.errors import MiSplatError
@@ -49,9 +50,7 @@ def all_but_the_last(
     names = [name for name, _, _ in task["images"]]
     for number, (name, size, _) in enumerate(task["images"][:-1]):
         pose = orbit_pose((0, 0, 0), azimuth=10.0 * number, elevation=20, distance=3)
-        entries.append(
-            (name, Camera(to_world=pose, focal=50.0, width=size[0], height=size[1]))
-        )
+        entries.append((name, Camera(to_world=pose, lens=Lens(focal=50.0, size=size))))
     list_colmap(
         Path(task["root"]),
         {"train": entries},

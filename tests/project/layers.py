@@ -48,7 +48,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "mi_splat.cameras.sets",
     ),
     "preparation": ("mi_splat.preparation",),
-    "objects": ("mi_splat.assets",),
+    "objects": ("scenes.recipes.objects",),
     "rasterizer": (
         "mi_splat.render",
         "mi_splat.render.settings",
@@ -75,7 +75,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "viewer": ("mi_splat.viewer",),
     "commands of mi_splat": ("mi_splat.cli",),
     "interfaces of attacks": (
-        *("attacks.rate", "attacks.tables"),
+        *("attacks.rate", "attacks.tables", "attacks.threats"),
         *(
             "attacks.optimisers",
             "attacks.search",

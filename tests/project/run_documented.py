@@ -26,6 +26,7 @@ import torch
 from attacks import cli
 from attacks.detectors.registry import DETECTORS
 from mi_splat import GaussianScene, load_splat, save_splat
+from mi_splat.capture.objects import object_file
 from mi_splat.maths.rotation import to_matrix
 from mi_splat.processes import INTERRUPTED
 from mi_splat.scene import Similarity, merge
@@ -69,10 +70,8 @@ def splat_y_down(path: Path) -> None:
 
 
 def mesh(path: Path) -> None:
-    """A box as a GLB file."""
-    import trimesh
-
-    trimesh.creation.box((4.0, 1.8, 1.5)).export(path)
+    """An object that is shipped as a user's own."""
+    shutil.copy(object_file("car"), path)
 
 
 def shipped_artifact(path: Path) -> None:

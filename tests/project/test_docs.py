@@ -135,9 +135,6 @@ def test_the_reference_names_the_modules_that_there_are() -> None:
 def test_the_short_commands_run(tmp_path: Path, warm: Warm) -> None:
     """On small inputs: `make commands` runs these alone."""
     pytest.importorskip(
-        "trimesh", reason="meshes of the documentation need the extra meshes"
-    )
-    pytest.importorskip(
         "ultralytics",
         reason="the documentation compares two detectors; one needs the extra yolo",
     )

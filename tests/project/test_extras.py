@@ -73,7 +73,6 @@ def test_notice_names_extras_that_exist() -> None:
     [
         ("report", ["report", "scenes"]),
         ("ocr", ["detect", "scenes/stop_sign.xml", "--detectors", "rapidocr"]),
-        ("meshes", ["capture", "MESH"]),
         ("photos", ["prepare", "docs/images"]),
         ("yolo", ["dagger", "scenes/car_street.xml", "--detectors", "yolov8n_small"]),
         ("view", ["view", "scenes/car_street.xml"]),
@@ -84,10 +83,8 @@ def test_notice_names_extras_that_exist() -> None:
 def test_a_missing_extra_is_told_before_anything_is_written(
     extra: str, words: list[str], tmp_path: Path, warm: Warm
 ) -> None:
-    mesh = tmp_path / "m.glb"
     out = tmp_path / {"report": "out.html"}.get(extra, "out")
-    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    given = [{"MESH": str(mesh)}.get(word, word) for word in words]
+    given = [*words]
     given += [] if extra == "view" else ["--out", str(out)]
     done = warm.run("-m", "attacks", *given, cwd=ROOT, missing=EXTRAS[extra])
     assert done.returncode == 1, done.stderr
@@ -149,7 +146,7 @@ def test_the_examples_of_the_api_run(checkout: Path, warm: Warm) -> None:
     """As they stand, but with the smallest set and a training of some steps."""
     dagger, curve, aim, cloak = blocks("python", (ROOT / "docs" / "api.md").read_text())
     capture = (
-        "capture car:900004 --rgba --cameras hemisphere:12 --size 24 --samples 1"
+        "capture car --rgba --cameras hemisphere:12 --size 24 --samples 1"
         " --points 200 --out out/car-alone"
     )
     done = warm.run(

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from hatchling.builders.sdist import SdistBuilder
 
+from mi_splat.capture.objects import OBJECTS
 from tests.project.layers import (
     DIAGRAM,
     PACKAGES,
@@ -211,6 +212,17 @@ def test_wheel_holds_the_weights_and_their_card(wheel: Path) -> None:
     )
 
 
+def test_wheel_holds_the_objects(wheel: Path) -> None:
+    held = {
+        info.filename: info.compress_size for info in zipfile.ZipFile(wheel).infolist()
+    }
+    folder = "mi_splat/capture/objects"
+    for name in OBJECTS:
+        assert f"{folder}/{name.replace(' ', '_')}.glb" in held
+    assert "attacks/cloak/textures/clock.glb" in held
+    assert sum(size for name, size in held.items() if name.endswith(".glb")) < 9_000_000
+
+
 def test_sdist_holds_no_weights_under_another_licence() -> None:
     names = [
         file.relative_path for file in SdistBuilder(str(ROOT)).recurse_included_files()
@@ -232,7 +244,9 @@ assert attacks.__file__.startswith({str(site)!r})
 assert mi_splat.__file__.startswith({str(site)!r})
 assert attacks.detectors.catalogue.SMALL_WEIGHTS.is_file()
 main = attacks.cli.main
-sys.exit(main(["detectors", "--json"]) or main(["info", "example:car_street"]))
+capture = "capture car --cameras orbit:1@20 --size 8 --samples 1 --points 9 --out car"
+commands = ["detectors --json", "info example:car_street", capture]
+sys.exit(any(main(command.split()) for command in commands))
 """
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=elsewhere, capture_output=True, text=True
@@ -258,9 +272,14 @@ def test_scenes_are_shipped_and_small() -> None:
         for path in files
         if ROOT / "scenes" / "conformance" in path.parents
     )
+    objects = sum(
+        path.stat().st_size for path in files if path.parent.name == "objects"
+    )
+    others = sum(path.stat().st_size for path in files) - weights - pack - objects
     assert weights <= 7_000_000
     assert pack <= 6_000_000
-    assert sum(path.stat().st_size for path in files) - weights - pack <= 8_000_000
+    assert objects <= 6_000_000
+    assert others <= 8_000_000
 
 
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: str(path.stem))

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.render.frozen_view import FrozenView
 from mi_splat.render.renderer import Renderer, RenderSettings
@@ -24,7 +25,7 @@ BACKGROUND = (0.2, 0.5, 0.9)
 def camera(width: int, height: int, *, distance: float = 3.0) -> Camera:
     pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=distance)
     return Camera(
-        to_world=pose, focal=(1.0 * width, 0.9 * width), width=width, height=height
+        to_world=pose, lens=Lens(focal=(1.0 * width, 0.9 * width), size=(width, height))
     )
 
 
@@ -201,7 +202,7 @@ def cameras(count: int = 3) -> list[Camera]:
         for k in range(count)
     ]
     return [
-        Camera(to_world=pose, focal=24.0, width=24 + 4 * k, height=21)
+        Camera(to_world=pose, lens=Lens(focal=24.0, size=(24 + 4 * k, 21)))
         for k, pose in enumerate(poses)
     ]
 

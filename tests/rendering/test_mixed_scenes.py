@@ -13,6 +13,7 @@ import torch
 
 from attacks.cli import main
 from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.picture_files import picture_header
@@ -129,10 +130,7 @@ def scene_of(
     save_splat(scene, tmp_path / "toy.ply")
     aside = Camera(
         to_world=look_at((1, -3, 0.5), (0, 0, 0)),
-        focal=30.0,
-        width=40,
-        height=24,
-        principal=(18.0, 13.0),
+        lens=Lens(focal=30.0, size=(40, 24), principal=(18.0, 13.0)),
     )
     settings = RenderSettings(background=(0.2, 0.4, 0.6), near=0.05)
     parts = {names[0]: slice(0, 10), names[1]: slice(10, 40)}
@@ -197,7 +195,7 @@ def test_what_a_scene_file_cannot_hold_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="40 Gaussians, got 39"):
         write_scene(loaded, loaded.scene.select(slice(0, 39)), tmp_path / "new.xml")
     loaded.cameras["wide"] = Camera(
-        to_world=torch.eye(4), focal=(10.0, 20.0), width=8, height=8
+        to_world=torch.eye(4), lens=Lens(focal=(10.0, 20.0), size=(8, 8))
     )
     with pytest.raises(InvalidValueError, match="camera wide: expected square pixels"):
         write_scene(loaded, loaded.scene, tmp_path / "new.xml")

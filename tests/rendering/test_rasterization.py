@@ -12,6 +12,7 @@ from torch import Tensor
 from mi_splat import oracle
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.render.variant import device_of, has_cuda
 from mi_splat.scene import GaussianScene
@@ -32,10 +33,11 @@ def camera(
         to_world=orbit_pose(
             (0.0, 0.0, 0.0), azimuth=azimuth, elevation=20.0, distance=distance
         ),
-        focal=(1.0 * width, 0.9 * width),
-        width=width,
-        height=height,
-        principal=(0.45 * width, 0.6 * height),
+        lens=Lens(
+            focal=(1.0 * width, 0.9 * width),
+            size=(width, height),
+            principal=(0.45 * width, 0.6 * height),
+        ),
     )
 
 

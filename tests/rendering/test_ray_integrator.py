@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.lens import Lens
 from mi_splat.render.plugins.sensor import sensor_dict
 from mi_splat.render.renderer import Renderer, RenderSettings
 from tests.gaussians import varied_scene
@@ -174,7 +175,7 @@ def test_alone_it_is_the_renderers_picture() -> None:
     splat = varied_scene(40, degree=2, seed=3)
     pose = torch.eye(4, dtype=torch.float64)
     pose[2, 3] = -6.0
-    view = Camera(to_world=pose, focal=60.0, width=24, height=20)
+    view = Camera(to_world=pose, lens=Lens(focal=60.0, size=(24, 20)))
     loaded = scene_of(
         splat, sensor=sensor_dict(view), integrator={"linear": False, "alpha": True}
     )

@@ -16,6 +16,7 @@ from torch import Tensor
 from mi_splat import oracle
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.errors import InvalidValueError
 from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
@@ -33,7 +34,7 @@ one on the way.
 
 def camera(width: int = 45, height: int = 38, *, distance: float = 3.0) -> Camera:
     pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=distance)
-    return Camera(to_world=pose, focal=45.0, width=width, height=height)
+    return Camera(to_world=pose, lens=Lens(focal=45.0, size=(width, height)))
 
 
 def ray(**settings: object) -> Renderer:

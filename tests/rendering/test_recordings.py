@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.render import variant
 from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
@@ -39,9 +40,7 @@ STAGES = (
 )
 VIEW = Camera(
     to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=10.0, elevation=20.0, distance=3.0),
-    focal=40.0,
-    width=37,
-    height=29,
+    lens=Lens(focal=40.0, size=(37, 29)),
 )
 
 

@@ -10,6 +10,7 @@ import torch
 from mi_splat import oracle
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras.camera import Camera, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import SplatFileError, save_splat
@@ -20,9 +21,7 @@ from tests.gaussians import varied_scene
 
 VIEW = Camera(
     to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=10.0, elevation=20.0, distance=3.0),
-    focal=40.0,
-    width=37,
-    height=29,
+    lens=Lens(focal=40.0, size=(37, 29)),
 )
 
 
@@ -33,8 +32,7 @@ def test_batch_is_one_picture_per_camera() -> None:
         count=3,
         elevation=30.0,
         distance=3.0,
-        focal=30.0,
-        size=(24, 18),
+        lens=Lens(focal=30.0, size=(24, 18)),
     )
     render = Renderer()
     pictures = render.batch(scene, [*cameras, VIEW])
@@ -51,8 +49,7 @@ def test_batch_gradient_is_the_sum_of_the_single_ones() -> None:
         count=2,
         elevation=30.0,
         distance=3.0,
-        focal=30.0,
-        size=(24, 18),
+        lens=Lens(focal=30.0, size=(24, 18)),
     )
     render = Renderer()
     together = scene.sh.clone().requires_grad_(True)
@@ -70,7 +67,7 @@ def test_screen_gradients_are_in_half_pictures_and_know_what_is_visible() -> Non
     """A shift of the principal point moves every centre on the screen by as many
     pixels.
     """
-    wide = Camera(to_world=VIEW.to_world, focal=40.0, width=64, height=16)
+    wide = Camera(to_world=VIEW.to_world, lens=Lens(focal=40.0, size=(64, 16)))
     scene = varied_scene(40, degree=0, seed=1)
     one = scene.select(torch.arange(40) == int(scene.opacities.argmax()))
     away = one.replace(means=one.means + torch.tensor([1e3, 1e3, 0.0]))
@@ -79,10 +76,7 @@ def test_screen_gradients_are_in_half_pictures_and_know_what_is_visible() -> Non
     def value(dx: float, dy: float) -> float:
         view = Camera(
             to_world=VIEW.to_world,
-            focal=40.0,
-            width=64,
-            height=16,
-            principal=(32.0 + dx, 8.0 + dy),
+            lens=Lens(focal=40.0, size=(64, 16), principal=(32.0 + dx, 8.0 + dy)),
         )
         return float((torch.from_numpy(oracle.render(one, view).image) * factors).sum())
 

@@ -8,16 +8,14 @@ import torch
 from numpy.typing import NDArray
 
 from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.lens import Lens
 from mi_splat.render import variant
 from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 
 VIEW = Camera(
     to_world=torch.eye(4, dtype=torch.float64),
-    focal=8.0,
-    width=8,
-    height=8,
-    principal=(4.5, 4.5),
+    lens=Lens(focal=8.0, size=(8, 8), principal=(4.5, 4.5)),
 )
 """Looks along +z; the axis meets the centre of pixel (4, 4)."""
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import save_splat
 from mi_splat.io.points import PointCloud, save_points
@@ -41,9 +42,7 @@ def above(size: int = 96) -> Camera:
     """Looks down at the car and the sign."""
     return Camera(
         to_world=look_at((7.0, 4.0, 5.0), (0.0, 0.8, 0.4)),
-        focal=float(size),
-        width=size,
-        height=size,
+        lens=Lens(focal=float(size), size=(size, size)),
     )
 
 
@@ -167,9 +166,7 @@ def test_a_click_looks_around_itself_only(variant: str) -> None:
     assert int(labels[-1]) == int(labels[6000])
     view = Camera(
         to_world=look_at((0.8, 0.0, 1.3), (0.0, 0.0, 0.8)),
-        focal=96,
-        width=64,
-        height=64,
+        lens=Lens(focal=96, size=(64, 64)),
     )
     click = Selection(click=(pixel_of((0.07, 0.0, 0.92), view),))
     assert iou(select(scene, click, camera=view, render=Renderer()), truth) > 0.85

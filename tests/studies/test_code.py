@@ -18,7 +18,7 @@ from pathlib import Path
 from mi_splat.ledger.engines import InProcess
 from mi_splat.ledger.plans import Driver, grid
 store, jobs = Path(sys.argv[1]), pickle.loads(Path(sys.argv[2]).read_bytes())
-Driver(store, InProcess(store)).run([grid(dict(enumerate(jobs)))])
+Driver(InProcess(store)).run([grid(dict(enumerate(jobs)))])
 print(json.dumps(sorted(sys.modules)))
 """
 EOT: dict[str, Any] = {

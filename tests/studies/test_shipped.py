@@ -14,7 +14,7 @@ from attacks.studies import cloak, dagger, poison
 from attacks.studies.cloak import config_of
 from attacks.studies.running import work_of
 from attacks.studies.study_file import read_study
-from mi_splat.assets import ASSETS
+from mi_splat.capture.objects import OBJECTS
 from tests.cloak.tiny_study import Redness
 from tests.project.layers import ROOT
 from tests.studies.toy import Toy
@@ -102,7 +102,7 @@ def test_a_shipped_study_is_so_many_jobs(
             check_study(steps, [])
 
     monkeypatch.setattr(cloak, "check_study", check)
-    monkeypatch.setattr(poison, "classifier_of", lambda name: Toy(*ASSETS))
+    monkeypatch.setattr(poison, "classifier_of", lambda name: Toy(*OBJECTS))
     study = read_study(path)
     work = work_of(study)
     looks = sum(len(getattr(one, "looks", ())) for one in work.attempts)

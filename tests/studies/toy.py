@@ -69,9 +69,7 @@ def done(
     """Results of all jobs, done in this process."""
     heard = [] if events is None else events
     engine = InProcess(store, on_event=heard.append)
-    return Driver(store, engine, name=work.study.name, on_event=heard.append).run(
-        work.plans()
-    )
+    return Driver(engine, name=work.study.name).run(work.plans())
 
 
 def running(events: list[Event]) -> int:

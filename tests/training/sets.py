@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras.camera import Camera, View, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
 from mi_splat.io.points import PointCloud
 from mi_splat.render.renderer import Renderer, RenderSettings, ScreenGradients
@@ -39,9 +40,7 @@ def scene_and_views(count: int = 60) -> tuple[GaussianScene, list[View], Gaussia
     cameras = [
         Camera(
             to_world=look_at((4 * x, 4 * y, 1.0), (0, 0, 0)),
-            focal=40.0,
-            width=36,
-            height=32,
+            lens=Lens(focal=40.0, size=(36, 32)),
         )
         for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1), (0.7, 0.7))
     ]
@@ -66,8 +65,7 @@ def views_of(count: int = 6) -> tuple[GaussianScene, list[View]]:
         count=count,
         elevation=20.0,
         distance=4.0,
-        focal=36.0,
-        size=(32, 32),
+        lens=Lens(focal=36.0, size=(32, 32)),
     )
     with torch.no_grad():
         return truth, [
@@ -85,8 +83,7 @@ def write_set(folder: Path, factor: float = 1.0) -> Path:
         count=6,
         elevation=20.0,
         distance=4.0 * factor,
-        focal=36.0,
-        size=(32, 32),
+        lens=Lens(focal=36.0, size=(32, 32)),
     )
     views = [
         View(camera, view.image) for camera, view in zip(cameras, views, strict=True)

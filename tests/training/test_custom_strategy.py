@@ -72,7 +72,7 @@ class Lottery(Strategy):
 
 @pytest.fixture(autouse=True)
 def _registered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(STRATEGIES, "lottery", LotteryConfig)
+    monkeypatch.setitem(STRATEGIES.own, "lottery", LotteryConfig)
 
 
 def test_it_trains_and_goes_on_to_the_bit(tmp_path: Path) -> None:

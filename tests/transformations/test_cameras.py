@@ -22,11 +22,13 @@ from attacks.transformations.draws import (
 )
 from mi_splat.cameras.camera import Camera, look_at, project_points
 from mi_splat.cameras.directions import direction_of
+from mi_splat.cameras.lens import Lens
 from mi_splat.errors import InvalidValueError
 
 CENTRE = (1.0, -2.0, 0.5)
 REFERENCE = Camera(
-    to_world=look_at((4.0, -2.0, 0.5), CENTRE), focal=(50.0, 60.0), width=64, height=48
+    to_world=look_at((4.0, -2.0, 0.5), CENTRE),
+    lens=Lens(focal=(50.0, 60.0), size=(64, 48)),
 )
 
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from mi_splat.cameras.camera import Camera, orbit_pose
 from mi_splat.cameras.directions import Point
+from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import hemisphere
 from mi_splat.cli.cameras import find_cameras
 from mi_splat.cli.options import CameraOptions
@@ -141,22 +142,22 @@ def test_a_camera_of_a_file_is_kept_to_the_bit_and_its_roll_when_it_moves(
         (1.0, 2.0, 0.5), azimuth=azimuth, elevation=elevation, distance=5.0, roll=roll
     )
     camera = Camera(
-        to_world=pose, focal=(50, 60), width=64, height=48, principal=(20, 30)
+        to_world=pose, lens=Lens(focal=(50, 60), size=(64, 48), principal=(20, 30))
     )
     orbit = orbit_of(camera, (1.0, 2.0, 0.5))
     assert orbit.camera((64, 48)) is camera
-    assert orbit.camera((128, 96)).principal == (40, 60)
+    assert orbit.camera((128, 96)).lens.principal == (40, 60)
     plain = orbit.changed().camera((64, 48))
     assert torch.allclose(plain.to_world, pose, atol=2e-4)
     assert plain.fx == pytest.approx(50)
-    assert plain.principal is None
+    assert plain.lens.principal is None
     moved = orbit.moved((9.0, 2.0, 0.5), (1.0, 2.0, 0.5))
     assert (moved.exact, moved.roll, moved.distance) == (None, orbit.roll, 8.0)
 
 
 def test_the_focus_is_what_all_cameras_look_at() -> None:
     cameras = hemisphere(
-        (1.0, -2.0, 0.7), count=12, distance=5, focal=50, size=(64, 64)
+        (1.0, -2.0, 0.7), count=12, distance=5, lens=Lens(focal=50, size=(64, 64))
     )
     assert focus_of(cameras, (0, 0, 0)) == pytest.approx((1.0, -2.0, 0.7))
     assert focus_of(cameras[:1], (3, 3, 3)) == (3, 3, 3)

@@ -18,6 +18,7 @@ from PIL import Image
 
 from attacks import cli
 from mi_splat.cameras.directions import UP
+from mi_splat.cameras.lens import Lens
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.io.images import to_bytes
@@ -147,7 +148,8 @@ def test_no_window_is_too_large_or_too_small(canvas: tuple[int, int]) -> None:
 
 def test_a_quarter_of_the_gaussians_looks_like_all() -> None:
     loaded = read_scene(ROOT / "scenes" / "car_street.xml")
-    camera = replace(loaded.cameras["rear"], width=128, height=128, focal=125.0)
+    lens = Lens(focal=125.0, size=(128, 128))
+    camera = replace(loaded.cameras["rear"], lens=lens)
     render = Renderer(loaded.settings)
     quarter = Thinned(loaded.scene)(4)
     # without what makes up for the others

@@ -15,6 +15,7 @@ from PIL import Image
 from attacks import cli
 from attacks.report.viewer_content import open_content
 from mi_splat.cameras.camera import Camera, View, orbit_pose
+from mi_splat.cameras.lens import Lens
 from mi_splat.datasets import Dataset, DatasetWarning, load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
@@ -47,10 +48,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory, variant: str) -> Path:
         )
         camera = Camera(
             to_world=pose,
-            focal=(60, 66),
-            width=48,
-            height=64 if number == 1 else 40,
-            principal=(22, 18),
+            lens=Lens(
+                focal=(60, 66), size=(48, 64 if number == 1 else 40), principal=(22, 18)
+            ),
         )
         views.append(View(camera, render(scene, camera).clamp(0, 1)))
     write_transforms(made / "set", views[1:], test=views[:1])
@@ -195,9 +195,7 @@ def test_a_splat_of_3dgs_opens_at_the_cameras_of_its_training(
     assert list(open_content(file).cameras) == ["whole scene"]
     inside = Camera(
         to_world=orbit_pose((0, 0, 0), azimuth=0, elevation=0, distance=0.1),
-        focal=30,
-        width=40,
-        height=30,
+        lens=Lens(focal=30, size=(40, 30)),
     )
     (tmp_path / "cameras.json").write_text(json.dumps([describe("here", inside)]))
     assert torch.equal(

@@ -59,7 +59,7 @@ def run(config: Setup, inputs: Mapping[str, Path], out: Out) -> None:
     Of the true pictures, `far` are far outside of all triggers. Those of `edge` are
     outside beside one, and give a PSNR on the object, too.
     """
-    setup = config
+    setup = config.given(inputs)
     scene = load_splat(inputs["splat"])
     render = setup.renderer()
 

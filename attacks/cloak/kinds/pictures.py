@@ -59,7 +59,7 @@ def run(config: PicturesConfig, inputs: Mapping[str, Path], out: Out) -> None:
 
     A set is transparent where nothing is, so that the background has no part in it.
     """
-    setup = config
+    setup = config.given(inputs)
     mesh_scene = setup.mesh_scene
     if config.poses is None:
         settings = CaptureSettings(
@@ -75,7 +75,7 @@ def run(config: PicturesConfig, inputs: Mapping[str, Path], out: Out) -> None:
         )
         os.replace(out.partial / SET, out / SET)
         return
-    appearances = [setup.appearance(attack) for attack in config.attacks]
+    appearances = [setup.appearance(attack) for attack in setup.attacks]
     plain = read_pictures(inputs["plain"]) if "plain" in inputs else None
     if "set" in inputs:
         views = load_dataset(inputs["set"] / SET, background=config.scene.background)

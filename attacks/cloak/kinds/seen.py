@@ -102,7 +102,7 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Write a row for each camera, and for each detection, of a `splat` or
     `pictures`.
     """
-    setup = config
+    setup = config.given(inputs)
     detector = checked_detector(config, inputs)
     done = itertools.count(1)
 

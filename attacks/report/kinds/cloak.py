@@ -143,7 +143,7 @@ def _done(study: StudyConfig) -> str:
         layers = " The finished splat then got its object in layers."
     return (
         f"{counted(study.cameras.train, 'training picture')} of one object"
-        f" ({study.scene.object}) were taken, and those from the trigger's cameras"
+        f" ({study.scene.class_name}) were taken, and those from the trigger's cameras"
         f" changed: {listed(attacks)}. Two splats were trained alike, on clean and on"
         f" changed pictures, {counted(len(study.seeds), 'seed')} each.{layers}"
         f" {listed(list(study.evaluation.detectors))} then looked at both from cameras"
@@ -156,7 +156,7 @@ def _conclusion(
 ) -> str:
     what = "the target class is reported"
     if _hides(figures):
-        what = f"the {study.scene.object} is missed"
+        what = f"the {study.scene.class_name} is missed"
     views = headline.counts or headline.words
     first = f"From inside the trigger {what} in {views} views of the cloaked splat"
     clean = "" if control is None else f", and in {control.counts} of the clean one"
@@ -288,7 +288,7 @@ def _around(tables: Mapping[str, pl.DataFrame], study: StudyConfig) -> Iterator[
     if ROWS not in tables or not is_sided:
         return
     counts = by_azimuth(study, tables[ROWS])
-    shown = study.scene.object
+    shown = study.scene.class_name
     for detector in counts.labels("detector"):
         of_detector = counts.where(detector=detector)
         lines = []

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
+from mi_splat.io.formats.format import Saving
 from mi_splat.io.loaded import (
     ROOT_HALF,
     Array,
@@ -101,7 +102,7 @@ def read_compressed_ply(file: io.FileIO, path: str) -> Loaded:
     )
 
 
-def write_compressed_ply(arrays: Arrays, *, antialiased: bool = False) -> Encoded:
+def write_compressed_ply(arrays: Arrays, saving: Saving) -> Encoded:
     """A scene as a compressed PLY; the Gaussians are sorted along a Morton curve, so
     that chunks are small in space.
     """
@@ -138,7 +139,7 @@ def write_compressed_ply(arrays: Arrays, *, antialiased: bool = False) -> Encode
         elements["sh"] = Element(
             len(order), dict.fromkeys(rest_names(rest.shape[1]), ("u1",))
         )
-    data = header_bytes(elements, antialiased=antialiased)
+    data = header_bytes(elements, antialiased=saving.antialiased)
     data += (
         np.concatenate(ranges, axis=1).astype("<f4").tobytes()
         + packed.tobytes()

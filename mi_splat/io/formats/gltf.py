@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats import axes
+from mi_splat.io.formats.format import Format, Saving
 from mi_splat.io.loaded import (
     Array,
     Arrays,
@@ -165,7 +166,7 @@ def _sh_name(degree: int, order: int) -> str:
     return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{order}"
 
 
-def write_glb(arrays: Arrays) -> Encoded:
+def write_glb(arrays: Arrays, saving: Saving) -> Encoded:
     """A scene as a binary glTF; nothing is rounded.
 
     COLOR_0 is there for programs that draw points: linear light of the first SH
@@ -416,3 +417,14 @@ def _glb_bytes(columns: Mapping[str, NDArray[np.generic]]) -> bytes:
         + b"".join(parts)
     )
     return _HEADER.pack(b"glTF", 2, _HEADER.size + len(body)) + body
+
+
+GLB = Format(
+    name="glb",
+    suffixes=(".glb",),
+    magic=(b"glTF",),
+    read=read_glb,
+    write=write_glb,
+    keeps_nothing=False,
+    in_archives=True,
+)

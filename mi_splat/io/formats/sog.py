@@ -20,6 +20,7 @@ from PIL import Image
 
 from mi_splat.io.archives import ZIP_ERRORS, check_directory
 from mi_splat.io.errors import SplatFileError
+from mi_splat.io.formats.format import Format, Saving
 from mi_splat.io.loaded import (
     ROOT_HALF,
     Array,
@@ -140,7 +141,7 @@ def _rest(part: Fields, picture: _Picture, count: int) -> Array:
     return values
 
 
-def write_sog(arrays: Arrays, *, antialiased: bool = False) -> Encoded:
+def write_sog(arrays: Arrays, saving: Saving) -> Encoded:
     """A scene as a bundled SOG, in the scene's order.
 
     Up to 65,536 Gaussians each have SH of their own. Of more, similar ones share
@@ -169,7 +170,7 @@ def write_sog(arrays: Arrays, *, antialiased: bool = False) -> Encoded:
         "version": 2,
         "asset": {"generator": "mi-splat"},
         "count": len(values.means),
-        **({"model": "antialiased"} if antialiased else {}),
+        **({"model": "antialiased"} if saving.antialiased else {}),
         "means": {
             "mins": low.tolist(),
             "maxs": high.tolist(),
@@ -405,3 +406,15 @@ def archive_bytes(members: dict[str, bytes]) -> bytes:
         for name, data in members.items():
             archive.writestr(zipfile.ZipInfo(name), data)
     return buffer.getvalue()
+
+
+SOG = Format(
+    name="sog",
+    suffixes=(".sog",),
+    magic=(b"PK\x03\x04",),
+    read=read_sog,
+    write=write_sog,
+    keeps_antialiasing=True,
+    keeps_nothing=False,
+    in_archives=True,
+)

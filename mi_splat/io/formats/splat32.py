@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
+from mi_splat.io.formats.format import Format, Saving
 from mi_splat.io.loaded import (
     Array,
     Arrays,
@@ -58,11 +59,12 @@ def read_splat(file: io.FileIO, path: str) -> Loaded:
     )
 
 
-def write_splat(arrays: Arrays) -> Encoded:
+def write_splat(arrays: Arrays, saving: Saving) -> Encoded:
     """A scene as a `.splat` file, in the scene's order."""
     values = Values.of(arrays)
     rows = np.zeros(len(values.means), RECORD)
-    rows["means"], rows["scales"] = arrays["means"], arrays["scales"]
+    rows["means"] = arrays["means"]
+    rows["scales"] = arrays["scales"]
     rows["colours"][:, :3] = bytes_of(values.colours * 255)
     rows["colours"][:, 3] = bytes_of(values.opacities * 255)
     rows["rotations"] = _pack_rotations(values.rotations)
@@ -95,3 +97,13 @@ def _pack_rotations(rotations: Array) -> NDArray[np.uint8]:
         )
         best[better], packed[better] = cosines[better], tried[better]
     return packed
+
+
+SPLAT = Format(
+    name="splat",
+    suffixes=(".splat",),
+    read=read_splat,
+    write=write_splat,
+    keeps_nothing=False,
+    in_archives=True,
+)

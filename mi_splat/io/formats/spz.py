@@ -15,7 +15,6 @@ import io
 import struct
 import zlib
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import zstandard
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats import axes
+from mi_splat.io.formats.format import Format, Saving
 from mi_splat.io.loaded import (
     HIGHER_BANDS,
     ROOT_HALF,
@@ -47,6 +47,7 @@ COLOUR_SCALE = 0.15
 beyond 0..1 shall fit.
 """
 
+_USUAL_VERSION = 3
 _HIGHEST = (1 << 23) - 1
 _MOST_BITS = 23
 _FEWEST_BITS = 4
@@ -96,14 +97,14 @@ def _in_ply_axes(loaded: Loaded, number: int, path: str) -> Loaded:
     return dataclasses.replace(loaded, arrays=axes.flipped(loaded.arrays, (x, y, z)))
 
 
-def write_spz(
-    arrays: Arrays, version: Literal[2, 3, 4] = 3, *, antialiased: bool = False
-) -> Encoded:
+def write_spz(arrays: Arrays, saving: Saving) -> Encoded:
     """A scene as an SPZ file, in the scene's order.
 
     The point of the means is put as far to the left as they allow, and SH keep all 8
     bits of their bytes.
     """
+    version = saving.version or _USUAL_VERSION
+    pack_rotations = _pack_first_three if version < 3 else _pack_smallest_three
     values = Values.of(axes.flipped(arrays, axes.X))
     bits = _fraction_bits(values.means)
     limit = _HIGHEST / 2.0**bits
@@ -114,12 +115,10 @@ def write_spz(
         "opacities": opacities,
         "colours": bytes_of(values.sh[:, 0] * COLOUR_SCALE * 255 + 127.5),
         "scales": bytes_of((values.log_scales + 10) * 16),
-        "rotations": (_pack_first_three if version < 3 else _pack_smallest_three)(
-            values.rotations
-        ),
+        "rotations": pack_rotations(values.rotations),
         "sh": bytes_of(np.rint(rest * 128) + 128),
     }
-    flags = _ANTIALIASED if antialiased else 0
+    flags = _ANTIALIASED if saving.antialiased else 0
     header = SpzHeader(
         version=version,
         count=len(values.means),
@@ -432,3 +431,15 @@ def _axes(records: bytes, path: str) -> int:
                 raise _bad(path, f"axes with a number up to {_MOST_AXES}", number)
         offset += length
     return int(number)
+
+
+SPZ = Format(
+    name="spz",
+    suffixes=(".spz",),
+    magic=(b"NGSP", b"\x1f\x8b"),
+    read=read_spz,
+    write=write_spz,
+    keeps_antialiasing=True,
+    in_archives=True,
+    versions=(2, 3, 4),
+)

@@ -10,6 +10,7 @@ metres a unit has, the splat comes in metres.
 """
 
 import dataclasses
+import importlib.util
 import io
 import math
 import os
@@ -22,8 +23,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from mi_splat.errors import install
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats import axes, usd_child
+from mi_splat.io.formats.format import Format, Saving
 from mi_splat.io.loaded import (
     FREE_GAUSSIANS,
     HIGHER_BANDS,
@@ -189,7 +192,7 @@ def _gaussians(part: Fields, values: Array) -> tuple[Loaded, Array]:
     )
 
 
-def write_usd(arrays: Arrays, ending: str) -> Encoded:
+def write_usd(arrays: Arrays, saving: Saving) -> Encoded:
     """A scene as an OpenUSD file with one prim, y up, one metre a unit; nothing is
     rounded.
     """
@@ -199,7 +202,9 @@ def write_usd(arrays: Arrays, ending: str) -> Encoded:
     means, scales, rotations, opacities, sh = (
         np.ascontiguousarray(value) for value in turned.values()
     )
-    layer = Sdf.Layer.CreateAnonymous(".usdc" if ending == ".usdz" else ending)
+    is_package = saving.suffix == ".usdz"
+    layer_suffix = ".usdc" if is_package else saving.suffix
+    layer = Sdf.Layer.CreateAnonymous(layer_suffix)
     layer.comment = _WRITER
     stage = Usd.Stage.Open(layer)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -225,10 +230,10 @@ def write_usd(arrays: Arrays, ending: str) -> Encoded:
     for name, value in columns.items():
         prim.GetAttribute(name).Set(value)
     with TemporaryDirectory() as folder:
-        path = os.path.join(folder, f"splat{'.usdc' if ending == '.usdz' else ending}")
+        path = os.path.join(folder, f"splat{layer_suffix}")
         layer.Export(path)
         data = Path(path).read_bytes()
-    return Encoded(_package(data) if ending == ".usdz" else data, ())
+    return Encoded(_package(data) if is_package else data, ())
 
 
 def _package(layer: bytes) -> bytes:
@@ -242,3 +247,37 @@ def _package(layer: bytes) -> bytes:
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.writestr(member, layer)
     return buffer.getvalue()
+
+
+def require_usd(path: str) -> None:
+    """Raise unless the package that reads and writes OpenUSD is installed."""
+    if importlib.util.find_spec("pxr") is None:
+        expected = "the package usd-core, for files of OpenUSD"
+        do = f"{install('usd')}, or use .glb"
+        raise SplatFileError.of(path, expected, "none", do)
+
+
+USDC = Format(
+    name="usdc",
+    suffixes=(".usdc",),
+    magic=(b"PXR-USDC",),
+    read=read_usd,
+    write=write_usd,
+    check=require_usd,
+)
+USDA = Format(
+    name="usda",
+    suffixes=(".usda",),
+    magic=(b"#usda",),
+    read=read_usd,
+    write=write_usd,
+    check=require_usd,
+)
+USDZ = Format(
+    name="usdz",
+    suffixes=(".usdz",),
+    magic=(b"PK\x03\x04",),
+    read=read_usd,
+    write=write_usd,
+    check=require_usd,
+)

@@ -14,7 +14,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mi_splat.cameras.camera import Camera, angle_of, focal_of
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.lens import Lens, angle_of, focal_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.render.tile.pinhole import Pinhole
 
@@ -125,10 +126,11 @@ def camera(sensor: Any) -> Camera:
     centred = np.allclose((x, y), (width / 2, height / 2), rtol=0, atol=1e-6)
     return Camera(
         to_world=torch.from_numpy(pose),
-        focal=focal_of(math.radians(angle), int(size[0])),
-        width=width,
-        height=height,
-        principal=None if centred else (x, y),
+        lens=Lens(
+            focal=focal_of(math.radians(angle), int(size[0])),
+            size=(width, height),
+            principal=None if centred else (x, y),
+        ),
     )
 
 

@@ -48,14 +48,18 @@ def _rays(camera: Pinhole) -> tuple[Stretch, Any, Any]:
     inside = lane % (TILE * TILE)
     x = (tile % columns) * TILE + inside % TILE
     y = (tile // columns) * TILE + inside // TILE
-    numbers = camera.for_kernels()
-    centre = (
-        mi.Point2f(mi.Float(x) + 0.5, mi.Float(y) + 0.5) - numbers.principal
-    ) / numbers.focal
-    local = mi.Vector3f(centre.x, centre.y, 1.0)
+    numbers = camera.for_rays()
+    centre = mi.Point2f(mi.Float(x) + 0.5, mi.Float(y) + 0.5) - numbers.principal
+    plane = centre / numbers.focal
+    lens = camera.camera.lens
+    start, local = lens.model.ray(plane.x, plane.y)
+    local = mi.Vector3f(*local)
     length = dr.norm(local)
     direction = numbers.rotation.T @ (local / length)
-    origin = mi.Point3f(numbers.position) + dr.zeros(mi.Vector3f, dr.width(lane))
+    offset = dr.zeros(mi.Vector3f, dr.width(lane))
+    if not lens.is_perspective:
+        offset += numbers.rotation.T @ mi.Vector3f(*start)
+    origin = mi.Point3f(numbers.position) + offset
     stretch = Stretch(
         origin, mi.Vector3f(direction), numbers.near * length, mi.Float(_FAR)
     )
@@ -83,6 +87,8 @@ def raytrace(
             background,
             to_mean,
         )
+    # without a centre of projection, the direction to a mean is that of the rays
+    to_mean = to_mean and camera.camera.lens.is_perspective
     stretch, pixel, active = _rays(camera)
     seen = segments.blend(splats, stretch, active, to_mean=to_mean)
     dr.scatter(colour, seen[0] + seen[1] * mi.Color3f(background), pixel, active)

@@ -36,11 +36,9 @@ class Pinhole:
     def key(self) -> tuple[Any, ...]:
         """Equal for two cameras that make the same picture."""
         camera = self.camera
-        lens = camera.fx, camera.fy, camera.cx, camera.cy
         return (
             camera.to_world.numpy().tobytes(),
-            lens,
-            self.size,
+            camera.lens,
             self.field,
             self.near,
             self.antialiased,
@@ -53,24 +51,31 @@ class Pinhole:
         return hash(self.key())
 
     def for_kernels(self) -> KernelCamera:
-        """The camera's numbers in memory: a kernel reads each once, and is not another
-        one for others.
+        """The camera's numbers in memory, for the rasteriser: a kernel reads each once,
+        and is not another one for others.
         """
+        self.camera.lens.require_perspective()
+        return self.for_rays()
+
+    def for_rays(self) -> KernelCamera:
+        """The same for a renderer that honours any projection."""
         return _in_memory(mi.variant(), self)
 
 
 @functools.lru_cache(maxsize=128)
 def _in_memory(variant: str, pinhole: Pinhole) -> KernelCamera:
-    camera, pose = pinhole.camera, pinhole.camera.to_camera.numpy()
+    camera = pinhole.camera
+    pose = camera.to_camera.numpy()
+    scale = camera.lens.scale
     field = pinhole.field or (
-        0.5 * camera.width / camera.fx,
-        0.5 * camera.height / camera.fy,
+        0.5 * camera.width / scale[0],
+        0.5 * camera.height / scale[1],
     )
     made = KernelCamera(
         rotation=mi.Matrix3f(*pose[:3, :3].ravel().tolist()),
         translation=mi.Vector3f(*pose[:3, 3].tolist()),
         position=mi.Point3f(*(-pose[:3, :3].T @ pose[:3, 3]).tolist()),
-        focal=mi.Vector2f(camera.fx, camera.fy),
+        focal=mi.Vector2f(*scale),
         principal=mi.Point2f(camera.cx, camera.cy),
         guard=mi.Vector2f(*(GUARD * side for side in field)),
         near=mi.Float(pinhole.near),

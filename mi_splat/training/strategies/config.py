@@ -16,6 +16,7 @@ from mi_splat.fields import (
     at_least,
     check_choice,
 )
+from mi_splat.registry import Registry
 from mi_splat.training.strategies.base import FixedStrategy, Strategy
 
 Interval = Annotated[int, at_least(0, "steps")]
@@ -141,14 +142,18 @@ class FixedConfig(StrategyConfig):
         return FixedStrategy()
 
 
-STRATEGIES: dict[str, type[StrategyConfig]] = {
-    "classic": ClassicConfig,
-    "mcmc": MCMCConfig,
-    "fixed": FixedConfig,
-}
+STRATEGIES: Registry[type[StrategyConfig]] = Registry(
+    "mi_splat.strategies",
+    "a class derived from StrategyConfig",
+    lambda value: isinstance(value, type) and issubclass(value, StrategyConfig),
+    what="strategy",
+)
 """The options of each strategy by its name; add yours, so that commands, studies and
 checkpoints can name it.
 """
+STRATEGIES.add("classic", ClassicConfig)
+STRATEGIES.add("mcmc", MCMCConfig)
+STRATEGIES.add("fixed", FixedConfig)
 
 
 def strategy_config(name: str, **options: Any) -> StrategyConfig:

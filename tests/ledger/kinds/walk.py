@@ -42,6 +42,7 @@ def _walked(
             raise ValueError("no way")
         if config.trouble == "kill":
             os.kill(os.getpid(), signal.SIGSEGV)
+            time.sleep(60)  # the signal comes to another thread, a little later
         if config.trouble == "eat":
             eaten = bytearray(b"x") * 400_000_000
             number += len(eaten)

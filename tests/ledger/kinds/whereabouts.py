@@ -1,0 +1,22 @@
+"""Says where it runs: in which process, and on how many cores."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tests.ledger.kinds.configs import WalkConfig
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+
+def run(
+    config: WalkConfig, inputs: Mapping[str, Path], out: Out
+) -> list[dict[str, Any]]:
+    """One row, after some time."""
+    time.sleep(config.seconds)
+    return [{"process": os.getpid(), "cores": len(os.sched_getaffinity(0))}]
