@@ -13,10 +13,10 @@ from typing import Any
 import polars as pl
 
 from attacks.figures.frame import MEASURE, NOTHING, Figures, Labels, Number
+from attacks.figures.rate import Rate, pooled
 from attacks.figures.tables import NONE, Column, Table
 from attacks.observe.rates import REPORTED, Measure, blocks_of, count
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
-from attacks.rate import Rate, pooled
 
 STORY = "bench"
 ONE_VIEW, ALL_VIEWS, CLOAK, TRANSFER = COLUMNS = (

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from attacks.cli.options import check_result_folder
-from attacks.rate import FIXED
+from attacks.figures.rate import FIXED
 from mi_splat.cli.console import progress, show, show_json, show_table, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions

@@ -7,7 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from attacks.rate import FIXED
+from attacks.figures.rate import FIXED
 from mi_splat.cli.console import show, show_json, show_table, warn
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json

@@ -14,9 +14,9 @@ from attacks.cloak.figures import (
     WITHIN_MARGIN,
 )
 from attacks.figures.frame import HIGH, LOW, Figures, Number
+from attacks.figures.rate import Rate, percent
 from attacks.figures.tables import Column, Table, cell, groups_of
 from attacks.observe.rows import ATTACKED, CLEAN
-from attacks.rate import Rate, percent
 
 RATES = {
     "control_recall": "control found, inside the hiding trigger",

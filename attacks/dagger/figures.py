@@ -6,6 +6,7 @@ from typing import Any
 import polars as pl
 
 from attacks.figures.frame import MEASURE, Figure, Figures, Labels
+from attacks.figures.rate import Rate
 from attacks.objectives import overall_verdict, reached_by
 from attacks.observe.rates import (
     AIMS,
@@ -17,7 +18,6 @@ from attacks.observe.rates import (
     joint_views,
 )
 from attacks.observe.rows import ATTACKED, CONTROLS, ROWS
-from attacks.rate import Rate
 from attacks.search import Verdict
 
 FIXED, DRAWN = "dagger", "dagger-eot"

@@ -13,6 +13,7 @@ from attacks.dagger.problem import Problem
 from attacks.dagger.views import Reports, View, detected
 from attacks.detectors.base import Detections
 from attacks.figures.frame import Figures
+from attacks.figures.rate import Rate
 from attacks.objectives import Objective, Target, confidence
 from attacks.observe.observations import (
     Observations,
@@ -32,7 +33,6 @@ from attacks.observe.rows import (
     frame_of,
 )
 from attacks.observe.views import ImageChange, ViewDetections, image_change
-from attacks.rate import Rate
 from attacks.search import Step, Verdict
 from attacks.threats import THREATS
 from attacks.transformations.config import Transformations

@@ -15,6 +15,7 @@ from typing import Any
 
 import polars as pl
 
+from attacks.figures.rate import Rate, pooled
 from attacks.observe.rows import (
     FIGURES_FILE,
     Cell,
@@ -23,7 +24,6 @@ from attacks.observe.rows import (
     read_rows,
     write_rows,
 )
-from attacks.rate import Rate, pooled
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.folders import file_in
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from attacks.rate import Rate, number
+from attacks.figures.rate import Rate, number
 
 if TYPE_CHECKING:
     from attacks.figures.frame import Figures, Label

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from attacks.detectors.base import Detector
 from attacks.figures.frame import MEASURE, Figures
+from attacks.figures.rate import FEW, Rate
 from attacks.gaussian_subset import Mask
 from attacks.observe.drawing import annotated, stacked
 from attacks.observe.observations import Observations, observations_of, report_cells
@@ -29,7 +30,6 @@ from attacks.observe.rates import (
 )
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS, Cell
 from attacks.observe.views import ViewDetections, evaluate
-from attacks.rate import FEW, Rate
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, listed
 from mi_splat.fields import between, checked_number

@@ -22,8 +22,8 @@ import polars as pl
 from numpy.typing import NDArray
 
 from attacks.figures.frame import HIGH, LOW, MEASURE, Figures
+from attacks.figures.rate import Rate, wilson
 from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, NOISE, TARGET_SCORE
-from attacks.rate import Rate, wilson
 
 DRAWS = 2000
 FEWEST_BLOCKS = 6

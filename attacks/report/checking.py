@@ -12,10 +12,10 @@ from typing import Any
 import polars as pl
 
 from attacks.figures.frame import Figure, Figures, Number, text_of
+from attacks.figures.rate import Rate
 from attacks.figures.result import Result, read_result
 from attacks.observe.observations import ON_OBJECT
 from attacks.observe.rows import DETECTIONS, FIGURES_FILE, ROWS
-from attacks.rate import Rate
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
 from mi_splat.io.folders import (

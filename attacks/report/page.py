@@ -16,8 +16,8 @@ from typing import Any
 
 from PIL import Image
 
+from attacks.figures.rate import percent
 from attacks.figures.tables import Table
-from attacks.rate import percent
 from attacks.report.section import Chart, Line, Section, capital, listed
 from mi_splat.errors import InvalidValueError, install, printable
 from mi_splat.io.documents import save_text

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from attacks.figures.frame import HIGH, LOW, Figures
+from attacks.figures.rate import FEW, Rate, percent
 from attacks.figures.tables import Table, cell, named_settings
-from attacks.rate import FEW, Rate, percent
 
 MOST_VALUES = 12
 """Values of one setting that are listed where several attacks differ in it."""

@@ -13,8 +13,8 @@ from typing import Any
 import polars as pl
 
 from attacks.figures.frame import Figures
+from attacks.figures.rate import number
 from attacks.figures.tables import Table
-from attacks.rate import number
 from attacks.studies.attack import scene_files
 from attacks.studies.running import Attempt, Observed, Work, copied, names_of
 from attacks.studies.study_file import Point, Study, with_none

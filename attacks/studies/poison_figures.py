@@ -12,6 +12,7 @@ from typing import Any
 import polars as pl
 
 from attacks.figures.frame import MEASURE, Figures, Labels, Number
+from attacks.figures.rate import number
 from attacks.figures.tables import (
     Column,
     Group,
@@ -23,7 +24,6 @@ from attacks.figures.tables import (
 )
 from attacks.observe.rates import Measure, count
 from attacks.observe.rows import CLEAN, FIDELITY, ROWS
-from attacks.rate import number
 
 COSTS = (
     "gaussians",

@@ -16,6 +16,7 @@ import polars as pl
 
 from attacks.dagger.figures import reached_figures, verdict_figures
 from attacks.figures.frame import AXIS, MEASURE, Figure, Figures, Labels, Number
+from attacks.figures.rate import Rate, pooled
 from attacks.figures.tables import cell
 from attacks.observe.rates import (
     AIMS,
@@ -29,7 +30,6 @@ from attacks.observe.rates import (
     with_control,
 )
 from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, ROWS
-from attacks.rate import Rate, pooled
 from attacks.studies.attack import CAMERAS
 from attacks.studies.study_file import merged
 

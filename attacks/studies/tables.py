@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from attacks.figures.frame import AXIS, Figures, Number
+from attacks.figures.rate import number, pooled
 from attacks.figures.tables import (
     Column,
     Group,
@@ -15,7 +16,6 @@ from attacks.figures.tables import (
     short_rate,
 )
 from attacks.observe.rows import ATTACKED, CONTROLS, NOISE
-from attacks.rate import number, pooled
 from attacks.studies.result import ALL_PAIRS, EVALUATION, SEARCH, SETTING, WHITE_BOX
 
 OPTIMISER = f"{AXIS}attack.optimiser"

@@ -24,8 +24,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from attacks.cloak.setup import Setup
 from attacks.figures.frame import AXIS, Figures, read_figures
+from attacks.figures.rate import pooled
 from attacks.observe.rows import ATTACKED, NOISE, read_rows
-from attacks.rate import pooled
 from attacks.studies.cloak import config_of
 from attacks.studies.result import ALL_PAIRS, SETTING
 from attacks.studies.study_file import read_study

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from attacks.detectors.catalogue import SMALL_CLASSES
+from attacks.figures.rate import Rate, number, pooled
 from attacks.figures.tables import Table, cell
-from attacks.rate import Rate, number, pooled
 from attacks.report.section import listed
 
 if TYPE_CHECKING:

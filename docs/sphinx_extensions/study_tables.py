@@ -103,8 +103,8 @@ def _values(rows: pl.DataFrame, column: str) -> list[str]:
 
 def _rates(rows: pl.DataFrame, confidence: float) -> Iterator[str]:
     """A table for each detector and kind: conditions downwards, attacks across."""
+    from attacks.figures.rate import pooled
     from attacks.observe.rates import count, transfer_measures, with_control
-    from attacks.rate import pooled
 
     by = ("detector", "source", "ball", "condition")
     counted = count(with_control(rows), transfer_measures(confidence), by)
@@ -123,7 +123,7 @@ def _rates(rows: pl.DataFrame, confidence: float) -> Iterator[str]:
 
 
 def _rate_text(rate: Figure | None) -> str:
-    from attacks.rate import Rate
+    from attacks.figures.rate import Rate
 
     return rate.short(interval=True) if isinstance(rate, Rate) else "-"
 

@@ -8,6 +8,7 @@ from scipy.stats import binomtest
 from torch import Tensor
 
 from attacks.detectors.base import Detections
+from attacks.figures.rate import Rate
 from attacks.observe.comparison import (
     classes_of,
     compare,
@@ -23,7 +24,6 @@ from attacks.observe.views import (
     evaluate,
     object_boxes,
 )
-from attacks.rate import Rate
 from mi_splat.cameras.camera import Camera
 from mi_splat.io.images import through_png
 from mi_splat.scene import GaussianScene

@@ -18,9 +18,9 @@ from attacks.cli.bench import BenchOptions, usual_folder
 from attacks.detectors.catalogue import SMALL_WEIGHTS
 from attacks.detectors.registry import CHOSEN_WEIGHTS
 from attacks.figures.frame import MEASURE, Figures, read_figures
+from attacks.figures.rate import Rate
 from attacks.figures.result import read_result
 from attacks.observe.rows import read_rows
-from attacks.rate import Rate
 from attacks.report.checking import check_result
 from attacks.report.results import kind_of
 from mi_splat.ledger import engines

@@ -9,9 +9,9 @@ from PIL import ExifTags, Image
 
 from attacks import cli
 from attacks.figures.frame import read_figures
+from attacks.figures.rate import Rate, pooled
 from attacks.observe.comparison import classes_of
 from attacks.observe.rows import read_rows
-from attacks.rate import Rate, pooled
 from mi_splat.io import load_splat, save_splat
 from mi_splat.maths.sh import colour_to_dc
 from mi_splat.scene import GaussianScene, scene_hash

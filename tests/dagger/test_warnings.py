@@ -13,9 +13,9 @@ from attacks.dagger.figures import attack_figures
 from attacks.dagger.result import JudgedView, Result, observed
 from attacks.detectors.base import Detections
 from attacks.figures.frame import MEASURE, Figures, Labels
+from attacks.figures.rate import Rate
 from attacks.objectives import hide, relabel
 from attacks.observe.rows import ATTACKED, NOISE
-from attacks.rate import Rate
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 DETECTOR = ColourDetector()

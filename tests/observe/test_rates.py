@@ -9,6 +9,7 @@ from scipy.stats import binomtest
 
 from attacks.dagger.figures import verdict_figures
 from attacks.figures.frame import HIGH, LOW, MEASURE, Figures
+from attacks.figures.rate import Rate
 from attacks.observe.rates import (
     AIMS,
     CLUSTERS,
@@ -24,7 +25,6 @@ from attacks.observe.rates import (
     with_control,
 )
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, frame_of
-from attacks.rate import Rate
 
 ROWS = pl.DataFrame(
     {

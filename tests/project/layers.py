@@ -75,7 +75,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "viewer": ("mi_splat.viewer",),
     "commands of mi_splat": ("mi_splat.cli",),
     "interfaces of attacks": (
-        *("attacks.rate", "attacks.tables", "attacks.threats"),
+        *("attacks.figures.rate", "attacks.figures.tables", "attacks.threats"),
         *(
             "attacks.optimisers",
             "attacks.search",
@@ -88,7 +88,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "classifiers": ("attacks.classifiers",),
     "subset": ("attacks.gaussian_subset",),
     "transformations": ("attacks.transformations",),
-    "observation": ("attacks.observe",),
+    "observation": ("attacks.observe", "attacks.figures"),
     "attacks": ("attacks.dagger", "attacks.cloak", "attacks.poisons", "attacks.audits"),
     "test kit": ("attacks.testing",),
     "studies": ("attacks.studies",),

@@ -24,10 +24,10 @@ from attacks.figures.frame import (
     read_figures,
     write_figures,
 )
+from attacks.figures.rate import Rate
 from attacks.objectives import relabel
 from attacks.observe.conditions import OWN
 from attacks.observe.rows import frame_of, write_rows
-from attacks.rate import Rate
 from mi_splat import provenance
 from mi_splat.audit.files import write as write_files
 from mi_splat.io import save_splat

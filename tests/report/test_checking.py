@@ -20,8 +20,8 @@ from attacks.figures.frame import (
     read_figures,
     write_figures,
 )
+from attacks.figures.rate import Rate
 from attacks.figures.result import read_result
-from attacks.rate import Rate
 from attacks.report.checking import Check, agree, check_files, check_result, pack
 from attacks.report.results import kind_of
 from mi_splat.errors import InvalidValueError, MiSplatError

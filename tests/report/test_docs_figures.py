@@ -15,9 +15,9 @@ import pytest
 from attacks import cli
 from attacks.cloak.figures import OBJECTS
 from attacks.figures.frame import AXIS, Figure, Figures, Number, read_figures
+from attacks.figures.rate import Rate, pooled
 from attacks.figures.result import Result, read_result
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS, read_rows
-from attacks.rate import Rate, pooled
 from attacks.report.checking import check_result
 from attacks.report.results import kind_of, read_section
 from attacks.studies.result import ALL_PAIRS, BLACK_BOX, EVALUATION, SETTING, attacks_of

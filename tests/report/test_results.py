@@ -17,9 +17,9 @@ from attacks.cloak.config import recorded_study
 from attacks.cloak.figures import measures
 from attacks.cloak.recorded import study_of
 from attacks.figures.frame import read_figures
+from attacks.figures.rate import Rate, pooled
 from attacks.observe.rates import Confidence, Measures
 from attacks.observe.rows import packed, rows
-from attacks.rate import Rate, pooled
 from attacks.report.kinds.audit import angles
 from attacks.report.kinds.detectors import threshold_charts
 from attacks.report.results import RESULT_KINDS, read_section

@@ -17,9 +17,9 @@ from attacks.figures.frame import (
     key_of,
     read_figures,
 )
+from attacks.figures.rate import Rate
 from attacks.figures.result import read_result
 from attacks.observe.rows import read_rows
-from attacks.rate import Rate
 from attacks.report.checking import check_detections, check_figures
 from attacks.report.results import kind_of, read_section
 from attacks.studies.cloak_figures import tables

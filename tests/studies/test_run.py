@@ -10,9 +10,9 @@ import pytest
 
 from attacks import cli, rows, run_study
 from attacks.figures.frame import AXIS, MEASURE, read_figures
+from attacks.figures.rate import Rate
 from attacks.figures.result import read_result
 from attacks.observe.rows import ATTACKED
-from attacks.rate import Rate
 from attacks.report.checking import check_figures
 from attacks.report.results import kind_of
 from attacks.studies import attack as attack_kind

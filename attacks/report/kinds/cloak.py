@@ -12,6 +12,7 @@ from attacks.cloak.study import CONTACT, POISONED_PICTURES, study_toml
 from attacks.cloak.tables import NAMES, RATES, costs, tables
 from attacks.cloak.transition import transition
 from attacks.figures.frame import MEASURE, Figures
+from attacks.figures.rate import Rate
 from attacks.figures.result import Result
 from attacks.observe.rates import Confidence, Measures
 from attacks.observe.rows import (
@@ -22,7 +23,6 @@ from attacks.observe.rows import (
     TARGET_SCORE,
     TRANSITION,
 )
-from attacks.rate import Rate
 from attacks.report.kinds.detectors import threshold_charts
 from attacks.report.section import (
     Chart,

@@ -5,8 +5,8 @@ from typing import Any
 
 from attacks.cloak.figures import OBJECTS
 from attacks.figures.frame import Figures
+from attacks.figures.rate import FEW, Rate, spread
 from attacks.figures.result import Result
-from attacks.rate import FEW, Rate, spread
 from attacks.report.kinds.cloak import headline_of
 from attacks.report.section import (
     Chart,

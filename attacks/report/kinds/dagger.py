@@ -7,11 +7,11 @@ import polars as pl
 
 from attacks.dagger.figures import DETECTED, DRAWN
 from attacks.figures.frame import Figures
+from attacks.figures.rate import number, percent
 from attacks.figures.result import Result
 from attacks.figures.tables import Column, Group, Table, groups_of, label_at, rate_at
 from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, NOISE, ROWS
-from attacks.rate import number, percent
 from attacks.report.section import (
     Chart,
     Figure,

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from attacks.figures.frame import Figures
+from attacks.figures.rate import Rate, pooled
 from attacks.figures.result import Result
 from attacks.figures.tables import groups_of
 from attacks.observe.rows import ATTACKED, NOISE
-from attacks.rate import Rate, pooled
 from attacks.report.kinds.dagger import control_of
 from attacks.report.section import (
     Chart,

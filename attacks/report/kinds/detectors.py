@@ -10,6 +10,7 @@ import polars as pl
 
 from attacks.bench.row import HEADS, clean_named, robust, warnings
 from attacks.figures.frame import Figures
+from attacks.figures.rate import number
 from attacks.figures.result import Result
 from attacks.figures.tables import Column, Table
 from attacks.observe import rates
@@ -21,7 +22,6 @@ from attacks.observe.rates import (
     comparison_measures,
 )
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS
-from attacks.rate import number
 from attacks.report.section import (
     Chart,
     Figure,

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from attacks.figures.frame import Figures, Number
+from attacks.figures.rate import pooled
 from attacks.figures.result import Result
 from attacks.figures.tables import NONE
 from attacks.observe.rows import ATTACKED, CLEAN
-from attacks.rate import pooled
 from attacks.report.section import (
     Chart,
     Figure,
