@@ -7,7 +7,7 @@ import polars as pl
 
 from attacks.figures.frame import MEASURE, Figure, Figures, Labels
 from attacks.figures.rate import Rate
-from attacks.objectives import overall_verdict, reached_by
+from attacks.objectives.verdicts import overall_verdict, reached_by
 from attacks.observe.rates import (
     AIMS,
     REPORTED_AS_ORIGINAL,
@@ -18,7 +18,7 @@ from attacks.observe.rates import (
     joint_views,
 )
 from attacks.observe.rows import ATTACKED, CONTROLS, ROWS
-from attacks.search import Verdict
+from attacks.search.loop import Verdict
 
 FIXED, DRAWN = "dagger", "dagger-eot"
 """Kinds of results, by where views come from."""

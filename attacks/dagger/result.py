@@ -14,7 +14,7 @@ from attacks.dagger.views import Reports, View, detected
 from attacks.detectors.base import Detections
 from attacks.figures.frame import Figures
 from attacks.figures.rate import Rate
-from attacks.objectives import Objective, Target, confidence
+from attacks.objectives.base import Objective, Target, confidence
 from attacks.observe.observations import (
     Observations,
     camera_cells,
@@ -33,7 +33,7 @@ from attacks.observe.rows import (
     frame_of,
 )
 from attacks.observe.views import ImageChange, ViewDetections, image_change
-from attacks.search import Step, Verdict
+from attacks.search.loop import Step, Verdict
 from attacks.threats import THREATS
 from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange
@@ -334,7 +334,7 @@ class Result:
         """Whether the aim was reached in enough views, with every detector, whatever is
         seen of the clean object.
 
-        See `attacks.objectives.overall_verdict`, also for the score.
+        See `attacks.objectives.verdicts.overall_verdict`, also for the score.
         """
         return self._reached("reached")
 

@@ -14,7 +14,8 @@ from attacks.dagger.result import JudgedView, Result, observed
 from attacks.detectors.base import Detections
 from attacks.figures.frame import MEASURE, Figures, Labels
 from attacks.figures.rate import Rate
-from attacks.objectives import hide, relabel
+from attacks.objectives.relabel import relabel
+from attacks.objectives.suppression import hide
 from attacks.observe.rows import ATTACKED, NOISE
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 

@@ -25,7 +25,7 @@ from attacks.figures.frame import (
     write_figures,
 )
 from attacks.figures.rate import Rate
-from attacks.objectives import relabel
+from attacks.objectives.relabel import relabel
 from attacks.observe.conditions import OWN
 from attacks.observe.rows import frame_of, write_rows
 from mi_splat import provenance

@@ -10,7 +10,8 @@ from attacks.figures.frame import Figures
 from attacks.figures.rate import number, percent
 from attacks.figures.result import Result
 from attacks.figures.tables import Column, Group, Table, groups_of, label_at, rate_at
-from attacks.objectives import Hide, Relabel, Untargeted
+from attacks.objectives.relabel import Relabel
+from attacks.objectives.suppression import Hide, Untargeted
 from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, NOISE, ROWS
 from attacks.report.section import (
     Chart,
