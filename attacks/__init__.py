@@ -22,10 +22,14 @@ if TYPE_CHECKING:
     from attacks.dagger.result import Result
     from attacks.dagger.views import ViewDistribution
     from attacks.detectors import Detector, load_detector, wrap_detector
-    from attacks.objectives import Objective, hide, objective, relabel, untargeted
+    from attacks.objectives.base import Objective
+    from attacks.objectives.function import objective
+    from attacks.objectives.relabel import relabel
+    from attacks.objectives.suppression import hide, untargeted
     from attacks.observe.comparison import judge
     from attacks.observe.rows import rows
-    from attacks.search import Budget, pgd
+    from attacks.search.budget import Budget
+    from attacks.search.loop import pgd
     from attacks.studies.running import run_study
     from attacks.transformations.config import Transformations
 
@@ -67,16 +71,14 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.dagger.result": ("Result",),
         "attacks.dagger.views": ("ViewDistribution",),
         "attacks.detectors": ("Detector", "load_detector", "wrap_detector"),
-        "attacks.objectives": (
-            "Objective",
-            "hide",
-            "objective",
-            "relabel",
-            "untargeted",
-        ),
+        "attacks.objectives.base": ("Objective",),
+        "attacks.objectives.function": ("objective",),
+        "attacks.objectives.relabel": ("relabel",),
+        "attacks.objectives.suppression": ("hide", "untargeted"),
         "attacks.observe.comparison": ("judge",),
         "attacks.observe.rows": ("rows",),
-        "attacks.search": ("Budget", "pgd"),
+        "attacks.search.budget": ("Budget",),
+        "attacks.search.loop": ("pgd",),
         "attacks.studies.running": ("run_study",),
         "attacks.transformations.config": ("Transformations",),
     },

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from attacks.search import Parameters
+from attacks.search.parameters import Parameters
 from attacks.threats import THREATS
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError

@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors import load_detector
-from attacks.objectives import REPORTED, relabel
+from attacks.objectives.relabel import REPORTED, relabel
 from attacks.observe.drawing import annotated
 from attacks.observe.views import ViewDetections, detect_views, object_boxes
 from attacks.studies.attack import jittered

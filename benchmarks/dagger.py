@@ -16,7 +16,7 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.search import search
 from attacks.dagger.views import FixedViews
 from attacks.detectors.registry import as_detectors
-from attacks.objectives import relabel
+from attacks.objectives.relabel import relabel
 from mi_splat import read_scene
 from mi_splat.render.renderer import Renderer
 

@@ -37,7 +37,7 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.views import FixedViews
 from attacks.detectors.base import Candidates, Detections, Detector
 from attacks.detectors.registry import as_detectors
-from attacks.objectives import untargeted
+from attacks.objectives.suppression import untargeted
 from mi_splat import read_scene
 from mi_splat.cameras.camera import Camera, RenderFn, View, orbit_pose
 from mi_splat.cameras.lens import Lens

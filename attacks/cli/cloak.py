@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.cli.options import Address, Detectors, Workers
-from mi_splat.cli.console import limit_threads, progress, show_json, warn
+from mi_splat.cli.console import limit_threads, progress
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError
@@ -25,8 +25,8 @@ class CloakOptions(JsonOptions):
     """Do a study of CLOAK: capture, poison, train a clean and a cloaked splat, look at
     both, report.
 
-    Says what it will take before it starts. A study that was interrupted goes on where
-    it stopped when the same command is given again. Writes result.json, the rows,
+    A study that was interrupted goes on where it stopped when the same command is given
+    again. Writes result.json, the rows,
     contact.png and both splats into --out.
     """
 
@@ -59,7 +59,9 @@ class CloakOptions(JsonOptions):
     disk that all of them share.
     """
     forecast: bool = False
-    """Check everything, say what the study would take, and do nothing."""
+    """Check everything, say how many jobs there are and how long they take by what was
+    measured, and do nothing.
+    """
 
 
 def check_inputs(options: CloakOptions) -> None:
@@ -73,9 +75,9 @@ def check_inputs(options: CloakOptions) -> None:
 def run(options: CloakOptions) -> int:
     """Do the study, or what is missing of it, and say what came of it."""
     from attacks.cli.options import weights_of
-    from attacks.cli.study import StudyOptions, run_work
+    from attacks.cli.study import StudyOptions, run_work, show_forecast
     from attacks.cli.summary import show_summary
-    from attacks.cloak.study import forecast, study_toml
+    from attacks.cloak.study import study_toml
     from attacks.studies.cloak import CloakReport, config_of
     from attacks.studies.study_file import merged, read_study
     from mi_splat.io.documents import save_text
@@ -104,12 +106,6 @@ def run(options: CloakOptions) -> int:
     store = options.stages or options.out / "stages"
     text = study_toml(asdict(study))
     _check_folder(options.out, text)
-    takes = forecast(study)
-    warn(f"{study.name}: {takes}")
-    if options.forecast:
-        if options.json:
-            show_json({study.name: asdict(takes)})
-        return 0
     run_options = StudyOptions(
         action="run",
         study=options.study,
@@ -117,7 +113,11 @@ def run(options: CloakOptions) -> int:
         out=options.out,
         workers=options.workers,
         scheduler=options.scheduler,
+        json=options.json,
     )
+    if options.forecast:
+        show_forecast(run_options, work)
+        return 0
     begin = partial(save_text, text, options.out / STUDY_FILE)
     done = run_work(run_options, work, begin=begin)
     if done.files:

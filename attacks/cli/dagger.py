@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from attacks.aims import OBJECTIVES, objective_of
 from attacks.cli.options import (
     DEFAULT_OBJECT,
     DEFAULT_TARGET,
@@ -18,6 +17,7 @@ from attacks.cli.options import (
     DetectorOptions,
 )
 from attacks.dagger.config import DaggerConfig
+from attacks.objectives import OBJECTIVES, objective_of
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.cli.console import Advance, limit_threads, progress, warn
 from mi_splat.cli.flags import Positional
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
     from attacks.dagger.views import FixedViews
     from attacks.detectors.base import Detector
-    from attacks.objectives import Objective
-    from attacks.search import Step
+    from attacks.objectives.base import Objective
+    from attacks.search.loop import Step
     from mi_splat.cli.cameras import Chosen
     from mi_splat.datasets.frames import Split
     from mi_splat.render.scene_files import SplatScene
@@ -329,7 +329,7 @@ def _follow(
     """Show each step with the last score, and end the attack if the clean object is
     taken for the class wanted.
     """
-    from attacks.search import NOT_JUDGED
+    from attacks.search.loop import NOT_JUDGED
 
     score = ""
 

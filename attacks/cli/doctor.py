@@ -333,7 +333,7 @@ REGISTRIES = {
     "mi_splat.conditions": ("attacks.observe.conditions", "CONDITIONS"),
     "mi_splat.detectors": ("attacks.detectors.registry", "DETECTORS"),
     "mi_splat.formats": ("mi_splat.io.formats.format", "FORMATS"),
-    "mi_splat.objectives": ("attacks.aims", "OBJECTIVES"),
+    "mi_splat.objectives": ("attacks.objectives", "OBJECTIVES"),
     "mi_splat.poisons": ("attacks.poisons.specs", "POISONS"),
     "mi_splat.projections": ("mi_splat.cameras.lens", "PROJECTIONS"),
     "mi_splat.renderers": ("mi_splat.comparison.methods", "RENDERERS"),

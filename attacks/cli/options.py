@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from attacks.aims import OBJECTIVES
+from attacks.objectives import OBJECTIVES
 from mi_splat.cli.console import UsageError
 from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.fields import Fraction, Metavar, between, check_choice

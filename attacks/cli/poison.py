@@ -11,7 +11,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-from attacks.poisons.config import MIFGSMConfig
 from attacks.poisons.specs import POISONS, Given
 from mi_splat.cli.console import UsageError, follow, progress, show_result, warn
 from mi_splat.cli.flags import Flag, Positional, choice_among
@@ -23,7 +22,8 @@ from mi_splat.selection.config import Selection
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from attacks.poisons.base import OnStep, Poisoned
+    from attacks.classifiers.base import Classifier
+    from attacks.poisons.base import Masks, OnStep, Poisoned
     from attacks.poisons.poison_splat import Decoy
     from mi_splat.cameras.camera import Camera
     from mi_splat.datasets import Dataset
@@ -89,18 +89,27 @@ class HidingConfig(ObjectConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MisreadingConfig(ObjectConfig):
-    """M-IFGSM on a set of pictures.
+class AimedConfig(ObjectConfig):
+    """A poison of an object of a set of pictures.
+
+    Attributes:
+        attack: How the object's pixels are changed.
+    """
+
+    attack: Any = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class MisreadingConfig(AimedConfig):
+    """A poison that makes a classifier misread an object.
 
     Attributes:
         classifier: Who shall misread the object: prototypes, or torchvision:NETWORK.
         label: The object's true class, by a name that the classifier knows.
-        attack: How the object's pixels are changed.
     """
 
     classifier: Annotated[str, Metavar("CLASSIFIER")] = "prototypes"
     label: Annotated[str | None, Metavar("CLASS")] = None
-    attack: MIFGSMConfig = field(default_factory=MIFGSMConfig)
 
 
 class Outcome(NamedTuple):
@@ -332,113 +341,121 @@ def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
     return work
 
 
-def _misreading(config: MisreadingConfig, options: PoisonOptions) -> Work:
-    from attacks.classifiers.frozen import class_number
-    from attacks.classifiers.registry import load_classifier
-
-    label = config.label
-    target = config.attack.target
-    if label is None:
-        raise UsageError.of("--label", "the class of the object", "none", "add it")
-    classifier = load_classifier(config.classifier)
-    class_number(classifier, label, "--label")
-    if target is not None:
-        class_number(classifier, target, "--target")
+def _resolved(config: Any, options: PoisonOptions) -> Work:
+    """A poison of the registry, which is given what it needs."""
+    spec = POISONS[options.kind]
+    settings = config.attack if isinstance(config, AimedConfig) else config
+    classifier = None
+    label = ""
+    if isinstance(config, MisreadingConfig):
+        classifier, label = _deceived(config)
 
     def work(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
         from attacks.poisons.judged import move
-        from attacks.poisons.mifgsm import MIFGSM
-        from mi_splat.render.renderer import Renderer, RenderSettings
-        from mi_splat.render.variant import DEFAULT_VARIANT
-        from mi_splat.selection.select import SEEN
-        from mi_splat.selection.visibility import object_weight
 
-        assert splat is not None
-        rows, near, selected = _object(config, views, splat)
-        render = Renderer(RenderSettings(near=near, variant=DEFAULT_VARIANT))
-        move(classifier, options.device)
-
-        def mask(camera: Camera) -> Tensor:
-            seen = object_weight(splat, rows, camera, render) >= SEEN
-            if not bool(seen.any()):
-                name = next(
-                    path
-                    for path, other in zip(views.paths, views.cameras, strict=True)
-                    if other is camera
-                )
-                do = "select all of the object, or leave the picture out of the set"
-                raise InvalidValueError.of(
-                    str(name), "some pixels of the object", "none", do
-                )
-            return seen
-
-        if config.attack.decoy_steps:
+        masks: Masks | None = None
+        selected: dict[str, Any] = {}
+        if isinstance(config, AimedConfig):
+            assert splat is not None
+            rows, near, selected = _object(config, views, splat)
+            masks = _masks_of(splat, rows, near, views)
+        if classifier is not None:
+            move(classifier, options.device)
+        decoy = None
+        steps_of_decoy: int = getattr(settings, "decoy_steps", 0)
+        if "splat" in spec.needs or steps_of_decoy:
+            assert splat is not None
             decoy = _decoy(splat, views, options.device)
-        else:
-            decoy = None
-        poison = MIFGSM(
-            config=config.attack,
-            classifier=classifier,
-            label=label,
-            masks=mask,
-            decoy=decoy,
-        )
-        done = poison(views, seed=options.seed, on_step=on_step)
-        sure = config.attack.least_confidence
-        skipped = len(done.poison["skipped"])
-        remark = (
-            f"in {skipped} pictures {config.classifier} is less than {sure:.0%}"
-            f" confident of {label}; they stay"
-        )
-        return Outcome(done, selected, warnings=[remark] * (skipped > 0))
-
-    return work
-
-
-def _without_object(config: Any, options: PoisonOptions) -> Work:
-    def work(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
-        decoy = None if splat is None else _decoy(splat, views, options.device)
-        poison = POISONS[options.kind].make(config, Given(decoy=decoy))
-        done = poison(views, seed=options.seed, on_step=on_step)
-        grown, start = (done.poison.get(f"{of}_gaussians") for of in ("decoy", "start"))
+        given = Given(decoy=decoy, masks=masks, classifier=classifier, label=label)
+        done = spec.make(settings, given)(views, seed=options.seed, on_step=on_step)
         return Outcome(
-            done,
-            lines=(
-                [f"the decoy has {grown:,} Gaussians, the splat has {start:,}"]
-                if grown
-                else []
-            ),
+            done, selected, lines=_growth(done), warnings=_skipped(done, config)
         )
 
     return work
 
 
-_OF_OBJECTS: Mapping[str, Kind] = {
-    "cloak": Kind(config=HidingConfig(), prepare=_hiding, replaces=True),
-    "m-ifgsm": Kind(config=MisreadingConfig(), prepare=_misreading, on_gpu=True),
-}
+def _deceived(config: MisreadingConfig) -> tuple[Classifier, str]:
+    """The classifier that is to be deceived, and the object's true class."""
+    from attacks.classifiers.frozen import class_number
+    from attacks.classifiers.registry import load_classifier
+
+    if config.label is None:
+        raise UsageError.of("--label", "the class of the object", "none", "add it")
+    classifier = load_classifier(config.classifier)
+    class_number(classifier, config.label, "--label")
+    target = getattr(config.attack, "target", None)
+    if target is not None:
+        class_number(classifier, target, "--target")
+    return classifier, config.label
+
+
+def _masks_of(
+    splat: GaussianScene, rows: Tensor, near: float, views: Dataset
+) -> Callable[[Camera], Tensor]:
+    """Where the object is in the picture of a camera of the set."""
+    from mi_splat.render.renderer import Renderer, RenderSettings
+    from mi_splat.render.variant import DEFAULT_VARIANT
+    from mi_splat.selection.select import SEEN
+    from mi_splat.selection.visibility import object_weight
+
+    render = Renderer(RenderSettings(near=near, variant=DEFAULT_VARIANT))
+    names = dict(zip(map(id, views.cameras), views.paths, strict=True))
+
+    def mask(camera: Camera) -> Tensor:
+        seen = object_weight(splat, rows, camera, render) >= SEEN
+        if not bool(seen.any()):
+            what = str(names.get(id(camera), camera))
+            do = "select all of the object, or leave the picture out of the set"
+            raise InvalidValueError.of(what, "some pixels of the object", "none", do)
+        return seen
+
+    return mask
+
+
+def _growth(done: Poisoned) -> list[str]:
+    """How large the decoy has grown, where the poison has one that grows."""
+    grown = done.poison.get("decoy_gaussians")
+    start = done.poison.get("start_gaussians")
+    if not grown:
+        return []
+    return [f"the decoy has {grown:,} Gaussians, the splat has {start:,}"]
+
+
+def _skipped(done: Poisoned, config: Any) -> list[str]:
+    """Pictures that stay because the classifier does not read them rightly."""
+    skipped = len(done.poison.get("skipped", ()))
+    if not skipped or not isinstance(config, MisreadingConfig):
+        return []
+    sure = config.attack.least_confidence
+    return [
+        f"in {skipped} pictures {config.classifier} is less than {sure:.0%}"
+        f" confident of {config.label}; they stay"
+    ]
+
+
+_CLOAK = Kind(config=HidingConfig(), prepare=_hiding, replaces=True)
 
 
 def kind_of(name: str) -> Kind:
     """A kind by its name."""
-    if name in _OF_OBJECTS:
-        return _OF_OBJECTS[name]
+    if name == "cloak":
+        return _CLOAK
     spec = POISONS[name]
-    more = set(spec.needs) - {"splat"}
-    if more:
-        got = " and ".join(more)
-        raise UsageError.of(
-            f"--kind {name}",
-            "one that needs no more than a splat",
-            got,
-            "write a study",
-        )
-    needs_splat = "splat" in spec.needs  # for a decoy, which takes most of the time
+    if "scene" in spec.needs:
+        expected = "one that needs no scene of meshes"
+        raise UsageError.of(f"--kind {name}", expected, "a scene", "write a study")
+    config = spec.config()
+    if "classifier" in spec.needs:
+        config = MisreadingConfig(attack=config)
+    elif "object" in spec.needs:
+        config = AimedConfig(attack=config)
     return Kind(
-        config=spec.config(),
-        prepare=_without_object,
-        needs_splat=needs_splat,
-        on_gpu=needs_splat,
+        config=config,
+        prepare=_resolved,
+        needs_splat=bool(spec.needs),
+        # decoys and classifiers take most of the time
+        on_gpu="splat" in spec.needs or "classifier" in spec.needs,
     )
 
 

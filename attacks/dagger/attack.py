@@ -4,7 +4,7 @@ sees one object as something else.
 After "3D Gaussian Splat Vulnerabilities": the attacker holds the splat and the detector
 (white box) and edits only the Gaussians of one object. The paper's text takes eleven
 steps of length 2 eps / steps in one l2 ball of radius 5 over the SH coefficients. The
-search is PGD (Madry et al. 2018, see `attacks.search`), over fixed views or over a
+search is PGD (Madry et al. 2018, see `attacks.search.loop`), over fixed views or over a
 distribution of them (expectation over transformation, Athalye et al. 2018).
 """
 
@@ -22,9 +22,9 @@ from attacks.dagger.views import DrawnViews, FixedViews, ViewDistribution
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import as_detectors
 from attacks.gaussian_subset import GaussianSubset, Mask
-from attacks.objectives import Objective, check_objective
+from attacks.objectives.base import Objective, check_objective
 from attacks.observe.views import as_saved, clamped_fraction
-from attacks.search import Outcome
+from attacks.search.loop import Outcome
 from mi_splat import provenance
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras.camera import Camera, RenderFn

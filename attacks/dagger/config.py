@@ -30,7 +30,7 @@ from mi_splat.fields import (
 )
 
 if TYPE_CHECKING:
-    from attacks.search import Budget
+    from attacks.search.budget import Budget
 
 
 VIEWS: dict[str, Any] = {
@@ -242,6 +242,6 @@ class DaggerConfig:
     @property
     def budget(self) -> Budget:
         """Radius and norm as one value."""
-        from attacks.search import Budget
+        from attacks.search.budget import Budget
 
         return Budget(radius=self.radius, norm=self.norm)

@@ -19,7 +19,7 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import View
 from attacks.observe import Control
-from attacks.search import Parameters
+from attacks.search.parameters import Parameters
 from mi_splat.scene import GaussianScene
 
 TOLERANCE = 0.1

@@ -18,9 +18,12 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.views import View
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
-from attacks.objectives import Objective, Relabel, Target, overall_verdict
+from attacks.objectives.base import Objective, Target
+from attacks.objectives.relabel import Relabel
+from attacks.objectives.verdicts import overall_verdict
 from attacks.observe.views import visible_box, visible_weight
-from attacks.search import Evaluation, Parameters, Verdict
+from attacks.search.loop import Evaluation, Verdict
+from attacks.search.parameters import Parameters
 from attacks.threats import THREATS
 from mi_splat.cameras.camera import Camera, RenderFn, project_box
 from mi_splat.errors import InvalidValueError, nearest

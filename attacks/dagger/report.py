@@ -13,7 +13,7 @@ from PIL import Image
 from attacks.dagger.result import DRAWN, FIXED, JudgedView, Result, Seen
 from attacks.observe.drawing import annotated, difference, listed, stacked
 from attacks.observe.views import CAMERAS, cameras_document
-from attacks.search import NOT_JUDGED
+from attacks.search.loop import NOT_JUDGED
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe, values_of
 from mi_splat.io.documents import save_json, save_png

@@ -13,13 +13,8 @@ from attacks.dagger.controls import Draw
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import Reports, View, detected
 from attacks.detectors.base import Detections
-from attacks.objectives import (
-    Objective,
-    Target,
-    confidence,
-    overall_verdict,
-    reached_by,
-)
+from attacks.objectives.base import Objective, Target, confidence
+from attacks.objectives.verdicts import overall_verdict, reached_by
 from attacks.observe.observations import (
     Observations,
     camera_cells,
@@ -49,7 +44,7 @@ from attacks.observe.rows import (
 )
 from attacks.observe.views import ImageChange, ViewDetections, image_change
 from attacks.rate import Rate
-from attacks.search import Step, Verdict
+from attacks.search.loop import Step, Verdict
 from attacks.threats import THREATS
 from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange
@@ -486,7 +481,7 @@ class Result:
         """Whether the aim was reached in enough views, with every detector, whatever is
         seen of the clean object.
 
-        See `attacks.objectives.overall_verdict`, also for the score.
+        See `attacks.objectives.verdicts.overall_verdict`, also for the score.
         """
         return bool(self.figures["aim_reached"])
 

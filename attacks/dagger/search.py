@@ -18,19 +18,19 @@ from torch import Generator
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import FixedViews
-from attacks.objectives import overall_verdict
+from attacks.objectives.verdicts import overall_verdict
 from attacks.optimisers.methods import SearchSettings
-from attacks.search import (
-    Budget,
+from attacks.search.budget import Budget
+from attacks.search.loop import (
     Evaluation,
     Hooks,
     Optimiser,
     Outcome,
-    Parameters,
     Step,
     Verdict,
     pgd,
 )
+from attacks.search.parameters import Parameters
 
 # A budget in pictures: an attack may keep their PSNR above a limit.
 #

@@ -17,7 +17,7 @@ from torch import Tensor
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors.base import Detections, Detector
 from attacks.gaussian_subset import GaussianSubset, Mask
-from attacks.objectives import overlap
+from attacks.objectives.base import overlap
 from attacks.observe.comparison import usual_label
 from attacks.observe.views import (
     ViewDetections,

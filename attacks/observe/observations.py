@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from attacks.detectors.base import Detections, Detector
-from attacks.objectives import confidence, overlap
+from attacks.objectives.base import confidence, overlap
 from attacks.observe.conditions import Condition
 from attacks.observe.rows import (
     BOX,
@@ -29,7 +29,7 @@ from attacks.observe.rows import (
     write_rows,
 )
 from attacks.observe.views import ViewDetections, detect_views
-from attacks.search import Verdict
+from attacks.search.loop import Verdict
 from mi_splat.cameras.camera import Camera
 from mi_splat.cameras.directions import Direction, Point, direction_of
 from mi_splat.scene import GaussianScene

@@ -16,7 +16,7 @@ from torch import Tensor
 from attacks.detectors.base import Detections, Detector
 from attacks.detectors.registry import as_detectors
 from attacks.gaussian_subset import GaussianSubset, Mask
-from attacks.objectives import confidence
+from attacks.objectives.base import confidence
 from attacks.observe.rows import CLEAN
 from mi_splat.cameras.camera import Camera, RenderFn, as_cameras
 from mi_splat.cameras.directions import Direction, Point, direction_of

@@ -22,7 +22,7 @@ from mi_splat.registry import Registry
 
 if TYPE_CHECKING:
     from attacks.optimisers.methods import SearchSettings
-    from attacks.search import Optimiser
+    from attacks.search.loop import Optimiser
 
 NormName = Literal["linf", "l2", "l2_per_gaussian"]
 """`linf`: largest change of a coefficient; `l2`: one ball over the object;

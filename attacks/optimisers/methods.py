@@ -1,6 +1,6 @@
 """How a search moves from one point to the next: along gradients, or without them.
 
-Each is a function of `SearchSettings` that makes an `attacks.search.Optimiser`.
+Each is a function of `SearchSettings` that makes an `attacks.search.loop.Optimiser`.
 """
 
 import dataclasses
@@ -12,7 +12,9 @@ import torch
 from torch import Generator, Tensor
 
 from attacks.optimisers import Schedule
-from attacks.search import Budget, Evaluation, Memory, Optimiser, Parameters
+from attacks.search.budget import Budget
+from attacks.search.loop import Evaluation, Memory, Optimiser
+from attacks.search.parameters import Parameters
 
 LENGTHS: dict[Schedule, Callable[[float], float]] = {
     "constant": lambda share: 1.0,

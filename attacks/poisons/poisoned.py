@@ -105,7 +105,8 @@ def run(config: PoisonedConfig, inputs: Mapping[str, Path], out: Out) -> None:
         write_poisoned(out / SET, views, poisoned(views, pictures, {}))
         return
     chosen = config.poison
-    attack = chosen.spec.make(chosen.config, _given(config, inputs))
+    given = _given(config, chosen.spec, inputs)
+    attack = chosen.spec.make(chosen.config, given)
     with tracing_variant() if chosen.kind == CLOAK else nullcontext():
         done = attack(
             views, seed=config.seed, on_step=partial(out.progress, "poisoning")
@@ -116,7 +117,9 @@ def run(config: PoisonedConfig, inputs: Mapping[str, Path], out: Out) -> None:
         save_png(difference_sheet(done), out / SHEET)
 
 
-def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
+def _given(
+    config: PoisonedConfig, spec: PoisonSpec, inputs: Mapping[str, Path]
+) -> Given:
     setup = config.scene and config.scene.given(inputs)
     decoy = classifier = masks = None
     if "splat" in inputs:
@@ -128,10 +131,11 @@ def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
             start=start, near=config.near, background=config.background, victim=victim
         )
     if config.classifier:
-        assert setup is not None
         classifier = checked_classifier(
             config.classifier, config.fingerprint, config.device
         )
+    if "object" in spec.needs:
+        assert setup is not None
         with tracing_variant():
             masks = [setup.mesh_scene.mask(camera) for camera in setup.training_cameras]
     return Given(

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from attacks.poisons.base import Masks, PicturePoison
     from attacks.poisons.poison_splat import Decoy
 
-Need = Literal["splat", "classifier", "scene"]
+Need = Literal["splat", "classifier", "object", "scene"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,7 +53,8 @@ class PoisonSpec:
             are the settings, and the flags.
         make: The poison of settings, from what the attacker has.
         needs: What it cannot do without: "splat", so that it is given a decoy,
-            "classifier", or a study's "scene".
+            "object", masks of it, "classifier", with the object's class, or a study's
+            "scene". Whoever makes the poison, a command or a study, provides it.
     """
 
     name: str
@@ -147,7 +148,10 @@ for _spec in (
     PoisonSpec(name="uniform-noise", config=UniformNoiseConfig, make=_control),
     PoisonSpec(name="raised-variation", config=RaisedVariationConfig, make=_control),
     PoisonSpec(
-        name="m-ifgsm", config=MIFGSMConfig, make=_m_ifgsm, needs=("classifier",)
+        name="m-ifgsm",
+        config=MIFGSMConfig,
+        make=_m_ifgsm,
+        needs=("classifier", "object"),
     ),
 ):
     POISONS.add(_spec.name, _spec)

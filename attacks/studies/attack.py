@@ -20,16 +20,17 @@ import numpy as np
 import torch
 from torch import Generator
 
-from attacks.aims import PluggedObjective
 from attacks.dagger.attack import attack_views
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import before_and_after, summary, write_files
 from attacks.dagger.views import DrawnViews, FixedViews
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
-from attacks.objectives import Hide, Relabel, Untargeted
+from attacks.objectives import PluggedObjective
+from attacks.objectives.relabel import Relabel
+from attacks.objectives.suppression import Hide, Untargeted
 from attacks.observe.conditions import SunTable, check_condition, renderer_of
-from attacks.search import Step
+from attacks.search.loop import Step
 from attacks.transformations.config import Transformations
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.cameras.directions import Point

@@ -21,10 +21,11 @@ from typing import Any
 
 import polars as pl
 
-from attacks.aims import OBJECTIVES, PluggedObjective
 from attacks.dagger.config import REGION
 from attacks.detectors.registry import DetectorSpec, detector_spec, load_detector
-from attacks.objectives import Hide, Relabel, Untargeted
+from attacks.objectives import OBJECTIVES, PluggedObjective
+from attacks.objectives.relabel import Relabel
+from attacks.objectives.suppression import Hide, Untargeted
 from attacks.observe import Control
 from attacks.observe.conditions import OWN, SunTable, package_of
 from attacks.observe.rows import ROWS, column_of, frame_of

@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from attacks.aims import PluggedObjective
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.controls import control_scenes
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import View, fixed_views
 from attacks.gaussian_subset import GaussianSubset
-from attacks.objectives import Hide, Relabel, Target, Untargeted
+from attacks.objectives import PluggedObjective
+from attacks.objectives.base import Target
+from attacks.objectives.relabel import Relabel
+from attacks.objectives.suppression import Hide, Untargeted
 from attacks.observe import Control
 from attacks.observe.conditions import OWN, Condition, SunTable, Viewing, condition_of
 from attacks.observe.observations import observe, report_cells, seen_from, verdict_cells

@@ -272,7 +272,9 @@ class PoisonAttempt(Attempt):
         values: dict[str, Any] = {"device": options.device}
         inputs: dict[str, Part | Path] = {"pictures": self.pictures.part(SET_FILES)}
         if "classifier" in needs:
-            values |= {**self._deceived(config.target), "scene": self.steps.scene_job()}
+            values |= self._deceived(getattr(config, "target", None))
+        if "object" in needs:
+            values["scene"] = self.steps.scene_job()
             inputs |= self.steps.object_input
         if "splat" in needs or getattr(config, "decoy_steps", 0) > 0:
             recipe = options.attacker or options.training

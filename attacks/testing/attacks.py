@@ -17,16 +17,9 @@ from attacks.optimisers import NORM_NAMES, NormName, OptimiserSpec
 from attacks.optimisers.methods import SearchSettings
 from attacks.poisons.base import Poisoned, PoisonedViews
 from attacks.poisons.specs import Given, PoisonSpec
-from attacks.search import (
-    Budget,
-    Evaluation,
-    Memory,
-    Optimiser,
-    Outcome,
-    Parameters,
-    Verdict,
-    pgd,
-)
+from attacks.search.budget import Budget
+from attacks.search.loop import Evaluation, Memory, Optimiser, Outcome, Verdict, pgd
+from attacks.search.parameters import Parameters
 from attacks.testing.promises import (
     Contract,
     expect,

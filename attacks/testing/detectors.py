@@ -1,5 +1,5 @@
 """The contracts of a detector (`attacks.detectors.Detector`) and of an objective
-(`attacks.objectives.Objective`).
+(`attacks.objectives.base.Objective`).
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from attacks.detectors.base import Candidates, Detections, Detector, check_images
-from attacks.objectives import Target
-from attacks.search import Verdict
+from attacks.objectives.base import Target
+from attacks.search.loop import Verdict
 from attacks.testing.promises import (
     Contract,
     expect,
@@ -210,7 +210,7 @@ def _reported(parts: list[Tensor], target: Target) -> Detections:
 
 def _verdict(objective: Any, seen: Detections, target: Target) -> Verdict:
     verdict = objective.verdict(seen, target)
-    do = "return attacks.search.Verdict, or make the objective by attacks.objective"
+    do = "return a Verdict of attacks.search.loop, or use attacks.objective"
     expect(isinstance(verdict, Verdict), "a Verdict", type(verdict).__name__, do)
     expect(0 <= verdict.score <= 1, "a score in [0, 1]", verdict.score, "scale it")
     checked: Verdict = verdict

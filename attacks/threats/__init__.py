@@ -18,7 +18,7 @@ from mi_splat.registry import Registry
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from attacks.search import Parameters
+    from attacks.search.parameters import Parameters
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

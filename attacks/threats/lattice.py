@@ -7,7 +7,7 @@ import itertools
 import torch
 from torch import Tensor
 
-from attacks.search import Parameters
+from attacks.search.parameters import Parameters
 
 POINTS = 4
 """Control points along each axis."""

@@ -5,7 +5,7 @@ in the scene but not change it.
 import torch
 from torch import Tensor
 
-from attacks.search import Parameters
+from attacks.search.parameters import Parameters
 from mi_splat.maths.rotation import multiply, normalise, to_matrix
 from mi_splat.maths.sh import degree_of, sh_rotation
 

@@ -27,7 +27,9 @@ from attacks.dagger.views import FixedViews
 from attacks.detectors import load_detector
 from attacks.detectors.base import Candidates, Detections, Detector
 from attacks.detectors.graphs.graph import fields, parts
-from attacks.objectives import Hide, Relabel, Target
+from attacks.objectives.base import Target
+from attacks.objectives.relabel import Relabel
+from attacks.objectives.suppression import Hide
 from attacks.observe.observations import report_cells, verdict_cells
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, frame_of, write_rows
 from attacks.observe.views import image_change

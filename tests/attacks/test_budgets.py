@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from torch import Generator, Tensor
 
 from attacks.optimisers import NORM_NAMES, NormName
-from attacks.search import NORMS, Budget, BudgetError
+from attacks.search.budget import NORMS, Budget, BudgetError
 from mi_splat.errors import InvalidValueError
 
 norms = st.sampled_from(NORM_NAMES)

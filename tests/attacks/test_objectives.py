@@ -12,18 +12,11 @@ from torch import Tensor
 from torchvision.ops import box_iou
 
 from attacks.detectors.base import Candidates, Detections
-from attacks.objectives import (
-    Objective,
-    Relabel,
-    Target,
-    confidence,
-    hide,
-    overall_verdict,
-    overlap,
-    relabel,
-    untargeted,
-)
-from attacks.search import Verdict
+from attacks.objectives.base import Objective, Target, confidence, overlap
+from attacks.objectives.relabel import Relabel, relabel
+from attacks.objectives.suppression import hide, untargeted
+from attacks.objectives.verdicts import overall_verdict
+from attacks.search.loop import Verdict
 from mi_splat.errors import InvalidValueError
 
 CLASSES = ("car", "person", "bird")

@@ -14,15 +14,9 @@ from attacks.optimisers.methods import (
     momentum,
     normalised,
 )
-from attacks.search import (
-    Budget,
-    Evaluation,
-    Memory,
-    Optimiser,
-    Parameters,
-    Verdict,
-    pgd,
-)
+from attacks.search.budget import Budget
+from attacks.search.loop import Evaluation, Memory, Optimiser, Verdict, pgd
+from attacks.search.parameters import Parameters
 
 BALL = Budget(radius={"sh": 100.0}, norm="linf")
 FALLING: dict[str, Any] = {"momentum": 0.8, "schedule": "linear", "steps": 4}

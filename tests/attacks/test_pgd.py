@@ -9,18 +9,10 @@ from torch import Tensor
 
 from attacks.optimisers import NormName
 from attacks.optimisers.methods import SearchSettings, momentum
-from attacks.search import (
-    Budget,
-    BudgetError,
-    Evaluation,
-    Hooks,
-    Outcome,
-    Parameters,
-    Step,
-    Verdict,
-    rank,
-)
-from attacks.search import pgd as search
+from attacks.search.budget import Budget, BudgetError
+from attacks.search.loop import Evaluation, Hooks, Outcome, Step, Verdict, rank
+from attacks.search.loop import pgd as search
+from attacks.search.parameters import Parameters
 from mi_splat.errors import InvalidValueError
 
 Oracle = Callable[[Parameters], Evaluation]

@@ -3,6 +3,8 @@ and what is refused.
 """
 
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +14,20 @@ import torch
 from attacks import cli
 from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli.poison import kind_names
+from attacks.poisons.base import OnStep, PicturePoison, Poisoned, mask_of, poisoned
+from attacks.poisons.specs import POISONS, Given, PoisonSpec
 from mi_splat.cameras.camera import View
+from mi_splat.cameras.framing import near_plane
 from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
 from mi_splat.datasets import Dataset, load_dataset
-from mi_splat.io import save_splat
+from mi_splat.io import load_splat, save_splat
 from mi_splat.io.picture_files import load_picture
 from mi_splat.render import variant
 from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.selection.config import Selection
+from mi_splat.selection.select import SEEN, select
+from mi_splat.selection.visibility import object_weight
 from tests.classifiers.made import toy_classifier
 from tests.datasets.sets import write_transforms
 from tests.gaussians import varied_scene
@@ -160,8 +168,8 @@ def test_pictures_change_within_the_ball_and_keep_alpha_and_masks(
         "test_00000.png"
     ]
     clean = files(names[0])
-    poisoned = files(tmp_path / "out")
-    assert all(clean[name] == poisoned[name] for name in stayed)
+    poisoned_files = files(tmp_path / "out")
+    assert all(clean[name] == poisoned_files[name] for name in stayed)
     assert load_picture(tmp_path / "out" / "before_and_after.png").size == (40, 48)
 
 
@@ -284,3 +292,44 @@ def test_a_picture_without_the_object_is_named(
         capsys.readouterr().err.split()
     )
     assert not (tmp_path / "out").exists()
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlotConfig:
+    by: float = 0.5
+
+
+def blotted(config: BlotConfig, given: Given) -> PicturePoison:
+    def change(
+        views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
+    ) -> Poisoned:
+        pictures = {}
+        for number, view in enumerate(views):
+            mask = mask_of(given.masks, number, view.camera)
+            pictures[number] = view.image.masked_fill(mask[..., None], config.by)
+        return poisoned(views, pictures, {"kind": "blot", "by": config.by})
+
+    return change
+
+
+def test_a_poison_from_outside_is_given_the_masks_that_it_needs(
+    names: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = PoisonSpec(name="blot", config=BlotConfig, make=blotted, needs=("object",))
+    monkeypatch.setitem(POISONS.own, "blot", spec)
+    words = ["poison", *names, "--kind", "blot", "--by", "1", "--cluster", "1"]
+    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
+    record = json.loads((tmp_path / "out" / "poison.json").read_text())
+    assert record["kind"] == "blot"
+    before = load_dataset(names[0], split="train")
+    after = load_dataset(tmp_path / "out", split="train")
+    scene = load_splat(names[1])
+    rows = select(scene, Selection(cluster=1))
+    render = Renderer(RenderSettings(near=near_plane(scene, before.cameras)))
+    for old, new, camera in zip(before, after, before.cameras, strict=True):
+        mask = object_weight(scene, rows, camera, render) >= SEEN
+        changed = (old.image != new.image).any(2)
+        assert bool(changed.any())
+        assert not bool((changed & ~mask).any())
+    # without an object it cannot begin
+    assert cli.main([*words[:-2], "--out", str(tmp_path / "none")]) == 1

@@ -12,7 +12,7 @@ from attacks import cli
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.gaussian_subset import GaussianSubset
-from attacks.objectives import hide
+from attacks.objectives.suppression import hide
 from attacks.threats import THREATS, Threat, changed_by
 from attacks.threats.rigid import apply_turn
 from mi_splat.attributes import ATTRIBUTES

@@ -15,19 +15,12 @@ from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
 from attacks.detectors.base import Candidates
-from attacks.objectives import relabel
+from attacks.objectives.relabel import relabel
 from attacks.optimisers import NORM_NAMES, OPTIMISERS, NormName, optimiser_spec
 from attacks.optimisers.methods import SearchSettings, apgd, checkpoints, square
-from attacks.search import (
-    Budget,
-    Evaluation,
-    Memory,
-    Outcome,
-    Parameters,
-    Verdict,
-    pgd,
-    rank,
-)
+from attacks.search.budget import Budget
+from attacks.search.loop import Evaluation, Memory, Outcome, Verdict, pgd, rank
+from attacks.search.parameters import Parameters
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 NAMES = tuple(OPTIMISERS)

@@ -15,10 +15,12 @@ from attacks import cli
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result, observed
-from attacks.objectives import Objective, hide, relabel, untargeted
+from attacks.objectives.base import Objective
+from attacks.objectives.relabel import relabel
+from attacks.objectives.suppression import hide, untargeted
 from attacks.observe import Control
 from attacks.optimisers import NORM_NAMES, NormName
-from attacks.search import NORMS
+from attacks.search.budget import NORMS
 from mi_splat.attributes import ATTRIBUTES, Attribute
 from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError

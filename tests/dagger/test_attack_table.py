@@ -12,7 +12,8 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.views import DrawnViews
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
-from attacks.objectives import hide, relabel
+from attacks.objectives.relabel import relabel
+from attacks.objectives.suppression import hide
 from attacks.transformations.config import CameraRegion, Transformations
 from mi_splat.render.renderer import Renderer
 from mi_splat.render.scene_files import SplatScene, read_scene, resized

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from attacks.dagger.controls import TOLERANCE, _matched, _mean, _object_errors
-from attacks.search import Parameters
+from attacks.search.parameters import Parameters
 
 
 class Pictures:

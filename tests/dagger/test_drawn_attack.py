@@ -16,12 +16,13 @@ from attacks import cli
 from attacks.dagger.attack import attack, attack_views
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.views import ViewDistribution
-from attacks.objectives import relabel
+from attacks.objectives.relabel import relabel
 from attacks.observe.rates import AIMS, count, joint_views
 from attacks.observe.views import as_saved
 from attacks.report.results import read_section
 from attacks.report.viewer_content import open_content
-from attacks.search import Budget, Parameters
+from attacks.search.budget import Budget
+from attacks.search.parameters import Parameters
 from attacks.transformations.config import PictureChanges, Transformations
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import through_png

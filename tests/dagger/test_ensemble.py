@@ -16,8 +16,8 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
 from attacks.dagger.views import FixedViews
 from attacks.detectors.base import Detector
-from attacks.objectives import relabel
-from attacks.search import Evaluation
+from attacks.objectives.relabel import relabel
+from attacks.search.loop import Evaluation
 from mi_splat.cameras.camera import View, look_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat

@@ -17,7 +17,7 @@ from attacks.dagger.attack import attack, attack_views
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
 from attacks.dagger.views import DrawnViews
-from attacks.objectives import relabel
+from attacks.objectives.relabel import relabel
 from attacks.transformations.config import Transformations
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.render import renderer as rendering

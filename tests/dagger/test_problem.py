@@ -10,8 +10,11 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import Problem, bounded
 from attacks.dagger.views import FixedViews, View
 from attacks.detectors.base import Detections, Detector
-from attacks.objectives import Objective, hide, joint_verdict, reached_by, relabel
-from attacks.search import Verdict
+from attacks.objectives.base import Objective
+from attacks.objectives.relabel import relabel
+from attacks.objectives.suppression import hide
+from attacks.objectives.verdicts import joint_verdict, reached_by
+from attacks.search.loop import Verdict
 from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import quantise

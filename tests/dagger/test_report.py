@@ -15,7 +15,9 @@ from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary, write_report
 from attacks.dagger.result import Result
-from attacks.objectives import Objective, hide, relabel
+from attacks.objectives.base import Objective
+from attacks.objectives.relabel import relabel
+from attacks.objectives.suppression import hide
 from mi_splat.io import load_splat
 from mi_splat.io.errors import SplatFileError
 from tests.fakes import ColourDetector, blobs, camera, toy_scene

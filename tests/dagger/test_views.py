@@ -12,7 +12,7 @@ from attacks.dagger.search import ImagePrice, fitted, stretched
 from attacks.dagger.views import DrawnViews, batch_indices, fixed_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.views import visible_box
-from attacks.search import Budget
+from attacks.search.budget import Budget
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.cameras.camera import look_at
 from mi_splat.errors import InvalidValueError

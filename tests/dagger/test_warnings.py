@@ -11,7 +11,8 @@ from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import JudgedView, Result, counted, observed
 from attacks.detectors.base import Detections
-from attacks.objectives import hide, relabel
+from attacks.objectives.relabel import relabel
+from attacks.objectives.suppression import hide
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 DETECTOR = ColourDetector()

@@ -6,7 +6,8 @@ from attacks.dagger.attack import attack_views
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
 from attacks.dagger.views import DrawnViews
-from attacks.objectives import Objective, relabel
+from attacks.objectives.base import Objective
+from attacks.objectives.relabel import relabel
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from attacks.detectors import DetectorError, load_detector
-from attacks.objectives import overlap
+from attacks.objectives.base import overlap
 from attacks.observe.views import object_boxes
 from mi_splat.render.renderer import Renderer
 from mi_splat.render.scene_files import open_scene

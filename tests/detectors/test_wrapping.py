@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors import DetectorError, load_detector, wrap_detector
-from attacks.objectives import hide
+from attacks.objectives.suppression import hide
 from attacks.testing import check_detector
 from mi_splat.errors import InvalidValueError
 from tests.detectors.contract import pictures

@@ -12,10 +12,10 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from attacks.aims import OBJECTIVES, objective_of
 from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.triggers import Azimuth
 from attacks.detectors.registry import DETECTORS, load_detector
+from attacks.objectives import OBJECTIVES, objective_of
 from attacks.observe.conditions import FORMS, condition_of
 from attacks.optimisers import OPTIMISERS
 from attacks.poisons.base import OnStep, Poisoned

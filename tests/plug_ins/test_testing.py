@@ -16,13 +16,15 @@ import torch
 from torch import Tensor, nn
 
 from attacks.detectors import Candidates, Detections, wrap_detector
-from attacks.objectives import Target, confidence, objective
+from attacks.objectives.base import Target, confidence
+from attacks.objectives.function import objective
 from attacks.observe.conditions import Viewing, rendered, renderer_of
 from attacks.optimisers import OptimiserSpec
 from attacks.optimisers.methods import SearchSettings
 from attacks.poisons.base import Poisoned, PoisonedViews, poisoned
 from attacks.poisons.specs import PoisonSpec
-from attacks.search import Evaluation, Memory, Parameters, Verdict
+from attacks.search.loop import Evaluation, Memory, Verdict
+from attacks.search.parameters import Parameters
 from attacks.testing import (
     ContractError,
     check_attack,

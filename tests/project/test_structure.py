@@ -47,9 +47,9 @@ RULES = {
         r"attacks\.detectors\.(base|registry)",
     ),
     "pgd_knows_nothing_of_splats": (
-        r"attacks\.search",
+        r"attacks\.search\b.*",
         r"(mi_splat|attacks)\b.*",
-        r"mi_splat\.(errors|attributes|fields)|attacks\.optimisers",
+        r"mi_splat\.(errors|attributes|fields)|attacks\.(optimisers|search\b.*)",
     ),
     "only_renderers_import_mitsuba": (
         rf"(?!({RENDERERS}|mi_splat\.(capture\.path_tracer|render\.scene_files))$).*",

@@ -17,7 +17,7 @@ from attacks.cli import main
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import write_report
-from attacks.objectives import relabel
+from attacks.objectives.relabel import relabel
 from attacks.observe.conditions import OWN
 from attacks.observe.rows import frame_of, write_rows
 from attacks.rate import Rate

@@ -8,7 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from attacks.objectives import Hide, Relabel, Untargeted
+from attacks.objectives.relabel import Relabel
+from attacks.objectives.suppression import Hide, Untargeted
 from attacks.observe.rows import NOISE
 from attacks.rate import Rate, number, percent, pooled
 from attacks.report.section import (

@@ -1,7 +1,7 @@
-"""Aims by their names, for commands and studies: those of this project, and those of
-other packages.
+"""Objectives: what an attacker wants of a detector, one file each, by their names; also
+those of other packages.
 
-Light, without torch, which comes with the first aim that is made.
+Light, without torch, which comes with the first objective that is made.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from attacks.detectors.base import Candidates, Detections
-    from attacks.objectives import Objective, Target
-    from attacks.search import Verdict
+    from attacks.objectives.base import Objective, Target
+    from attacks.search.loop import Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +90,7 @@ class PluggedObjective:
 
 @cache
 def _made(kind: str, label: str | None, confidence: float | None) -> Objective:
-    from attacks.objectives import check_objective
+    from attacks.objectives.base import check_objective
 
     aim = OBJECTIVES.chosen(kind).make(label, confidence)
     check_objective(aim)
@@ -104,7 +104,7 @@ def objective_of(
     *,
     strict: bool = False,
 ) -> Objective:
-    """An aim by its name; `strict` holds for `relabel` only (see
+    """An objective by its name; `strict` holds for `relabel` only (see
     `attacks.objectives.relabel`).
     """
     spec = OBJECTIVES.chosen(name)
@@ -114,7 +114,7 @@ def objective_of(
             "target", f"what the aim {name} has", label or "none", do
         )
     if strict and name == "relabel":
-        from attacks.objectives import relabel
+        from attacks.objectives.relabel import relabel
 
         return relabel(str(label), confidence=confidence, strict=True)
     package = OBJECTIVES.package(name)
@@ -127,18 +127,27 @@ def objective_of(
     return plugged
 
 
-def _own(name: str) -> Callable[[str | None, float | None], Objective]:
-    def make(label: str | None, confidence: float | None) -> Objective:
-        from attacks import objectives
+def _relabel(label: str | None, confidence: float | None) -> Objective:
+    from attacks.objectives.relabel import relabel
 
-        settings = {} if confidence is None else {"confidence": confidence}
-        made: Objective = getattr(objectives, name)(*filter(None, (label,)), **settings)
-        return made
-
-    return make
+    return relabel(str(label), confidence=confidence)
 
 
-for _name in ("relabel", "hide", "untargeted"):
-    OBJECTIVES.add(
-        _name, ObjectiveSpec(name=_name, make=_own(_name), targeted=_name == "relabel")
-    )
+def _hide(label: str | None, confidence: float | None) -> Objective:
+    from attacks.objectives.suppression import GONE, hide
+
+    return hide(confidence=GONE if confidence is None else confidence)
+
+
+def _untargeted(label: str | None, confidence: float | None) -> Objective:
+    from attacks.objectives.suppression import GONE, untargeted
+
+    return untargeted(confidence=GONE if confidence is None else confidence)
+
+
+for _spec in (
+    ObjectiveSpec(name="relabel", make=_relabel, targeted=True),
+    ObjectiveSpec(name="hide", make=_hide),
+    ObjectiveSpec(name="untargeted", make=_untargeted),
+):
+    OBJECTIVES.add(_spec.name, _spec)
