@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.cli.options import Address, Detectors, Workers
-from mi_splat.cli.console import limit_threads, progress, show_json, warn
+from mi_splat.cli.console import limit_threads, progress
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError
@@ -54,7 +54,9 @@ class CloakOptions(JsonOptions):
     disk that all of them share.
     """
     forecast: bool = False
-    """Check everything, say what the study would take, and do nothing."""
+    """Check everything, say what is to be done and how long it takes by what was
+    measured, and do nothing.
+    """
 
 
 def check_inputs(options: CloakOptions) -> None:
@@ -68,9 +70,9 @@ def check_inputs(options: CloakOptions) -> None:
 def run(options: CloakOptions) -> int:
     """Do the study, or what is missing of it, and say what came of it."""
     from attacks.cli.options import weights_of
-    from attacks.cli.study import StudyOptions, run_work
+    from attacks.cli.study import StudyOptions, run_work, show_plan
     from attacks.cli.summary import show_summary
-    from attacks.cloak.study import forecast, study_toml
+    from attacks.cloak.study import study_toml
     from attacks.studies.cloak import CloakReport, config_of
     from attacks.studies.study_file import merged, read_study
     from mi_splat.io.documents import save_text
@@ -96,12 +98,6 @@ def run(options: CloakOptions) -> int:
     store = options.stages or options.out / "stages"
     text = study_toml(asdict(study))
     _check_folder(options.out, text)
-    takes = forecast(study)
-    warn(f"{study.name}: {takes}")
-    if options.forecast:
-        if options.json:
-            show_json({study.name: asdict(takes)})
-        return 0
     run_options = StudyOptions(
         action="run",
         study=options.study,
@@ -109,7 +105,11 @@ def run(options: CloakOptions) -> int:
         out=options.out,
         workers=options.workers,
         scheduler=options.scheduler,
+        json=options.json,
     )
+    if options.forecast:
+        show_plan(run_options, work)
+        return 0
     begin = partial(save_text, text, options.out / STUDY_FILE)
     done = run_work(run_options, work, begin=begin)
     if done.files:

@@ -108,11 +108,16 @@ def _work(study: Study) -> Work[Any]:
 
 
 def _plan(options: StudyOptions, study: Study) -> None:
+    show_plan(options, _work(study))
+
+
+def show_plan(options: StudyOptions, work: Work[Any]) -> None:
+    """Say what a study would do, and how long it takes by what was measured."""
     from attacks.report.section import duration
     from mi_splat.ledger import Store
     from mi_splat.ledger.plans import forecast, plan
 
-    work = _work(study)
+    study = work.study
     store = Store(options.store)
     entries = plan(store, study.name, work.jobs())
     done = sum(entry.state == "done" for entry in entries)

@@ -5,7 +5,7 @@ leaves behind.
 import json
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -250,71 +250,6 @@ def _inline(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(map(_inline, value))}]"
     return json.dumps(value, ensure_ascii=False)
-
-
-# Measured on two cores with little else to do; only for the forecast.
-_PATH = 6e-8
-_STEP = 8e-3
-_PIXEL = 2.5e-7
-_GAUSSIAN = 4e-7  # seconds
-_UNLIMITED = 250_000  # Gaussians of a splat without a limit
-_PNG = 2.5
-_ROW = 1200  # bytes a pixel, and a Gaussian in a splat and its checkpoint
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Forecast:
-    """What a study will take where none of its stages is there yet."""
-
-    pictures: int
-    trainings: int
-    minutes: float
-    megabytes: float
-
-    def __str__(self) -> str:
-        return (
-            f"{self.pictures} pictures to render and {self.trainings} splats to train:"
-            f" about {self.minutes:.0f} minutes on two cores and {self.megabytes:.0f}"
-            " MB of disk, less what is there already"
-        )
-
-
-def forecast(study: StudyConfig) -> Forecast:
-    """What a study will take."""
-    cameras = study.cameras
-    training = study.training
-    evaluation = study.evaluation
-    setup = Setup.of(study)
-    centre = study.centre
-    triggers = [attack.trigger(0, study.attack) for attack in study.attack]
-    poisoned = sum(
-        int(trigger.holds(setup.training_cameras, centre=centre).sum())
-        for trigger in triggers
-    )
-    if any(attack.poison_fraction < 1 for attack in study.attack):
-        sets = len(study.seeds)
-    else:
-        sets = 1
-    arcs = sum(map(len, setup.arcs))
-    pictures = (
-        cameras.train + sets * poisoned + evaluation.reference_views * 2 + 2 * arcs
-    )
-    trainings = 2 * len(study.seeds)
-    most = training.max_gaussians or _UNLIMITED
-    step = _STEP + cameras.size**2 * _PIXEL + most * _GAUSSIAN
-    seconds = (
-        pictures * cameras.size**2 * cameras.samples * _PATH
-        + trainings * training.iterations * step
-    )
-    size = (
-        pictures + sets * cameras.train
-    ) * cameras.size**2 * _PNG + trainings * most * _ROW
-    return Forecast(
-        pictures=pictures,
-        trainings=trainings,
-        minutes=1 + seconds / 60,
-        megabytes=size / 1e6,
-    )
 
 
 def check_study(steps: StudySteps, detectors: Sequence[Detector]) -> None:

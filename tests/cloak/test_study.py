@@ -240,7 +240,8 @@ def test_the_command_forecasts_does_and_reports(
         0,
     ]
     assert cli.main([*map(str, words), "--forecast", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["tiny"]["trainings"] == 2
+    planned = json.loads(capsys.readouterr().out)
+    assert planned["jobs"] == planned["done"] > 0
     assert not (tmp_path / "out").exists()
     assert cli.main([*map(str, words), "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
