@@ -22,7 +22,7 @@ from mi_splat.audit.gate import CLAIMS, FILE, RESULT, GateConfig, Policy
 from mi_splat.errors import MiSplatError, one_line, shortened
 from mi_splat.import_closure import code_digest
 from mi_splat.io.parsing import DocumentReader
-from mi_splat.ledger.job import Task, encoded
+from mi_splat.ledger.job import Task
 from mi_splat.ledger.store import FILES, Store
 from mi_splat.process_group import GroupEndedError, Limits, ProcessGroup
 
@@ -295,9 +295,7 @@ def task_of(config: GateConfig, judged: Judged) -> Task:
     code that does it.
     """
     inputs = {role: {"content": content} for role, content in judged.contents.items()}
-    return Task(
-        kind=READER, config=encoded(config), inputs=inputs, code=code_digest(READER)
-    )
+    return Task(kind=READER, config=config, inputs=inputs, code=code_digest(READER))
 
 
 def ending_of(name: str) -> str:

@@ -15,6 +15,7 @@ from mi_splat.fields import OutFolder, Seed
 EXAMPLES = (
     "cloak scenes/cloak_car_colour.toml --forecast",
     "cloak scenes/cloak_demo.toml --out out/cloak",
+    "cloak scenes/cloak_demo.toml --object YOUR.glb --label car --out out/yours",
 )
 STUDY_FILE = "study.toml"
 
@@ -24,8 +25,8 @@ class CloakOptions(JsonOptions):
     """Do a study of CLOAK: capture, poison, train a clean and a cloaked splat, look at
     both, report.
 
-    Says what it will take before it starts. A study that was interrupted goes on where
-    it stopped when the same command is given again. Writes result.json, the rows,
+    A study that was interrupted goes on where it stopped when the same command is given
+    again. Writes result.json, the rows,
     contact.png and both splats into --out.
     """
 
@@ -37,6 +38,10 @@ class CloakOptions(JsonOptions):
     """Folder of the stages, which several studies may share; None is a folder in
     --out.
     """
+    object: str | None = None
+    """GLB file, or name of a shipped object, in the place of the study's."""
+    label: str | None = None
+    """Class that detectors know that object by; None is its name, or its file's."""
     seeds: tuple[Seed, ...] = ()
     """Seeds in the place of those of the study."""
     detectors: Detectors = ()
@@ -54,7 +59,7 @@ class CloakOptions(JsonOptions):
     disk that all of them share.
     """
     forecast: bool = False
-    """Check everything, say what is to be done and how long it takes by what was
+    """Check everything, say how many jobs there are and how long they take by what was
     measured, and do nothing.
     """
 
@@ -70,7 +75,7 @@ def check_inputs(options: CloakOptions) -> None:
 def run(options: CloakOptions) -> int:
     """Do the study, or what is missing of it, and say what came of it."""
     from attacks.cli.options import weights_of
-    from attacks.cli.study import StudyOptions, run_work, show_plan
+    from attacks.cli.study import StudyOptions, run_work, show_forecast
     from attacks.cli.summary import show_summary
     from attacks.cloak.study import study_toml
     from attacks.studies.cloak import CloakReport, config_of
@@ -88,6 +93,9 @@ def run(options: CloakOptions) -> int:
     changes: dict[str, Any] = {"seeds": list(options.seeds)} if options.seeds else {}
     if options.detectors:
         changes["evaluation"] = {"detectors": list(options.detectors)}
+    if options.object is not None:
+        label = options.label or "none"
+        changes["scene"] = {"object": options.object, "label": label}
     point = replace(file.points[0], settings=merged(file.points[0].settings, changes))
     with progress("loading the detectors"):
         weights = weights_of(
@@ -108,7 +116,7 @@ def run(options: CloakOptions) -> int:
         json=options.json,
     )
     if options.forecast:
-        show_plan(run_options, work)
+        show_forecast(run_options, work)
         return 0
     begin = partial(save_text, text, options.out / STUDY_FILE)
     done = run_work(run_options, work, begin=begin)

@@ -108,18 +108,23 @@ def _work(study: Study) -> Work[Any]:
 
 
 def _plan(options: StudyOptions, study: Study) -> None:
-    show_plan(options, _work(study))
+    from mi_splat.ledger import Store
+    from mi_splat.ledger.plans import plan
+
+    work = _work(study)
+    plan(Store(options.store), study.name, work.jobs())
+    show_forecast(options, work)
 
 
-def show_plan(options: StudyOptions, work: Work[Any]) -> None:
-    """Say what a study would do, and how long it takes by what was measured."""
+def show_forecast(options: StudyOptions, work: Work[Any]) -> None:
+    """Show what is left to do of a study, and how long it takes."""
     from attacks.report.section import duration
     from mi_splat.ledger import Store
-    from mi_splat.ledger.plans import forecast, plan
+    from mi_splat.ledger.plans import forecast, status
 
     study = work.study
     store = Store(options.store)
-    entries = plan(store, study.name, work.jobs())
+    entries = status(store, work.jobs())
     done = sum(entry.state == "done" for entry in entries)
     seconds, unknown = forecast(store, entries)
     document = {

@@ -8,10 +8,9 @@ import dataclasses
 import enum
 import fnmatch
 import hashlib
-import importlib
 import json
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -54,11 +53,11 @@ def encoded(value: Any, where: str = "config") -> Any:
     if is_frozen(value):
         fields = {
             field.name: encoded(getattr(value, field.name), f"{where}.{field.name}")
-            for field in _fields(kind)
+            for field in dataclasses.fields(kind)
         }
-        return {CLASS: f"{kind.__module__}:{kind.__qualname__}", **fields}
+        return {CLASS: kind.__qualname__, **fields}
     if isinstance(value, enum.Enum):
-        return {CLASS: f"{kind.__module__}:{kind.__qualname__}", _NAME: value.name}
+        return {CLASS: kind.__qualname__, _NAME: value.name}
     if isinstance(value, Mapping) and all(
         type(key) is str and key != CLASS for key in value
     ):
@@ -68,70 +67,10 @@ def encoded(value: Any, where: str = "config") -> Any:
     raise InvalidValueError.of(where, expected, kind.__name__, do)
 
 
-def without_modules(value: Any) -> Any:
-    """The JSON of a configuration with the names of its classes alone, which stay when
-    a module is moved.
-    """
-    if isinstance(value, list):
-        return [without_modules(item) for item in value]
-    if not isinstance(value, Mapping):
-        return value
-    return {
-        key: str(item).rpartition(":")[2] if key == CLASS else without_modules(item)
-        for key, item in value.items()
-    }
-
-
 def is_frozen(value: Any) -> bool:
     """Whether a value is one of a frozen dataclass."""
     parameters = getattr(type(value), "__dataclass_params__", None)
     return parameters is not None and bool(parameters.frozen)
-
-
-def decoded(value: Any, modules: Collection[str]) -> Any:
-    """The configuration that `encoded` made JSON of; lists come back as tuples, missing
-    fields have their defaults.
-    """
-    if isinstance(value, list):
-        return tuple(decoded(item, modules) for item in value)
-    if not isinstance(value, dict):
-        return value
-    if CLASS not in value:
-        return {key: decoded(item, modules) for key, item in value.items()}
-    rest = {key: item for key, item in value.items() if key != CLASS}
-    if value[CLASS] == _FLOAT:
-        return float(rest[_NAME])
-    cls = _class(str(value[CLASS]), modules)
-    if issubclass(cls, enum.Enum):
-        return cls[rest[_NAME]]
-    made = {field.name for field in _fields(cls) if field.init}
-    unknown = sorted(rest.keys() - {field.name for field in _fields(cls)})
-    if unknown:
-        raise InvalidValueError.of(
-            str(value[CLASS]), "its fields", ", ".join(unknown), "make the result again"
-        )
-    return cls(
-        **{key: decoded(item, modules) for key, item in rest.items() if key in made}
-    )
-
-
-def _fields(cls: type) -> tuple[dataclasses.Field[Any], ...]:
-    return dataclasses.fields(cls)
-
-
-def _class(name: str, modules: Collection[str]) -> type:
-    module, _, path = name.partition(":")
-    cls: Any = importlib.import_module(module) if module in modules else None
-    for part in path.split("."):
-        cls = getattr(cls, part, None)
-    if isinstance(cls, type) and (
-        dataclasses.is_dataclass(cls) or issubclass(cls, enum.Enum)
-    ):
-        return cls
-    expected = "a dataclass or an enumeration of a module that the kind imports"
-    raise InvalidValueError.of(
-        "config", expected, name, "import it in the kind's module"
-    )
 
 
 ALL = "*"
@@ -230,30 +169,37 @@ def by_depth(jobs: Iterable[Job]) -> list[list[Job]]:
     return levels
 
 
+def key_of(config: Any, inputs: Mapping[str, Mapping[str, str]], code: str) -> str:
+    """The key of a job: by its configuration as JSON, the contents of its inputs, and
+    the code, which stands for the kind wherever that lies.
+    """
+    contents = {name: source["content"] for name, source in inputs.items()}
+    return digest({"config": config, "inputs": contents, "code": code})
+
+
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """A job whose inputs are done: all that a process needs to run it, as JSON can hold
-    it.
-    """
+    """A job whose inputs are done: all that a process needs to run it."""
 
     kind: str
     config: Any
     inputs: Mapping[str, Mapping[str, str]]
     code: str
-    key: str = ""
 
-    def __post_init__(self) -> None:
-        contents = {name: source["content"] for name, source in self.inputs.items()}
-        # The code stands for the kind: neither it nor the configuration's classes are
-        # known by where they lie.
-        key = digest(
-            {
-                "config": without_modules(self.config),
-                "inputs": contents,
-                "code": self.code,
-            }
-        )
-        object.__setattr__(self, "key", key)
+    @cached_property
+    def as_json(self) -> Mapping[str, Any]:
+        """The task as JSON can hold it."""
+        return {
+            "kind": self.kind,
+            "config": encoded(self.config),
+            "inputs": self.inputs,
+            "code": self.code,
+        }
+
+    @cached_property
+    def key(self) -> str:
+        """The key of the job."""
+        return key_of(self.as_json["config"], self.inputs, self.code)
 
     def event(self, state: str, **values: Any) -> Event:
         """Something that happens to the job."""

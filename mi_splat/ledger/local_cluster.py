@@ -15,7 +15,10 @@ from distributed import LocalCluster, Security
 from mi_splat.process_group import connection, inbox, log_endings
 
 _SETTINGS = {
+    # A nanny whose worker is just being started again must not be given up.
+    "distributed.deploy.lost-worker-timeout": "1000 days",
     "distributed.scheduler.allowed-failures": 1 << 30,  # jobs count their own tries
+    "distributed.scheduler.no-workers-timeout": "2 minutes",
     "distributed.scheduler.worker-ttl": None,  # a job may be busy for long
     "distributed.worker.profile.enabled": False,
     "distributed.worker.memory.target": False,

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.import_closure import closure, code_digest
+from mi_splat.import_closure import code_digest
 from mi_splat.ledger.job import (
     DiskFullError,
     Done,
@@ -24,8 +24,6 @@ from mi_splat.ledger.job import (
     Row,
     Task,
     by_depth,
-    decoded,
-    encoded,
     nobody,
 )
 from mi_splat.ledger.store import TRIES, Store, content_of_path, origin
@@ -92,7 +90,7 @@ def task_for(job: Job, store: Store, finished: Mapping[str, Done]) -> Task:
                 "path": str(source.absolute()),
             }
     return Task(
-        kind=job.kind, config=job.config_json, inputs=inputs, code=code_digest(job.kind)
+        kind=job.kind, config=job.config, inputs=inputs, code=code_digest(job.kind)
     )
 
 
@@ -167,14 +165,6 @@ def _run(store: Store, task: Task, on_event: OnEvent) -> None:
         )
     inputs = input_paths(store, task)
     kind: Any = importlib.import_module(task.kind)
-    config = decoded(task.config, closure(task.kind))
-    if encoded(config) != task.config:
-        raise InvalidValueError.of(
-            f"config of {task.kind}",
-            "one that JSON keeps",
-            task.config,
-            "mend its class",
-        )
 
     def progress(text: str, done: int, total: int) -> None:
         on_event(task.event("progress", text=text, done=done, total=total))
@@ -187,20 +177,14 @@ def _run(store: Store, task: Task, on_event: OnEvent) -> None:
         started = time.monotonic()
         cpu = time.process_time()
         out = Out(files=temporary / "files", kept=partial, progress=progress, note=note)
-        rows: Sequence[Row] | None = kind.run(config, inputs, out)
+        rows: Sequence[Row] | None = kind.run(task.config, inputs, out)
         record = {
-            **{
-                "kind": task.kind,
-                "config": task.config,
-                "inputs": task.inputs,
-                "code": task.code,
-            },
-            **{"seconds": round(time.monotonic() - started, 3), **origin()},
-            **{"cpu_seconds": round(time.process_time() - cpu, 3)},
-            **{
-                "varies": list(getattr(kind, "VARIES", ())),
-                "rows": _checked(rows or (), task.kind),
-            },
+            **task.as_json,
+            **origin(),
+            "seconds": round(time.monotonic() - started, 3),
+            "cpu_seconds": round(time.process_time() - cpu, 3),
+            "varies": list(getattr(kind, "VARIES", ())),
+            "rows": _checked(rows or (), task.kind),
         }
         store.publish(temporary, record, task.key)
 

@@ -25,7 +25,7 @@ from mi_splat.io.documents import (
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.folders import LockedError, is_locked, locked_file, locked_folder
 from mi_splat.io.parsing import DocumentReader
-from mi_splat.ledger.job import Done, Row, Task, canonical, digest
+from mi_splat.ledger.job import Done, Row, Task, canonical, digest, key_of
 
 RECORD = "job.json"
 FILES = "files"
@@ -86,8 +86,8 @@ class Store:
         path = self.folder_of(key) / RECORD
         record = _RECORDS.read_json(path)
         try:
-            task = task_of(record)
-            whole = task.key == key and record["content"] == digest(
+            made = key_of(record["config"], record["inputs"], record["code"])
+            whole = made == key and record["content"] == digest(
                 [record["files"], record["rows"]]
             )
             whole = whole and _is_well_formed(record)
@@ -199,13 +199,7 @@ class Store:
             files.mkdir()
             for name, document in documents.items():
                 save_json(document, files / name)
-            task_part = {
-                "kind": task.kind,
-                "config": task.config,
-                "inputs": task.inputs,
-                "code": task.code,
-            }
-            record = {**task_part, **origin(), "varies": [], "rows": list(rows)}
+            record = {**task.as_json, **origin(), "varies": [], "rows": list(rows)}
             try:
                 self.publish(temporary, record, task.key)
             except SplatFileError:
@@ -238,7 +232,7 @@ class Store:
             *self.failures(task.key),
             {"error": error, "seconds": seconds, "versions": _versions()},
         ]
-        save_json({"kind": task.kind, "config": task.config, "tries": tries}, path)
+        save_json({**task.as_json, "tries": tries}, path)
         return len(tries)
 
     def _failures(self, key: str) -> Path:
@@ -325,12 +319,6 @@ def record_text(record: Mapping[str, Any], files: Mapping[str, str]) -> str:
         )
         + "\n}\n"
     )
-
-
-def task_of(record: Mapping[str, Any]) -> Task:
-    """The task that a record is of."""
-    names = ("kind", "config", "inputs", "code")
-    return Task(**{name: record[name] for name in names})
 
 
 def origin() -> dict[str, Any]:

@@ -29,6 +29,7 @@ _OVERTIME = 3  # exit status of a process whose job took too long
 
 _OURS = "MI_SPLAT_"
 _ONE_JOB = threading.Lock()  # Mitsuba's variant is one of the process
+_WORN = threading.Event()
 _STOPPED: set[str] = set()
 _FOR_GOOD = contextlib.ExitStack()
 
@@ -67,6 +68,10 @@ def attempt(task: Task, terms: Terms) -> Outcome:
         raise EngineError.of(terms.store, expected, got, do)
     with _ONE_JOB:
         worker = get_worker()
+        if _WORN.is_set() and worker.nanny is not None:
+            # What a process keeps of one job must not count against the next, which
+            # has not begun here, and goes to a new process.
+            os._exit(0)
         _take_variables(terms.variables)
         with contextlib.suppress(OSError):  # then only absolute paths can be read
             os.chdir(terms.folder)
@@ -86,9 +91,8 @@ def attempt(task: Task, terms: Terms) -> Outcome:
             is_worn = True
         finally:
             reporter.close()
-    if is_worn or _is_heavy(worker, terms):
-        # What a process keeps of one job must not count against the next.
-        worker.loop.add_callback(worker.close_gracefully, restart=True)
+        if is_worn or _is_heavy(worker, terms):
+            _WORN.set()
     return outcome
 
 

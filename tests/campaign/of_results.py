@@ -22,7 +22,7 @@ from attacks.report.checking import check_result, read_result
 from attacks.report.results import RESULT_KINDS, kind_of, read_section
 from attacks.report.viewer_content import open_content, recorded_up
 from attacks.studies import study_file
-from mi_splat.capture.writer import claim_folder
+from mi_splat.capture.record import claim_folder
 from mi_splat.cli import conform
 from mi_splat.cli.conform_gradients import read_gradients
 from mi_splat.conformance_scenes import conformance_scenes
@@ -201,7 +201,7 @@ def results() -> Iterator[Kind]:
         name="record of a capture",
         make=written("capture.json", lambda: _CAPTURE),
         read=_claim,
-        readers=("mi_splat.capture.writer",),
+        readers=("mi_splat.capture.record",),
         document=PLAIN_JSON,
     )
     yield Kind(

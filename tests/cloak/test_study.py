@@ -240,8 +240,8 @@ def test_the_command_forecasts_does_and_reports(
         0,
     ]
     assert cli.main([*map(str, words), "--forecast", "--json"]) == 0
-    planned = json.loads(capsys.readouterr().out)
-    assert planned["jobs"] == planned["done"] > 0
+    forecast = json.loads(capsys.readouterr().out)
+    assert (forecast["study"], forecast["done"]) == ("tiny", forecast["jobs"])
     assert not (tmp_path / "out").exists()
     assert cli.main([*map(str, words), "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
