@@ -15,6 +15,7 @@ from mi_splat.fields import OutFolder, Seed
 EXAMPLES = (
     "cloak scenes/cloak_car_colour.toml --forecast",
     "cloak scenes/cloak_demo.toml --out out/cloak",
+    "cloak scenes/cloak_demo.toml --object YOUR.glb --label car --out out/yours",
 )
 STUDY_FILE = "study.toml"
 
@@ -37,6 +38,10 @@ class CloakOptions(JsonOptions):
     """Folder of the stages, which several studies may share; None is a folder in
     --out.
     """
+    object: str | None = None
+    """GLB file, or name of a shipped object, in the place of the study's."""
+    label: str | None = None
+    """Class that detectors know that object by; None is its name, or its file's."""
     seeds: tuple[Seed, ...] = ()
     """Seeds in the place of those of the study."""
     detectors: Detectors = ()
@@ -88,6 +93,9 @@ def run(options: CloakOptions) -> int:
     changes: dict[str, Any] = {"seeds": list(options.seeds)} if options.seeds else {}
     if options.detectors:
         changes["evaluation"] = {"detectors": list(options.detectors)}
+    if options.object is not None:
+        label = options.label or "none"
+        changes["scene"] = {"object": options.object, "label": label}
     point = replace(file.points[0], settings=merged(file.points[0].settings, changes))
     with progress("loading the detectors"):
         weights = weights_of(

@@ -22,6 +22,7 @@ from attacks.transformations.config import CameraRegion, PictureChanges
 from mi_splat.cameras.camera import Camera, RenderFn, orbit_pose
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
+from mi_splat.maths.srgb import tensor_to_linear, tensor_to_srgb
 from mi_splat.scene import GaussianScene
 
 _BEST_QUALITY = 95
@@ -116,7 +117,9 @@ def draw_change(
 def change_picture(picture: Tensor, change: PictureChange) -> Tensor:
     """The changed picture, differentiable in the picture."""
     if change.gains != (1.0, 1.0, 1.0):
-        picture = _to_srgb(_to_linear(picture) * picture.new_tensor(change.gains))
+        picture = tensor_to_srgb(
+            tensor_to_linear(picture) * picture.new_tensor(change.gains)
+        )
     if change.gamma != 1.0:
         picture = picture.clamp(min=_DARK) ** change.gamma
     if change.blur > 0:
@@ -142,18 +145,6 @@ def changing(render: RenderFn, changes: Mapping[Camera, PictureChange]) -> Rende
         return change_picture(render(scene, camera).clamp(0, 1), changes[camera])
 
     return changed
-
-
-def _to_linear(picture: Tensor) -> Tensor:
-    """IEC 61966-2-1, from sRGB."""
-    high = ((picture.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4
-    return torch.where(picture <= 0.04045, picture / 12.92, high)
-
-
-def _to_srgb(light: Tensor) -> Tensor:
-    """IEC 61966-2-1, to sRGB."""
-    high = 1.055 * light.clamp(min=0.0031308) ** (1 / 2.4) - 0.055
-    return torch.where(light <= 0.0031308, 12.92 * light, high)
 
 
 def _blurred(picture: Tensor, sigma: float) -> Tensor:

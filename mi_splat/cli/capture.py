@@ -24,7 +24,8 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Length, Metavar, OutFolder, between
 
 if TYPE_CHECKING:
-    from mi_splat.capture.writer import Inputs, WrittenCapture
+    from mi_splat.capture.record import Inputs
+    from mi_splat.capture.writer import WrittenCapture
 
 
 EXAMPLES = (
@@ -98,7 +99,7 @@ def check_inputs(options: CaptureOptions) -> None:
 
 def run(options: CaptureOptions) -> None:
     """Capture, or go on with a capture, and say what was written."""
-    from mi_splat.capture.writer import RECORD
+    from mi_splat.capture.record import RECORD
     from mi_splat.io.folders import own_folder
 
     with own_folder(options.out, RECORD):

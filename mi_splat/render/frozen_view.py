@@ -20,6 +20,7 @@ from torch import Tensor
 from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.maths.sh import degree_of
+from mi_splat.maths.srgb import tensor_to_linear
 from mi_splat.render import variant
 from mi_splat.render.renderer import RenderSettings
 from mi_splat.render.tile import layouts
@@ -144,7 +145,7 @@ class FrozenView:
                 "sh", "numbers that make a finite picture", "others", do
             )
         if self.settings.linear:
-            picture = _linear(picture)
+            picture = tensor_to_linear(picture)
         if self.settings.alpha:
             return torch.cat([picture, self._alpha[..., None]], dim=2)
         return picture
@@ -232,9 +233,3 @@ def _indices(rows: Tensor | slice | None, count: int) -> Tensor:
             "rows", "each Gaussian once", got, "call rows.unique()"
         )
     return indices
-
-
-def _linear(value: Tensor) -> Tensor:
-    """Linear values of sRGB ones (IEC 61966-2-1)."""
-    curve = ((value.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4
-    return torch.where(value <= 0.04045, value / 12.92, curve)

@@ -41,7 +41,7 @@ from mi_splat.capture.ground import square_of_ground
 from mi_splat.capture.objects import OBJECTS
 from mi_splat.capture.path_tracer import PathTracer, scene_dict
 from mi_splat.capture.sources import open_source
-from mi_splat.capture.writer import surface_samples
+from mi_splat.capture.surface_points import surface_samples
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.render.renderer import Renderer, RenderSettings, ScreenGradients

@@ -38,7 +38,7 @@ from mi_splat.capture.path_tracer import (
     shapes,
     tracing_variant,
 )
-from mi_splat.capture.writer import nearness, surface_samples
+from mi_splat.capture.surface_points import nearness, surface_samples
 from mi_splat.errors import InvalidValueError
 from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene, merge

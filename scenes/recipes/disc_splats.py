@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras.camera import RenderFn, View
-from mi_splat.capture.writer import SurfaceSamples, fit_colours
+from mi_splat.capture.surface_points import SurfaceSamples, fit_colours
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.maths.rotation import from_matrix

@@ -26,7 +26,7 @@ from mi_splat.cameras.lens import Lens, angle_of
 from mi_splat.capture.mesh import Asset
 from mi_splat.capture.path_tracer import scene_dict
 from mi_splat.capture.sources import EXAMPLES, ExampleScene, Point
-from mi_splat.capture.writer import nearness, surface_samples
+from mi_splat.capture.surface_points import nearness, surface_samples
 from mi_splat.io import load_splat, save_splat
 from mi_splat.maths.metrics import psnr
 from mi_splat.maths.rotation import to_matrix

@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from mi_splat.audit.surfaces import basis, lattice
 from mi_splat.capture.mesh import Asset
-from mi_splat.capture.writer import surface_samples
+from mi_splat.capture.surface_points import surface_samples
 from mi_splat.maths.rotation import from_matrix
 from mi_splat.maths.sh import colour_to_dc, sh_basis, sh_to_colour
 from mi_splat.scene import GaussianScene, Similarity, merge

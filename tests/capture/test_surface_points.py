@@ -12,7 +12,7 @@ from mi_splat.cameras.camera import Camera, View, look_at
 from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
 from mi_splat.capture.mesh import Asset
-from mi_splat.capture.writer import (
+from mi_splat.capture.surface_points import (
     SurfaceSamples,
     fit_colours,
     nearness,

@@ -18,7 +18,8 @@ from mi_splat.capture.mesh import Asset
 from mi_splat.capture.path_tracer import PathTracer, scene_dict
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
-from mi_splat.capture.writer import surface_points, write_capture
+from mi_splat.capture.surface_points import surface_points
+from mi_splat.capture.writer import write_capture
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from scenes.recipes.mesh_views import capture

@@ -230,7 +230,9 @@ def plumage(kind: Species, tint: float, points: Floats, noise: Noise) -> Floats:
     )
     if "vent" in kind.marks:
         colours = mix(
-            colours, (0.9, 0.9, 0.88), (-x - 0.035 - 0.5 * z) / 0.01 * (z < 0)
+            colours,
+            (0.9, 0.9, 0.88),
+            (-x - 0.035 - 0.5 * z) / 0.01 * (z < 0),
         )
     if "sheen" in kind.marks:
         neck = spot(points, (0.066, 0, 0.024), (0.030, 0.06, 0.028), 0.5)
@@ -268,34 +270,61 @@ def face(
     colours = mix(colours, np.asarray(kind.head) * tint, reach)
     eye = (0.42 * s, 0.86 * s, 0.22 * s)
     if "ring" in kind.marks:
-        colours = mix(colours, (0.92, 0.92, 0.9), spot(side, eye, (0.31 * s,) * 3, 0.2))
+        colours = mix(
+            colours,
+            (0.92, 0.92, 0.9),
+            spot(side, eye, (0.31 * s,) * 3, 0.2),
+        )
     if "face" in kind.marks:
         mask = spot(
-            points, (0.95 * s, 0, -0.35 * s), (0.95 * s, 1.1 * s, 0.95 * s), 0.15
+            points,
+            (0.95 * s, 0, -0.35 * s),
+            (0.95 * s, 1.1 * s, 0.95 * s),
+            0.15,
         )
         colours = mix(colours, kind.breast, mask)
     if "cheek" in kind.marks:
         bare = spot(
-            side, (0.55 * s, 0.85 * s, -0.02 * s), (0.48 * s, 0.5 * s, 0.42 * s), 0.25
+            side,
+            (0.55 * s, 0.85 * s, -0.02 * s),
+            (0.48 * s, 0.5 * s, 0.42 * s),
+            0.25,
         )
         colours = mix(colours, (0.93, 0.91, 0.88), bare)
     if "crown" in kind.marks:
-        crown = spot(points, (0.75 * s, 0, 0.7 * s), (0.65 * s, 0.75 * s, 0.5 * s), 0.3)
+        crown = spot(
+            points,
+            (0.75 * s, 0, 0.7 * s),
+            (0.65 * s, 0.75 * s, 0.5 * s),
+            0.3,
+        )
         colours = mix(colours, (0.92, 0.80, 0.18), crown)
     if "cere" in kind.marks:
         colours = mix(
             colours,
             (0.9, 0.88, 0.86),
-            spot(points, (1.08 * s, 0, 0.05 * s), (0.3 * s,) * 3, 0.2),
+            spot(
+                points,
+                (1.08 * s, 0, 0.05 * s),
+                (0.3 * s,) * 3,
+                0.2,
+            ),
         )
     if "collar" in kind.marks:
         colours = mix(
             colours,
             (0.92, 0.92, 0.93),
-            spot(side, (0.6 * s, 0.8 * s, -0.2 * s), (0.6 * s,) * 3, 0.3),
+            spot(
+                side,
+                (0.6 * s, 0.8 * s, -0.2 * s),
+                (0.6 * s,) * 3,
+                0.3,
+            ),
         )
     return mix(
-        colours, (0.04, 0.04, 0.04), 0.75 * spot(side, eye, (0.25 * s,) * 3, 0.3)
+        colours,
+        (0.04, 0.04, 0.04),
+        0.75 * spot(side, eye, (0.25 * s,) * 3, 0.3),
     )
 
 
@@ -315,14 +344,22 @@ def wing(
     colours = mix(base, kind.flight, flight)
     if "yellow" in kind.marks:
         colours = mix(
-            base, (0.95, 0.78, 0.12), (span - 0.26 + 0.15 * (0.5 - chord)) / 0.03
+            base,
+            (0.95, 0.78, 0.12),
+            (span - 0.26 + 0.15 * (0.5 - chord)) / 0.03,
         )
-        colours = mix(colours, kind.flight, (span - 0.46 + 0.15 * (0.5 - chord)) / 0.03)
+        colours = mix(
+            colours,
+            kind.flight,
+            (span - 0.46 + 0.15 * (0.5 - chord)) / 0.03,
+        )
     if "bars" in kind.marks:
         for at in (0.48, 0.66):
             bar = (np.abs(span - at - 0.12 * (chord - 0.5)) < 0.038) & (chord < 0.9)
             colours = mix(
-                mix(colours, kind.wing, (span < 0.74) * 0.7), (0.13, 0.13, 0.15), bar
+                mix(colours, kind.wing, (span < 0.74) * 0.7),
+                (0.13, 0.13, 0.15),
+                bar,
             )
     if "tips" in kind.marks:
         colours = mix(base, kind.flight, (span - 0.76) / 0.02)
@@ -332,9 +369,15 @@ def wing(
             (np.abs(span - 0.90) < 0.02) | (np.abs(span - 0.725) < 0.018),
         )
     if "white bars" in kind.marks:
-        colours = mix(colours, (0.92, 0.92, 0.92), np.abs(span - 0.45) < 0.022)
         colours = mix(
-            colours, (0.08, 0.09, 0.12), (np.mod(span * 16, 1) < 0.25) * (span > 0.5)
+            colours,
+            (0.92, 0.92, 0.92),
+            np.abs(span - 0.45) < 0.022,
+        )
+        colours = mix(
+            colours,
+            (0.08, 0.09, 0.12),
+            (np.mod(span * 16, 1) < 0.25) * (span > 0.5),
         )
     quills = np.mod(chord * 9 + span * 3 + 0.25 * noise(points, 0.02), 1) < 0.18
     edges = np.where(span > 0.42, quills, _scales(points, 0.0095) > 0)
@@ -418,15 +461,32 @@ def _layers(bird: _Bird) -> list[Layer]:
     blobs: list[Blob] = [
         ellipsoid((-0.004, 0, 0), (0.084, 0.042 * plump, 0.044 * plump)),
         ellipsoid((0.034, 0, -0.006), (0.050, 0.042 * plump, 0.044 * plump)),
-        cone((-0.04, 0, 0.006), (-0.105, 0, 0.008), (0.030, 0.0095), flat=(0, 0.5, 0)),
+        cone(
+            (-0.04, 0, 0.006),
+            (-0.105, 0, 0.008),
+            (0.030, 0.0095),
+            flat=(0, 0.5, 0),
+        ),
         cone(
             (0.045, 0, 0.014),
             head * (0.96, 1, 0.92),
             (0.036 * plump, 0.92 * kind.skull),
         ),
-        ellipsoid(head, np.array((1.10, 0.94, 1.0)) * kind.skull, bird.head[:3, :3].T),
-        cone((-0.004, 0.020, -0.030), (-0.010, 0.021, -0.052), (0.020, 0.011)),
-        cone((-0.004, -0.020, -0.030), (-0.010, -0.021, -0.052), (0.020, 0.011)),
+        ellipsoid(
+            head,
+            np.array((1.10, 0.94, 1.0)) * kind.skull,
+            bird.head[:3, :3].T,
+        ),
+        cone(
+            (-0.004, 0.020, -0.030),
+            (-0.010, 0.021, -0.052),
+            (0.020, 0.011),
+        ),
+        cone(
+            (-0.004, -0.020, -0.030),
+            (-0.010, -0.021, -0.052),
+            (0.020, 0.011),
+        ),
     ]
     layers = [Layer(tuple(blobs), 0.022)]
     if bird.wings == "folded":
@@ -514,7 +574,13 @@ def _spread(bird: _Bird, noise: Noise) -> list[Mesh]:
         bird.kind, bird.tint, uu.ravel() * 0.98, vv.ravel(), wing_points, noise
     )
     texture = np.clip(
-        mix(texture, np.asarray(bird.kind.flight), (0.35 - vv.ravel()) * 3), 0, 1
+        mix(
+            texture,
+            np.asarray(bird.kind.flight),
+            (0.35 - vv.ravel()) * 3,
+        ),
+        0,
+        1,
     ).reshape(80, 160, 3)
     meshes = []
     for side in (1, -1):
@@ -560,11 +626,19 @@ def _tail(bird: _Bird) -> Mesh:
             (toward_tip > 0.35) & (np.abs(uu.ravel()) > 0.45),
         )
     elif "yellow" in kind.marks:
-        colours = mix(colours, kind.flight, (np.abs(uu.ravel()) - 0.45) * 5)
+        colours = mix(
+            colours,
+            kind.flight,
+            (np.abs(uu.ravel()) - 0.45) * 5,
+        )
     elif "white tail" not in kind.marks:
         colours = mix(colours, kind.flight, 0.65 + 0 * toward_tip)
     if "bars" in kind.marks or "white bars" in kind.marks:
-        colours = mix(colours, (0.14, 0.14, 0.16), np.abs(toward_tip - 0.88) < 0.10)
+        colours = mix(
+            colours,
+            (0.14, 0.14, 0.16),
+            np.abs(toward_tip - 0.88) < 0.10,
+        )
     quill = np.mod(uu.ravel() * 5 + 0.5, 1)
     colours = (
         colours
@@ -665,7 +739,11 @@ def _legs(bird: _Bird, tilt: Floats) -> list[Mesh]:
         shin += np.stack([knee, knee, foot, foot])
         meshes.append(
             sweep(
-                shin, [0.0055, 0.0048, 0.0042, 0.0046], shade, segments=8, up=(1, 0, 0)
+                shin,
+                [0.0055, 0.0048, 0.0042, 0.0046],
+                shade,
+                segments=8,
+                up=(1, 0, 0),
             )
         )
         for angle, length in ((-32, 0.036), (0, 0.042), (32, 0.036), (180, 0.024)):

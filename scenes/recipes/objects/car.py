@@ -182,7 +182,9 @@ def body(s: Proportions, paint: ArrayLike) -> list[Mesh]:
         rings.append(np.concatenate([right, left])[::-1])
     shell = loft(np.array(rings), paint, roughness=0.08)
     floor = box(
-        (s.length * 0.9, s.half * 1.42, 0.3), BLACK, centre=(0, 0, s.clearance + 0.2)
+        (s.length * 0.9, s.half * 1.42, 0.3),
+        BLACK,
+        centre=(0, 0, s.clearance + 0.2),
     )
     return [shell, floor]
 
@@ -207,7 +209,11 @@ def cabin(
         loop[:, 0] += np.where(loop[:, 0] > 0, bow, -bow * 0.6)
         return at_height(loop, height[level])
 
-    glass = loft(np.array([ring(i, 0.0) for i in range(7)]), GLASS, roughness=0.08)
+    glass = loft(
+        np.array([ring(i, 0.0) for i in range(7)]),
+        GLASS,
+        roughness=0.08,
+    )
     roof_rings = [ring(4, 0.006), ring(5, 0.008), ring(6, 0.004)]
     centre = np.array([(s.top[0] + s.top[1]) / 2, 0, 0])
     for shrink, rise in ((0.965, 0.028), (0.85, 0.05), (0.6, 0.062), (0.3, 0.068)):
@@ -233,7 +239,13 @@ def cabin(
     for start in range(4):
         path = np.array([loop[start * corner + 2] for loop in outside[1:]])
         parts.append(
-            sweep(path, np.full(len(path), 0.045), paint, segments=8, roughness=0.08)
+            sweep(
+                path,
+                np.full(len(path), 0.045),
+                paint,
+                segments=8,
+                roughness=0.08,
+            )
         )
     span = s.base[1] * 0.5 + s.top[1] * 0.5 - s.top[0] * 0.6 - s.base[0] * 0.4
     for fraction in (0.44, 0.62) if s.base[0] < -0.42 * s.length else (0.42,):
@@ -242,7 +254,12 @@ def cabin(
             edges = [side * (np.abs(loop[:, 1]).max() - 0.012) for loop in outside[1:]]
             pillar = [[x, y, z] for y, z in zip(edges, height[1:], strict=True)]
             parts.append(
-                sweep(pillar, np.tile([0.035, 0.022], (6, 1)), BLACK, segments=6)
+                sweep(
+                    pillar,
+                    np.tile([0.035, 0.022], (6, 1)),
+                    BLACK,
+                    segments=6,
+                )
             )
     return parts
 
@@ -275,7 +292,11 @@ def _wheel(s: Proportions, rng: np.random.Generator) -> list[Mesh]:
         [r * 0.93, w],
         [r * 0.68, w],
     ]
-    tyre = lathe([*tread, [r * 0.64, w * 0.55]], (0.06, 0.06, 0.065), segments=32)
+    tyre = lathe(
+        [*tread, [r * 0.64, w * 0.55]],
+        (0.06, 0.06, 0.065),
+        segments=32,
+    )
     metal = CHROME if rng.random() < 0.75 else (0.2, 0.2, 0.22)
     bowl = [
         [r * 0.66, w * 0.2],
@@ -301,7 +322,12 @@ def _wheel(s: Proportions, rng: np.random.Generator) -> list[Mesh]:
     )
     spokes = int(rng.choice([5, 6, 8, 10]))
     size = (r * 0.56, 0.3 * r * (5 / spokes) ** 0.8, 0.03)
-    spoke = box(size, metal, centre=(r * 0.32, 0, w * 0.82), roughness=0.2)
+    spoke = box(
+        size,
+        metal,
+        centre=(r * 0.32, 0, w * 0.82),
+        roughness=0.2,
+    )
     turned = [transform(spoke, rotation("z", 360 * i / spokes)) for i in range(spokes)]
     return [
         transform(part, rotation("x", -90)) for part in (tyre, dish, rim, hub, *turned)
@@ -314,7 +340,11 @@ def plate(rng: np.random.Generator) -> Floats:
     picture = textures.canvas((32, 144), back)
     text = "".join(rng.choice(list("AEHKMOPST0123456789"), 6))
     textures.write(
-        picture, text, (0.05, 0.05, 0.15), box=(0.35, 0.14, 4.15, 0.86), weight=0.28
+        picture,
+        text,
+        (0.05, 0.05, 0.15),
+        box=(0.35, 0.14, 4.15, 0.86),
+        weight=0.28,
     )
     return picture
 
@@ -336,7 +366,12 @@ def _front(s: Proportions, rng: np.random.Generator) -> list[Mesh]:
         parts.append(transform(frame, translation(-0.016, 0, 0) @ turn))
         fog = (x - 0.05, side * w * 0.62, s.clearance + 0.2)
         parts.append(
-            ellipsoid((0.1, 0.16, 0.09), (0.9, 0.9, 0.85), centre=fog, roughness=0.08)
+            ellipsoid(
+                (0.1, 0.16, 0.09),
+                (0.9, 0.9, 0.85),
+                centre=fog,
+                roughness=0.08,
+            )
         )
     grille_h = rng.uniform(0.1, 0.2)
     grille_z = s.nose * rng.uniform(0.66, 0.76)
@@ -353,7 +388,11 @@ def _front(s: Proportions, rng: np.random.Generator) -> list[Mesh]:
         )
     parts.append(_bulge((x - 0.035, s.clearance + 0.14), (0.12, w * 1.5, 0.14), BLACK))
     parts.append(
-        box((0.02, 0.52, 0.115), plate(rng), centre=(x + 0.02, 0, s.clearance + 0.3))
+        box(
+            (0.02, 0.52, 0.115),
+            plate(rng),
+            centre=(x + 0.02, 0, s.clearance + 0.3),
+        )
     )
     return parts
 
@@ -386,15 +425,24 @@ def _rear(s: Proportions, rng: np.random.Generator, kind: str) -> list[Mesh]:
         parts.append(ellipsoid(size, (0.7, 0.02, 0.03), centre=lamp, roughness=0.08))
         parts.append(
             ellipsoid(
-                (0.1, 0.12, 0.06), (0.95, 0.6, 0.15), centre=signal, roughness=0.08
+                (0.1, 0.12, 0.06),
+                (0.95, 0.6, 0.15),
+                centre=signal,
+                roughness=0.08,
             )
         )
     parts.append(_bulge((x + 0.035, s.clearance + 0.15), (0.12, w * 1.6, 0.16), BLACK))
     parts.append(
-        box((0.02, 0.52, 0.115), plate(rng), centre=(x - 0.012, 0, s.tail * 0.66))
+        box(
+            (0.02, 0.52, 0.115),
+            plate(rng),
+            centre=(x - 0.012, 0, s.tail * 0.66),
+        )
     )
     exhaust = lathe(
-        [[0.035, 0], [0.035, 0.08], [0.025, 0.08], [0.025, 0]], CHROME, segments=12
+        [[0.035, 0], [0.035, 0.08], [0.025, 0.08], [0.025, 0]],
+        CHROME,
+        segments=12,
     )
     pose = translation(x + 0.02, -w * 0.55, s.clearance + 0.06) @ rotation("y", -90)
     return [*parts, transform(exhaust, pose)]
@@ -418,12 +466,25 @@ def _trim(s: Proportions, paint: ArrayLike) -> list[Mesh]:
                 [x, side * half_width_at(s, x, t), low + t * (top - low)]
                 for t in levels
             ]
-            parts.append(sweep(path, np.full(9, 0.009), line, segments=4, up=(1, 0, 0)))
+            parts.append(
+                sweep(
+                    path,
+                    np.full(9, 0.009),
+                    line,
+                    segments=4,
+                    up=(1, 0, 0),
+                )
+            )
         for x in (doors[0] + 0.18, doors[1] + 0.18):
             y = side * (half_width_at(s, x, 0.78) + 0.012)
             z = s.clearance + 0.78 * (s.belt - s.clearance)
             parts.append(
-                box((0.2, 0.035, 0.03), CHROME, centre=(x, y, z), roughness=0.2)
+                box(
+                    (0.2, 0.035, 0.03),
+                    CHROME,
+                    centre=(x, y, z),
+                    roughness=0.2,
+                )
             )
         span = np.linspace(s.axles[0] + s.wheel * 1.25, s.axles[1] - s.wheel * 1.25, 8)
         path = [
@@ -452,7 +513,10 @@ def _trim(s: Proportions, paint: ArrayLike) -> list[Mesh]:
     x = s.base[1] + 0.03
     z = s.belt + 0.03
     wiper = sweep(
-        [[x + 0.09, -0.3, z], [x + 0.08, 0.3, z]], [0.012, 0.012], BLACK, segments=5
+        [[x + 0.09, -0.3, z], [x + 0.08, 0.3, z]],
+        [0.012, 0.012],
+        BLACK,
+        segments=5,
     )
     return [*parts, wiper]
 

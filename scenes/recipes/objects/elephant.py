@@ -139,7 +139,13 @@ def _legs(appearance: _Appearance) -> tuple[list[Blob], Doubles]:
         foot = ankle + np.array((0.05, 0, -0.21))
         thick = (0.36, 0.225, 0.195) if x > 0 else (0.42, 0.235, 0.185)
         blobs += chain([top, knee, ankle, foot], [*thick, 0.195])
-        blobs.append(cone(foot, np.add(foot, (0.03, 0, -0.05)), (0.20, 0.215)))
+        blobs.append(
+            cone(
+                foot,
+                np.add(foot, (0.03, 0, -0.05)),
+                (0.20, 0.215),
+            )
+        )
         feet.append(foot)
     return blobs, np.stack(feet)
 
@@ -184,7 +190,11 @@ def _blobs(
         ellipsoid((-0.05, 0, 2.02), (1.32, 0.70 * b, 0.76 * b)),
         ellipsoid((0.68, 0, 2.18), (0.62, 0.56 * b, 0.72)),
         ellipsoid((-0.92, 0, 2.10), (0.62, 0.60 * b, 0.72)),
-        cone((0.8, 0, 2.42), pose[:3, 3] - (0.05, 0, 0.02), (0.52, 0.36)),
+        cone(
+            (0.8, 0, 2.42),
+            pose[:3, 3] - (0.05, 0, 0.02),
+            (0.52, 0.36),
+        ),
         *legs,
     ]
     parts = [
@@ -192,7 +202,14 @@ def _blobs(
         ((0.28, 0, 0.20), (0.30, 0.27, 0.36)),
         ((0.16, 0, -0.16), (0.36, 0.34, 0.38)),
     ]
-    blobs += [ellipsoid(_posed(pose, np.array([c]))[0], r, turn) for c, r in parts]
+    blobs += [
+        ellipsoid(
+            _posed(pose, np.array([c]))[0],
+            r,
+            turn,
+        )
+        for c, r in parts
+    ]
     jaw = _posed(pose, np.array([(0.18, 0, -0.38), (0.50, 0, -0.60)]))
     blobs.append(cone(jaw[0], jaw[1], (0.20, 0.09)))
     for side in (1, -1):
@@ -245,7 +262,13 @@ def _body(appearance: _Appearance, noise: Noise, pose: Floats) -> Mesh:
         colours = mix(
             colours,
             appearance.skin * 0.45,
-            0.7 * spot(side, (0.42, 0.12, -0.50), (0.2, 0.1, 0.025), 0.7),
+            0.7
+            * spot(
+                side,
+                (0.42, 0.12, -0.50),
+                (0.2, 0.1, 0.025),
+                0.7,
+            ),
         )
         low = np.flatnonzero(points[:, 2] < feet[:, 2].max() + 0.05)
         for foot in feet:
@@ -267,7 +290,13 @@ def _body(appearance: _Appearance, noise: Noise, pose: Floats) -> Mesh:
         result: Floats = bumps * (points[:, 2] > feet[:, 2].min() - 0.1)
         return result
 
-    return body([Layer(tuple(blobs), 0.16)], CELL, paint, relief=relief, texels=4)
+    return body(
+        [Layer(tuple(blobs), 0.16)],
+        CELL,
+        paint,
+        relief=relief,
+        texels=4,
+    )
 
 
 def _hide(appearance: _Appearance, points: Floats, noise: Noise) -> Floats:
@@ -402,5 +431,10 @@ def _tail(appearance: _Appearance) -> list[Mesh]:
             appearance.skin * 0.8,
             segments=10,
         ),
-        sweep(tuft, [0.03, 0.055, 0.06, 0.045, 0.008], (0.09, 0.08, 0.08), segments=8),
+        sweep(
+            tuft,
+            [0.03, 0.055, 0.06, 0.045, 0.008],
+            (0.09, 0.08, 0.08),
+            segments=8,
+        ),
     ]

@@ -96,14 +96,23 @@ def _outlet(
 ) -> list[Mesh]:
     """A pipe from the barrel in a direction, degrees, with a cap and a nut."""
     end = radius + 0.05
-    pipe = lathe([[size, 0], [size, end]], colour, segments=28, roughness=0.3)
+    pipe = lathe(
+        [[size, 0], [size, end]],
+        colour,
+        segments=28,
+        roughness=0.3,
+    )
     cap = lathe(
         [[1.22 * size, end], [1.22 * size, end + 0.04], [0.9 * size, end + 0.05]],
         caps,
         segments=28,
     )
     nut = transform(
-        extrude(regular_polygon(5, 0.3 * size), 0.03, np.asarray(caps) * 0.8),
+        extrude(
+            regular_polygon(5, 0.3 * size),
+            0.03,
+            np.asarray(caps) * 0.8,
+        ),
         translation(0, 0, end + 0.045),
     )
     pose = translation(0, 0, level) @ rotation("z", azimuth) @ rotation("y", 90)

@@ -130,7 +130,12 @@ def chain(
     """Round cones along a polyline of (n, 3) points with n radii."""
     path = np.asarray(points, np.float64)
     return [
-        cone(path[i], path[i + 1], (radii[i], radii[i + 1]), flat=flat)
+        cone(
+            path[i],
+            path[i + 1],
+            (radii[i], radii[i + 1]),
+            flat=flat,
+        )
         for i in range(len(path) - 1)
     ]
 

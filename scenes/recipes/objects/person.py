@@ -70,11 +70,26 @@ def _torso(appearance: Appearance) -> list[Blob]:
     wide = 0.105 if appearance.feminine else 0.130
     blobs = [
         cone(
-            (0.0, 0, 1.17), (0.0, 0, 1.345), (0.100 * g, 0.108 * g), flat=(0, 0.38, 0)
+            (0.0, 0, 1.17),
+            (0.0, 0, 1.345),
+            (0.100 * g, 0.108 * g),
+            flat=(0, 0.38, 0),
         ),
-        cone((-0.012, -wide, 1.41), (-0.012, wide, 1.41), (0.066, 0.066)),
-        cone((-0.018, -0.045, 1.468), (-0.014, -wide - 0.02, 1.42), (0.052, 0.055)),
-        cone((-0.018, 0.045, 1.468), (-0.014, wide + 0.02, 1.42), (0.052, 0.055)),
+        cone(
+            (-0.012, -wide, 1.41),
+            (-0.012, wide, 1.41),
+            (0.066, 0.066),
+        ),
+        cone(
+            (-0.018, -0.045, 1.468),
+            (-0.014, -wide - 0.02, 1.42),
+            (0.052, 0.055),
+        ),
+        cone(
+            (-0.018, 0.045, 1.468),
+            (-0.014, wide + 0.02, 1.42),
+            (0.052, 0.055),
+        ),
         above(
             cone(
                 (-0.012, 0, 0.92),
@@ -90,7 +105,11 @@ def _torso(appearance: Appearance) -> list[Blob]:
             (0.108 * g, (0.092 if appearance.feminine else 0.103) * g),
             flat=(0, 0.38, 0),
         ),
-        cone((-0.015, 0, 1.43), (-0.02, 0, 1.50), (0.075, 0.058)),
+        cone(
+            (-0.015, 0, 1.43),
+            (-0.02, 0, 1.50),
+            (0.075, 0.058),
+        ),
     ]
     if appearance.feminine:
         blobs += [
@@ -107,7 +126,13 @@ def _torso(appearance: Appearance) -> list[Blob]:
 
 def _layers(appearance: Appearance, arms: list[Limb], legs: list[Limb]) -> list[Layer]:
     """Skin, top, bottom, shoes and what is carried."""
-    skin: list[Blob] = [cone((-0.015, 0, 1.45), (-0.005, 0, 1.56), (0.055, 0.05))]
+    skin: list[Blob] = [
+        cone(
+            (-0.015, 0, 1.45),
+            (-0.005, 0, 1.56),
+            (0.055, 0.05),
+        )
+    ]
     top = _torso(appearance)
     bottom = list[Blob]()
     shoes = list[Blob]()
@@ -126,7 +151,10 @@ def _layers(appearance: Appearance, arms: list[Limb], legs: list[Limb]) -> list[
     g = appearance.girth
     bottom.append(
         cone(
-            (-0.005, 0, 0.925), (0, 0, 1.01), (0.112 * g, 0.106 * g), flat=(0, 0.42, 0)
+            (-0.005, 0, 0.925),
+            (0, 0, 1.01),
+            (0.112 * g, 0.106 * g),
+            flat=(0, 0.42, 0),
         )
     )
     bottom.append(ellipsoid((-0.05, 0, 0.90), (0.085 * g, 0.15 * g, 0.10)))
@@ -147,7 +175,13 @@ def _layers(appearance: Appearance, arms: list[Limb], legs: list[Limb]) -> list[
                 [0.092 * thick, 0.069, 0.059],
             )
         elif appearance.legs == "short":
-            bottom.append(cone(hip, hip + 0.92 * (knee - hip), (0.095 * thick, 0.078)))
+            bottom.append(
+                cone(
+                    hip,
+                    hip + 0.92 * (knee - hip),
+                    (0.095 * thick, 0.078),
+                )
+            )
         heel = ankle - 0.025 * leg.end - (0, 0, 0.035)
         ball = ankle + 0.115 * leg.end - (0, 0, 0.045)
         shoes += chain(
@@ -201,7 +235,11 @@ def _paint_top(appearance: Appearance, points: Floats, noise: Noise) -> Floats:
     x, y, z = points.T
     colours = np.broadcast_to(appearance.shirt, points.shape).astype(np.float32)
     if appearance.pattern == "stripes":
-        colours = mix(colours, appearance.accent, np.sin(z * 2 * np.pi / 0.075) * 6)
+        colours = mix(
+            colours,
+            appearance.accent,
+            np.sin(z * 2 * np.pi / 0.075) * 6,
+        )
     elif appearance.pattern == "check":
         lines = (np.sin(y * 2 * np.pi / 0.08) > 0.3) * 0.45 + (
             np.sin(z * 2 * np.pi / 0.08) > 0.3
@@ -228,14 +266,27 @@ def _paint_top(appearance: Appearance, points: Floats, noise: Noise) -> Floats:
             (x > 0.02) & (np.abs(np.abs(y) - gap) < 0.012),
         )
     elif appearance.pattern == "vest":
-        colours = mix(colours, (0.80, 0.90, 0.15), np.abs(y) < 0.17)
+        colours = mix(
+            colours,
+            (0.80, 0.90, 0.15),
+            np.abs(y) < 0.17,
+        )
         bands = (
             (np.abs(z - 1.14) < 0.028)
             | (np.abs(z - 1.27) < 0.028)
             | (np.abs(np.abs(y) - 0.1) < 0.022) & (z > 1.27)
         )
-        colours = mix(colours, (0.85, 0.85, 0.86), bands & (np.abs(y) < 0.17))
-    collar = spot(points, (-0.01, 0, 1.515), (0.085, 0.085, 0.035), 0.3)
+        colours = mix(
+            colours,
+            (0.85, 0.85, 0.86),
+            bands & (np.abs(y) < 0.17),
+        )
+    collar = spot(
+        points,
+        (-0.01, 0, 1.515),
+        (0.085, 0.085, 0.035),
+        0.3,
+    )
     return mix(
         colours,
         appearance.shirt * 0.7,
@@ -248,12 +299,29 @@ def _paint_bottom(appearance: Appearance, points: Floats, noise: Noise) -> Float
     y = points[:, 1]
     z = points[:, 2]
     colours = np.broadcast_to(appearance.trousers, points.shape).astype(np.float32)
-    colours = mix(colours, appearance.trousers * 1.35 + 0.03, 0.5 * noise(points, 0.09))
-    colours = mix(colours, appearance.trousers * 0.6, (np.abs(y) < 0.007) & (z > 0.8))
+    colours = mix(
+        colours,
+        appearance.trousers * 1.35 + 0.03,
+        0.5 * noise(points, 0.09),
+    )
+    colours = mix(
+        colours,
+        appearance.trousers * 0.6,
+        (np.abs(y) < 0.007) & (z > 0.8),
+    )
     for side in (1, -1):
-        pocket = spot(points, (-0.15, side * 0.075, 0.95), (0.08, 0.055, 0.06), 0.05)
+        pocket = spot(
+            points,
+            (-0.15, side * 0.075, 0.95),
+            (0.08, 0.055, 0.06),
+            0.05,
+        )
         colours = mix(colours, appearance.trousers * 0.75, pocket * 0.7)
-    colours = mix(colours, (0.16, 0.11, 0.08), np.abs(z - 1.0) < 0.02)
+    colours = mix(
+        colours,
+        (0.16, 0.11, 0.08),
+        np.abs(z - 1.0) < 0.02,
+    )
     return mix(
         colours,
         (0.75, 0.70, 0.55),
@@ -319,7 +387,9 @@ def skirt(appearance: Appearance, legs: list[Limb], noise: Noise) -> Mesh:
     ).reshape(-1, 3)
     cloth = np.broadcast_to(appearance.accent, points.shape).astype(np.float32)
     cloth = mix(
-        cloth, appearance.accent * 0.72, 0.5 + 0.5 * np.sin(u.ravel() * 24 * np.pi)
+        cloth,
+        appearance.accent * 0.72,
+        0.5 + 0.5 * np.sin(u.ravel() * 24 * np.pi),
     )
     cloth = mix(
         cloth,
@@ -524,10 +594,26 @@ def _head_layers(appearance: Appearance) -> list[Layer]:
             (0.024, 0, -0.042), (0.066, 0.058 if appearance.feminine else 0.062, 0.078)
         ),
         ellipsoid((0.064, 0, -0.098), (0.022, 0.026, 0.020)),
-        cone((0.090, 0, 0.004), (0.106, 0, -0.030), (0.008, 0.014)),
-        cone((0.080, -0.030, 0.020), (0.080, 0.030, 0.020), (0.012, 0.012)),
-        cone((0.088, -0.014, -0.066), (0.088, 0.014, -0.066), (0.008, 0.008)),
-        cone((-0.012, 0, -0.08), (-0.025, 0, -0.17), (0.050, 0.054)),
+        cone(
+            (0.090, 0, 0.004),
+            (0.106, 0, -0.030),
+            (0.008, 0.014),
+        ),
+        cone(
+            (0.080, -0.030, 0.020),
+            (0.080, 0.030, 0.020),
+            (0.012, 0.012),
+        ),
+        cone(
+            (0.088, -0.014, -0.066),
+            (0.088, 0.014, -0.066),
+            (0.008, 0.008),
+        ),
+        cone(
+            (-0.012, 0, -0.08),
+            (-0.025, 0, -0.17),
+            (0.050, 0.054),
+        ),
     ]
     head += [
         ellipsoid((-0.004, s * 0.076, -0.012), (0.020, 0.013, 0.032)) for s in (1, -1)
@@ -612,24 +698,48 @@ def head(appearance: Appearance, noise: Noise) -> Mesh:
         skin = mix(
             skin,
             appearance.skin * (1.04, 0.80, 0.78),
-            0.45 * spot(side, (0.07, 0.04, -0.035), (0.04, 0.022, 0.022), 1.5),
+            0.45
+            * spot(
+                side,
+                (0.07, 0.04, -0.035),
+                (0.04, 0.022, 0.022),
+                1.5,
+            ),
         )
         skin = mix(
             skin,
             appearance.hair * 0.9,
             appearance.beard
-            * spot(points, (0.05, 0, -0.095), (0.09, 0.09, 0.058), 0.25),
+            * spot(
+                points,
+                (0.05, 0, -0.095),
+                (0.09, 0.09, 0.058),
+                0.25,
+            ),
         )
         lips = appearance.skin * (
             (0.85, 0.45, 0.45) if appearance.feminine else (0.82, 0.58, 0.55)
         )
         skin = mix(
-            skin, lips, spot(points, (0.09, 0, -0.066), (0.03, 0.025, 0.010), 0.3)
+            skin,
+            lips,
+            spot(
+                points,
+                (0.09, 0, -0.066),
+                (0.03, 0.025, 0.010),
+                0.3,
+            ),
         )
         skin = mix(
             skin,
             lips * 0.45,
-            0.8 * spot(points, (0.09, 0, -0.066), (0.03, 0.023, 0.0025), 0.8),
+            0.8
+            * spot(
+                points,
+                (0.09, 0, -0.066),
+                (0.03, 0.023, 0.0025),
+                0.8,
+            ),
         )
         skin = mix(
             skin,
@@ -654,7 +764,12 @@ def head(appearance: Appearance, noise: Noise) -> Mesh:
         skin = mix(
             skin,
             appearance.skin * 0.4,
-            spot(side, (0.105, 0.008, -0.042), (0.02, 0.005, 0.004), 0.5),
+            spot(
+                side,
+                (0.105, 0.008, -0.042),
+                (0.02, 0.005, 0.004),
+                0.5,
+            ),
         )
         strands = (
             appearance.hair
@@ -671,7 +786,9 @@ def head(appearance: Appearance, noise: Noise) -> Mesh:
             ]
         )
         band = mix(
-            cap, appearance.accent * 0.6, (z < 0.035) & (appearance.cap == "beanie")
+            cap,
+            appearance.accent * 0.6,
+            (z < 0.035) & (appearance.cap == "beanie"),
         )
         return np.where(
             layer[:, None] == 0, skin, np.where(layer[:, None] == 1, strands, band)
@@ -692,7 +809,14 @@ def head(appearance: Appearance, noise: Noise) -> Mesh:
 
 def hand(appearance: Appearance, arm: Limb, side: int) -> Mesh:
     """A hand on its wrist, fingers along the forearm, thumb forward."""
-    blobs = [cone((-0.025, 0, 0), (0.075, 0, 0), (0.026, 0.024), flat=(0, 0, 0.45))]
+    blobs = [
+        cone(
+            (-0.025, 0, 0),
+            (0.075, 0, 0),
+            (0.026, 0.024),
+            flat=(0, 0, 0.45),
+        )
+    ]
     for k, length in enumerate((0.165, 0.18, 0.172, 0.15)):
         z = 0.027 - 0.018 * k
         blobs += chain(

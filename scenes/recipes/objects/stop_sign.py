@@ -32,7 +32,11 @@ def build(seed: int = 0) -> Model:
         textures.stop_sign(256, seed),
         roughness=0.25 if rng.random() < 0.6 else None,
     )
-    back = extrude(outline * 0.995, 0.01, np.array(STEEL) * rng.uniform(0.7, 1.2))
+    back = extrude(
+        outline * 0.995,
+        0.01,
+        np.array(STEEL) * rng.uniform(0.7, 1.2),
+    )
     upright = (
         translation(0.045, 0, top - width / 2 - 0.02)
         @ rotation("z", 90)
@@ -63,14 +67,24 @@ def build(seed: int = 0) -> Model:
                 roughness=0.3,
             )
         )
-        parts.append(ellipsoid((0.066, 0.066, 0.03), pole, centre=(0, 0, top - 0.05)))
+        parts.append(
+            ellipsoid(
+                (0.066, 0.066, 0.03),
+                pole,
+                centre=(0, 0, top - 0.05),
+            )
+        )
     else:
         post = extrude(rounded_rectangle(0.05, 0.075, 0.008, corner=2), top, pole)
         parts.append(post)
     for height in (0.18, -0.18):
         z = top - width / 2 - 0.02 + height
         parts.append(
-            box((0.05, 0.24, 0.03), np.array(STEEL) * 0.8, centre=(0.012, 0, z))
+            box(
+                (0.05, 0.24, 0.03),
+                np.array(STEEL) * 0.8,
+                centre=(0.012, 0, z),
+            )
         )
     base = lathe(
         [[0.13, 0], [0.12, 0.03], [0.05, 0.045], [0.035, 0.08]],

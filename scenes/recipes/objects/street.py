@@ -30,7 +30,12 @@ def ground(size: float, texture: Floats, *, tile: float, height: float = 0.0) ->
             [[-half, half, height], [half, half, height]],
         ]
     )
-    return sheet(grid, texture, repeat=(size / tile, size / tile), smooth=False)
+    return sheet(
+        grid,
+        texture,
+        repeat=(size / tile, size / tile),
+        smooth=False,
+    )
 
 
 def strip(
@@ -47,7 +52,10 @@ def strip(
         ]
     )
     return sheet(
-        grid, texture, repeat=((high - low) / tile, 2 * REACH / tile), smooth=False
+        grid,
+        texture,
+        repeat=((high - low) / tile, 2 * REACH / tile),
+        smooth=False,
     )
 
 
@@ -85,7 +93,12 @@ def tree(rng: np.random.Generator) -> list[Mesh]:
         for level in np.linspace(0.2, 0.85, 5):
             cone = [[0, 0, tall * level], [0, 0, tall * (level + 0.28)]]
             parts.append(
-                sweep(cone, [(1.05 - level) * tall * 0.3, 0.02], leaves, segments=12)
+                sweep(
+                    cone,
+                    [(1.05 - level) * tall * 0.3, 0.02],
+                    leaves,
+                    segments=12,
+                )
             )
     return parts
 
@@ -95,8 +108,18 @@ def lamp(rng: np.random.Generator) -> list[Mesh]:
     iron = np.array((0.22, 0.24, 0.24)) * rng.uniform(0.7, 1.8)
     path = [[0.0, 0.0, 0.0], [0.0, 0.0, 4.6], [0.0, 0.25, 5.2], [0.0, 1.1, 5.4]]
     return [
-        sweep(path, [0.08, 0.055, 0.045, 0.04], iron, segments=10, up=(1, 0, 0)),
-        ellipsoid((0.26, 0.7, 0.16), (0.85, 0.85, 0.8), centre=(0, 1.35, 5.38)),
+        sweep(
+            path,
+            [0.08, 0.055, 0.045, 0.04],
+            iron,
+            segments=10,
+            up=(1, 0, 0),
+        ),
+        ellipsoid(
+            (0.26, 0.7, 0.16),
+            (0.85, 0.85, 0.8),
+            centre=(0, 1.35, 5.38),
+        ),
     ]
 
 
@@ -174,7 +197,13 @@ def build(seed: int = 0, *, clearance: float = 6.0, centre: float = 0.0) -> Asse
     left = 1.5 * lane
     colour = np.array((0.62, 0.6, 0.57)) * rng.uniform(0.8, 1.15)
     paving = textures.tiles(
-        192, seed, colour=colour, rows=6, columns=4, joint=0.03, spread=0.06
+        192,
+        seed,
+        colour=colour,
+        rows=6,
+        columns=4,
+        joint=0.03,
+        spread=0.06,
     )
     lawn = grass(256, seed)
     asphalt = road(256, seed)
@@ -279,11 +308,21 @@ def house(rng: np.random.Generator, *, width: float) -> list[Mesh]:
     tall = floors * 2.8
     deep = 7.0
     front = facade(rng, floors=floors, bays=bays)
-    plain = speckle((32, 32), front[3, 3], rng, grain=0.02, patch=0.1)
+    plain = speckle(
+        (32, 32),
+        front[3, 3],
+        rng,
+        grain=0.02,
+        patch=0.1,
+    )
     w = width / 2
     parts = [quad([[-w, 0, 0], [w, 0, 0], [w, 0, tall], [-w, 0, tall]], front)]
     parts.append(
-        box((width - 0.01, deep, tall), plain, centre=(0, deep / 2 + 0.02, tall / 2))
+        box(
+            (width - 0.01, deep, tall),
+            plain,
+            centre=(0, deep / 2 + 0.02, tall / 2),
+        )
     )
     tiles = textures.tiles(
         96,
@@ -315,7 +354,11 @@ def house(rng: np.random.Generator, *, width: float) -> list[Mesh]:
             edges = ((y, tall - 0.1), (deep / 2, tall + rise))
             grid = [[[x, *edge] for x in (-w - 0.2, w + 0.2)] for edge in edges]
             parts.append(sheet(grid, tiles, repeat=(width / 2.2, 2.0), smooth=False))
-        gable = extrude([[0.0, 0.0], [deep, 0.0], [deep / 2, rise]], width, plain)
+        gable = extrude(
+            [[0.0, 0.0], [deep, 0.0], [deep / 2, rise]],
+            width,
+            plain,
+        )
         parts.append(
             transform(
                 gable, translation(-w, 0, tall) @ rotation("x", 90) @ rotation("y", 90)
@@ -334,7 +377,11 @@ def house(rng: np.random.Generator, *, width: float) -> list[Mesh]:
             edges = ((sign * (w + 0.25), tall - 0.15), (0, tall + rise))
             grid = [[[x, y, z] for y in (-0.3, deep)] for x, z in edges]
             parts.append(sheet(grid, tiles, repeat=(deep / 2.2, 2.0), smooth=False))
-        gable = extrude([[-w, 0.0], [w, 0.0], [0.0, rise]], 0.1, plain)
+        gable = extrude(
+            [[-w, 0.0], [w, 0.0], [0.0, rise]],
+            0.1,
+            plain,
+        )
         parts.append(transform(gable, translation(0, 0.1, tall) @ rotation("x", 90)))
         parts.append(
             box(

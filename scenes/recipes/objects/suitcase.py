@@ -162,7 +162,11 @@ def _wheels(s: _Size, rng: np.random.Generator) -> list[Mesh]:
             missing = rng.random(2) >= 0.99
             if not missing[0]:
                 parts.append(
-                    box((0.06, 0.06, 0.05), BLACK, centre=(*corner, s.low + 0.035))
+                    box(
+                        (0.06, 0.06, 0.05),
+                        BLACK,
+                        centre=(*corner, s.low + 0.035),
+                    )
                 )
     return parts
 
@@ -308,11 +312,21 @@ def _leather(rng: np.random.Generator) -> list[Mesh]:
         (0.09, 0),
     )
     parts.append(
-        sweep([[0, y, s.top + z] for y, z in arch], np.full(6, 0.015), dark, segments=8)
+        sweep(
+            [[0, y, s.top + z] for y, z in arch],
+            np.full(6, 0.015),
+            dark,
+            segments=8,
+        )
     )
     for lock in (0.12, -0.12):
         parts.append(
-            box((0.05, 0.05, 0.02), BRASS, centre=(0.02, lock, s.top), roughness=0.2)
+            box(
+                (0.05, 0.05, 0.02),
+                BRASS,
+                centre=(0.02, lock, s.top),
+                roughness=0.2,
+            )
         )
     return parts
 

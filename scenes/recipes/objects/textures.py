@@ -99,7 +99,11 @@ def marked_road(size: int = 256, seed: int = 0) -> Floats:
     gaps = np.abs((y * 2) % 1 - 0.5) - 0.28
     dash = stripe * cover(gaps, 2 / size)
     edge = cover(np.abs(np.abs(x - 0.5) - 0.45) - 0.014, 1 / size)
-    paint(picture, np.maximum(dash, edge) * wear, (0.9, 0.9, 0.87))
+    paint(
+        picture,
+        np.maximum(dash, edge) * wear,
+        (0.9, 0.9, 0.87),
+    )
     return picture
 
 
@@ -129,7 +133,11 @@ def tiles(
         np.minimum(u % 1, 1 - u % 1) / columns * rows, np.minimum(v % 1, 1 - v % 1)
     )
     mortar = cover(edge - joint, rows / size)
-    paint(picture, mortar * 0.85, np.asarray(colour) * 0.45 + 0.22)
+    paint(
+        picture,
+        mortar * 0.85,
+        np.asarray(colour) * 0.45 + 0.22,
+    )
     return np.asarray(np.clip(picture, 0, 1), np.float32)
 
 
@@ -147,7 +155,13 @@ def stop_sign(size: int = 256, seed: int = 0) -> Floats:
         cover(polygon_distance(x - 0.5, y - 0.5, octagon * 0.93), 1 / size),
         red,
     )
-    write(picture, "STOP", (0.95, 0.95, 0.94), box=(0.13, 0.33, 0.87, 0.67), weight=0.3)
+    write(
+        picture,
+        "STOP",
+        (0.95, 0.95, 0.94),
+        box=(0.13, 0.33, 0.87, 0.67),
+        weight=0.3,
+    )
     return picture
 
 
@@ -159,15 +173,27 @@ def clock(size: int = 256, seed: int = 0) -> Floats:
     x, y = grid((size, size))
     radius = np.hypot(x - 0.5, y - 0.5)
     picture = canvas((size, size), (0.78, 0.76, 0.72))
-    paint(picture, cover(radius - 0.48, 1 / size), rng.uniform(0.04, 0.3, 3))
-    paint(picture, cover(radius - 0.43, 1 / size), (0.96, 0.95, 0.91))
+    paint(
+        picture,
+        cover(radius - 0.48, 1 / size),
+        rng.uniform(0.04, 0.3, 3),
+    )
+    paint(
+        picture,
+        cover(radius - 0.43, 1 / size),
+        (0.96, 0.95, 0.91),
+    )
     ink = (0.07, 0.07, 0.08)
     for minute in range(60):
         direction = np.array([np.sin(np.pi * minute / 30), np.cos(np.pi * minute / 30)])
         inner = 0.385 if minute % 5 == 0 else 0.4
         line = np.stack([0.5 + direction * inner, 0.5 + direction * 0.418])
         width = 0.007 if minute % 5 == 0 else 0.0025
-        paint(picture, cover(line_distance(x, y, line) - width, 1 / size), ink)
+        paint(
+            picture,
+            cover(line_distance(x, y, line) - width, 1 / size),
+            ink,
+        )
         if minute % 5 == 0:
             text, (cx, cy) = str(minute // 5 or 12), 0.5 + direction * 0.325
             half = 0.021 * len(text) + 0.007 * (len(text) - 1)
@@ -183,8 +209,16 @@ def clock(size: int = 256, seed: int = 0) -> Floats:
     for turn, reach, width in ((hour / 12, 0.21, 0.014), (minutes / 60, 0.32, 0.009)):
         direction = np.array([np.sin(2 * np.pi * turn), np.cos(2 * np.pi * turn)])
         line = np.stack([0.5 - direction * 0.05, 0.5 + direction * reach])
-        paint(picture, cover(line_distance(x, y, line) - width, 1 / size), ink)
-    paint(picture, cover(radius - 0.022, 1 / size), (0.7, 0.1, 0.1))
+        paint(
+            picture,
+            cover(line_distance(x, y, line) - width, 1 / size),
+            ink,
+        )
+    paint(
+        picture,
+        cover(radius - 0.022, 1 / size),
+        (0.7, 0.1, 0.1),
+    )
     return picture
 
 

@@ -97,7 +97,9 @@ def _body(c: _Car, cab: tuple[bool, bool]) -> list[Mesh]:
         rings.append(np.stack([x, outline[:, 0] * narrow, z], 1))
     shell = loft(np.array(rings), c.body, roughness=0.2)
     skirt = box(
-        (c.length * 0.97, c.half * 1.85, 0.25), BLACK, centre=(c.x, 0, c.floor - 0.1)
+        (c.length * 0.97, c.half * 1.85, 0.25),
+        BLACK,
+        centre=(c.x, 0, c.floor - 0.1),
     )
     roof = np.stack(
         [
@@ -108,7 +110,10 @@ def _body(c: _Car, cab: tuple[bool, bool]) -> list[Mesh]:
         1,
     )
     cap = sweep(
-        roof, np.tile([c.half * 0.78, 0.12], (8, 1)), c.roof_colour, segments=20
+        roof,
+        np.tile([c.half * 0.78, 0.12], (8, 1)),
+        c.roof_colour,
+        segments=20,
     )
     return [shell, skirt, cap]
 
@@ -181,11 +186,23 @@ def _front(c: _Car, sign: float, rng: np.random.Generator) -> list[Mesh]:
         )
     )
     parts.append(
-        box((0.3, 0.2, 0.2), BLACK, centre=(end + sign * 0.12, 0, c.floor - 0.05))
+        box(
+            (0.3, 0.2, 0.2),
+            BLACK,
+            centre=(end + sign * 0.12, 0, c.floor - 0.05),
+        )
     )
     sides = [[end - sign * 0.25, y * c.half * 0.85, 0.25] for y in (-1, 1)]
     plough = [sides[0], [end + sign * 0.1, 0, 0.2], sides[1]]
-    return [*parts, sweep(plough, np.tile([0.05, 0.22], (3, 1)), BLACK, segments=6)]
+    return [
+        *parts,
+        sweep(
+            plough,
+            np.tile([0.05, 0.22], (3, 1)),
+            BLACK,
+            segments=6,
+        ),
+    ]
 
 
 def _sides(
@@ -204,7 +221,11 @@ def _sides(
         ):
             centre = ((left + right) / 2, y, c.floor + z * height)
             parts.append(
-                box((right - left, 0.03, tall * height), c.stripe, centre=centre)
+                box(
+                    (right - left, 0.03, tall * height),
+                    c.stripe,
+                    centre=centre,
+                )
             )
         if passengers:
             count = max(3, int((right - left) / 1.5))
@@ -266,7 +287,11 @@ def _bogies(c: _Car, *, axles: int) -> list[Mesh]:
         [radius, 0.06],
         [radius * 0.8, 0.03],
     ]
-    wheel = lathe([*rim, [0.15, 0.05], [0, 0.1]], (0.3, 0.29, 0.28), segments=20)
+    wheel = lathe(
+        [*rim, [0.15, 0.05], [0, 0.1]],
+        (0.3, 0.29, 0.28),
+        segments=20,
+    )
     for centre in (c.x - c.length * 0.31, c.x + c.length * 0.31):
         span = 1.25 * (axles - 1)
         for offset in np.linspace(-span / 2, span / 2, axles):
@@ -290,7 +315,13 @@ def _bogies(c: _Car, *, axles: int) -> list[Mesh]:
                     centre=(centre, side * 1.0, radius + 0.18),
                 )
             )
-    parts.append(box((c.length * 0.22, 2.0, 0.5), GREY, centre=(c.x, 0, 0.62)))
+    parts.append(
+        box(
+            (c.length * 0.22, 2.0, 0.5),
+            GREY,
+            centre=(c.x, 0, 0.62),
+        )
+    )
     return parts
 
 
@@ -302,7 +333,11 @@ def _roof(c: _Car, rng: np.random.Generator, *, electric: bool) -> list[Mesh]:
         kind = rng.integers(3)
         if kind == 0:
             parts.append(
-                box((c.length * 0.1, 1.3, 0.28), GREY, centre=(x, 0, c.roof + 0.1))
+                box(
+                    (c.length * 0.1, 1.3, 0.28),
+                    GREY,
+                    centre=(x, 0, c.roof + 0.1),
+                )
             )
             for k in (-0.4, 0.0, 0.4):
                 parts.append(
@@ -338,7 +373,13 @@ def _roof(c: _Car, rng: np.random.Generator, *, electric: bool) -> list[Mesh]:
                 [x - 0.5, y * 0.7, top],
             ]
             parts.append(
-                sweep(path, np.full(3, 0.045), BLACK, segments=6, up=(0, 1, 0))
+                sweep(
+                    path,
+                    np.full(3, 0.045),
+                    BLACK,
+                    segments=6,
+                    up=(0, 1, 0),
+                )
             )
         for dx in (-0.65, -0.35):
             parts.append(
@@ -349,7 +390,13 @@ def _roof(c: _Car, rng: np.random.Generator, *, electric: bool) -> list[Mesh]:
                     segments=6,
                 )
             )
-        parts.append(box((1.9, 1.5, 0.1), STEEL, centre=(x, 0, c.roof + 0.05)))
+        parts.append(
+            box(
+                (1.9, 1.5, 0.1),
+                STEEL,
+                centre=(x, 0, c.roof + 0.05),
+            )
+        )
     return parts
 
 
@@ -394,7 +441,9 @@ def build(seed: int = 0) -> Model:
             x=-(first + 0.5) / 2, length=length - first - 0.5, roof=height * 0.98
         )
         bellows = box(
-            (0.7, 1.6, 2.2), BLACK, centre=(length / 2 - first - 0.25, 0, 2.2)
+            (0.7, 1.6, 2.2),
+            BLACK,
+            centre=(length / 2 - first - 0.25, 0, 2.2),
         )
         parts = [
             *_body(coach, (False, False)),

@@ -26,7 +26,11 @@ def _landscape(rng: np.random.Generator) -> Floats:
     high = rng.uniform(0.15, 0.7, 3) * (0.6, 0.8, 1.3)
     picture[:] = low * (1 - y[..., None]) + np.clip(high, 0, 1) * y[..., None]
     sun = np.hypot((x - rng.uniform(0.15, 0.85)) * 16 / 9, y - rng.uniform(0.65, 0.85))
-    paint(picture, textures.cover(sun - 0.07, 0.01), (1.0, 0.95, 0.7))
+    paint(
+        picture,
+        textures.cover(sun - 0.07, 0.01),
+        (1.0, 0.95, 0.7),
+    )
     for level in (0.55, 0.42, 0.28):
         ridge = level + 0.09 * np.sin(x * rng.uniform(4, 9) + rng.uniform(0, 6))
         ridge += 0.03 * np.sin(x * 23 + rng.uniform(0, 6))
@@ -42,10 +46,18 @@ def _match(rng: np.random.Generator) -> Floats:
     """A football pitch with stripes, lines and players as small dots."""
     picture = textures.canvas((144, 256), (0.12, 0.45, 0.16))
     x, y = textures.grid((144, 256))
-    paint(picture, np.where((x * 10) % 1 < 0.5, 0.3, 0.0), (0.2, 0.6, 0.2))
+    paint(
+        picture,
+        np.where((x * 10) % 1 < 0.5, 0.3, 0.0),
+        (0.2, 0.6, 0.2),
+    )
     circle = np.abs(np.hypot((x - 0.5) * 16 / 9, y - 0.5) - 0.2)
     for line in (np.abs(x - 0.5), circle, np.abs(y - 0.05), np.abs(y - 0.95)):
-        paint(picture, textures.cover(line - 0.006, 0.008), (0.9, 0.95, 0.9))
+        paint(
+            picture,
+            textures.cover(line - 0.006, 0.008),
+            (0.9, 0.95, 0.9),
+        )
     for _ in range(14):
         where = np.hypot(
             (x - rng.uniform(0.08, 0.92)) * 16 / 9, (y - rng.uniform(0.1, 0.9)) * 0.55
@@ -169,7 +181,11 @@ def build(seed: int = 0) -> Model:
     y = np.array([-half_w, half_w, half_w, -half_w])
     z = middle + lift + np.array([-half_h, -half_h, half_h, half_h])
     parts.append(
-        quad(np.stack([np.full(4, 0.0215), y, z], 1), screen(rng), roughness=0.08)
+        quad(
+            np.stack([np.full(4, 0.0215), y, z], 1),
+            screen(rng),
+            roughness=0.08,
+        )
     )
     parts.append(
         box(
