@@ -1,5 +1,4 @@
-"""The row of a suite: how often a detector still names what it named before, counted
-from the rows of its looks.
+"""The figures of a suite: how often a detector still names what it named before.
 
 Every rate is of views in which the detector names the clean object (the control).
 Higher is more robust. What cannot be judged is counted and not guessed.
@@ -8,27 +7,28 @@ Higher is more robust. What cannot be judged is counted and not guessed.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import polars as pl
 
+from attacks.figures.frame import MEASURE, NOTHING, Figures, Labels, Number
+from attacks.figures.rate import Rate, pooled
+from attacks.figures.tables import NONE, Column, Table
 from attacks.observe.rates import REPORTED, Measure, blocks_of, count
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
-from attacks.rate import Rate, pooled
-from attacks.tables import Table
 
 STORY = "bench"
-ROW = "row.json"
 ONE_VIEW, ALL_VIEWS, CLOAK, TRANSFER = COLUMNS = (
     "one_view",
     "all_views",
     "cloak",
     "transfer",
 )
-"""What a row has a rate for, each with a study file of its name."""
+"""What a row has a rate for, each with a study file of its name; parts of the figures.
+"""
 DEFENDED = "defended"
-"""What rows call the condition with the defence."""
+"""What rows call the condition with the defence, and figures the scope."""
 LEAST = 10
 """Views that have to be judged for a column to have a rate."""
 KNOWS: Mapping[str, Mapping[str, Any]] = {
@@ -42,120 +42,100 @@ HEADS = {
     "transfer": "transfer",
 }
 """Columns in words."""
-NOT_IN_ROW = ("attacks", "command", "name", "question", "story", "study")
-"""What the record of a result has, and its row has not."""
-Record = Mapping[str, Any]
+
+Row = tuple[Mapping[str, Any], Figures]
+"""What a result states, and its figures."""
+Entries = Iterator[tuple[Labels, Rate | Number | None]]
 
 
-def row_of(record: Record) -> dict[str, Any]:
-    """What of a record is its row."""
-    return {key: value for key, value in record.items() if key not in NOT_IN_ROW}
+def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> Figures:
+    """Every figure of a suite, from its rows."""
+    columns = []
+    for name in COLUMNS:
+        attacks = {
+            title: attack
+            for title, attack in record["attacks"].items()
+            if attack["column"] == name
+        }
+        entries = Figures.of(_column(attacks, tables[ROWS]))
+        columns.append(entries.labelled(part=name))
+    every = Figures.together(columns)
+    score = [] if record["missing"] else [({MEASURE: "score"}, score_of(every))]
+    return Figures.together([every, Figures.of(score)])
 
 
-def figures(record: Record, frames: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
-    """Every figure of a suite, of its rows."""
-    attacks = record["attacks"]
-    rows = frames[ROWS]
-    columns = {name: _column(attacks, rows, name) for name in COLUMNS}
-    score = score_of({"columns": columns, "missing": record["missing"]})
-    return {"columns": columns, "score": score, "warnings": warnings(columns)}
+def robust(figures: Figures, column: str, **labels: str) -> Rate | None:
+    """The rate of a column; None where too few views can be judged."""
+    rate = figures.rate("robust", part=column, **labels)
+    return rate if rate.total >= LEAST else None
 
 
-def warnings(columns: Mapping[str, Record]) -> list[str]:
+def warnings(figures: Figures) -> Iterator[str]:
     """Reasons to think that attacks on the detector itself were too weak, so that a
     rate says little.
     """
-    told = []
-    itself = columns[ONE_VIEW]["robust"]
-    others = columns[TRANSFER]["robust"]
-    if itself and others and others["interval"][1] < itself["interval"][0]:
-        told.append(
+    itself = robust(figures, ONE_VIEW)
+    others = robust(figures, TRANSFER)
+    if itself and others and others.interval[1] < itself.interval[0]:
+        yield (
             "Attacks on others do more than attacks on it: its gradients may be hidden."
         )
     for column in (ONE_VIEW, ALL_VIEWS):
-        noise = columns[column]["noise"]
-        robust = columns[column]["robust"]
-        if robust and noise["total"] and noise["rate"] <= robust["interval"][1]:
-            told.append(
+        noise = figures.rate("noise", part=column)
+        attacked = robust(figures, column)
+        if attacked and noise.total and noise.fraction <= attacked.interval[1]:
+            yield (
                 "Random noise of the same size does about as much as the attacks:"
                 f" {HEADS[column]}."
             )
-    return told
 
 
-def score_of(row: Record) -> dict[str, Any] | None:
+def score_of(figures: Figures) -> Number | None:
     """The mean of the columns, if none is missing; its interval takes them for
     independent.
     """
-    rates = [
-        column["robust"]
-        for column in row["columns"].values()
-        if column["robust"] is not None
-    ]
-    if len(rates) < len(COLUMNS) or row["missing"]:
+    rates = [rate for name in COLUMNS if (rate := robust(figures, name)) is not None]
+    if len(rates) < len(COLUMNS):
         return None
-    mean = sum(rate["rate"] for rate in rates) / len(rates)
-    low, high = (
-        math.sqrt(sum((rate["rate"] - rate["interval"][end]) ** 2 for rate in rates))
-        / len(rates)
-        for end in (0, 1)
+    mean = sum(rate.fraction for rate in rates) / len(rates)
+    below = math.hypot(*(rate.fraction - rate.interval[0] for rate in rates))
+    above = math.hypot(*(rate.fraction - rate.interval[1] for rate in rates))
+    return Number(
+        value=round(mean, 6),
+        low=round(max(0.0, mean - below / len(rates)), 6),
+        high=round(min(1.0, mean + above / len(rates)), 6),
     )
-    return {
-        "mean": round(mean, 6),
-        "interval": [round(max(0.0, mean - low), 6), round(min(1.0, mean + high), 6)],
-    }
 
 
-def _column(attacks: Record, rows: pl.DataFrame, column: str) -> dict[str, Any]:
-    mine = {
-        name: attack for name, attack in attacks.items() if attack["column"] == column
-    }
-    blind = rows.filter(
-        pl.col("attack").is_in(
-            [name for name, attack in mine.items() if not attack["knows"]]
-        )
-    )
-    looked = judged(blind)
-    robust = _rates(looked, {"robust": ATTACKED})["robust"]
-    clean = blind.filter(pl.col("splat") == CLEAN, pl.col("condition") != DEFENDED)
-    told: dict[str, Any] = {
-        "robust": robust.as_dict() if robust.total >= LEAST else None,
-        "named_clean": (
-            Rate(
-                successes=int((clean["original_score"] >= REPORTED).sum()),
-                total=len(clean),
-            ).as_dict()
-        ),
-        "judged": robust.total,
-        "noise": _rates(looked, {"noise": NOISE})["noise"].as_dict(),
-        "by": {},
-    }
-    for label in dict.fromkeys(
-        ", ".join(map(str, attack["labels"].values())) for attack in mine.values()
-    ):
-        names = [
-            name
-            for name, attack in mine.items()
-            if ", ".join(map(str, attack["labels"].values())) == label
-        ]
-        rate = _rates(
-            looked.filter(pl.col("attack").is_in(names)), {"robust": ATTACKED}
-        )["robust"]
-        told["by"][label] = {"successes": rate.successes, "total": rate.total}
-    if DEFENDED in blind["condition"]:
-        under = _rates(looked, {"robust": ATTACKED, "clean": CLEAN}, DEFENDED)
-        aware = rows.filter(
-            pl.col("attack").is_in(
-                [name for name, attack in mine.items() if attack["knows"]]
-            )
-        )
-        under |= (
-            _rates(judged(aware), {"robust_who_knows": ATTACKED}, DEFENDED)
-            if len(aware)
-            else {}
-        )
-        told["defended"] = {name: rate.as_dict() for name, rate in under.items()}
-    return told
+def _column(attacks: Mapping[str, Any], rows: pl.DataFrame) -> Entries:
+    of = pl.col("attack")
+    blind = [name for name, attack in attacks.items() if not attack["knows"]]
+    aware = [name for name, attack in attacks.items() if attack["knows"]]
+    seen = judged(rows.filter(of.is_in(blind)))
+    yield {MEASURE: "robust"}, _named(seen, ATTACKED)
+    yield {MEASURE: "noise"}, _named(seen, NOISE)
+    clean = rows.filter(of.is_in(blind), ~_DEFENDED, splat=CLEAN)
+    yield {MEASURE: "named_clean"}, count(clean, {"named": _NAMED}).rate("named")
+    settings: dict[str, list[str]] = {}
+    for name in attacks:
+        setting = ", ".join(map(str, attacks[name]["labels"].values()))
+        settings.setdefault(setting, []).append(name)
+    for setting, names in settings.items():
+        of_setting = seen.filter(of.is_in(names))
+        yield {MEASURE: "robust", "setting": setting}, _named(of_setting, ATTACKED)
+    if DEFENDED in seen["condition"]:
+        under: Labels = {"scope": DEFENDED}
+        defended = _named(seen, ATTACKED, defended=True)
+        yield {MEASURE: "robust", **under}, defended
+        yield {MEASURE: "clean", **under}, _named(seen, CLEAN, defended=True)
+        known = judged(rows.filter(of.is_in(aware)))
+        if len(known):
+            adaptive = _named(known, ATTACKED, defended=True)
+            yield {MEASURE: "robust_if_known", **under}, adaptive
+
+
+_DEFENDED = pl.col("condition") == DEFENDED
+_NAMED = Measure(holds=pl.col("original_score") >= REPORTED)
 
 
 def judged(rows: pl.DataFrame) -> pl.DataFrame:
@@ -165,93 +145,69 @@ def judged(rows: pl.DataFrame) -> pl.DataFrame:
     if rows.is_empty():
         return rows.with_columns(block=pl.lit("", pl.String))
     on = ["attack", "seed", "view"]
-    control = rows.filter(
-        pl.col("splat") == CLEAN,
-        pl.col("condition") != DEFENDED,
-        pl.col("original_score") >= REPORTED,
-    )
-    block = pl.concat_str(
-        pl.col("original"),
-        blocks_of("azimuth", "elevation").cast(pl.String),
-        separator=" ",
-    )
-    return rows.join(
-        control.select(on).unique(), on=on, maintain_order="left"
-    ).with_columns(block=block)
+    control = rows.filter(_NAMED.holds, ~_DEFENDED, splat=CLEAN)
+    block = blocks_of("azimuth", "elevation").cast(pl.String)
+    block = pl.concat_str(pl.col("original"), block, separator=" ")
+    once = control.select(on).unique()
+    return rows.join(once, on=on, maintain_order="left").with_columns(block=block)
 
 
-def _rates(
-    rows: pl.DataFrame, wanted: Mapping[str, str], condition: str = ""
-) -> dict[str, Rate]:
-    """How often the object is still named on splats, with the interval of blocks of
+def _named(rows: pl.DataFrame, splat: str, *, defended: bool = False) -> Rate:
+    """How often the object is still named on a splat, with the interval of blocks of
     cameras and of seeds.
     """
-    if condition:
-        under = pl.col("condition") == DEFENDED
-    else:
-        under = pl.col("condition") != DEFENDED
-    measures = {
-        name: Measure(
-            holds=pl.col("original_score") >= REPORTED,
-            given=under & (pl.col("splat") == splat),
-        )
-        for name, splat in wanted.items()
-    }
-    none = {name: Rate(successes=0, total=0) for name in wanted}
     if rows.is_empty():
-        return none
-    return count(rows, measures, clusters=("block", "seed"))[()]
+        return NOTHING
+    under = _DEFENDED if defended else ~_DEFENDED
+    given = under & (pl.col("splat") == splat)
+    named = Measure(holds=_NAMED.holds, given=given)
+    return count(rows, {"named": named}, clusters=("block", "seed")).rate("named")
 
 
-def table_of(rows: Sequence[Record]) -> Table:
+def table_of(rows: Sequence[Row]) -> Table:
     """A table of rows, the highest score first; those without one are below, and have
     no rank.
     """
-    ranked = sorted(
-        (row for row in rows if row["score"]), key=lambda row: -row["score"]["mean"]
-    )
-    others = sorted(
-        (row for row in rows if not row["score"]),
-        key=lambda row: str(row["detector"]["name"]),
-    )
-    lines = [
-        *((str(number + 1), row) for number, row in enumerate(ranked)),
-        *(("-", row) for row in others),
-    ]
-    heads: dict[str, Any] = {
-        "rank": lambda line: line[0],
-        "detector": lambda line: line[1]["detector"]["name"],
+    scores = {id(row): row[1].value("score") for row in rows}
+    others = [row for row in rows if scores[id(row)] is None]
+    others.sort(key=lambda row: str(row[0]["detector"]["name"]))
+    ranked = [row for row in rows if scores[id(row)] is not None]
+    ranked.sort(key=lambda row: -(scores[id(row)] or 0.0))
+    ranks = {id(row): str(number) for number, row in enumerate(ranked, 1)}
+    columns: dict[str, Column[Row]] = {
+        "rank": lambda row: ranks.get(id(row), NONE),
+        "detector": lambda row: row[0]["detector"]["name"],
+        "score": lambda row: score_words(row[1]),
+        **{head: _rate_of(column) for column, head in HEADS.items()},
+        "clean object named": lambda row: clean_named(row[1]).short(),
+        "warnings": lambda row: " ".join(warnings(row[1])) or None,
+        "CPU minutes": lambda row: f"{row[0]['cpu_seconds']['all'] / 60:.1f}",
     }
-    heads["score"] = lambda line: _score_words(line[1]["score"])
-    for column, head in HEADS.items():
-        heads[head] = lambda line, column=column: _cell(line[1], column)
-    heads["clean object named"] = lambda line: pooled(
-        line[1]["columns"][name]["named_clean"] for name in COLUMNS
-    ).short()
-    heads["warnings"] = lambda line: " ".join(line[1]["warnings"]) or "-"
-    heads["CPU minutes"] = lambda line: f"{line[1]['cpu_seconds']['all'] / 60:.1f}"
-    return Table.of("Robustness", heads, lines)
+    return Table.of("Robustness", columns, [*ranked, *others])
 
 
-def _score_words(score: Record | None) -> str:
-    if score is None:
-        return "-"
-    return (
-        f"{score['mean']:.2f} ({score['interval'][0]:.2f} to"
-        f" {score['interval'][1]:.2f})"
-    )
+def clean_named(figures: Figures) -> Rate:
+    """In how many views of all columns the clean object is named."""
+    return pooled(figures.rate("named_clean", part=name) for name in COLUMNS)
 
 
-def _rate(rate: Record | None) -> str:
-    if rate is None:
-        return "-"
-    return Rate.of(rate).short(interval=True)
+def score_words(figures: Figures) -> str | None:
+    """The score with its interval."""
+    score = figures.find("score")
+    if not isinstance(score, Number):
+        return None
+    return f"{score.value:.2f} ({score.low:.2f} to {score.high:.2f})"
 
 
-def _cell(row: Record, column: str) -> str:
-    counted = row["columns"][column]
-    if counted["robust"] is not None:
-        return _rate(counted["robust"])
-    if column in row["missing"]:
-        return "not filled"
-    return f"cannot judge ({counted['judged']} views)"
+def _rate_of(column: str) -> Column[Row]:
+    def text(row: Row) -> str:
+        record, figures = row
+        rate = robust(figures, column)
+        if rate is not None:
+            return rate.short(interval=True)
+        if column in record["missing"]:
+            return "not filled"
+        views = figures.rate("robust", part=column).total
+        return f"cannot judge ({views} views)"
+
+    return text

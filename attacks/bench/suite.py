@@ -23,27 +23,25 @@ from attacks.bench.row import (
     DEFENDED,
     KNOWS,
     ONE_VIEW,
-    ROW,
     STORY,
     TRANSFER,
     figures,
-    row_of,
     table_of,
 )
 from attacks.cloak.steps import Look, StudySteps
 from attacks.detectors.registry import detector_spec, load_detector, use_weights
+from attacks.figures.frame import Figures
+from attacks.figures.tables import Table
 from attacks.observe.conditions import OWN, check_condition
 from attacks.observe.rows import DEPTH, NOISE, NORM_NOISE, ROWS, frame_of
 from attacks.studies.cloak import CloakJudge, config_of
 from attacks.studies.dagger import DaggerWork
 from attacks.studies.running import Attempt, Observed, Work
 from attacks.studies.study_file import Settings, Study, merged, study_of
-from attacks.tables import Table
 from mi_splat.errors import InvalidValueError, MiSplatError, nearest
 from mi_splat.fields import check_choice
-from mi_splat.io.documents import save_json, sha256
-from mi_splat.io.folders import RECORD
-from mi_splat.io.parsing import DocumentReader, read_json
+from mi_splat.io.documents import sha256
+from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger import Done, Job
 from mi_splat.ledger.plans import Result
 
@@ -359,21 +357,15 @@ class BenchWork(Work[Entry]):
         }
         return facts, {ROWS: frame_of(rows)}, []
 
-    def with_figures(
-        self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]
-    ) -> dict[str, Any]:
-        """A record with its columns and score."""
-        return record | figures(record, rows)
+    def figures(
+        self, record: Mapping[str, Any], rows: Mapping[str, pl.DataFrame]
+    ) -> Figures:
+        """Its columns and score."""
+        return figures(record, rows)
 
-    def tables(self, record: Mapping[str, Any]) -> list[Table]:
+    def tables(self, record: Mapping[str, Any], figures: Figures) -> list[Table]:
         """The row as a table."""
-        return [table_of([record])]
-
-    def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
-        """Write the result, and what of it is the row."""
-        paths = super().write(results, out)
-        save_json(row_of(read_json(out / RECORD)), out / ROW)
-        return [*paths, out / ROW]
+        return [table_of([(record, figures)])]
 
     def _seconds(self, done: Mapping[str, Done]) -> dict[str, float]:
         """CPU seconds of the jobs of each column, and of those that every detector

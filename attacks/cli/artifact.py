@@ -49,26 +49,23 @@ def check_inputs(options: ArtifactOptions) -> None:
 
 def run(options: ArtifactOptions) -> None:
     """Copy the result, and say what the copy holds."""
-    from attacks.report.checking import check_figures, pack, read_result
+    from attacks.figures.result import read_result
+    from attacks.report.checking import pack
     from attacks.report.results import kind_of
     from mi_splat.io.folders import check_new_folder
 
     check_new_folder(options.out, force=options.force)
     with progress("packing", total=None):
-        kind = kind_of(read_result(options.result))
-        figures = kind.figures
+        derive = kind_of(read_result(options.result)).derive
         result = pack(
             options.result,
             options.out,
-            figures,
-            kind.given,
+            derive,
             whole=options.whole,
             force=options.force,
         )
     rows = sum(map(len, result.tables.values()))
-    count = sum(
-        check.passed is True for check in check_figures(result, figures, kind.given)
-    )
+    count = 0 if derive is None else len(result.figures)
     document = {
         "out": str(options.out),
         "story": result.kind,
@@ -135,13 +132,13 @@ def _checked(folder: Path, manifest: str | None) -> list[Check]:
     """Every line of one result; one that cannot be read is one red line, so that the
     others are still checked.
     """
-    from attacks.report.checking import Check, check_result, read_result
+    from attacks.figures.result import read_result
+    from attacks.report.checking import Check, check_result
     from attacks.report.results import kind_of
 
     try:
         result = read_result(folder)
-        kind = kind_of(result)
-        return check_result(result, kind.figures, kind.given, manifest=manifest)
+        return check_result(result, kind_of(result).derive, manifest=manifest)
     except MiSplatError as error:
         hint = f" ({error.hint})" if error.hint else ""
         return [

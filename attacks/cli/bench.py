@@ -55,10 +55,9 @@ class BenchOptions(JobOptions):
 
 def run(options: BenchOptions) -> int:
     """Do what is asked for; the exit status is 1 if a job has failed."""
-    from attacks.bench.row import ROW
     from attacks.bench.suite import BenchWork, read_suite
-    from attacks.studies.running import TABLE
-    from mi_splat.io.parsing import read_json
+    from attacks.figures.frame import read_figures
+    from attacks.studies.running import STUDY_FILE, TABLE
 
     limit_threads(1)
     suite = read_suite(options.suite)
@@ -70,19 +69,19 @@ def run(options: BenchOptions) -> int:
         columns=options.columns,
     )
     out = options.out or usual_folder(options)
-    done = run_in(out, ROW, work, options)
+    done = run_in(out, STUDY_FILE, work, options)
     if options.json:
         show_json(
             {
                 "failed": done.failed,
                 "out": str(out),
-                "row": read_json(out / ROW) if done.files else None,
+                "figures": read_figures(out).as_dicts() if done.files else None,
             }
         )
     elif done.files:
         show((out / TABLE).read_text())
         show(
-            f"{out}: {ROW} is the row, rows.csv.xz has every look; mi-splat"
+            f"{out}: figures.csv has every rate, rows.csv.xz every look; mi-splat"
             f" artifact-check {out} counts them again."
         )
     if done.failed:

@@ -55,9 +55,9 @@ class CompareOptions(ResultOptions):
 
 def run(options: CompareOptions) -> None:
     """Compare, and write what came of it."""
+    from attacks.figures.tables import sections
     from attacks.studies.compare import Comparing, measured, tables
     from attacks.studies.running import TABLE
-    from attacks.tables import sections
     from mi_splat.comparison.compare import CompareConfig, save_sheets
     from mi_splat.io.documents import save_json, save_text
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder

@@ -19,7 +19,6 @@ from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
     from attacks.detectors.base import Detector
-    from attacks.observe.comparison import Comparison
     from mi_splat.cameras.camera import Camera
     from mi_splat.cli.cameras import Chosen
     from mi_splat.scene import GaussianScene
@@ -74,14 +73,15 @@ def run(options: EvaluateOptions) -> None:
     """Evaluate, and write pictures and numbers."""
     from attacks.cli.options import check_detectors
     from attacks.cli.summary import show_summary
+    from attacks.figures.frame import write_figures
     from attacks.observe.comparison import (
         changed_mask,
-        compare,
         compared_rows,
-        contradictions,
+        doubts,
+        figures,
         side_by_side,
     )
-    from attacks.observe.rows import ATTACKED, CLEAN
+    from attacks.observe.rows import ATTACKED, CLEAN, ROWS
     from attacks.observe.views import evaluate
     from mi_splat.cli.cameras import choose, look_at_object
     from mi_splat.io.documents import save_json, save_png
@@ -111,23 +111,25 @@ def run(options: EvaluateOptions) -> None:
         looked = compared_rows(
             seen, **classes, min_confidence=confidence, judges=judges
         )
-        comparisons = compare(looked.rows, confidence=confidence)
-        contradicted = contradictions(looked.rows, judges, names, confidence=confidence)
+        document = _document(options, chosen, scenes, detectors)
+        if judges:
+            document["judges"] = judges
+        counted = figures(document, {ROWS: looked.rows})
+        document["warnings"] += doubts(looked.rows, counted, len(cameras))
         with new_folder(options.out, force=options.force) as folder:
-            for comparison in comparisons if options.pictures else ():
-                name = comparison.detector
+            for detector in detectors if options.pictures else ():
+                name = detector.name
                 most = options.pictures
                 drawn = side_by_side(
                     seen[CLEAN], seen[ATTACKED], detector=name, most=most, names=names
                 )
                 save_png(drawn, folder / f"{name}.png")
-            told = {"judges": judges, "contradictions": contradicted} if judges else {}
-            save_json(
-                _document(options, chosen, scenes, detectors, comparisons, told),
-                folder / RECORD,
-            )
+            save_json(document, folder / RECORD)
             looked.write(folder)
-    show_summary(options.out, as_json=options.json, tables=len(contradicted))
+            write_figures(counted, folder)
+    pairs = counted.having("judge").groups("detector", "judge").values()
+    flagged = [pair for pair in pairs if pair.pooled("contradicted").successes]
+    show_summary(options.out, as_json=options.json, tables=len(flagged))
 
 
 def _detectors(options: EvaluateOptions) -> tuple[list[Detector], dict[str, list[str]]]:
@@ -151,8 +153,6 @@ def _document(
     chosen: Chosen,
     scenes: Mapping[str, GaussianScene],
     detectors: Sequence[Detector],
-    comparisons: Sequence[Comparison],
-    of_judges: Mapping[str, Any],
 ) -> dict[str, Any]:
     """What result.json says."""
     from mi_splat.cameras.directions import UP
@@ -173,22 +173,16 @@ def _document(
         "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
         **{f"{name}_hash": scene_hash(scene) for name, scene in scenes.items()},
         "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
-        "detectors": {
-            comparison.detector: comparison.as_dict() for comparison in comparisons
-        },
-        **of_judges,
         "warnings": [
             *doubts(chosen.mask, {}),
-            *_doubts(comparisons, cameras, options.attacked),
+            *_doubts(cameras, options.attacked),
         ],
         **provenance.rendered_with(chosen.render),
         **provenance.origin(),
     }
 
 
-def _doubts(
-    comparisons: Sequence[Comparison], cameras: Sequence[Camera], attacked: Path
-) -> Iterator[str]:
+def _doubts(cameras: Sequence[Camera], attacked: Path) -> Iterator[str]:
     import torch
 
     from mi_splat.io.camera_records import recorded_cameras
@@ -205,5 +199,3 @@ def _doubts(
             f"{same} of {len(cameras)} cameras are those that were attacked: pass"
             " others, with --cameras"
         )
-    for comparison in comparisons:
-        yield from comparison.doubts(len(cameras))

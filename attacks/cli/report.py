@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from attacks.cli.options import check_result_folder
-from attacks.rate import FIXED
+from attacks.figures.rate import FIXED
 from mi_splat.cli.console import progress, show, show_json, show_table, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
@@ -103,9 +103,9 @@ class RowsOptions(JsonOptions):
 
     result: Positional[Folder]
     """Folder of a result."""
-    table: Literal["rows", "detections", "fidelity", "transition"] = "rows"
-    """Which table: what is reported on the object, every single detection, or (cloak)
-    pictures without a detector.
+    table: Literal["rows", "detections", "fidelity", "transition", "figures"] = "rows"
+    """Which table: what is reported on the object, every single detection, (cloak)
+    images without a detector, or the figures of the result.
     """
     csv: bool = False
     """Write the table as CSV on stdout."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from attacks.rate import FIXED
+from attacks.figures.rate import FIXED
 from mi_splat.cli.console import show, show_json, show_table, warn
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
@@ -21,7 +21,13 @@ def show_summary(result: Path, *, as_json: bool, tables: int = 0) -> None:
     where to look.
     """
     if as_json:
-        show_json({**read_json(result / RECORD), "out": str(result)})
+        from attacks.figures.frame import read_figures
+        from attacks.observe.rows import FIGURES_FILE
+
+        document = {**read_json(result / RECORD), "out": str(result)}
+        if (result / FIGURES_FILE).is_file():
+            document["figures"] = read_figures(result).as_dicts()
+        show_json(document)
         return
     from attacks.report.results import read_section
 
@@ -35,7 +41,8 @@ def show_summary(result: Path, *, as_json: bool, tables: int = 0) -> None:
     if section.pictures:
         show(f"Look at {section.pictures[0].path} first.")
     show(
-        f"{result}: every number is in {RECORD}; mi-splat report {result} makes a page."
+        f"{result}: every figure is in figures.csv; mi-splat report {result} makes a"
+        " page."
     )
 
 

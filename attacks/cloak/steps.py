@@ -24,7 +24,6 @@ from attacks.cloak.kinds.pictures import APPEARANCE, PicturesConfig
 from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
 from attacks.cloak.kinds.trained import TrainedConfig
 from attacks.cloak.layers import LayeredConfig
-from attacks.cloak.rates import CLOAKED
 from attacks.cloak.setup import OBJECT, SET, Pose, Setup, input_name
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import SunTable, package_of
@@ -40,6 +39,8 @@ _KINDS = "attacks.cloak.kinds"
 POISONED_KIND = "attacks.poisons.poisoned"
 PICTURES = f"{SET}/*"
 """The set of a job that leaves one."""
+CLOAKED = "cloaked"
+"""What files call the attacked splat."""
 ROW_NAMES = {CLEAN: CLEAN, CLOAKED: ATTACKED}
 """Splats as the steps call them, and as rows do."""
 

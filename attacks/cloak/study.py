@@ -16,18 +16,19 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.cloak.config import StudyConfig, check_once, fit_config, knowledge_for
+from attacks.cloak.figures import figures
 from attacks.cloak.kinds.seen import loaded, path_cameras
 from attacks.cloak.poisoning import assign
-from attacks.cloak.rates import CLOAKED, figures
 from attacks.cloak.setup import SET, Setup
-from attacks.cloak.steps import Look, StudySteps
+from attacks.cloak.steps import CLOAKED, Look, StudySteps
 from attacks.cloak.tables import tables as summary_tables
 from attacks.detectors.base import Detector
+from attacks.figures.frame import write_figures
+from attacks.figures.tables import sections
 from attacks.observe.drawing import annotated
 from attacks.observe.rows import CLEAN, SUFFIX, TABLES, by_camera, write_rows
 from attacks.observe.views import CAMERAS, cameras_document
 from attacks.poisons.base import MANIFEST
-from attacks.tables import sections
 from mi_splat import provenance
 from mi_splat.cameras.directions import direction_of
 from mi_splat.datasets import load_dataset
@@ -71,6 +72,8 @@ def write_report(
         write_rows(by_camera(table), folder / f"{name}{SUFFIX}").name
         for name, table in tables.items()
     ]
+    counted = figures(steps.study, tables, entry["splats"])
+    written.append(write_figures(counted, folder).name)
     shown = {name: load_splat(file) for name, file in files.items()}
     jobs = {CLEAN: steps.pictures(), "poisoned": steps.poisoned(first)}
     sets = {name: done[job.identity].folder / SET for name, job in jobs.items()}
@@ -85,7 +88,7 @@ def write_report(
         "files": [*splats, POISON, CAMERAS, STUDY_FILE, *written, *pictures, TABLE],
         **provenance.origin(),
     }
-    save_text(sections(summary_tables(summary)), folder / TABLE)
+    save_text(sections(summary_tables(counted)), folder / TABLE)
     save_text(study_toml(asdict(steps.study)), folder / STUDY_FILE)
     save_json(summary, folder / SUMMARY)
     return summary
@@ -329,7 +332,6 @@ def observed(
         for name, seed in steps.names()
     ]
     entry = {
-        **figures(study, whole, records),
         "splats": records,
         "detectors": {detector.name: detector.fingerprint for detector in detectors},
         "seeds": list(study.seeds),

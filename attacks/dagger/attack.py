@@ -15,8 +15,9 @@ from typing import Any
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.controls import control_scenes
+from attacks.dagger.figures import attack_figures
 from attacks.dagger.problem import Problem, check_detectors
-from attacks.dagger.result import Result, counted, judge, observed
+from attacks.dagger.result import Result, judge, observed
 from attacks.dagger.search import OnStep, search
 from attacks.dagger.views import DrawnViews, FixedViews, ViewDistribution
 from attacks.detectors.base import Detector
@@ -220,8 +221,12 @@ def _judged(
         image=image,
         control_images=control_images,
         looked=looked,
-        figures=counted(
-            looked.rows, names, problem.objective.label, config, elevations
+        figures=attack_figures(
+            looked.rows,
+            names,
+            problem.objective.label,
+            config.required_views,
+            elevations,
         ),
         fingerprints={
             detector.name: detector.fingerprint for detector in problem.detectors

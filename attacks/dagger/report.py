@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from attacks.dagger.result import DRAWN, FIXED, JudgedView, Result, Seen
+from attacks.dagger.figures import DRAWN, FIXED
+from attacks.dagger.result import JudgedView, Result, Seen
+from attacks.figures.frame import write_figures
 from attacks.observe.drawing import annotated, difference, listed, stacked
 from attacks.observe.views import CAMERAS, cameras_document
 from attacks.search.loop import NOT_JUDGED
@@ -32,8 +34,6 @@ picture.
 """
 _DRAWN = 0.3
 """Confidence from which a detection is drawn."""
-_EACH = ("detectors", "views")
-"""Lists of which each entry has figures."""
 
 
 def write_report(
@@ -78,6 +78,7 @@ def write_files(result: Result, folder: Path) -> list[Path]:
     return [
         *(folder / name for name in (*images, ATTACKED, CAMERAS, RECORD)),
         *result.looked.write(folder),
+        write_figures(result.figures, folder),
     ]
 
 
@@ -103,12 +104,13 @@ def summary(result: Result) -> dict[str, Any]:
     """The result as JSON can hold it; keys are explained in `Result` and in its
     configuration.
 
-    What can be counted is counted from the rows (`attacks.dagger.result`).
+    What is counted from the rows stands beside it, in figures.csv.
     """
     config = result.config
     image = result.image
-    stated = {
+    return {
         "story": DRAWN if result.drawn else FIXED,
+        "success": result.success,
         "objective": result.objective.name,
         "target": result.objective.label,
         "steps": result.best.index,
@@ -150,14 +152,6 @@ def summary(result: Result) -> dict[str, Any]:
         **result.origin,
         "seconds": round(result.seconds, 3),
     }
-    each = {
-        key: [
-            {**entry, **more}
-            for entry, more in zip(stated[key], result.figures[key], strict=True)
-        ]
-        for key in _EACH
-    }
-    return {**stated, **result.figures, **each}
 
 
 def _control_psnr(result: Result) -> dict[str, list[float | None]]:

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import polars as pl
 import torch
 from torch import Tensor
 
@@ -13,8 +12,9 @@ from attacks.dagger.controls import Draw
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import Reports, View, detected
 from attacks.detectors.base import Detections
+from attacks.figures.frame import Figures
+from attacks.figures.rate import Rate
 from attacks.objectives.base import Objective, Target, confidence
-from attacks.objectives.verdicts import overall_verdict, reached_by
 from attacks.observe.observations import (
     Observations,
     camera_cells,
@@ -22,28 +22,17 @@ from attacks.observe.observations import (
     report_cells,
     verdict_cells,
 )
-from attacks.observe.rates import (
-    AIMS,
-    REPORTED_AS_ORIGINAL,
-    STRICT,
-    aim_figures,
-    count,
-    detected_views,
-    joint_views,
-)
 from attacks.observe.rows import (
     ATTACKED,
     CLEAN,
     CONTROLS,
     NOISE,
     NORM_NOISE,
-    ROWS,
     Cell,
     Row,
     frame_of,
 )
 from attacks.observe.views import ImageChange, ViewDetections, image_change
-from attacks.rate import Rate
 from attacks.search.loop import Step, Verdict
 from attacks.threats import THREATS
 from attacks.transformations.config import Transformations
@@ -221,142 +210,6 @@ def _plain_pictures(
         ]
 
 
-FIXED = "dagger"
-DRAWN = "dagger-eot"
-"""Kinds of results, by where views come from."""
-
-
-def figures(
-    record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]
-) -> dict[str, Any]:
-    """Every figure of a result that follows from its rows."""
-    settings = record["config"]
-    drawn = record["story"] == DRAWN
-    judged = settings["judged"]["cameras"]["elevations"] if drawn else None
-    detectors = [str(judged["detector"]) for judged in record["detectors"]]
-    config = DaggerConfig(required_views=settings["required_views"])
-    return counted(tables[ROWS], detectors, record["target"], config, judged)
-
-
-def counted(
-    rows: pl.DataFrame,
-    detectors: Sequence[str],
-    target: str | None,
-    config: DaggerConfig,
-    elevations: tuple[float, float] | None,
-) -> dict[str, Any]:
-    """Every figure that follows from the rows of an attack."""
-    each = []
-    for name in detectors:
-        scores = rows.filter(splat=ATTACKED, detector=name)["target_score"].to_list()
-        if target is None:
-            confidence = None
-        else:
-            confidence = reached_by(scores, config.required_views)
-        verdict = _verdict(
-            rows.filter(splat=ATTACKED), [name], config, drawn=elevations is not None
-        )
-        each.append({**verdict, "target_confidence": confidence})
-    confidences = [judged["target_confidence"] for judged in each if target is not None]
-    verdict = verdict_figures(rows, detectors, config, drawn=elevations is not None)
-    conditioned = count(joint_views(detected_views(rows)), AIMS)[()]
-    aim_reached = verdict["success"]
-    return {
-        **verdict,
-        "success": aim_reached and conditioned["success"].total > 0,
-        "aim_reached": aim_reached,
-        "rate_if_detected": conditioned["success"].as_dict(),
-        "noise_rate_if_detected": conditioned["noise_success"].as_dict(),
-        "target_confidence": min(confidences) if confidences else None,
-        **aim_figures(rows, detectors, elevations),
-        "detectors": each,
-        "views": [
-            _of_view(view)
-            for _, view in rows.group_by("detector", "view", maintain_order=True)
-        ],
-    }
-
-
-def verdict_figures(
-    rows: pl.DataFrame,
-    detectors: Sequence[str],
-    config: DaggerConfig,
-    *,
-    drawn: bool = False,
-) -> dict[str, Any]:
-    """Whether an attack succeeded, also with the own class gone, and the draws of noise
-    that did.
-    """
-    attacked = rows.filter(splat=ATTACKED)
-    strict = attacked.with_columns(success=STRICT)
-    controls = {
-        name: _control(rows.filter(splat=name), detectors, config, drawn=drawn)
-        for name in CONTROLS
-    }
-    noise = controls.pop(NOISE)
-    others = {name: control for name, control in controls.items() if control["draws"]}
-    return {
-        **_verdict(attacked, detectors, config, drawn=drawn),
-        "strict": _verdict(strict, detectors, config, drawn=drawn)["success"],
-        "noise": noise,
-        **({"controls": others} if others else {}),
-    }
-
-
-def _control(
-    rows: pl.DataFrame, detectors: Sequence[str], config: DaggerConfig, *, drawn: bool
-) -> dict[str, Any]:
-    """The verdicts of all draws of a control."""
-    draws = rows.partition_by("draw", maintain_order=True)
-    verdicts = [_verdict(draw, detectors, config, drawn=drawn) for draw in draws]
-    return {
-        "scores": [verdict["score"] for verdict in verdicts],
-        "successes": sum(verdict["success"] for verdict in verdicts),
-        "draws": len(verdicts),
-    }
-
-
-def _verdict(
-    rows: pl.DataFrame, detectors: Sequence[str], config: DaggerConfig, *, drawn: bool
-) -> dict[str, Any]:
-    """The verdict of one splat, as JSON can hold it."""
-    unambiguous = pl.col("unambiguous").fill_null(pl.col("success"))
-    columns = rows.select("detector", "success", unambiguous, score="aim")
-    each = [
-        columns.filter(detector=name).drop("detector").to_dicts() for name in detectors
-    ]
-    views = [[Verdict(**cells) for cells in view] for view in zip(*each, strict=True)]
-    verdict = overall_verdict(views, config.required_views, drawn=drawn)
-    return {
-        "success": verdict.success,
-        "unambiguous": verdict.unambiguous,
-        "score": verdict.score,
-    }
-
-
-def _of_view(rows: pl.DataFrame) -> dict[str, Any]:
-    """What one detector makes of one view."""
-    clean, attacked = (
-        rows.filter(splat=splat).row(0, named=True) for splat in (CLEAN, ATTACKED)
-    )
-    noise = rows.filter(splat=NOISE)
-    known = clean["original"] is not None
-    return {
-        "success": attacked["success"],
-        "unambiguous": attacked["unambiguous"],
-        "score": attacked["aim"],
-        "clean_success": clean["success"],
-        "clean_score": clean["aim"],
-        "noise_successes": noise["success"].to_list(),
-        "noise_scores": noise["aim"].to_list(),
-        "original": clean["original"],
-        "clean_confidence": clean["original_score"] if known else 0.0,
-        "original_confidence": attacked["original_score"] if known else 0.0,
-        "target_confidence": attacked["target_score"],
-        "target_confidence_clean": clean["target_score"],
-    }
-
-
 _ZERO_GRADIENT_LIMIT = 0.9
 """Fraction of zero gradients that raises a warning; hidden Gaussians have none in any
 case, so it is high.
@@ -389,8 +242,8 @@ class Result:
             of the mean squared error over all pixels of all views.
         control_images: The same for each draw of each control.
         looked: The same as rows, and every detection.
-        figures: All that is counted from these rows, as in result.json
-            (`attacks.dagger.result.counted`).
+        figures: All that is counted from these rows
+            (`attacks.dagger.figures.attack_figures`).
         fingerprints: What stands for the weights of each attacked detector, by its
             name.
         trace: Every point that was looked at, all runs, in order; of drawn views only
@@ -421,7 +274,7 @@ class Result:
     image: ImageChange
     control_images: dict[Draw, ImageChange]
     looked: Observations
-    figures: dict[str, Any]
+    figures: Figures
     fingerprints: dict[str, str]
     trace: tuple[Step, ...]
     best: Step
@@ -474,7 +327,7 @@ class Result:
         """Whether the aim was reached, and the clean object is detected in at least one
         view.
         """
-        return bool(self.figures["success"])
+        return bool(self.figures.rate("succeeded").successes)
 
     @property
     def aim_reached(self) -> bool:
@@ -483,21 +336,21 @@ class Result:
 
         See `attacks.objectives.verdicts.overall_verdict`, also for the score.
         """
-        return bool(self.figures["aim_reached"])
+        return self._reached("reached")
 
     @property
     def unambiguous(self) -> bool:
         """Whether the aim is reached, and no other class is reported on the object with
         more confidence.
         """
-        return bool(self.figures["unambiguous"])
+        return self._reached("reached_unambiguously")
 
     @property
     def strict(self) -> bool:
         """Whether the aim is reached, and the object's own class is reported with less
         than 0.5.
         """
-        return bool(self.figures["strict"])
+        return self._reached("reached_strictly")
 
     @property
     def score(self) -> float:
@@ -506,27 +359,22 @@ class Result:
         Of fixed views it is what enough views reach: the confidence in the wanted
         class, or 1 minus the confidence in what is still detected.
         """
-        return float(self.figures["score"])
+        return self.figures.value("score", splat=ATTACKED) or 0.0
 
     @property
     def target_confidence(self) -> float | None:
         """Confidence in the wanted class on the object that enough views reach; None
         when no class was wanted.
         """
-        confidence: float | None = self.figures["target_confidence"]
-        return confidence
-
-    @property
-    def rates(self) -> dict[str, Rate]:
-        """How often the aim is reached in views, with all detectors at once:
-        `attacks.observe.rates.AIMS`.
-        """
-        return count(joint_views(self.looked.rows), AIMS)[()]
+        return self.figures.value("target_confidence")
 
     @property
     def rate(self) -> Rate:
         """Views in which every detector is deceived."""
-        return self.rates["success"]
+        return self.figures.rate("success", splat=ATTACKED)
+
+    def _reached(self, measure: str) -> bool:
+        return bool(self.figures.rate(measure, splat=ATTACKED).successes)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -587,14 +435,11 @@ def _warnings_of_fixed(result: Result) -> list[str]:
             f"the object's own class is still reported on it, at up to {left:.0%}"
         )
     figures = result.figures
-    for name, control in {
-        NOISE: figures["noise"],
-        **figures.get("controls", {}),
-    }.items():
-        if control["draws"] and (
-            (result.aim_reached and control["successes"])
-            or max(control["scores"]) >= result.score > 0
-        ):
+    for name in CONTROLS:
+        reached = figures.rate("reached", splat=name)
+        best = figures.value("best_score", splat=name) or 0.0
+        as_often = result.aim_reached and reached.successes
+        if as_often or (reached.total and best >= result.score > 0):
             warnings.append(f"a random change ({name}) does as well")
     warnings += _unmatched(result)
     return warnings
@@ -603,34 +448,26 @@ def _warnings_of_fixed(result: Result) -> list[str]:
 def _warnings_of_drawn(result: Result) -> list[str]:
     warnings = list[str]()
     config = result.config
-    rows = result.looked.rows
-    rates = result.rates
+    figures = result.figures
     for name in result.detectors:
-        seen = count(rows.filter(detector=name), REPORTED_AS_ORIGINAL)[()][
-            "found_clean"
-        ]
-        if seen.fraction < 0.5:
+        found = figures.rate("found_clean", detector=name)
+        if found.fraction < 0.5:
             warnings.append(
-                f"{name} finds the clean object in {seen.successes} of {seen.total}"
-                " held-out views only"
+                f"{name} finds the clean object in {found.counts} held-out views only"
             )
-    clean = rates["clean_success"]
-    noise = rates["noise_success"]
-    rate = rates["unambiguous"]
+    clean = figures.rate("success", splat=CLEAN)
+    noise = figures.rate("success", splat=NOISE)
+    rate = figures.rate("unambiguous", splat=ATTACKED)
     if clean.successes:
         warnings.append(
-            f"the aim is reached without any attack in {clean.successes} of"
-            f" {clean.total} views"
+            f"the aim is reached without any attack in {clean.counts} views"
         )
     if result.best.success and not result.aim_reached:
         warnings.append(
             "success on the validation views did not carry over to the held-out views"
         )
-    if (
-        noise.total
-        and rates["success"].successes
-        and noise.fraction >= rates["success"].fraction
-    ):
+    reached = result.rate
+    if noise.total and reached.successes and noise.fraction >= reached.fraction:
         warnings.append(f"a random change ({NOISE}) does as well")
     warnings += _unmatched(result)
     if result.aim_reached and rate.fraction < config.required_views:

@@ -4,8 +4,7 @@ taken for the target.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,21 +15,21 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.detectors.base import Detector
+from attacks.figures.frame import MEASURE, Figures
+from attacks.figures.rate import FEW, Rate
 from attacks.gaussian_subset import Mask
 from attacks.observe.drawing import annotated, stacked
 from attacks.observe.observations import Observations, observations_of, report_cells
 from attacks.observe.rates import (
     REPORTED,
     Confidence,
-    Group,
     Measure,
     comparison_measures,
     count,
     with_control,
 )
-from attacks.observe.rows import ATTACKED, CLEAN, Cell
+from attacks.observe.rows import ATTACKED, CLEAN, ROWS, Cell
 from attacks.observe.views import ViewDetections, evaluate
-from attacks.rate import FEW, Rate
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, listed
 from mi_splat.fields import between, checked_number
@@ -75,21 +74,26 @@ class Judged:
         reported any more; `target_clean` and `target_attacked`: reported as the target,
         if there is one. Of a clean splat alone only the first.
         """
-        if ATTACKED in self.views:
-            compared = compare(self.rows, confidence=self.confidence)
-            return {
-                comparison.detector: dict(comparison.rates) for comparison in compared
+        figures = self._figures()
+        return {
+            detector: {
+                measure: of_one.rate(measure) for measure in of_one.labels(MEASURE)
             }
+            for (detector,), of_one in figures.groups("detector").items()
+        }
+
+    def _figures(self) -> Figures:
+        if ATTACKED in self.views:
+            return compared_rates(self.rows, self.confidence)
         reported = Measure(
             holds=pl.col("original_score") >= self.confidence,
             given=pl.col("x0").is_not_null(),
         )
-        counted = count(self.rows, {f"found_{CLEAN}": reported}, ("detector",))
-        return {str(detector): rates for (detector,), rates in counted.items()}
+        return count(self.rows, {f"found_{CLEAN}": reported}, ("detector",))
 
     def count(
         self, measures: Mapping[str, Measure], by: Sequence[str] = ("detector",)
-    ) -> dict[Group, dict[str, Rate]]:
+    ) -> Figures:
         """Any rate that the rows give."""
         return count(self.rows, measures, by)
 
@@ -152,70 +156,6 @@ def judge(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
-    """One detector on both splats; rates count the views in which the object shows."""
-
-    detector: str  # its name
-    # what the object is; None where any class counts, since nothing said what it is
-    original: str | None
-    target: str | None  # what the attacker wants it to be; None if nothing certain
-    views: int  # in which the object shows
-    # those of `comparison_measures`, by name; none of the target without one
-    rates: Mapping[str, Rate]
-    # mean dB between the clean and the attacked pictures that differ; None where all
-    # are the same
-    psnr: float | None
-
-    @classmethod
-    def of(cls, detector: str, values: Mapping[str, Any]) -> Comparison:
-        """What `as_dict` has made."""
-        rates = {
-            name: Rate.of(value)
-            for name, value in values.items()
-            if isinstance(value, Mapping)
-        }
-        return cls(
-            detector=detector,
-            rates=rates,
-            **{name: values[name] for name in values if name not in rates},
-        )
-
-    def as_dict(self) -> dict[str, Any]:
-        """As JSON can hold it."""
-        numbers = {
-            "original": self.original,
-            "target": self.target,
-            "views": self.views,
-            "psnr": self.psnr,
-        }
-        return {
-            **numbers,
-            **{name: rate.as_dict() for name, rate in self.rates.items()},
-        }
-
-    def doubts(self, cameras: int) -> list[str]:
-        """Reasons to doubt the rates, given the number of cameras."""
-        clean = self.rates["found_clean"]
-        reasons = []
-        if self.views < FEW:
-            reasons.append(
-                f"{self.detector}: the object shows in {self.views} of {cameras}"
-                " views: few"
-            )
-        if self.original is None:
-            reasons.append(
-                f"{self.detector} finds nothing on the clean object, so that it is"
-                " missed proves nothing"
-            )
-        elif clean.fraction < 0.5:
-            reasons.append(
-                f"{self.detector} finds the clean object in {clean.successes} of"
-                f" {clean.total} views only"
-            )
-        return reasons
-
-
 def compared_rows(
     seen: Mapping[str, Sequence[ViewDetections]],
     *,
@@ -260,81 +200,117 @@ def compared_rows(
     )
 
 
-def compare(
-    rows: pl.DataFrame, *, confidence: Confidence = REPORTED
-) -> list[Comparison]:
-    """Rates of each detector on the clean and the attacked splat, and the distance of
-    their pictures.
+def compare(rows: pl.DataFrame, *, confidence: Confidence = REPORTED) -> Figures:
+    """Rates of each detector on the clean and the attacked splat, and the mean PSNR of
+    those of their pictures that differ.
     """
-    comparisons = []
-    for (detector,), seen in rows.partition_by(
-        "detector", maintain_order=True, as_dict=True
-    ).items():
-        here = seen.filter(splat=ATTACKED)
-        measures = comparison_measures(
-            confidence, targeted=here["target"].null_count() < len(here)
-        )
-        rates = count(with_control(seen), measures)[()]
-        psnrs = here["psnr"].drop_nulls()
-        comparisons.append(
-            Comparison(
-                detector=detector,
-                original=here["original"][0],
-                target=here["target"][0],
-                views=rates["found_clean"].total,
-                rates=rates,
-                psnr=None if psnrs.is_empty() else float(psnrs.to_numpy().mean()),
+    means = rows.filter(splat=ATTACKED).group_by("detector", maintain_order=True)
+    distances = Figures.of(
+        ({MEASURE: "psnr", "detector": detector}, psnr)
+        for detector, psnr in means.agg(pl.col("psnr").mean()).iter_rows()
+    )
+    return Figures.together([compared_rates(rows, confidence), distances])
+
+
+def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> Figures:
+    """Every figure of an evaluation, from its rows."""
+    rows = tables[ROWS]
+    confidence = record["min_confidence"]
+    compared = compare(rows, confidence=confidence)
+    judges = record.get("judges", {})
+    flags = contradictions(rows, judges, confidence=confidence)
+    return Figures.together([compared, flags])
+
+
+def compared_rates(rows: pl.DataFrame, confidence: Confidence) -> Figures:
+    """The rates of `compare`."""
+    parts = []
+    for seen in rows.partition_by("detector", maintain_order=True):
+        targets = seen.filter(splat=ATTACKED)["target"]
+        targeted = targets.null_count() < len(targets)
+        measures = comparison_measures(confidence, targeted=targeted)
+        parts.append(count(with_control(seen), measures, ("detector",)))
+    return Figures.together(parts)
+
+
+def classes_of(rows: pl.DataFrame) -> dict[str, tuple[str | None, str | None]]:
+    """For each detector what the object is, and what the attacker wants it to be; None
+    where any class counts, or where nothing certain is wanted.
+    """
+    first = rows.filter(splat=ATTACKED).unique(
+        "detector", keep="first", maintain_order=True
+    )
+    columns = first.select("detector", "original", "target").iter_rows()
+    return {detector: (original, target) for detector, original, target in columns}
+
+
+def doubts(rows: pl.DataFrame, figures: Figures, cameras: int) -> Iterator[str]:
+    """Reasons to doubt the rates of a comparison, given the number of cameras."""
+    for detector, (original, _) in classes_of(rows).items():
+        clean = figures.rate("found_clean", detector=detector)
+        if clean.total < FEW:
+            shown = f"the object shows in {clean.total} of {cameras} views: few"
+            yield f"{detector}: {shown}"
+        if original is None:
+            yield (
+                f"{detector} finds nothing on the clean object, so that it is missed"
+                " proves nothing"
             )
-        )
-    return comparisons
+        elif clean.fraction < 0.5:
+            yield f"{detector} finds the clean object in {clean.counts} views only"
+
+
+def contradicted_views(
+    rows: pl.DataFrame,
+    judges: Mapping[str, Sequence[str]],
+    *,
+    confidence: float = REPORTED,
+) -> pl.DataFrame:
+    """Which views judges contradict, for each pair of a detector and a judge.
+
+    In a view, the most confident class on the object counts, from `confidence` on. Of a
+    detector's report only what the judge could report too is compared: a judge that
+    knows only stop signs contradicts a detector that reports a TV where it reports a
+    sign, or a sign where it reports none.
+
+    Args:
+        rows: Of clean and attacked splats.
+        judges: Their classes by their names.
+        confidence: From which a detection counts.
+
+    Returns:
+        A row for each detector, judge, splat and view in which the object shows, with
+        the `report`, the `verdict` of the judge, and whether it is `contradicted`.
+    """
+    sure = pl.when(pl.col("score") >= confidence).then("label")
+    seen = rows.filter(pl.col("x0").is_not_null()).select(
+        "splat", "view", "detector", report=sure
+    )
+    others = seen.filter(~pl.col("detector").is_in([*judges]))
+    pairs = []
+    for judge, classes in judges.items():
+        said = seen.filter(detector=judge).select("splat", "view", verdict="report")
+        both = others.join(said, on=("splat", "view"), maintain_order="left")
+        common = pl.when(pl.col("report").is_in(classes)).then("report")
+        contradicted = common.ne_missing(pl.col("verdict"))
+        pairs.append(both.with_columns(judge=pl.lit(judge), contradicted=contradicted))
+    return pl.concat(pairs)
 
 
 def contradictions(
     rows: pl.DataFrame,
     judges: Mapping[str, Sequence[str]],
-    cameras: Sequence[str],
     *,
     confidence: float = REPORTED,
-) -> list[dict[str, Any]]:
-    """Where judges contradict the other detectors, for each pair, as JSON can hold it.
-
-    In a view, the most confident class on the object counts, from `confidence` on. Of a
-    detector's report only what the judge could report too is compared: a judge that
-    knows stop signs alone contradicts a detector that reports a TV where it reports a
-    sign, or a sign where it reports none.
-
-    Of each detector and judge (name and classes) come back the rate of contradicted
-    views of the clean splat (false flags) and of the attacked one, and the names of
-    these views.
+) -> Figures:
+    """How often judges contradict each detector: on the clean splat these are false
+    flags.
     """
-    sure = pl.when(pl.col("score") >= confidence).then("label")
-    seen = rows.filter(pl.col("x0").is_not_null()).select(
-        "splat", "view", "detector", sure.alias("report")
-    )
-    pairs = []
-    for detector, judge in itertools.product(dict.fromkeys(rows["detector"]), judges):
-        if detector in judges:
-            continue
-        said = seen.filter(detector=judge).select("splat", "view", verdict="report")
-        both = seen.filter(detector=detector).join(
-            said, on=("splat", "view"), maintain_order="left"
-        )
-        common = pl.when(pl.col("report").is_in(judges[judge])).then("report")
-        both = both.with_columns(contradicted=common.ne_missing(pl.col("verdict")))
-        rates = count(both, {"rate": Measure(holds=pl.col("contradicted"))}, ("splat",))
-        views = both.filter("contradicted").with_columns(
-            camera=pl.col("view").replace_strict(dict(enumerate(cameras)))
-        )
-        none = {"rate": Rate(successes=0, total=0)}
-        pair = {
-            splat: rates.get((splat,), none)["rate"].as_dict()
-            for splat in (CLEAN, ATTACKED)
-        }
-        contradicted = views.select("splat", "camera", "report", "verdict").to_dicts()
-        pairs.append(
-            {"detector": detector, "judge": judge, **pair, "views": contradicted}
-        )
-    return pairs
+    if not judges:
+        return Figures({})
+    views = contradicted_views(rows, judges, confidence=confidence)
+    contradicted = {"contradicted": Measure(holds=pl.col("contradicted"))}
+    return count(views, contradicted, ("detector", "judge", "splat"))
 
 
 def usual_label(

@@ -15,14 +15,15 @@ anew, too.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, DEPTH, NOISE, TARGET_SCORE
-from attacks.rate import Rate, wilson
+from attacks.figures.frame import HIGH, LOW, MEASURE, Figures
+from attacks.figures.rate import Rate, wilson
+from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, NOISE, TARGET_SCORE
 
 DRAWS = 2000
 FEWEST_BLOCKS = 6
@@ -30,9 +31,6 @@ BLOCK = 20.0
 """Draws of a resampled interval, blocks from which on there is one, and degrees of a
 block of cameras.
 """
-
-Group = tuple[Any, ...]
-"""Values of the columns that a group of rows has in common."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,30 +48,32 @@ def count(
     by: Sequence[str] = (),
     *,
     clusters: Sequence[str] | None = None,
-) -> dict[Group, dict[str, Rate]]:
-    """Count measures over groups of rows."""
+) -> Figures:
+    """Count measures over groups of rows; the columns of a group become labels."""
     if not measures:
-        return {}
+        return Figures({})
     sums = []
     for name, measure in measures.items():
-        if measure.given is None:
-            holds = measure.holds
-        else:
-            holds = measure.holds & measure.given
-        total = pl.len() if measure.given is None else measure.given.sum()
+        holds = measure.holds
+        total = pl.len()
+        if measure.given is not None:
+            holds = holds & measure.given
+            total = measure.given.sum()
         sums += [holds.sum().alias(f"{name}/successes"), total.alias(f"{name}/total")]
     columns = list(dict.fromkeys((*by, *(clusters or ()))))
-    if columns:
-        table = rows.group_by(columns, maintain_order=True).agg(sums)
-    else:
-        table = rows.select(sums)
+    table = (
+        rows.group_by(columns, maintain_order=True).agg(sums)
+        if columns
+        else rows.select(sums)
+    )
     groups = table.partition_by(by, maintain_order=True) if by else [table]
-    return {
-        tuple(group[column][0] for column in by): {
-            name: _rate(group, name, clusters) for name in measures
-        }
-        for group in groups
-    }
+    entries = []
+    for group in groups:
+        labels = {column: group[column][0] for column in by}
+        for name in measures:
+            rate = _rate(group, name, clusters)
+            entries.append(({**labels, MEASURE: name}, rate))
+    return Figures.of(entries)
 
 
 def _rate(group: pl.DataFrame, name: str, clusters: Sequence[str] | None) -> Rate:
@@ -91,7 +91,7 @@ def _rate(group: pl.DataFrame, name: str, clusters: Sequence[str] | None) -> Rat
     sums = np.zeros((2, *shape))
     for number, what in enumerate(("successes", "total")):
         np.add.at(sums[number], tuple(numbers), group[f"{name}/{what}"].to_numpy())
-    return Rate(successes=successes, total=total, resampled=_resampled(sums))
+    return Rate.with_interval(successes, total, _resampled(sums))
 
 
 def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
@@ -163,26 +163,17 @@ def banded(
     angle: str,
     interval: tuple[float, float],
     parts: int,
-    measure: Measure,
-) -> list[dict[str, Any]]:
-    """A rate over an angle, in equal parts of an interval, as JSON can hold it; of an
-    empty interval nothing.
-    """
+    measures: Mapping[str, Measure],
+) -> Figures:
+    """Rates over an angle, in equal parts of an interval; of an empty one nothing."""
     low = interval[0]
-    width = (interval[1] - interval[0]) / parts
+    width = (interval[1] - low) / parts
     if not width:
-        return []
-    part_of = ((pl.col(angle) - low) / width).cast(pl.Int64).clip(0, parts - 1)
-    counted = count(rows.with_columns(part=part_of), {"rate": measure}, ("part",))
-    none = {"rate": Rate(successes=0, total=0)}
-    return [
-        {
-            "from": low + part * width,
-            "to": low + (part + 1) * width,
-            **counted.get((part,), none)["rate"].as_dict(),
-        }
-        for part in range(parts)
-    ]
+        return Figures({})
+    part = ((pl.col(angle) - low) / width).cast(pl.Int64).clip(0, parts - 1)
+    within = {LOW: low + part * width, HIGH: low + (part + 1) * width}
+    counted = count(rows.with_columns(**within), measures, (LOW, HIGH))
+    return counted.labelled(scope=angle)
 
 
 # What figures count. Measures that need the clean splat's view of the same thing count
@@ -261,38 +252,24 @@ STRICT = pl.col("success") & ~(
 """Whether the aim is reached in a row, and the object's own class is gone."""
 
 AIMS: Measures = {
-    "success": Measure(holds=pl.col("success"), given=of(ATTACKED)),
-    "strict": Measure(holds=pl.col("strict"), given=of(ATTACKED)),
-    "unambiguous": Measure(holds=pl.col("unambiguous"), given=of(ATTACKED)),
-    "clean_success": Measure(holds=pl.col("success"), given=of(CLEAN)),
-    **{
-        f"{name}_success": Measure(holds=pl.col("success"), given=of(name))
-        for name in CONTROLS
-    },
+    name: Measure(holds=pl.col(name)) for name in ("success", "strict", "unambiguous")
 }
-"""How often the aim is reached in views (`joint_views`): attacked, with the object's
-own class gone, with no other class of more confidence, without an attack, and with each
-draw of random noise.
+"""How often the aim is reached in views (`joint_views`): in any way, with the object's
+own class gone, and with no other class of more confidence.
 """
 
 _WANTED = (pl.col("target_score") >= pl.col("threshold")).fill_null(pl.col("success"))
 _GONE = ~reported("original_score")
 _FOUND = reported("clean.original_score") & (pl.col("clean.original") == pl.col("own"))
-OVER_CAMERAS: Measures = {
-    "found": Measure(holds=_FOUND, given=of(ATTACKED)),
-    **{
-        f"{splat} {name}": Measure(holds=holds, given=_FOUND & of(splat))
-        for splat in (ATTACKED, *CONTROLS)
-        for name, holds in (
-            ("strict", _WANTED & _GONE),
-            ("success", _WANTED),
-            ("lost", _GONE),
-        )
-    },
+IF_DETECTED: Measures = {
+    "detected": Measure(holds=_FOUND),
+    "strict_if_detected": Measure(holds=_WANTED & _GONE, given=_FOUND),
+    "success_if_detected": Measure(holds=_WANTED, given=_FOUND),
+    "lost_if_detected": Measure(holds=_GONE, given=_FOUND),
 }
-"""What attacks from drawn cameras have reached, and their controls, where the clean
-object is `found` as its `own` class: the wanted class is reported (success), the own
-class is not (lost), and both (strict); of `with_control`.
+"""What attacks, and their controls, have reached where the clean object is detected as
+its `own` class: the wanted class is reported (success), the own class is not (lost),
+and both (strict); of `with_control`.
 """
 
 REPORTED_AS_ORIGINAL: Measures = {
@@ -324,8 +301,6 @@ def joint_views(rows: pl.DataFrame) -> pl.DataFrame:
     """
     if "original_score" in rows.columns:
         rows = rows.with_columns(strict=STRICT)
-    else:
-        rows = rows
     over = [
         name
         for name in ("attack", "seed", "condition", "splat", "draw", "view")
@@ -335,60 +310,6 @@ def joint_views(rows: pl.DataFrame) -> pl.DataFrame:
         name for name in ("success", "strict", "unambiguous") if name in rows.columns
     ]
     return rows.group_by(over, maintain_order=True).agg(pl.col(truths).all())
-
-
-AZIMUTHS = 8
-ELEVATIONS = 4
-"""Parts of the angles that success is told by."""
-
-
-def aim_figures(
-    rows: pl.DataFrame,
-    detectors: Sequence[str],
-    elevations: tuple[float, float] | None = None,
-) -> dict[str, Any]:
-    """Every rate of an attack, as JSON can hold it."""
-    together = count(joint_views(rows), AIMS)[()]
-    success = AIMS["success"]
-    figures = {
-        "rate": together["success"].as_dict(),
-        "rates": {name: _of_detector(rows.filter(detector=name)) for name in detectors},
-        "clean_rate": together["clean_success"].as_dict(),
-        "noise_rate": together["noise_success"].as_dict(),
-        "unambiguous_rate": together["unambiguous"].as_dict(),
-        **control_rates(together),
-    }
-    if elevations is None:
-        return figures
-    return {
-        **figures,
-        "by_azimuth": banded(rows, "azimuth", (0.0, 360.0), AZIMUTHS, success),
-        "by_elevation": banded(rows, "elevation", elevations, ELEVATIONS, success),
-    }
-
-
-def control_rates(rates: Mapping[str, Rate]) -> dict[str, Any]:
-    """How often other random changes than noise reach the aim, where some were made."""
-    others = {name: rates[f"{name}_success"] for name in CONTROLS if name != NOISE}
-    known = {name: rate.as_dict() for name, rate in others.items() if rate.total}
-    if known:
-        return {"control_rates": known}
-    return {}
-
-
-def _of_detector(rows: pl.DataFrame) -> dict[str, Any]:
-    """What one detector reports."""
-    aims = count(joint_views(rows), AIMS)[()]
-    return {
-        "original": None if rows.is_empty() else rows["original"][0],
-        "success": aims["success"].as_dict(),
-        "noise": aims["noise_success"].as_dict(),
-        "clean": aims["clean_success"].as_dict(),
-        **{
-            name: rate.as_dict()
-            for name, rate in count(rows, REPORTED_AS_ORIGINAL)[()].items()
-        },
-    }
 
 
 # Transfer, and an attacked splat under other conditions
@@ -530,7 +451,7 @@ def rates_at(
     by: Sequence[str] = (),
     *,
     clusters: Sequence[str] | None = None,
-) -> dict[Key, dict[Group, dict[str, Rate]]]:
+) -> dict[Key, Figures]:
     """The same rates at several confidences, by their names."""
     return {
         name: count(rows, measures(least), by, clusters=clusters)

@@ -42,6 +42,8 @@ PATH = "path"
 """
 TABLES = (ROWS, DETECTIONS, FIDELITY, TRANSITION, PATH)
 SUFFIX = ".csv.xz"
+FIGURES = "figures"
+FIGURES_FILE = f"{FIGURES}.csv"
 CLEAN = "clean"
 ATTACKED = "attacked"
 NOISE = "noise"
@@ -101,8 +103,16 @@ POISON_DEPTH = "poison_depth: "
 TARGET_SCORE = "target_score: "
 """Heads of the columns that each attack of a study of CLOAK has; its name follows."""
 
+_MEASURE = "measure"
+"""The column that only tables of figures have: in these, labels may be empty."""
+
 _TABLE: tuple[tuple[str, ...], ...] = (
+    ("part", "text", "part of the study"),
+    ("axis: ", "text", "value of NAME, which the study varies"),
+    ("setting", "text", "all values that the study varies"),
+    ("scope", "text", "what is counted together, where that is not everything"),
     ("attack", "text", "name of the attack in its study"),
+    ("trigger", "text", "attack of CLOAK whose trigger is counted"),
     ("sources", "text", "attacked detectors, joined by +"),
     (
         "seed",
@@ -125,6 +135,12 @@ _TABLE: tuple[tuple[str, ...], ...] = (
         "index of the draw of a random change, from 0; empty for other splats",
     ),
     ("detector", "text", "name of the detector"),
+    ("judge", "text", "name of a detector that checks another one"),
+    (
+        "access",
+        "text",
+        "white-box: the detector that judges was attacked; else black-box",
+    ),
     ("view", "whole", "index of the camera in cameras.json, or of the image, from 0"),
     (
         "object",
@@ -258,6 +274,16 @@ _TABLE: tuple[tuple[str, ...], ...] = (
         "number",
         "fraction of the transition from the benign to the hidden appearance",
     ),
+    ("from", "number", "lower end of the angles that are counted", "degrees"),
+    ("to", "number", "upper end of the angles that are counted", "degrees"),
+    (_MEASURE, "text", "what is counted or measured"),
+    ("successes", "whole?", "of a rate: in how many it holds"),
+    ("total", "whole?", "of a rate: how many are counted; of a mean: of how many"),
+    ("value", "number?", "the figure that is no rate"),
+    ("low", "number?", "lower end of the 95 % interval"),
+    ("high", "number?", "upper end of the 95 % interval"),
+    ("least", "number?", "the smallest of the values that the figure summarises"),
+    ("most", "number?", "the largest of them"),
 )
 """Name, kind, meaning and unit of every column; a question mark: a cell may be
 empty.
@@ -351,14 +377,15 @@ def by_camera(rows: pl.DataFrame) -> pl.DataFrame:
 def rows_bytes(rows: pl.DataFrame) -> bytes:
     """A table as the text of a CSV file; equal tables have equal bytes."""
     columns = columns_of(rows.columns)
-    for column in columns:
-        _check_column(column, rows[column.name])
+    _check_columns(columns, rows)
     return rows.select(column.name for column in columns).write_csv().encode()
 
 
 def write_rows(rows: pl.DataFrame, path: Path) -> Path:
     """Write a table; equal tables have equal bytes."""
-    data = packed(rows_bytes(rows))
+    data = rows_bytes(rows)
+    if path.suffix == ".xz":
+        data = packed(data)
     with atomic_write(path) as file:
         file.write(data)
     return path
@@ -402,8 +429,7 @@ def read_rows(path: Path) -> pl.DataFrame:
             "a CSV file with the types of its columns",
             str(error).splitlines()[0][:160],
         ) from error
-    for column in columns:
-        _check_column(column, table[column.name], f"{path}, ")
+    _check_columns(columns, table, f"{path}, ")
     return table
 
 
@@ -422,7 +448,8 @@ def rows(result: str | Path, table: str = ROWS) -> pl.DataFrame:
     Raises:
         InvalidValueError: The result does not have this table, or its file is none.
     """
-    path = file_in(Path(result), f"{table}{SUFFIX}")
+    name = FIGURES_FILE if table == FIGURES else f"{table}{SUFFIX}"
+    path = file_in(Path(result), name)
     if not path.is_file():
         do = "pass a folder that mi-splat dagger, evaluate, cloak or study has written"
         raise InvalidValueError.of(
@@ -448,7 +475,18 @@ def _unpacked(path: Path) -> bytes:
     return data
 
 
-def _check_column(column: Column, cells: pl.Series, where: str = "") -> None:
+def _check_columns(
+    columns: Sequence[Column], table: pl.DataFrame, where: str = ""
+) -> None:
+    """Raise unless every cell is of the kind of its column."""
+    has_figures = _MEASURE in table.columns
+    for column in columns:
+        if has_figures and column.name != _MEASURE:  # which may be of everything
+            column = replace(column, optional=True)
+        _check_column(column, table[column.name], where)
+
+
+def _check_column(column: Column, cells: pl.Series, where: str) -> None:
     """Raise if a cell is empty that must not be, or a number is not finite."""
     if cells.dtype not in (_TYPES[column.kind], pl.Null):
         raise _broken(

@@ -2,47 +2,48 @@
 rows; and copies for others.
 """
 
+import math
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from fnmatch import fnmatchcase
+from collections.abc import Callable, Mapping
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
+from attacks.figures.frame import Figure, Figures, Number, text_of
+from attacks.figures.rate import Rate
+from attacks.figures.result import Result, read_result
 from attacks.observe.observations import ON_OBJECT
-from attacks.observe.rows import DETECTIONS, ROWS, SUFFIX, TABLES, read_rows
-from attacks.rate import wilson
-from attacks.report.section import plain
+from attacks.observe.rows import DETECTIONS, FIGURES_FILE, ROWS
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
 from mi_splat.io.folders import (
     MANIFEST,
     RECORD,
-    Manifest,
-    file_in,
     files_in,
     is_own_file,
     new_folder,
     read_manifest,
 )
-from mi_splat.io.parsing import DocumentReader
 
 TOLERANCE = 1e-6
-"""How far decibels, degrees and confidences may be off that are derived again; counts
-and words have to be equal.
+RELATIVE = 1e-9
+"""How far numbers, and ends of intervals, may be off that are derived again; counts
+have to be equal.
 """
 SCORE_TOLERANCE = 1e-4
 MOST_WRONG = 0.02
 """How far a score may be off that single detections give, and of which part of the rows
 more.
 """
-KEPT = (".json", ".toml", ".csv.xz", ".md")
+KEPT = (".json", ".toml", ".csv", ".csv.xz", ".md")
 """Endings of the files of a result that are always in an artifact; splats and pictures
 may be left out.
 """
 
+Derive = Callable[[Mapping[str, Any], Mapping[str, pl.DataFrame]], Figures]
+"""From what result.json states and the rows to the figures."""
 _BROKEN = (
     LookupError,
     TypeError,
@@ -51,16 +52,6 @@ _BROKEN = (
     ArithmeticError,
     pl.exceptions.PolarsError,
 )
-Record = Mapping[str, Any]
-Tables = Mapping[str, pl.DataFrame]
-Figures = Callable[[Mapping[str, Any], Tables], Mapping[str, Any]]
-"""From the settings in result.json and the rows to figures, which stand in result.json
-under the same keys.
-"""
-Value = int | float | bool | str | tuple[int, int] | None
-"""A figure; of a rate, successes and total are one figure, its fraction and the ends of
-its interval three more.
-"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,53 +77,14 @@ class Check:
         return {"name": self.name, "colour": self.colour, "words": self.words}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Result:
-    """A finished result in its folder."""
-
-    folder: Path
-    record: Mapping[str, Any]  # its result.json
-    manifest: Manifest
-    tables: Tables  # its tables of rows by name
-
-    @property
-    def kind(self) -> str:
-        """Name of its kind."""
-        return str(self.record.get("story"))
-
-
-def read_result(folder: Path) -> Result:
-    """A result with its tables."""
-    record = DocumentReader(do="pass a folder of results").read_json(
-        file_in(folder, RECORD)
-    )
-    return Result(
-        folder=folder,
-        record=record,
-        manifest=read_manifest(folder),
-        tables=read_tables(folder),
-    )
-
-
-def read_tables(folder: Path, names: Sequence[str] = TABLES) -> Tables:
-    """The tables that a result has, of those with these names."""
-    paths = {name: file_in(folder, f"{name}{SUFFIX}") for name in names}
-    return {name: read_rows(path) for name, path in paths.items() if path.is_file()}
-
-
 def check_result(
-    result: Result,
-    figures: Figures | None,
-    given: Sequence[str] = (),
-    *,
-    manifest: str | None = None,
+    result: Result, derive: Derive | None, *, manifest: str | None = None
 ) -> list[Check]:
     """Every line of a result: of its files, of its figures, and of its single
     detections.
     """
     of_files = check_files(result.folder, manifest=manifest)
-    of_figures = check_figures(result, figures, given)
-    return [*of_files, *of_figures, *check_detections(result)]
+    return [*of_files, *check_figures(result, derive), *check_detections(result)]
 
 
 def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
@@ -185,48 +137,62 @@ def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
     ]
 
 
-def check_figures(
-    result: Result, figures: Figures | None, given: Sequence[str] = ()
-) -> list[Check]:
-    """A line for each figure that follows from the rows, and for each number in
-    result.json that does not.
-
-    Args:
-        result: Result with its rows.
-        figures: Derives the figures; None for a kind without rows.
-        given: Patterns of the names of numbers that are settings, or were measured once
-            and are in no rows.
+def check_figures(result: Result, derive: Derive | None) -> list[Check]:
+    """A line for each figure, which is derived again from the rows; none for a kind
+    without rows.
     """
-    stated = flat(result.record)
-    if figures is None:
-        rates = [name for name, value in stated.items() if isinstance(value, tuple)]
-        return [
-            Check(name=name, words=f"{in_words(stated[name])}, of no rows", passed=None)
-            for name in rates
-        ]
-    derived = flat(_derived(result, figures))
+    if derive is None:
+        return []
+    derived = derived_figures(result, derive)
+    stated = result.figures
     lines = []
-    for name, value in derived.items():
-        stated_value = in_words(stated.get(name))
-        same = name in stated and agree(stated[name], value)
-        if same:
-            words = in_words(value)
+    for key, figure in derived:
+        found = stated.by_key.get(key)
+        if found is not None and agree(found, figure):
+            line = Check(name=text_of(key), words=in_words(figure), passed=True)
         else:
-            words = f"result.json has {stated_value}, the rows give {in_words(value)}"
-        lines.append(Check(name=name, words=words, passed=same))
-    for name, value in stated.items():
-        if name not in derived and _is_unexplained(name, value, given):
-            words = f"{in_words(value)}, of no rows"
-            lines.append(Check(name=name, words=words, passed=False))
+            got = "nothing" if found is None else in_words(found)
+            words = f"{FIGURES_FILE} has {got}, the rows give {in_words(figure)}"
+            line = Check(name=text_of(key), words=words, passed=False)
+        lines.append(line)
+    for key, figure in stated:
+        if key not in derived.by_key:
+            words = f"{in_words(figure)}, of no rows"
+            lines.append(Check(name=text_of(key), words=words, passed=False))
     return lines
 
 
-def _is_unexplained(name: str, value: Value, given: Sequence[str]) -> bool:
-    """Whether a figure that the rows do not give should not stand in a result."""
-    if isinstance(value, tuple):
-        return True
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return is_number and not any(fnmatchcase(name, pattern) for pattern in given)
+def agree(stated: Figure, derived: Figure) -> bool:
+    """Whether two figures are the same, with their intervals."""
+    if isinstance(stated, Rate) and isinstance(derived, Rate):
+        if (stated.successes, stated.total) != (derived.successes, derived.total):
+            return False
+        pairs = list(zip(stated.interval, derived.interval, strict=True))
+        return all(_near(one, other) for one, other in pairs)
+    if isinstance(stated, Number) and isinstance(derived, Number):
+        return all(
+            _near(one, other)
+            for one, other in zip(astuple(stated), astuple(derived), strict=True)
+        )
+    return False
+
+
+def _near(stated: float | None, derived: float | None) -> bool:
+    if stated is None or derived is None:
+        return stated is derived
+    return math.isclose(stated, derived, rel_tol=RELATIVE, abs_tol=TOLERANCE)
+
+
+def in_words(figure: Figure) -> str:
+    """A figure for people."""
+    if isinstance(figure, Rate):
+        return figure.short(interval=True)
+    parts = [f"{figure.value:.6g}"]
+    for name in ("low", "high", "least", "most", "total"):
+        number = getattr(figure, name)
+        if number is not None:
+            parts.append(f"{name} {number:.6g}")
+    return ", ".join(parts)
 
 
 def check_detections(result: Result) -> list[Check]:
@@ -265,10 +231,10 @@ def check_detections(result: Result) -> list[Check]:
     return [Check(name=DETECTIONS, words=words, passed=wrong <= MOST_WRONG * len(rows))]
 
 
-def _derived(result: Result, figures: Figures) -> Mapping[str, Any]:
-    """The figures of a result, of its rows."""
+def derived_figures(result: Result, derive: Derive) -> Figures:
+    """The figures of a result, from its rows."""
     try:
-        return figures(result.record, result.tables)
+        return derive(result.record, result.tables)
     except InvalidValueError:
         raise
     except _BROKEN as error:
@@ -279,82 +245,10 @@ def _derived(result: Result, figures: Figures) -> Mapping[str, Any]:
         ) from error
 
 
-def flat(values: Mapping[str, Any]) -> dict[str, Value]:
-    """Figures in nested objects and lists by their keys with / between.
-
-    Successes and total of a rate are one figure under its name, its fraction and
-    interval stand below that.
-
-    An entry of a list is called by its number, or, if it is one of several parts of an
-    interval, by the ends of that.
-    """
-    return dict(_flat(values, ""))
-
-
-def _flat(value: Any, name: str) -> Iterator[tuple[str, Value]]:
-    if isinstance(value, Mapping) and {"successes", "total"} <= set(value):
-        successes = value["successes"]
-        total = value["total"]
-        is_rate = type(successes) is type(total) is int and 0 <= successes <= total
-        if not is_rate:
-            do = "get the result again"
-            raise InvalidValueError.of(
-                name, "a rate of whole numbers", str(value)[:80], do
-            )
-        yield name, (successes, total)
-        further = {
-            key: entry
-            for key, entry in value.items()
-            if key not in ("successes", "total")
-        }
-        # A rate without an interval is shown with Wilson's.
-        interval = wilson(successes / (total or 1), total)
-        yield from _flat({"interval": interval, **further}, name)
-    elif isinstance(value, Mapping):
-        for key, entry in value.items():
-            yield from _flat(entry, f"{name}/{key}" if name else str(key))
-    elif isinstance(value, (list, tuple)):
-        for number, entry in enumerate(value):
-            if isinstance(entry, Mapping) and {"from", "to"} <= set(entry):
-                band = {
-                    key: figure
-                    for key, figure in entry.items()
-                    if key not in ("from", "to")
-                }
-                yield from _flat(
-                    band, f"{name}/{plain(entry['from'])} to {plain(entry['to'])}"
-                )
-            else:
-                yield from _flat(entry, f"{name}/{number}")
-    else:
-        yield name, value
-
-
-def agree(stated: Value, derived: Value) -> bool:
-    """Whether two figures are the same."""
-    if isinstance(stated, bool) or isinstance(derived, bool):
-        return stated is derived
-    if isinstance(stated, (int, float)) and isinstance(derived, (int, float)):
-        return abs(stated - derived) <= (TOLERANCE if isinstance(derived, float) else 0)
-    return stated == derived
-
-
-def in_words(value: Value) -> str:
-    """A figure for people."""
-    if isinstance(value, tuple):
-        return f"{value[0]}/{value[1]}"
-    if value is None or isinstance(value, bool):
-        return {None: "none", True: "yes", False: "no"}[value]
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    return str(value)
-
-
 def pack(
     folder: Path,
     out: Path,
-    figures: Figures | None,
-    given: Sequence[str] = (),
+    derive: Derive | None,
     *,
     whole: bool = False,
     force: bool = False,
@@ -366,7 +260,7 @@ def pack(
     """
     result = read_result(folder)
     red = next(
-        (line for line in check_result(result, figures, given) if line.passed is False),
+        (line for line in check_result(result, derive) if line.passed is False),
         None,
     )
     if red is not None:

@@ -16,9 +16,9 @@ from typing import Any
 
 from PIL import Image
 
-from attacks.rate import percent
+from attacks.figures.rate import percent
+from attacks.figures.tables import Table
 from attacks.report.section import Chart, Line, Section, capital, listed
-from attacks.tables import Table
 from mi_splat.errors import InvalidValueError, install, printable
 from mi_splat.io.documents import save_text
 from mi_splat.io.folders import check_new_file

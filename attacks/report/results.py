@@ -1,18 +1,15 @@
 """Results as sections: which command has written a folder, and what reads it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any
 
-from attacks.report.checking import Figures, Result
+from attacks.figures.result import Result, read_result
+from attacks.report.checking import Derive
 from attacks.report.section import Section, sentence, versions_of
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.io.folders import MANIFEST, RECORD, check_links, file_in, read_manifest
-from mi_splat.io.parsing import read_json
-
-Record = Mapping[str, Any]
+from mi_splat.io.folders import MANIFEST, RECORD, check_links, file_in
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,119 +19,39 @@ class ResultKind:
     """
 
     name: str  # what writes it; also what its record says under `story`
-    # in attacks.report.kinds: makes the section of a folder and of what its record
-    # holds
-    reader: str
+    reader: str  # in attacks.report.kinds: makes the section of a result
     # derives its figures from its rows; empty for a kind without rows
     counter: str = ""
-    # patterns of numbers in its record that are settings, or measured and in no rows
-    given: tuple[str, ...] = ()
 
     @property
-    def read(self) -> Callable[[Path, Record], Section]:
+    def read(self) -> Callable[[Result], Section]:
         """The function that `reader` names."""
-        function: Callable[[Path, Record], Section] = resolve_name(
+        function: Callable[[Result], Section] = resolve_name(
             f"attacks.report.kinds.{self.reader}"
         )
         return function
 
     @property
-    def figures(self) -> Figures | None:
+    def derive(self) -> Derive | None:
         """The function that `counter` names."""
         if not self.counter:
             return None
-        function: Figures = resolve_name(f"attacks.{self.counter}")
+        function: Derive = resolve_name(f"attacks.{self.counter}")
         return function
 
 
-_PROVENANCE = (
-    *(
-        "torch/*",
-        "seconds",
-        "cpu_seconds",
-        "seed",
-        "seeds/*",
-        "versions/*",
-        "config/*",
-        "selection/*",
-    ),
-    *(
-        "cameras/*",
-        "reference/*",
-        "redraws/*",
-        "background/*",
-        "near",
-        "up/*",
-        "min_confidence",
-        "object_gaussians",
-    ),
-)
-"""Numbers that every record may hold: how it was made, from where, of how many
-Gaussians, and how long that took.
-"""
-_OF_DAGGER = (
-    *_PROVENANCE,
-    *("eps", "radius/*", "used/*", "used_in_file/*"),
-    *(
-        "steps",
-        "evaluations",
-        "loss",
-        "trace/*",
-        "zero_gradient_fraction/*",
-        "clamped_fraction",
-    ),
-    *("changed_gaussians", "*psnr*", "image/*", "views/*"),
-)
-_OF_ATTACKS = ("attacks/*", "of_all_attacks/*")
-_OF_BENCH = (
-    "cpu_seconds/*",
-    "detector/classes",
-    "attacks/*/settings/*",
-    "attacks/*/labels/*",
-)
-_OF_VICTIMS = ("victims/*", "values/*/stopped")
-_OF_SPLATS = ("study/*", "splats/*/seed", "splats/*/gaussians")
-
 RESULT_KINDS = (
-    ResultKind("dagger", "dagger:read_attack", "dagger.result:figures", _OF_DAGGER),
-    ResultKind("dagger-eot", "dagger:read_attack", "dagger.result:figures", _OF_DAGGER),
+    ResultKind("dagger", "dagger:read_attack", "dagger.figures:figures"),
+    ResultKind("dagger-eot", "dagger:read_attack", "dagger.figures:figures"),
+    ResultKind("study", "dagger_study:read_study", "studies.result:figures"),
+    ResultKind("cloak", "cloak:read_cloak", "cloak.recorded:figures"),
     ResultKind(
-        "study",
-        "dagger:read_study",
-        "studies.result:figures",
-        (*_PROVENANCE, *_OF_ATTACKS),
+        "cloak-study", "cloak_study:read_study", "studies.cloak_figures:figures"
     ),
-    ResultKind(
-        "cloak",
-        "cloak:read_cloak",
-        "report.kinds.cloak:cloak_figures",
-        (*_PROVENANCE, *_OF_SPLATS),
-    ),
-    ResultKind(
-        "cloak-study",
-        "cloak:read_study",
-        "report.kinds.cloak:study_figures_of_points",
-        (
-            *_PROVENANCE,
-            *(f"points/*/{pattern}" for pattern in (*_OF_SPLATS, "seeds/*")),
-        ),
-    ),
-    ResultKind(
-        "poison-study",
-        "poison:read_study",
-        "studies.poison_figures:figures",
-        (*_PROVENANCE, *_OF_VICTIMS),
-    ),
+    ResultKind("poison-study", "poison:read_study", "studies.poison_figures:figures"),
     ResultKind("audit", "audit:read_audit"),
-    ResultKind(
-        "evaluate",
-        "detectors:read_evaluation",
-        "report.kinds.detectors:evaluation_figures",
-        _PROVENANCE,
-    ),
-    ResultKind(
-        "bench", "detectors:read_bench", "bench.row:figures", (*_PROVENANCE, *_OF_BENCH)
-    ),
+    ResultKind("evaluate", "detectors:read_evaluation", "observe.comparison:figures"),
+    ResultKind("bench", "detectors:read_bench", "bench.row:figures"),
 )
 """Every kind of result that a page can show."""
 
@@ -153,8 +70,8 @@ def read_section(path: Path) -> Section:
             str(path), f"a folder that one of {commands} has written", got, do
         )
     check_links(path)
-    record = read_json(file)
-    kind = _kind(record)
+    result = read_result(path)
+    kind = _kind(result)
     if kind is None:
         raise InvalidValueError.of(
             str(file),
@@ -163,7 +80,7 @@ def read_section(path: Path) -> Section:
             "make the result again",
         )
     try:
-        return _finished(kind.read(path, record), path, record)
+        return _finished(kind.read(result), result)
     except MiSplatError:
         raise
     except (
@@ -180,17 +97,17 @@ def read_section(path: Path) -> Section:
         raise InvalidValueError.of(str(file), expected, got, do) from error
 
 
-def _finished(section: Section, path: Path, record: Record) -> Section:
+def _finished(section: Section, result: Result) -> Section:
     """A section with what all results have, and without what is empty."""
+    path = result.folder
+    record = result.record
     control = section.control
+    if control is not None and control.rate is not None and not control.rate.total:
+        control = None
     return replace(
         section,
         folder=str(path),
-        control=(
-            None
-            if control is None or (control.rate is not None and not control.rate.total)
-            else control
-        ),
+        control=control,
         warnings=tuple(map(sentence, (*section.doubts(), *section.warnings))),
         pictures=tuple(
             picture
@@ -201,7 +118,7 @@ def _finished(section: Section, path: Path, record: Record) -> Section:
         tables=tuple(table for table in section.tables if table.rows),
         command=str(record.get("command") or ""),
         versions=versions_of(record),
-        manifest=read_manifest(path).sha256 if (path / MANIFEST).is_file() else "",
+        manifest=result.manifest.sha256 if (path / MANIFEST).is_file() else "",
     )
 
 
@@ -214,7 +131,7 @@ def _of_folder(folder: Path, path: Path) -> Path:
 
 def kind_of(result: Result) -> ResultKind:
     """The kind of a result."""
-    kind = _kind(result.record)
+    kind = _kind(result)
     if kind is None:
         got = result.kind[:40]
         do = "make the result again with this version"
@@ -224,7 +141,5 @@ def kind_of(result: Result) -> ResultKind:
     return kind
 
 
-def _kind(record: Record) -> ResultKind | None:
-    return next(
-        (kind for kind in RESULT_KINDS if kind.name == record.get("story")), None
-    )
+def _kind(result: Result) -> ResultKind | None:
+    return next((kind for kind in RESULT_KINDS if kind.name == result.kind), None)

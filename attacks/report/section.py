@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from attacks.rate import FEW, Rate, percent
-from attacks.tables import Table, cell, named_settings
+from attacks.figures.frame import HIGH, LOW, Figures
+from attacks.figures.rate import FEW, Rate, percent
+from attacks.figures.tables import Table, cell, named_settings
 
 MOST_VALUES = 12
 """Values of one setting that are listed where several attacks differ in it."""
@@ -201,30 +202,21 @@ class Line:
     points: tuple[Point, ...]
 
     @classmethod
-    def of(
-        cls, name: str, role: Role, values: Iterable[Rate | Mapping[str, Any] | None]
-    ) -> Line:
-        """Rates, as they are or as JSON has them, at 0, 1, ...; but none that is None
-        or counts nothing.
-        """
-        known = [
-            Rate.of(value) if isinstance(value, Mapping) else value for value in values
-        ]
-        points = (
-            Point.of(x, rate)
-            for x, rate in enumerate(known)
-            if rate is not None and rate.total
-        )
+    def of(cls, name: str, role: Role, rates: Iterable[Rate]) -> Line:
+        """Rates at 0, 1, ...; but none that counts nothing."""
+        points = (Point.of(x, rate) for x, rate in enumerate(rates) if rate.total)
         return cls(name=name, role=role, points=tuple(points))
 
     @classmethod
-    def over(cls, name: str, role: Role, bands: Iterable[Mapping[str, Any]]) -> Line:
+    def over(
+        cls, name: str, role: Role, figures: Figures, measure: str, **labels: str
+    ) -> Line:
         """Rates of the parts of an interval, each in the middle of its part."""
-        points = (
-            Point.of((band["from"] + band["to"]) / 2, Rate.of(band))
-            for band in bands
-            if band["total"]
-        )
+        points = []
+        for (low, high), of_part in figures.groups(LOW, HIGH).items():
+            rate = of_part.rate(measure, **labels)
+            if rate.total:
+                points.append(Point.of((low + high) / 2, rate))
         return cls(name=name, role=role, points=tuple(points))
 
 

@@ -41,7 +41,6 @@ from mi_splat.viewer.content import (
 from mi_splat.viewer.orbit import Orbit, orbit_of
 
 ATTACKED = "attacked.ply"
-Record = Mapping[str, Any]
 _BROKEN = (LookupError, TypeError, ValueError, AttributeError)
 """What reading a record raises that lacks something, or has something else in its
 place.
@@ -208,7 +207,9 @@ def _opened(
         ) from error
 
 
-def _content_of_attack(folder: Path, record: Record, clean: Path | None) -> Content:
+def _content_of_attack(
+    folder: Path, record: Mapping[str, Any], clean: Path | None
+) -> Content:
     """The clean and the attacked splat of a DAGGER result or of an evaluation, from the
     cameras that looked at both.
     """
@@ -283,7 +284,7 @@ _PURPOSES = {
 }
 
 
-def _purpose(record: Record) -> str:
+def _purpose(record: Mapping[str, Any]) -> str:
     """What a DAGGER attack was to do, in a line."""
     scene = record.get("scene")
     names = [str(entry["detector"]) for entry in record.get("detectors") or ()]
@@ -341,7 +342,9 @@ def _clean_splat(
     raise InvalidValueError(text).hinted("--clean")
 
 
-def _content_of_audit(folder: Path, record: Record, audited: Path | None) -> Content:
+def _content_of_audit(
+    folder: Path, record: Mapping[str, Any], audited: Path | None
+) -> Content:
     """The splat beside its heat, from the cameras that prove a look."""
     path = audited or _needed_path(record["file"], folder)
     count = int(record["gaussians"])
@@ -388,7 +391,9 @@ def _content_of_audit(folder: Path, record: Record, audited: Path | None) -> Con
     )
 
 
-def _content_of_study(folder: Path, record: Record, clean: Path | None) -> Content:
+def _content_of_study(
+    folder: Path, record: Mapping[str, Any], clean: Path | None
+) -> Content:
     """The clean and the cloaked splat of a study of CLOAK."""
     if clean is not None:
         raise InvalidValueError.of(

@@ -6,7 +6,6 @@ The settings of `study = "cloak"` are those of a file that `mi-splat cloak` read
 there. Every point is done with all of its seeds. An axis is a chart.
 """
 
-import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,17 +15,17 @@ import polars as pl
 
 from attacks.cloak.config import StudyConfig, check_files
 from attacks.cloak.kinds.seen import loaded
-from attacks.cloak.rates import LOOKS, OWN_REGION, over_objects
 from attacks.cloak.steps import ROW_NAMES, Look, StudySteps
 from attacks.cloak.study import check_study, detectors_of, observed, write_report
-from attacks.cloak.tables import RULE, in_words, spread_of
 from attacks.detectors.base import Detector
+from attacks.figures.frame import Figures
+from attacks.figures.tables import Table
 from attacks.observe.conditions import OWN, SunTable
-from attacks.observe.rows import ROWS, by_camera
+from attacks.observe.rows import by_camera
 from attacks.studies.attack import street_of
+from attacks.studies.cloak_figures import figures, tables
 from attacks.studies.running import Attempt, Observed, Work, check_apart, names_of
 from attacks.studies.study_file import Point, Settings, Study, merged, with_none
-from attacks.tables import Column, Table, cell, number_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import at_least, check, decode
 from mi_splat.io.folders import RECORD
@@ -35,91 +34,6 @@ from mi_splat.ledger import Done
 from mi_splat.ledger.plans import Result
 
 STORY = "cloak-study"
-
-RATES = {
-    "control_recall": "control found",
-    "trigger_miss_rate": "cloaked missed",
-    "nothing_reported": "nothing of any class reported",
-    "benign_recall": "cloaked found elsewhere",
-    "target_rate": "target class",
-}
-"""Rates of a summary that a table has, and their heads."""
-
-_POOLED = {**RATES, "trigger_miss_rate_all": "cloaked missed, all inside"}
-
-
-def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Table]:
-    """For each group a table of rates, one of what is lost, and one of what is seen
-    under other conditions.
-
-    Rates are pooled over seeds, as a summary has them. Losses, and the numbers of
-    Gaussians, are means over the seeds; the transition is that of all seeds together.
-    """
-    for group, results in groups.items():
-        title = group.replace("_", " ")
-        summaries = [{"value": value, **summary} for value, summary in results.items()]
-        looked = [
-            {"value": summary["value"], "detector": name, "study": summary, **rates}
-            for summary in summaries
-            for name, rates in summary["by_detector"].items()
-        ]
-        columns: dict[str, Column[Any]] = {title: "value", "detector": "detector"}
-        columns |= {
-            head: lambda line, key=key: (
-                cell(line.get(key)) + spread_of(line["study"], line["detector"], key)
-            )  # type: ignore[misc]
-            for key, head in RATES.items()
-        }
-        yield Table.of(f"By {title}", columns, looked)
-        yield Table.of(
-            f"By {title}: what is lost", {title: "value", **_COSTS}, summaries
-        )
-        under = [
-            {"value": summary["value"], **look}
-            for summary in summaries
-            for look in summary.get("looks", ())
-        ]
-        if under:
-            heads: dict[str, Column[Any]] = {
-                title: "value",
-                "condition": "condition",
-                "detector": "detector",
-            }
-            heads |= {
-                head: name
-                for name, head in LOOKS.items()
-                if any(name in look for look in under)
-            }
-            heads |= {
-                f"PSNR, dB: {head}": number_at("psnr", name, form=".1f")
-                for name, head in _PICTURES.items()
-                if any(look["psnr"].get(name) is not None for look in under)
-            }
-            yield Table.of(f"By {title}: under other conditions", heads, under)
-
-
-def _gaussians(which: str) -> Column[Any]:
-    return lambda line: f"{statistics.mean(line['gaussians'][which]):,.0f}"
-
-
-_COSTS: dict[str, Column[Any]] = {
-    "seeds": lambda line: len(line["seeds"]),
-    "transition, degrees": number_at("transition_degrees", form=".1f"),
-    "clean far from the triggers, dB": number_at("benign_psnr", "clean"),
-    "dB lost there": number_at("benign_psnr_drop"),
-    "dB lost beside the object": number_at("stealth", "surroundings_psnr_drop"),
-    "dB lost on the object beside a trigger": number_at("stealth", "object_psnr_drop"),
-    "stealthy": lambda line: line["stealth"] and line["stealth"]["stealthy"],
-    "Gaussians, clean": _gaussians("clean"),
-    "Gaussians, cloaked": _gaussians("cloaked"),
-}
-_PICTURES = {
-    "missed_cloaked": "cloaked, well inside",
-    "found_cloaked": "cloaked, outside",
-    "missed_clean": "control, well inside",
-    "found_clean": "control, outside",
-}
-"""Which pictures are compared with those that the victim sees."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,24 +145,15 @@ class CloakWork(Work[CloakAttempt]):
             [],
         )
 
-    def with_figures(
-        self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]
-    ) -> dict[str, Any]:
-        """A record with the rates of its parts; its points have theirs."""
-        studies = {attempt.title: attempt.steps.study for attempt in self.attempts}
-        return {
-            **record,
-            **(
-                pooled(record["points"], studies, rows[ROWS])
-                if record["points"]
-                else {}
-            ),
-        }
+    def figures(
+        self, record: Mapping[str, Any], rows: Mapping[str, pl.DataFrame]
+    ) -> Figures:
+        """The rates of every point and part."""
+        return figures(record, rows)
 
-    def tables(self, record: Mapping[str, Any]) -> Iterator[Table]:
+    def tables(self, record: Mapping[str, Any], figures: Figures) -> Iterator[Table]:
         """The tables of each part."""
-        yield from tables(by_part(record))
-        yield from pooled_tables(record)
+        return tables(figures)
 
 
 class CloakReport(CloakWork):
@@ -294,58 +199,3 @@ def _seen(
     }
     named = {"part": attempt.part, "value": attempt.value}
     return {**named, **entry, "detectors": entry["detectors"] | judges}, tables
-
-
-def pooled(
-    points: Mapping[str, Mapping[str, Any]],
-    studies: Mapping[str, StudyConfig],
-    rows: pl.DataFrame,
-) -> dict[str, Any]:
-    """What a result says of each part whose points are one attack on several objects
-    (`over_objects`), if any is.
-    """
-    parts: dict[str, dict[str, StudyConfig]] = {}
-    for title, point in points.items():
-        parts.setdefault(point["part"], {})[title] = studies[title]
-    over = {part: over_objects(of_part, rows) for part, of_part in parts.items()}
-    told = {part: rates for part, rates in over.items() if rates is not None}
-    if told:
-        return {"pooled": told}
-    return {}
-
-
-def pooled_tables(record: Mapping[str, Any]) -> Iterator[Table]:
-    """For each part that is one attack on several objects a table of its rates over all
-    of them.
-    """
-    columns: dict[str, Column[Any]] = {"detector": "detector", "its region": "region"}
-    columns |= {
-        head: lambda line, key=key: cell(line[key])  # type: ignore[misc]
-        for key, head in _POOLED.items()
-    }
-    for part, over in record.get("pooled", {}).items():
-        caption = (
-            f"{part.replace('_', ' ')}: {over['objects']} objects together; intervals"
-            " have objects drawn anew"
-        )
-        caption = caption[0].upper() + caption[1:]
-        lines = [
-            {"detector": name, "region": "all", **rates}
-            for name, rates in over["by_detector"].items()
-        ]
-        yield Table.of(caption, columns, lines)
-        lines = [
-            {"detector": name, "region": in_words(own["bands"]), **own["rates"]}
-            for name, own in over[OWN_REGION].items()
-        ]
-        yield Table.of(
-            f"{caption}; each detector in its own region: {RULE}", columns, lines
-        )
-
-
-def by_part(record: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:
-    """What was found, by part and value."""
-    groups: dict[str, dict[str, Mapping[str, Any]]] = {}
-    for point in record["points"].values():
-        groups.setdefault(point["part"], {})[point["value"]] = point
-    return groups

@@ -12,11 +12,12 @@ from typing import Any
 
 import polars as pl
 
-from attacks.rate import number
+from attacks.figures.frame import Figures
+from attacks.figures.rate import number
+from attacks.figures.tables import Table
 from attacks.studies.attack import scene_files
 from attacks.studies.running import Attempt, Observed, Work, copied, names_of
 from attacks.studies.study_file import Point, Study, with_none
-from attacks.tables import Table
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cli.cameras import ALL, find_cameras, renderer_of
 from mi_splat.cli.options import CameraOptions
@@ -183,13 +184,13 @@ class CompareWork(Work[Attempt]):
             paths,
         )
 
-    def with_figures(
-        self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]
-    ) -> dict[str, Any]:
-        """The record, which has all its figures."""
-        return record
+    def figures(
+        self, record: Mapping[str, Any], rows: Mapping[str, pl.DataFrame]
+    ) -> Figures:
+        """None: its record has all numbers, which no rows give."""
+        return Figures({})
 
-    def tables(self, record: Mapping[str, Any]) -> Iterator[Table]:
+    def tables(self, record: Mapping[str, Any], figures: Figures) -> Iterator[Table]:
         """Errors, gradients and costs by point."""
         yield from tables(record["points"])
 

@@ -23,6 +23,8 @@ import polars as pl
 
 from attacks.dagger.config import REGION
 from attacks.detectors.registry import DetectorSpec, detector_spec, load_detector
+from attacks.figures.frame import Figures
+from attacks.figures.tables import Table
 from attacks.objectives import OBJECTIVES, PluggedObjective
 from attacks.objectives.relabel import Relabel
 from attacks.objectives.suppression import Hide, Untargeted
@@ -40,10 +42,10 @@ from attacks.studies.attack import (
     street_of,
 )
 from attacks.studies.look import Look
-from attacks.studies.result import figures, shared_apart, tables, views_of
+from attacks.studies.result import figures, shared_apart, views_of
 from attacks.studies.running import Attempt, Observed, Work, bisection, check_apart
 from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
-from attacks.tables import Table
+from attacks.studies.tables import tables
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import FieldError, check_choice, decode
 from mi_splat.io.folders import RECORD
@@ -417,22 +419,17 @@ class DaggerWork(Work[DaggerAttempt]):
         }
         return {**facts, "detectors": marks}, {ROWS: frame_of(_whole(rows))}, []
 
-    def with_figures(
-        self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]
-    ) -> dict[str, Any]:
-        """A record with figures at their places."""
-        derived = figures(record, rows)
-        attacks = {
-            name: {**attack, **derived["attacks"].get(name, {})}
-            for name, attack in record["attacks"].items()
-        }
-        return {**record, **derived, "attacks": attacks}
+    def figures(
+        self, record: Mapping[str, Any], rows: Mapping[str, pl.DataFrame]
+    ) -> Figures:
+        """What the attacks have reached, and who else is deceived."""
+        return figures(record, rows)
 
-    def tables(self, record: Mapping[str, Any]) -> Iterator[Table]:
+    def tables(self, record: Mapping[str, Any], figures: Figures) -> Iterator[Table]:
         """What attacks have reached, the smallest that suffices, and what others
-        see.
+        report.
         """
-        return tables(record)
+        return tables(figures)
 
 
 def _stated(
@@ -446,7 +443,7 @@ def _stated(
         if name in ("scene", CAMERAS)
     }
     settings = {**files, **dataclasses.asdict(config)}
-    stated = _BRIEFLY if views_of({"settings": settings}) == "drawn" else _STATED
+    stated = _BRIEFLY if views_of(settings) == "drawn" else _STATED
     return {
         "part": attempt.point.part,
         "labels": dict(attempt.point.labels),

@@ -32,6 +32,8 @@ from attacks.cloak.kinds.trained import COST
 from attacks.cloak.setup import Pose
 from attacks.cloak.steps import PICTURES as SET_FILES
 from attacks.cloak.steps import POISONED_KIND, Look, StudySteps
+from attacks.figures.frame import Figures
+from attacks.figures.tables import Table
 from attacks.observe.observations import camera_cells
 from attacks.observe.rates import reported
 from attacks.observe.rows import (
@@ -54,10 +56,9 @@ from attacks.poisons.judged import (
 )
 from attacks.poisons.poisoned import CLOAK, SHEET, PoisonedConfig
 from attacks.poisons.specs import ChosenPoison
-from attacks.studies.poison_figures import figures, summary_tables
+from attacks.studies.poison_figures import figures, tables
 from attacks.studies.running import OWN_NAME, Attempt, Observed, Work, copied, names_of
 from attacks.studies.study_file import Point, Settings, Study, with_none
-from attacks.tables import Table
 from mi_splat.cameras.camera import Camera
 from mi_splat.cameras.directions import direction_of
 from mi_splat.errors import InvalidValueError
@@ -486,15 +487,15 @@ class PoisonWork(Work[PoisonAttempt]):
         }
         return {"seeds": seeds, "detectors": judges, "victims": victims}, tables, paths
 
-    def with_figures(
-        self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]
-    ) -> dict[str, Any]:
-        """A record with what victims pay, see and lose."""
-        return record | figures(record, rows)
+    def figures(
+        self, record: Mapping[str, Any], rows: Mapping[str, pl.DataFrame]
+    ) -> Figures:
+        """What victims pay, see and lose."""
+        return figures(record, rows)
 
-    def tables(self, record: Mapping[str, Any]) -> Iterator[Table]:
+    def tables(self, record: Mapping[str, Any], figures: Figures) -> Iterator[Table]:
         """The tables of costs, and of what is seen."""
-        return summary_tables(record)
+        return tables(figures)
 
 
 def _cost(

@@ -1,5 +1,5 @@
-"""What a study of poison says: what victims pay, how true their splats are, and what
-classifiers make of them.
+"""The figures of a study of poison: what victims pay, how true their splats are, and
+what classifiers and detectors make of them; and their tables.
 """
 
 from __future__ import annotations
@@ -11,11 +11,19 @@ from typing import Any
 
 import polars as pl
 
+from attacks.figures.frame import MEASURE, Figures, Labels, Number
+from attacks.figures.rate import number
+from attacks.figures.tables import (
+    Column,
+    Group,
+    Table,
+    groups_of,
+    label_at,
+    number_at,
+    rate_at,
+)
 from attacks.observe.rates import Measure, count
 from attacks.observe.rows import CLEAN, FIDELITY, ROWS
-from attacks.tables import Column, Table
-
-Record = Mapping[str, Any]
 
 COSTS = (
     "gaussians",
@@ -26,211 +34,198 @@ COSTS = (
     "milliseconds",
 )
 """What a victim pays, of which the poisoned one's is divided by the clean one's."""
+NAMED = "named"
+FOUND = "found"
+"""Measures: a classifier names the object rightly, a detector finds it."""
+
+_Victims = Mapping[tuple[int, str, bool], Mapping[str, Any]]
+"""What victims have paid, by seed, splat, and whether they defended themselves."""
 
 
-def figures(record: Record, tables: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> Figures:
     """Every figure of a study: for each value how many times the costs are, and how
     true its splats are.
     """
     truth = tables[FIDELITY].with_columns(defended=pl.col("condition").is_not_null())
-    means = truth.group_by("attack", "seed", "splat", "defended").agg(
-        pl.col("psnr").mean(), pl.col("ssim").mean()
-    )
-    quality = {
-        tuple(row[:4]): {"psnr": row[4], "ssim": row[5]} for row in means.iter_rows()
-    }
+    runs = truth.group_by("attack", "seed", "splat", "defended")
+    means = runs.agg(pl.col("psnr").mean(), pl.col("ssim").mean())
+    quality = {row[:4]: {"psnr": row[4], "ssim": row[5]} for row in means.iter_rows()}
     groups: dict[tuple[str, str], dict[tuple[int, str, bool], dict[str, Any]]] = {}
     for victim in record["victims"]:
-        title = f"{victim['part']}: {victim['value']}"
+        group = (victim["part"], victim["value"])
         key = (victim["seed"], victim["splat"], victim["defended"])
-        of_value = groups.setdefault((victim["part"], victim["value"]), {})
-        of_value[key] = {**victim, **quality.get((title, *key), {})}
-    values = [_value(part, value, victims) for (part, value), victims in groups.items()]
-    empty: dict[str, Any] = {
-        key: [] for key in ("classified", "pooled", "detected", "detected_pooled")
-    }
-    told = {"values": values, **empty}
-    if ROWS not in tables:
-        return told
-    parts = {f"{value['part']}: {value['value']}": value["part"] for value in values}
-    looked = tables[ROWS].with_columns(part=pl.col("attack").replace_strict(parts))
-    detects = pl.col("detector").is_in([*record.get("detectors", ())])
-    for rows, each, pooled in (
-        (looked.filter(~detects), "classified", "pooled"),
-        (looked.filter(detects), "detected", "detected_pooled"),
-    ):
-        told[each] = _seen(rows, "attack")
-        if len(set(parts.values())) < len(parts):
-            told[pooled] = _seen(rows, "part", clusters=("attack",))
-    return told
+        true = quality.get((": ".join(group), *key), {})
+        groups.setdefault(group, {})[key] = {**victim, **true}
+    parts = []
+    for (part, value), victims in groups.items():
+        of_value = Figures.of(_of_value(victims))
+        parts.append(of_value.labelled(part=part, setting=value))
+    if ROWS in tables:
+        named = {": ".join(group): group for group in groups}
+        detectors = record.get("detectors", ())
+        parts += _seen(tables[ROWS], named, [*detectors])
+    return Figures.together(parts)
 
 
 def _seen(
-    rows: pl.DataFrame, which: str, clusters: Sequence[str] | None = None
-) -> list[dict[str, Any]]:
-    """For each value, or part, how often the object is named rightly, or found, and how
-    confidently.
+    rows: pl.DataFrame,
+    values: Mapping[str, tuple[str, str]],
+    detectors: Sequence[str],
+) -> Iterator[Figures]:
+    """How often the object is named rightly, or found, and how confidently: for each
+    value, and for each part with its values drawn anew.
     """
-    by = (which, "detector", "splat", "condition")
-    rates = count(
-        rows, {"right": Measure(holds=~pl.col("success"))}, by, clusters=clusters
+    part = {title: part for title, (part, _) in values.items()}
+    setting = {title: value for title, (_, value) in values.items()}
+    rows = rows.with_columns(
+        part=pl.col("attack").replace_strict(part),
+        setting=pl.col("attack").replace_strict(setting),
     )
-    means = rows.group_by(by).agg(pl.col("original_score").mean())
-    confidence = {row[:-1]: row[-1] for row in means.iter_rows()}
-    return [
-        {
-            **dict(zip(by, key, strict=True)),
-            "right": told["right"].as_dict(),
-            "confidence": confidence[key],
-        }
-        for key, told in rates.items()
-    ]
+    right = Measure(holds=~pl.col("success"))
+    detects = pl.col("detector").is_in(detectors)
+    seen = ["part", "detector", "splat", "condition"]
+    ways: list[tuple[list[str], list[str] | None]] = [(["setting", *seen], None)]
+    if len(set(part.values())) < len(part):
+        ways.append((seen, ["attack"]))
+    for measure, looked in (
+        (NAMED, rows.filter(~detects)),
+        (FOUND, rows.filter(detects)),
+    ):
+        for by, clusters in ways:
+            yield count(looked, {measure: right}, by, clusters=clusters)
+            means = looked.group_by(by, maintain_order=True)
+            yield Figures.of(
+                ({MEASURE: "confidence", **dict(zip(by, key, strict=True))}, mean)
+                for *key, mean in means.agg(pl.col("original_score").mean()).iter_rows()
+            )
 
 
-def _value(
-    part: str, value: str, victims: Mapping[tuple[int, str, bool], Record]
-) -> dict[str, Any]:
+def _of_value(victims: _Victims) -> Iterator[tuple[Labels, Number | float | None]]:
     """The figures of one value over its seeds, of each splat that it has."""
     seeds = sorted({seed for seed, _, _ in victims})
-    told: dict[str, Any] = {"part": part, "value": value, "seeds": seeds, "splats": {}}
-    for splat, defended in sorted(
-        {(splat, defended) for _, splat, defended in victims}
-    ):
-        mine = {
-            seed: victims[seed, splat, defended]
-            for seed in seeds
-            if (seed, splat, defended) in victims
-        }
-        clean = {
-            seed: victims[seed, CLEAN, False]
-            for seed in mine
-            if (seed, CLEAN, False) in victims
-        }
+    yield {MEASURE: "seeds"}, len(seeds)
+    for splat, defended in sorted({key[1:] for key in victims}):
+        runs = {}
+        for seed in seeds:
+            if (seed, splat, defended) in victims:
+                runs[seed] = victims[seed, splat, defended]
         name = f"{splat}, defended" if defended else splat
-        told["splats"][name] = {
-            "gaussians": _spread([run["gaussians"] for run in mine.values()]),
-            "psnr": _spread([run.get("psnr") for run in mine.values()]),
-            "ssim": _spread([run.get("ssim") for run in mine.values()]),
-            "times": {
-                cost: _spread(
-                    [
-                        _ratio(run.get(cost), clean.get(seed, {}).get(cost))
-                        for seed, run in mine.items()
-                    ]
-                )
-                for cost in COSTS
-            },
-        }
-    return told
+        for measure in ("gaussians", "psnr", "ssim"):
+            spread = _spread([run.get(measure) for run in runs.values()])
+            yield {MEASURE: measure, "splat": name}, spread
+        for cost in COSTS:
+            ratios = []
+            for seed, run in runs.items():
+                clean = victims.get((seed, CLEAN, False), {}).get(cost)
+                paid = run.get(cost)
+                ratios.append(paid / clean if paid is not None and clean else None)
+            yield {MEASURE: f"{cost}_ratio", "splat": name}, _spread(ratios)
 
 
-def _ratio(value: float | None, clean: float | None) -> float | None:
-    if value is not None and clean:
-        return value / clean
-    return None
-
-
-def _spread(values: Sequence[float | None]) -> dict[str, Any] | None:
-    """Mean, least and most over the seeds, and the 95 % interval of the mean (Student's
-    t) from two seeds on.
+def _spread(values: Sequence[float | None]) -> Number | None:
+    """The mean and the range over the seeds, and the 95 % interval of the mean
+    (Student's t) from two seeds on.
     """
     known = [value for value in values if value is not None]
     if not known:
         return None
     mean = statistics.fmean(known)
-    interval = None
+    half = None
     if len(known) > 1:
         from scipy.special import stdtrit
 
-        half = (
-            float(stdtrit(len(known) - 1, 0.975))
-            * statistics.stdev(known)
-            / math.sqrt(len(known))
-        )
-        interval = [mean - half, mean + half]
+        quantile = float(stdtrit(len(known) - 1, 0.975))
+        half = quantile * statistics.stdev(known) / math.sqrt(len(known))
+    return Number(
+        value=mean,
+        low=None if half is None else mean - half,
+        high=None if half is None else mean + half,
+        least=min(known),
+        most=max(known),
+        total=len(known),
+    )
+
+
+def tables(figures: Figures) -> Iterator[Table]:
+    """For each part a table of costs, and tables of what is seen."""
+    values = figures.where(detector=None)
+    for (part,), of_part in values.groups("part").items():
+        seeds = {
+            value: one.value("seeds")
+            for (value,), one in of_part.groups("setting").items()
+        }
+        lines = [
+            ({**labels, "seeds": seeds[labels["setting"]]}, one)
+            for labels, one in groups_of(of_part, "setting", "splat")
+            if labels["splat"] is not None
+        ]
+        title = part.replace("_", " ")
+        yield Table.of(f"{title[0].upper()}{title[1:]}", _COLUMNS, lines)
+    for measure, together, each in (
+        (
+            NAMED,
+            "All values together; in intervals they are drawn anew",
+            "How often the object is named rightly",
+        ),
+        (
+            FOUND,
+            "Detectors, all values together",
+            "How often the object is found as what it is",
+        ),
+    ):
+        seen = groups_of(figures, "part", "setting", "detector", "splat", "condition")
+        seen = [group for group in seen if group[1].find(measure) is not None]
+        pooled = [group for group in seen if group[0]["setting"] is None]
+        single = [group for group in seen if group[0]["setting"] is not None]
+        columns = {"what": _value_of, **_seen_columns(measure)}
+        if pooled:
+            yield Table.of(together, columns, pooled)
+        if single:
+            yield Table.of(each, columns, single)
+
+
+def _value_of(group: Group) -> str:
+    labels, _ = group
+    part = str(labels["part"])
+    return part if labels["setting"] is None else f"{part}: {labels['setting']}"
+
+
+def _seen_columns(measure: str) -> dict[str, Column[Group]]:
+    who, right = {
+        NAMED: ("classifier", "top-1 right"),
+        FOUND: ("detector", "found"),
+    }[measure]
     return {
-        "mean": mean,
-        "least": min(known),
-        "most": max(known),
-        "interval": interval,
-        "count": len(known),
+        who: label_at("detector"),
+        "splat": label_at("splat"),
+        "seen": label_at("condition"),
+        right: rate_at(measure),
+        "confidence in the true class": number_at("confidence"),
     }
 
 
-def summary_tables(record: Record) -> Iterator[Table]:
-    """For each part a table of costs, and one of what the splats are worth."""
-    parts: dict[str, list[Record]] = {}
-    for value in record["values"]:
-        parts.setdefault(value["part"], []).append(value)
-    for part, values in parts.items():
-        title = part.replace("_", " ")
-        lines = [
-            {
-                "value": value["value"],
-                "splat": name,
-                "seeds": len(value["seeds"]),
-                **splat,
-                **splat["times"],
-            }
-            | {"count": splat["gaussians"], "times": splat["times"]["gaussians"]}
-            for value in values
-            for name, splat in value["splats"].items()
-        ]
-        yield Table.of(f"{title[0].upper()}{title[1:]}", _COLUMNS, lines)
-    for which, caption, key, columns in (
-        (
-            "part",
-            "All values together; in intervals they are drawn anew",
-            "pooled",
-            _NAMED,
-        ),
-        ("attack", "How often the object is named rightly", "classified", _NAMED),
-        ("part", "Detectors, all values together", "detected_pooled", _RIGHT),
-        ("attack", "How often the object is found as what it is", "detected", _RIGHT),
-    ):
-        if record.get(key):
-            yield Table.of(caption, {"what": which, **columns}, record[key])
-
-
-def _number(key: str, digits: int) -> Column[Any]:
+def _spread_at(measure: str, form: str) -> Column[Group]:
     """The mean over seeds and, of several, its ends."""
 
-    def text(line: Record) -> str:
-        spread = line.get(key)
-        if spread is None:
-            return "-"
-        mean = f"{spread['mean']:,.{digits}f}"
-        ends = [f"{spread[end]:,.{digits}f}" for end in ("least", "most")]
-        if spread["count"] == 1:
+    def text(group: Group) -> str | None:
+        spread = group[1].find(measure)
+        if not isinstance(spread, Number):
+            return None
+        mean = number(spread.value, form)
+        if spread.total == 1:
             return mean
-        return f"{mean} ({ends[0]} to {ends[1]})"
+        return f"{mean} ({number(spread.least, form)} to {number(spread.most, form)})"
 
     return text
 
 
-_SHOWN: dict[str, Column[Any]] = {"splat": "splat", "seen": "condition"}
-_CONFIDENT: dict[str, Column[Any]] = {
-    "confidence in the true class": lambda line: f"{line['confidence']:.2f}"
-}
-_NAMED: dict[str, Column[Any]] = {
-    "classifier": "detector",
-    **_SHOWN,
-    "top-1 right": "right",
-    **_CONFIDENT,
-}
-_RIGHT: dict[str, Column[Any]] = {
-    "detector": "detector",
-    **_SHOWN,
-    "found": "right",
-    **_CONFIDENT,
-}
-_COLUMNS: dict[str, Column[Any]] = {
-    "value": "value",
-    "splat": "splat",
-    "seeds": "seeds",
-    "Gaussians": _number("count", 0),
-    "times the clean splat's": _number("times", 2),
-    "memory": _number("peak_megabytes", 2),
-    "time of a picture": _number("milliseconds", 2),
-    "PSNR, held out, dB": _number("psnr", 2),
+_COLUMNS: dict[str, Column[Group]] = {
+    "value": label_at("setting"),
+    "splat": label_at("splat"),
+    "seeds": label_at("seeds"),
+    "Gaussians": _spread_at("gaussians", ",.0f"),
+    "times the clean splat's": _spread_at("gaussians_ratio", ",.2f"),
+    "memory": _spread_at("peak_megabytes_ratio", ",.2f"),
+    "time of a picture": _spread_at("milliseconds_ratio", ",.2f"),
+    "PSNR, held out, dB": _spread_at("psnr", ",.2f"),
 }

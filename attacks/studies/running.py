@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import polars as pl
 
+from attacks.figures.frame import Figures, write_figures
+from attacks.figures.tables import Table, sections
 from attacks.observe.rows import SUFFIX, write_rows
 from attacks.studies.study_file import KINDS, Point, Study, read_study
-from attacks.tables import Table, sections
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_json, save_text
@@ -97,13 +98,13 @@ class Work(ABC, Generic[_Attempt]):
         """What is seen in the results."""
 
     @abstractmethod
-    def with_figures(
-        self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]
-    ) -> dict[str, Any]:
-        """A record with every figure that follows from it and from its rows."""
+    def figures(
+        self, record: Mapping[str, Any], rows: Mapping[str, pl.DataFrame]
+    ) -> Figures:
+        """Every figure that follows from a record and its rows."""
 
     @abstractmethod
-    def tables(self, record: Mapping[str, Any]) -> Iterable[Table]:
+    def tables(self, record: Mapping[str, Any], figures: Figures) -> Iterable[Table]:
         """The tables of a result."""
 
     def jobs(self) -> dict[str, Job]:
@@ -134,12 +135,14 @@ class Work(ABC, Generic[_Attempt]):
             **facts,
             **provenance.origin(),
         }
-        record = self.with_figures(record, frames)
+        figures = self.figures(record, frames)
+        if len(figures):
+            paths.append(write_figures(figures, out))
         paths += [
             write_rows(table, out / f"{name}{SUFFIX}") for name, table in frames.items()
         ]
         title = self.study.question or self.study.name
-        save_text(f"# {title}\n\n{sections(self.tables(record))}", out / TABLE)
+        save_text(f"# {title}\n\n{sections(self.tables(record, figures))}", out / TABLE)
         save_text(self.study.text, out / STUDY_FILE)
         save_json(record, out / RECORD, indent=None)
         return [*paths, *(out / name for name in (TABLE, STUDY_FILE, RECORD))]

@@ -13,7 +13,6 @@ the radius of its ball.
 import base64
 import html
 import io
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,8 +23,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from attacks.cloak.setup import Setup
-from attacks.observe.rows import read_rows
+from attacks.figures.frame import AXIS, Figures, read_figures
+from attacks.figures.rate import pooled
+from attacks.observe.rows import ATTACKED, NOISE, read_rows
 from attacks.studies.cloak import config_of
+from attacks.studies.result import ALL_PAIRS, SETTING
 from attacks.studies.study_file import read_study
 from mi_splat.io import load_splat
 from mi_splat.io.images import save_animation, to_bytes
@@ -500,46 +502,44 @@ def radius() -> Figure:
     """How often DAGGER succeeds at each radius, by object, and noise; intervals over
     cameras.
     """
-    record = json.loads(
-        (IMAGES.parent / "artifacts" / "dagger_cameras" / "result.json").read_text()
-    )
-    parts = ("Radius", "The detector that the search was tuned on")
-    sums = [
-        line
-        for line in (*record["together"], *record["groups"])
-        if line["part"] in parts
-    ]
+    artifact = IMAGES.parent / "artifacts" / "dagger_cameras"
+    figures = read_figures(artifact)
+    eps = f"{AXIS}attack.eps"
+    pair = f"{AXIS}pair"
+
+    def by_radius(scope: str) -> dict[float, Figures]:
+        """The figures of a scope by radius; that of the tuned detector is 5."""
+        of_scope = figures.where(scope=scope)
+        usual = of_scope.where(part="The detector that the search was tuned on")
+        others = of_scope.where(part="Radius").groups(eps)
+        radii = {float(label): of_radius for (label,), of_radius in others.items()}
+        return dict(sorted({5.0: usual, **radii}.items()))
+
     figure = Figure(figsize=(6.4, 3.8), dpi=110, layout="constrained")
     plot = figure.subplots()
     for name, pairs, colour in (
         ("car, three classes", "car", VICTIM),
         ("stop sign, three classes", "sign", ATTACKER),
     ):
-        rates: dict[float, list[int]] = {}
-        for line in sums:
-            if line["labels"].get("pair", "").startswith(pairs):
-                held = rates.setdefault(line["labels"].get("attack.eps", 5.0), [0, 0])
-                held[0] += line["strict"]["successes"]
-                held[1] += line["strict"]["total"]
-        radii = sorted(rates)
-        plot.plot(
-            radii,
-            [rates[eps][0] / rates[eps][1] for eps in radii],
-            "o-",
-            color=colour,
-            label=name,
-        )
-    lines = sorted(
-        (line["labels"].get("attack.eps", 5.0), line)
-        for line in sums
-        if "pair" not in line["labels"]
-    )
-    for name, key, style in (
-        ("noise: target class", "strict", "s--"),
-        ("noise: own class lost", "lost", "s:"),
+        rates = {}
+        for radius, of_radius in by_radius(SETTING).items():
+            of_pairs = of_radius.groups(pair).items()
+            members = [one for (label,), one in of_pairs if label.startswith(pairs)]
+            rates[radius] = pooled(
+                rate
+                for one in members
+                for rate in one.rates("strict_if_detected", splat=ATTACKED)
+            ).fraction
+        plot.plot(*zip(*rates.items(), strict=True), "o-", color=colour, label=name)
+    for name, measure, style in (
+        ("noise: target class", "strict_if_detected", "s--"),
+        ("noise: own class lost", "lost_if_detected", "s:"),
     ):
-        rate = [line["controls"]["noise"][key]["rate"] for _, line in lines]
-        plot.plot([eps for eps, _ in lines], rate, style, color=PLAIN, label=name)
+        rates = {
+            radius: of_radius.pooled(measure, splat=NOISE).fraction
+            for radius, of_radius in by_radius(ALL_PAIRS).items()
+        }
+        plot.plot(*zip(*rates.items(), strict=True), style, color=PLAIN, label=name)
     plot.set(
         xlabel="radius of the l2 ball over the SH of the object",
         ylabel="success rate, strict",

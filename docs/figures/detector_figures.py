@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from attacks.detectors.catalogue import SMALL_CLASSES
-from attacks.rate import Rate, number, pooled
+from attacks.figures.rate import Rate, number, pooled
+from attacks.figures.tables import Table, cell
 from attacks.report.section import listed
-from attacks.tables import Table, cell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,14 +6,14 @@ They are not kept in the repository, so that no figure of them can be out of dat
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
-    from attacks.tables import Table
+    from attacks.bench.row import Row
+    from attacks.figures.tables import Table
 
 _LAYERS = "[CLOAK in the finished file: variants](../cloak-layers.md#variants)"
 PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
@@ -143,8 +143,8 @@ def write_pages(app: Sphinx) -> None:
     from detector_figures import compared_page, table_page
 
     from attacks.bench.row import table_of
-    from attacks.tables import markdown
-    from mi_splat.io.parsing import read_json
+    from attacks.figures.result import read_result
+    from attacks.figures.tables import markdown
 
     docs = Path(app.srcdir)
     for name in PAGES:
@@ -154,19 +154,20 @@ def write_pages(app: Sphinx) -> None:
     for figures in sorted((docs / "tables" / "detectors").glob("*.json")):
         _write(figures.with_suffix(".md"), table_page(figures))
     _write(docs / "tables" / "detectors" / "compared.md", compared_page())
-    rows = [
-        read_json(path) for path in sorted((docs / "bench" / "v1").glob("*/row.json"))
+    results = [
+        read_result(folder) for folder in sorted((docs / "bench" / "v1").glob("*"))
     ]
+    rows = [(result.record, result.figures) for result in results]
     for name, title, table in (
         (
             "bench_v1",
             "rows of detectors",
-            table_of([row for row in rows if not row["defence"]]),
+            table_of([row for row in rows if not row[0]["defence"]]),
         ),
         (
             "bench_v1_defences",
             "rows of defences",
-            defences([row for row in rows if row["defence"]]),
+            defences([row for row in rows if row[0]["defence"]]),
         ),
     ):
         text = markdown(table.head, table.rows)
@@ -181,35 +182,35 @@ def write_pages(app: Sphinx) -> None:
         )
 
 
-def defences(rows: list[dict[str, Any]]) -> Table:
+def defences(rows: list[Row]) -> Table:
     """What defences save and cost; a line for each defence, detector and column."""
-    from attacks.bench.row import HEADS
-    from attacks.rate import Rate
-    from attacks.tables import Table
+    from attacks.bench.row import DEFENDED, HEADS
+    from attacks.figures.tables import (
+        Column,
+        Group,
+        Table,
+        label_at,
+        short_rate,
+    )
 
-    def rate(values: Mapping[str, Any] | None) -> str:
-        if values is None:
-            return "-"
-        return Rate.of(values).short(interval=True)
-
-    lines = [
-        (row, head, row["columns"][column])
-        for row in sorted(
-            rows, key=lambda row: (row["defence"], row["detector"]["name"])
-        )
-        for column, head in HEADS.items()
-        if row["columns"][column].get("defended")
-    ]
-    heads: dict[str, Any] = {
-        "defence": lambda line: line[0]["defence"],
-        "detector": lambda line: line[0]["detector"]["name"],
-        "attack": lambda line: line[1],
-        "without it": lambda line: rate(line[2]["robust"]),
-        "with it": lambda line: rate(line[2]["defended"]["robust"]),
-        "the attacker knows it": lambda line: rate(
-            line[2]["defended"].get("robust_who_knows")
+    lines = []
+    rows = sorted(rows, key=lambda row: (row[0]["defence"], row[0]["detector"]["name"]))
+    for record, figures in rows:
+        labels = {"defence": record["defence"], "detector": record["detector"]["name"]}
+        for column, head in HEADS.items():
+            of_column = figures.where(part=column)
+            if of_column.find("robust", scope=DEFENDED) is not None:
+                lines.append(({**labels, "attack": head}, of_column))
+    heads: dict[str, Column[Group]] = {
+        "defence": label_at("defence"),
+        "detector": label_at("detector"),
+        "attack": label_at("attack"),
+        "without it": short_rate("robust", interval=True),
+        "with it": short_rate("robust", interval=True, scope=DEFENDED),
+        "the attacker knows it": short_rate(
+            "robust_if_known", interval=True, scope=DEFENDED
         ),
-        "clean, with it": lambda line: rate(line[2]["defended"]["clean"]),
+        "clean, with it": short_rate("clean", interval=True, scope=DEFENDED),
     }
     return Table.of("", heads, lines)
 
@@ -221,9 +222,9 @@ def _write(path: Path, text: str) -> None:
 
 def page(name: str, artifacts: Path) -> str:
     """A page as Markdown, one of `PAGES`, from the folder docs/artifacts."""
-    from attacks.report.checking import read_result
+    from attacks.figures.result import read_result
+    from attacks.figures.tables import sections
     from attacks.report.results import read_section
-    from attacks.tables import sections
 
     title, conclusion, folders = PAGES[name]
     parts = [

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import polars as pl
 
-    from attacks.rate import Rate
+    from attacks.figures.frame import Figure
 
 ROWS = "rendering_studies.csv.xz"
 _MADE = (
@@ -103,46 +103,29 @@ def _values(rows: pl.DataFrame, column: str) -> list[str]:
 
 def _rates(rows: pl.DataFrame, confidence: float) -> Iterator[str]:
     """A table for each detector and kind: conditions downwards, attacks across."""
+    from attacks.figures.rate import pooled
     from attacks.observe.rates import count, transfer_measures, with_control
 
     by = ("detector", "source", "ball", "condition")
     counted = count(with_control(rows), transfer_measures(confidence), by)
-    for detector in _values(rows, "detector"):
-        columns = (
-            rows.filter(detector=detector)
-            .select("source", "ball")
-            .unique(maintain_order=True)
-            .rows()
-        )
+    for (detector,), of_detector in counted.groups("detector").items():
+        attacks = of_detector.groups("source", "ball")
         for kind, words in KINDS.items():
             body = []
             for condition in _values(rows, "condition"):
-                counts = [
-                    counted.get((detector, *column, condition)) for column in columns
-                ]
-                noise = [rates[f"noise_{kind}"] for rates in counts if rates]
-                found = sum(rate.successes for rate in noise)
-                total = f"{found}/{sum(rate.total for rate in noise)}"
-                body.append(
-                    [
-                        condition,
-                        *(
-                            "-" if not rates else _rate_text(rates[kind])
-                            for rates in counts
-                        ),
-                        total,
-                    ]
-                )
-            names = [f"{source}: {ball}" for source, ball in columns]
+                seen = [of.where(condition=condition) for of in attacks.values()]
+                cells = [_rate_text(of.find(kind)) for of in seen]
+                noise = pooled(of.rate(f"noise_{kind}") for of in seen)
+                body.append([condition, *cells, noise.short()])
+            names = [f"{source}: {ball}" for source, ball in attacks]
             table = _table(["judged under", *names, "random noise"], body)
             yield f"## {words}: {detector}\n\n{table}"
 
 
-def _rate_text(rate: Rate) -> str:
-    low, high = rate.interval
-    if rate.total:
-        return f"{rate.successes}/{rate.total} ({low:.2f} to {high:.2f})"
-    return "0/0"
+def _rate_text(rate: Figure | None) -> str:
+    from attacks.figures.rate import Rate
+
+    return rate.short(interval=True) if isinstance(rate, Rate) else "-"
 
 
 def _visible(rows: pl.DataFrame) -> str:

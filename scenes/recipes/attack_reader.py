@@ -27,13 +27,13 @@ from attacks.dagger.views import FixedViews
 from attacks.detectors import load_detector
 from attacks.detectors.base import Candidates, Detections, Detector
 from attacks.detectors.graphs.graph import fields, parts
+from attacks.figures.rate import Rate
 from attacks.objectives.base import Target
 from attacks.objectives.relabel import Relabel
 from attacks.objectives.suppression import Hide
 from attacks.observe.observations import report_cells, verdict_cells
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, frame_of, write_rows
 from attacks.observe.views import image_change
-from attacks.rate import Rate
 from attacks.studies.attack import AttackScene, attack_scene, cameras_in
 from mi_splat.cameras.camera import Camera
 

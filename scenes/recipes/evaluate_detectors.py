@@ -26,9 +26,9 @@ from torchvision.ops import box_iou
 from attacks.detectors.base import Detections, Detector
 from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.registry import load_detector
+from attacks.figures.rate import Rate
 from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.views import visible_box, visible_weight
-from attacks.rate import Rate
 from mi_splat import provenance
 from mi_splat.io.documents import save_json
 from mi_splat.io.images import to_bytes

@@ -8,7 +8,14 @@ from scipy.stats import binomtest
 from torch import Tensor
 
 from attacks.detectors.base import Detections
-from attacks.observe.comparison import compare, compared_rows, contradictions
+from attacks.figures.rate import Rate
+from attacks.observe.comparison import (
+    classes_of,
+    compare,
+    compared_rows,
+    contradicted_views,
+    contradictions,
+)
 from attacks.observe.drawing import annotated
 from attacks.observe.views import (
     ViewDetections,
@@ -17,7 +24,6 @@ from attacks.observe.views import (
     evaluate,
     object_boxes,
 )
-from attacks.rate import Rate
 from mi_splat.cameras.camera import Camera
 from mi_splat.io.images import through_png
 from mi_splat.scene import GaussianScene
@@ -33,7 +39,8 @@ def test_views_without_the_object_do_not_count() -> None:
     assert view.box is None
     assert view.confidence("car") == 0.0
     looked = compared_rows({"clean": [view], "attacked": [view]}, original="car")
-    assert {rate.total for rate in compare(looked.rows)[0].rates.values()} == {0}
+    rates = [rate for _, rate in compare(looked.rows) if isinstance(rate, Rate)]
+    assert {rate.total for rate in rates} == {0}
     assert looked.rows["x0"].to_list() == [None, None]
 
 
@@ -65,27 +72,19 @@ def test_a_miss_counts_where_the_clean_object_is_found() -> None:
         looked(2, "person", 0.49),
     ]
     attacked += [looked(0, "car", 0.5, "other")]  # still counts
-    first, other = compare(
-        compared_rows({"clean": clean, "attacked": attacked}, target="person").rows
-    )
-    assert (first.original, first.target, first.views, first.psnr) == (
-        "car",
-        "person",
-        3,
-        None,
-    )
-    assert first.rates["missed"] == Rate(successes=2, total=2)
-    assert (
-        first.rates["found_clean"]
-        == first.rates["target_attacked"]
-        == Rate(successes=2, total=3)
-    )
-    assert other.rates["missed"] == Rate(successes=0, total=1)
-    lower, _ = compare(
-        compared_rows({"clean": clean, "attacked": attacked}, target="person").rows,
-        confidence=0.25,
-    )
-    assert lower.rates["target_attacked"] == Rate(successes=3, total=3)
+    splats = {"clean": clean, "attacked": attacked}
+    rows = compared_rows(splats, target="person").rows
+    figures = compare(rows)
+    first = figures.where(detector="fake_colour")
+    assert classes_of(rows)["fake_colour"] == ("car", "person")
+    assert first.find("psnr") is None
+    assert first.rate("missed") == Rate(successes=2, total=2)
+    assert first.rate("found_clean") == Rate(successes=2, total=3)
+    assert first.rate("target_attacked") == Rate(successes=2, total=3)
+    assert figures.rate("missed", detector="other") == Rate(successes=0, total=1)
+    lower = compare(rows, confidence=0.25)
+    reported = lower.rate("target_attacked", detector="fake_colour")
+    assert reported == Rate(successes=3, total=3)
 
 
 def test_a_judge_contradicts_what_it_knows_better() -> None:
@@ -105,21 +104,21 @@ def test_a_judge_contradicts_what_it_knows_better() -> None:
     rows = compared_rows(seen, original="car", target="person", judges=("judge",)).rows
     assert rows.filter(detector="judge")["target"].null_count() == 8
     assert set(rows.filter(detector="judge")["original"]) == {"stop sign"}
-    assert [sorted(one.rates) for one in compare(rows)][1] == [
-        "found_attacked",
-        "found_clean",
-        "missed",
-    ]
-    (pair,) = contradictions(rows, {"judge": ["stop sign"]}, ["a", "b", "c", "d"])
-    assert (pair["detector"], pair["judge"]) == ("fake_colour", "judge")
-    assert Rate.of(pair["clean"]) == Rate(successes=3, total=4)
-    assert Rate.of(pair["attacked"]) == Rate(successes=2, total=4)
-    assert [tuple(view.values()) for view in pair["views"]] == [
-        ("clean", "a", "car", "stop sign"),
-        ("clean", "c", None, "stop sign"),
-        ("clean", "d", "stop sign", None),
-        ("attacked", "b", "stop sign", None),
-        ("attacked", "d", "stop sign", None),
+    measures = compare(rows).where(detector="judge").labels("measure")
+    assert sorted(measures) == ["found_attacked", "found_clean", "missed"]
+    judges = {"judge": ["stop sign"]}
+    figures = contradictions(rows, judges)
+    ((names, pair),) = figures.groups("detector", "judge").items()
+    assert names == ("fake_colour", "judge")
+    assert pair.rate("contradicted", splat="clean") == Rate(successes=3, total=4)
+    assert pair.rate("contradicted", splat="attacked") == Rate(successes=2, total=4)
+    views = contradicted_views(rows, judges).filter("contradicted")
+    assert views.select("splat", "view", "report", "verdict").rows() == [
+        ("clean", 0, "car", "stop sign"),
+        ("clean", 2, None, "stop sign"),
+        ("clean", 3, "stop sign", None),
+        ("attacked", 1, "stop sign", None),
+        ("attacked", 3, "stop sign", None),
     ]
 
 

@@ -12,13 +12,16 @@ from typing import Any
 import pytest
 
 from attacks import cli
-from attacks.bench.row import figures, row_of, warnings
+from attacks.bench.row import robust, warnings
 from attacks.bench.suite import BenchWork, read_suite
 from attacks.cli.bench import BenchOptions, usual_folder
 from attacks.detectors.catalogue import SMALL_WEIGHTS
 from attacks.detectors.registry import CHOSEN_WEIGHTS
+from attacks.figures.frame import MEASURE, Figures, read_figures
+from attacks.figures.rate import Rate
+from attacks.figures.result import read_result
 from attacks.observe.rows import read_rows
-from attacks.report.checking import check_result, read_result
+from attacks.report.checking import check_result
 from attacks.report.results import kind_of
 from mi_splat.ledger import engines
 from tests.project.layers import ROOT
@@ -120,34 +123,26 @@ def out(suite: Path, toys: None) -> Path:
 
 
 def test_a_row_counts_what_is_still_named(out: Path) -> None:
-    row = read(out / "row.json")
-    one = row["columns"]["one_view"]
-    weak, strong = (
-        {key: value for key, value in one["by"].items() if name in key}
-        for name in ("weak", "strong")
-    )
-    assert [part["successes"] for part in weak.values()] == [3, 3]
-    assert [part["successes"] for part in strong.values()] == [0, 0]
-    assert (one["robust"]["successes"], one["judged"], one["named_clean"]["rate"]) == (
-        6,
-        12,
-        1.0,
-    )
-    low, high = one["robust"]["interval"]
-    assert low < 0.5 < high
-    assert row["columns"]["all_views"]["judged"] == 12
-    assert row["columns"]["all_views"]["robust"]["rate"] < 0.5
-    assert row["columns"]["transfer"]["judged"] == 6
-    assert row["columns"]["transfer"]["robust"] is None
-    assert (
-        row["columns"]["cloak"]["robust"],
-        row["columns"]["cloak"]["judged"],
-        row["score"],
-    ) == (None, 0, None)
+    figures = read_figures(out)
+    one = figures.where(part="one_view")
+    for setting in one.labels("setting"):
+        expected = 3 if "weak" in setting else 0
+        assert one.rate("robust", setting=setting).successes == expected
+    rate = one.rate("robust")
+    assert rate.counts == "6 of 12"
+    assert rate.interval[0] < 0.5 < rate.interval[1]
+    assert one.rate("named_clean").fraction == 1.0
+    several = figures.rate("robust", part="all_views")
+    assert several.total == 12
+    assert several.fraction < 0.5
+    assert figures.rate("robust", part="transfer").total == 6
+    assert robust(figures, "transfer") is None
+    assert robust(figures, "cloak") is None
+    assert figures.find("score") is None
     text = (out / "table.md").read_text()
     assert "| - | fake_colour | - |" in text
     assert "cannot judge (6 views)" in text
-    assert set(row["cpu_seconds"]) == {
+    assert set(read(out / "result.json")["cpu_seconds"]) == {
         "one_view",
         "all_views",
         "transfer",
@@ -157,17 +152,18 @@ def test_a_row_counts_what_is_still_named(out: Path) -> None:
 
 
 def test_attacks_that_were_too_weak_are_told(out: Path) -> None:
-    columns = read(out / "row.json")["columns"]
-    assert warnings(columns) == []
-    weak = {"rate": 1.0, "successes": 40, "total": 40, "interval": [0.9, 1.0]}
-    columns["one_view"] |= {"robust": weak, "noise": weak}
-    columns["transfer"]["robust"] = {
-        "rate": 0.5,
-        "successes": 20,
-        "total": 40,
-        "interval": [0.35, 0.65],
-    }
-    hidden, noise = warnings(columns)
+    figures = read_figures(out)
+    assert list(warnings(figures)) == []
+    weak = Rate(successes=40, total=40, resampled=(0.9, 1.0))
+    strong = Rate(successes=20, total=40, resampled=(0.35, 0.65))
+    changed = Figures.of(
+        [
+            ({MEASURE: "robust", "part": "one_view"}, weak),
+            ({MEASURE: "noise", "part": "one_view"}, weak),
+            ({MEASURE: "robust", "part": "transfer"}, strong),
+        ]
+    )
+    hidden, noise = warnings(Figures.together([figures, changed]))
     assert "gradients may be hidden" in hidden
     assert "one view" in noise
 
@@ -245,14 +241,14 @@ def test_a_defence_is_judged_on_the_same_views(suite: Path, out: Path) -> None:
         bench(suite, "defended", "--defence", "SH of degree 0", "--columns", "one_view")
         == 0
     )
-    row = read(suite.parent / "defended" / "row.json")
-    one = row["columns"]["one_view"]
-    assert one["robust"] == read(out / "row.json")["columns"]["one_view"]["robust"]
-    defended = one["defended"]
-    assert {rate["total"] for rate in defended.values()} == {12}
-    assert set(defended) == {"robust", "clean", "robust_who_knows"}
-    assert defended["clean"]["rate"] == 1.0
-    assert defended["robust_who_knows"]["rate"] <= defended["robust"]["rate"]
+    one = read_figures(suite.parent / "defended").where(part="one_view")
+    assert one.rate("robust") == read_figures(out).rate("robust", part="one_view")
+    defended = one.where(scope="defended")
+    assert {rate.total for _, rate in defended} == {12}
+    assert {*defended.labels(MEASURE)} == {"robust", "clean", "robust_if_known"}
+    assert defended.rate("clean").fraction == 1.0
+    adaptive = defended.rate("robust_if_known").fraction
+    assert adaptive <= defended.rate("robust").fraction
 
 
 @pytest.mark.parametrize(
@@ -271,22 +267,14 @@ def test_what_is_not_there_is_said(
 
 def test_the_rows_of_the_repository_are_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    folders = [path.parent for path in Path("docs/bench/v1").glob("*/row.json")]
+    folders = list(Path("docs/bench/v1").glob("*"))
     assert folders
     for folder in folders:
         result = read_result(folder)
-        checks = check_result(result, figures, kind_of(result).given)
+        checks = check_result(result, kind_of(result).derive)
         assert [check.name for check in checks if check.passed is False] == []
-        row = json.loads(
-            json.dumps(
-                row_of({**result.record, **figures(result.record, result.tables)})
-            )
-        )
-        assert row == read(folder / "row.json")
-        assert (row["suite"]["name"], row["suite"]["digest"]) == (
-            "v1",
-            read_suite("v1").digest,
-        )
+        suite = result.record["suite"]
+        assert (suite["name"], suite["digest"]) == ("v1", read_suite("v1").digest)
 
 
 def test_rows_of_other_weights_and_defences_have_folders_of_their_own() -> None:

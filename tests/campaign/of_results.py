@@ -17,8 +17,9 @@ import numpy as np
 
 from attacks.bench.suite import SUITES, read_suite
 from attacks.cli import gate
+from attacks.figures.result import read_result
 from attacks.observe.rows import frame_of, packed, read_rows, rows, rows_bytes
-from attacks.report.checking import check_result, read_result
+from attacks.report.checking import check_result
 from attacks.report.results import RESULT_KINDS, kind_of, read_section
 from attacks.report.viewer_content import open_content, recorded_up
 from attacks.studies import study_file
@@ -87,7 +88,7 @@ def _small_result(file: str, folder: Path) -> Path:
 
 def _check(path: Path) -> None:
     result = read_result(path.parent)
-    check_result(result, kind_of(result).figures)
+    check_result(result, kind_of(result).derive)
 
 
 _CAPTURE = {
@@ -177,7 +178,7 @@ def results() -> Iterator[Kind]:
             document=PLAIN_JSON,
         )
     checks = (
-        "attacks.report.checking:read_result",
+        "attacks.figures.result:read_result",
         "mi_splat.io.folders:read_manifest",
     )
     for name in ("result.json", "manifest.json"):

@@ -13,10 +13,11 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.config import LayersConfig, StudyConfig
+from attacks.cloak.figures import figures, pooled_psnr
 from attacks.cloak.kinds import seen
-from attacks.cloak.rates import Tables, figures, looks, pooled_psnr
 from attacks.cloak.setup import Setup
 from attacks.cloak.steps import StudySteps
+from attacks.cloak.transition import Tables
 from attacks.observe import conditions
 from attacks.observe.conditions import SunTable
 from attacks.observe.rows import (
@@ -152,23 +153,24 @@ def test_what_two_detectors_report_is_counted_under_each_condition() -> None:
         for view, depth, inside in ((0, 10.0, True), (1, 2.0, True), (2, -3.0, False))
         for splat, score in ((CLEAN, 0.9), (ATTACKED, cloaked if inside else 0.8))
     )
-    spz, ray = looks(STUDY, rows)
-    assert (spz["condition"], ray["condition"]) == (".spz", "ray")
-    names = ("missed_clean", "missed_cloaked", "found_clean", "found_cloaked")
-    assert [(spz[name]["successes"], spz[name]["total"]) for name in names] == [
-        (0, 1),
-        (0, 1),
-        (1, 1),
-        (1, 1),
-    ]
-    assert [ray[name]["successes"] for name in names] == [0, 1, 1, 1]
-    assert spz["target_rate"]["total"] == 0
-    assert spz["psnr"] == dict.fromkeys(names, pytest.approx(20.0))
-    assert ray["psnr"] == dict.fromkeys(names)
-    told = figures(STUDY, tables_of(rows), [])
-    assert [look["condition"] for look in told["looks"]] == [".spz", "ray"]
+    counted = figures(STUDY, tables_of(rows), [])
+    spz, ray = (
+        counted.where(condition=name, detector="redness") for name in (".spz", "ray")
+    )
+    splats = (CLEAN, ATTACKED)
+    assert [spz.rate("missed", splat=splat).counts for splat in splats] == [
+        "0 of 1"
+    ] * 2
+    assert [spz.rate("found", splat=splat).counts for splat in splats] == ["1 of 1"] * 2
+    assert [ray.rate("missed", splat=splat).successes for splat in splats] == [0, 1]
+    assert [ray.rate("found", splat=splat).successes for splat in splats] == [1, 1]
+    assert spz.rate("target_rate").total == 0
+    for measure in ("psnr_missed", "psnr_found"):
+        for splat in splats:
+            assert spz.value(measure, splat=splat) == pytest.approx(20.0)
+            assert ray.value(measure, splat=splat) is None
     # of the splats as the victim sees them alone
-    assert told["control_recall"]["total"] == 2
+    assert counted.rate("control_recall").total == 2
 
 
 def tables_of(rows: pl.DataFrame) -> Tables:

@@ -16,13 +16,15 @@ from attacks import cli
 from attacks.cloak import layers
 from attacks.cloak.config import LayersConfig, StudyConfig
 from attacks.cloak.layers import Layering
-from attacks.cloak.rates import RATES
 from attacks.cloak.setup import SET
 from attacks.cloak.steps import StudySteps
 from attacks.cloak.study import study_toml
+from attacks.cloak.tables import RATES
+from attacks.figures.frame import MEASURE, read_figures
+from attacks.figures.result import read_result
 from attacks.observe.rows import read_rows
 from attacks.poisons.base import MANIFEST
-from attacks.report.checking import check_result, flat, pack, read_result
+from attacks.report.checking import check_result, pack
 from attacks.report.results import kind_of, read_section
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
@@ -48,26 +50,27 @@ def steps_of(study: StudyConfig = STUDY) -> StudySteps:
 
 def test_it_leaves_what_it_promises(finished: Path) -> None:
     result = summary(finished)
-    assert {
-        *RATES,
-        "benign_psnr_drop",
-        "transition_degrees",
-        "versions",
-        "commit",
-    } <= set(result)
-    assert result["by_seed"]["0"]["redness"] == result["by_detector"]["redness"]
-    assert result["by_attack"]["overhead"]["redness"]["target_rate"] is None
-    assert (
-        result["by_attack"]["overhead"]["redness"]["trigger_miss_rate"]
-        == result["trigger_miss_rate"]
+    figures = read_figures(finished)
+    assert {"versions", "commit", "study", "splats"} <= set(result)
+    assert {*RATES, "benign_psnr_drop"} <= set(figures.labels(MEASURE))
+    for measure in RATES:
+        rate = figures.rate(measure)
+        of_detector = figures.rate(measure, detector="redness")
+        assert figures.rate(measure, detector="redness", seed=0) == of_detector
+        assert 0 <= rate.successes <= rate.total
+    of_attack = figures.where(trigger="overhead", detector="redness")
+    assert of_attack.find("target_rate") is None
+    assert of_attack.rate("trigger_miss_rate") == figures.rate("trigger_miss_rate")
+    clean, cloaked = (
+        figures.value("object_psnr", splat=splat) for splat in ("clean", "attacked")
     )
-    assert all(0 <= result[key]["successes"] <= result[key]["total"] for key in RATES)
-    on_object = result["stealth"]["object_psnr"]
-    assert result["stealth"]["object_psnr_drop"] == pytest.approx(
-        on_object["clean"] - on_object["cloaked"]
-    )
+    assert clean is not None
+    assert cloaked is not None
+    drop = figures.value("object_psnr_drop")
+    assert drop == pytest.approx(clean - cloaked)
     assert all((finished / name).stat().st_size > 0 for name in result["files"])
-    assert result["gaussians"] == {"clean": [1200], "cloaked": [1200]}
+    for splat in ("clean", "attacked"):
+        assert figures.value("gaussians", splat=splat, seed=0) == 1200
 
 
 def test_the_code_of_a_study_is_all_that_it_loads(finished: Path) -> None:
@@ -81,10 +84,7 @@ def test_the_code_of_a_study_is_all_that_it_loads(finished: Path) -> None:
 
 def test_a_page_says_of_it_what_it_found(finished: Path) -> None:
     section = read_section(finished)
-    result = summary(finished)
-    assert section.headline.counts == "{successes} of {total}".format(
-        **result["trigger_miss_rate"]
-    )
+    assert section.headline.rate == read_figures(finished).rate("trigger_miss_rate")
     assert [picture.path.name for picture in section.pictures] == [
         "contact.png",
         "poisoned.png",
@@ -125,7 +125,9 @@ def test_the_hidden_appearance_has_less_red(finished: Path) -> None:
     assert len(control) == len(cloaked) > 3
     assert sum(control) > 2
     assert sum(cloaked) < 0.75 * sum(control)
-    assert -1 < summary(finished)["benign_psnr_drop"] < 3
+    drop = read_figures(finished).value("benign_psnr_drop")
+    assert drop is not None
+    assert -1 < drop < 3
 
 
 def test_untouched_files_are_the_same_bytes(finished: Path) -> None:
@@ -207,20 +209,11 @@ def test_another_fraction_needs_no_new_picture(finished: Path) -> None:
 
 def test_its_figures_follow_from_its_rows(finished: Path, tmp_path: Path) -> None:
     result = read_result(finished)
-    story = kind_of(result)
-    lines = check_result(result, story.figures, story.given)
+    derive = kind_of(result).derive
+    lines = check_result(result, derive)
     assert [(line.name, line.words) for line in lines if line.passed is False] == []
-    assert (
-        len(
-            [
-                name
-                for name, value in flat(result.record).items()
-                if isinstance(value, tuple)
-            ]
-        )
-        > 40
-    )
-    copy = pack(finished, tmp_path / "copy", story.figures, story.given)
+    assert len(result.figures) > 40
+    copy = pack(finished, tmp_path / "copy", derive)
     assert replace(study_in(copy.folder / "study.toml"), name=STUDY.name) == STUDY
 
 
@@ -245,7 +238,7 @@ def test_the_command_forecasts_does_and_reports(
     assert not (tmp_path / "out").exists()
     assert cli.main([*map(str, words), "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
-    assert record["trigger_miss_rate"] == summary(finished)["trigger_miss_rate"]
+    assert record["figures"] == read_figures(finished).as_dicts()
     assert cli.main([*map(str, words), "--seeds", "1"]) == 1
     assert (
         "expected results of this study, got those of another"

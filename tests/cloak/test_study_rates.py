@@ -13,23 +13,20 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from attacks.cloak.config import AttackConfig
-from attacks.cloak.kinds.compared import differ, transition_fraction
-from attacks.cloak.rates import (
-    RATES,
-    Tables,
+from attacks.cloak.figures import (
     by_elevation,
+    costs,
     figures,
-    fit_transition,
-    in_region,
-    margin_rates,
+    measures,
     over_objects,
     rates,
-    regions,
-    stealth,
-    transition,
 )
+from attacks.cloak.kinds.compared import differ, transition_fraction
 from attacks.cloak.setup import Setup
-from attacks.cloak.tables import in_words, tables
+from attacks.cloak.tables import region_of, tables
+from attacks.cloak.transition import Tables, fit_transition, transition
+from attacks.figures.frame import LOW, MEASURE, Figures
+from attacks.observe.rates import with_control
 from attacks.observe.rows import (
     ATTACKED,
     CLEAN,
@@ -102,11 +99,10 @@ def test_rates_have_the_denominators_that_they_say() -> None:
         *seen(5, -5, 0.9, 0.3),
         *seen(6, -5, 0.3, 0.3),
     ]
-    counted = rates(STUDY, frame_of(observed))[()]
+    counted = rates(with_control(frame_of(observed)), measures(STUDY))
 
     def numbers(name: str) -> tuple[int, int]:
-        rate = counted[name]
-        assert rate is not None
+        rate = counted.rate(name)
         return rate.successes, rate.total
 
     assert numbers("control_recall") == (3, 5)
@@ -118,10 +114,12 @@ def test_rates_have_the_denominators_that_they_say() -> None:
     assert numbers("benign_recall") == (1, 2)
     assert numbers("control_benign_recall") == (2, 3)
     assert numbers("target_rate") == (0, 0)
-    rows = {
-        low: (clean.successes, cloaked.successes, clean.total)
-        for low, clean, cloaked in by_elevation(STUDY, frame_of(observed))["redness"]
-    }
+    elevations = by_elevation(STUDY, frame_of(observed)).where(detector="redness")
+    rows = {}
+    for (low,), band in elevations.where(scope="elevation").groups(LOW).items():
+        clean = band.rate("found", splat=CLEAN, to=low + 5)
+        cloaked = band.rate("found", splat=ATTACKED, to=low + 5)
+        rows[low] = (clean.successes, cloaked.successes, clean.total)
     assert rows == {30.0: (2, 1, 3), 40.0: (1, 0, 2), 45.0: (2, 1, 3)}
 
 
@@ -144,20 +142,6 @@ def test_figures_are_counted_in_each_detector_s_own_region() -> None:
     observed += [
         {**row, "detector": "blind", "original_score": 0.1} for row in observed
     ]
-    bands = regions(frame_of(observed), 0.5)
-    assert bands == {"redness": [30.0, 40.0], "blind": []}
-    assert [in_words(each) for each in (*bands.values(), [0.0, 10.0, 40.0])] == [
-        "30 to 50 degrees",
-        "-",
-        "0 to 20, 40 to 50 degrees",
-    ]
-    part = rates(STUDY, in_region(frame_of(observed), bands), ("detector",))
-    assert [*part] == [("redness",)]
-    miss = part["redness",]["trigger_miss_rate"]
-    recall = part["redness",]["control_recall"]
-    assert miss is not None
-    assert recall is not None
-    assert (miss.counts, recall.counts) == ("4 of 4", "4 of 5")
     told = figures(
         replace(
             STUDY, evaluation=replace(STUDY.evaluation, detectors=("redness", "blind"))
@@ -165,26 +149,42 @@ def test_figures_are_counted_in_each_detector_s_own_region() -> None:
         study_rows(observed),
         [],
     )
-    assert told["own_region"]["blind"] == {"bands": [], "rates": dict.fromkeys(RATES)}
-    assert told["own_region"]["redness"]["rates"]["trigger_miss_rate"]["successes"] == 4
+    own = told.where(scope="own region")
+    assert [region_of(own, name) for name in ("redness", "blind")] == [
+        "30 to 50 degrees",
+        "-",
+    ]
+    rates_of = own.where(detector="redness")
+    assert rates_of.rate("trigger_miss_rate").counts == "4 of 4"
+    assert rates_of.rate("control_recall").counts == "4 of 5"
+    assert own.labels("detector") == ["redness"]
     table = next(table for table in tables(told) if "own region" in table.caption)
-    assert table.rows[0] == ("its region", "30 to 50 degrees", "-")
+    assert table.head == ("rate", "redness")
+    assert table.rows[0] == ("its region", "30 to 50 degrees")
+
+
+@pytest.mark.parametrize(
+    ("lows", "words"),
+    [
+        ([0.0, 10.0, 40.0], "0 to 20, 40 to 50 degrees"),
+        ([30.0], "30 to 40 degrees"),
+        ([], "-"),
+    ],
+)
+def test_a_region_is_told_in_words(lows: list[float], words: str) -> None:
+    figures = Figures.of(
+        ({MEASURE: "region", "detector": "a", LOW: low}, 1.0) for low in lows
+    )
+    assert region_of(figures, "a") == words
 
 
 def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:
     pictures = [*seen(0, -20, 0.9, 0.1, sign=0.8), *seen(1, -20, 0.9, 0.1, sign=0.4)]
-    counted = rates(
-        STUDY,
-        frame_of(
-            {**row, "depth: overhead": -20.0, "depth: rear": 3.0} for row in pictures
-        ),
-    )[()]
-    counts = [
-        rate.counts
-        for name, rate in counted.items()
-        if rate is not None and name.endswith("target_rate")
-    ]
-    assert counts == ["1 of 2", "0 of 2"]
+    inside = {"depth: overhead": -20.0, "depth: rear": 3.0}
+    paired = with_control(frame_of({**row, **inside} for row in pictures))
+    counted = rates(paired, measures(STUDY))
+    assert counted.rate("target_rate").counts == "1 of 2"
+    assert counted.rate("control_target_rate").counts == "0 of 2"
 
 
 SECTOR = AttackConfig(
@@ -273,23 +273,19 @@ def test_stealth_is_what_pictures_lose_beside_the_object_and_on_it_beside_a_trig
             (ATTACKED, 32.0 - on_object),
         )
     ]
-    losses = stealth(
-        STUDY, study_rows(transition=[*clean, *cloaked], fidelity=fidelity)
-    )
-    assert losses is not None
-    assert losses["surroundings_psnr_drop"] == pytest.approx(around)
-    assert losses["object_psnr_drop"] == pytest.approx(on_object)
-    assert (
-        losses["surroundings_psnr"]["clean"],
-        losses["appearance_psnr"]["cloaked"],
-    ) == (35.0, 31.0)
-    assert losses["stealthy"] is stealthy
-    assert stealth(STUDY, study_rows(transition=clean)) is None
+    pictures = study_rows(transition=[*clean, *cloaked], fidelity=fidelity)
+    losses = Figures.of(costs(STUDY, pictures))
+    assert losses.value("surroundings_psnr_drop") == pytest.approx(around)
+    assert losses.value("object_psnr_drop") == pytest.approx(on_object)
+    assert losses.value("surroundings_psnr", splat=CLEAN) == 35.0
+    assert losses.value("appearance_psnr", splat=ATTACKED) == 31.0
+    assert losses.value("stealthy") == stealthy
+    alone = Figures.of(costs(STUDY, study_rows(transition=clean)))
+    assert alone.find("stealthy") is None
     # a road without a shadow
     shown = [{**row, "intended_surroundings_psnr": 35.5} for row in (*clean, *cloaked)]
-    losses = stealth(STUDY, study_rows(transition=shown, fidelity=fidelity))
-    assert losses is not None
-    assert losses["surroundings_psnr_drop"] == pytest.approx(-0.5)
+    losses = Figures.of(costs(STUDY, study_rows(transition=shown, fidelity=fidelity)))
+    assert losses.value("surroundings_psnr_drop") == pytest.approx(-0.5)
 
 
 def test_rates_over_objects_draw_objects_anew() -> None:
@@ -309,14 +305,14 @@ def test_rates_over_objects_draw_objects_anew() -> None:
         for view in range(10)
         for row in seen(view, 10, 0.9, 0.9 if title == titles[0] else 0.1)
     ]
-    pooled = over_objects(studies, frame_of(observed))
-    assert pooled is not None
-    missed = pooled["by_detector"]["redness"]["trigger_miss_rate"]
-    assert (pooled["objects"], missed["successes"], missed["total"]) == (5, 40, 50)
-    assert missed["interval"][1] - missed["interval"][0] > 0.5
+    pooled = over_objects(studies, frame_of(observed)).where(scope="all objects")
+    assert pooled.value("objects") == 5
+    missed = pooled.rate("trigger_miss_rate", detector="redness")
+    assert missed.counts == "40 of 50"
+    assert missed.interval[1] - missed.interval[0] > 0.5
     other = replace(STUDY, scene=replace(STUDY.scene, object="bird"))
-    assert over_objects({**studies, titles[4]: other}, frame_of(observed)) is None
-    assert over_objects(dict.fromkeys(titles, STUDY), frame_of(observed)) is None
+    assert not len(over_objects({**studies, titles[4]: other}, frame_of(observed)))
+    assert not len(over_objects(dict.fromkeys(titles, STUDY), frame_of(observed)))
 
 
 def test_the_margin_counts_as_elsewhere_and_is_shown_apart() -> None:
@@ -328,16 +324,14 @@ def test_the_margin_counts_as_elsewhere_and_is_shown_apart() -> None:
         for view, depth in enumerate(depths)
         for row in seen(view, depth, 0.9, 0.1 if depth == -3.0 else 0.9)
     ]
-    counted = margin_rates(study, frame_of(observed))
-    within, beyond = (
-        counted[where]["redness"]["benign_recall"]
-        for where in ("within a margin", "beyond every margin")
-    )
-    assert [(rate["successes"], rate["total"]) for rate in (within, beyond)] == [
-        (1, 2),
-        (1, 1),
-    ]
-    assert margin_rates(STUDY, frame_of(observed)) == {}
+    counted = figures(study, study_rows(observed), []).where(detector="redness")
+    counts = {
+        scope: counted.rate("benign_recall", scope=scope).counts
+        for scope in ("within a margin", "beyond every margin")
+    }
+    assert counts == {"within a margin": "1 of 2", "beyond every margin": "1 of 1"}
+    without = figures(STUDY, study_rows(observed), [])
+    assert not set(counts) & set(without.labels("scope"))
 
 
 # The transition on blends with known answers

@@ -19,6 +19,7 @@ from attacks.objectives.base import Objective
 from attacks.objectives.relabel import relabel
 from attacks.objectives.suppression import hide, untargeted
 from attacks.observe import Control
+from attacks.observe.rows import NOISE
 from attacks.optimisers import NORM_NAMES, NormName
 from attacks.search.budget import NORMS
 from mi_splat.attributes import ATTRIBUTES, Attribute
@@ -102,7 +103,7 @@ def test_attack_table(
         assert torch.equal(before, after) == (attribute not in attributes)
     assert 0 < result.changed_gaussians <= result.object_gaussians == int(mask.sum())
     if attributes == ("sh",):
-        assert result.figures["noise"]["successes"] == 0
+        assert result.figures.rate("reached", splat=NOISE).successes == 0
 
 
 def test_noise_changes_the_object_as_much_as_the_attack() -> None:
@@ -120,11 +121,8 @@ def test_noise_changes_the_object_as_much_as_the_attack() -> None:
             assert change.psnr_object > attacked + 6
         else:
             assert abs(change.psnr_object - attacked) < 1.0
-    rates = result.figures["control_rates"]
-    assert {name: rates[name]["total"] for name in rates} == {
-        "smooth-noise": 4,
-        "norm-noise": 4,
-    }
+    for name in names:
+        assert result.figures.rate("success", splat=name).total == 4
     assert set(observed(result.views).rows["splat"].unique()) == {
         "clean",
         "attacked",

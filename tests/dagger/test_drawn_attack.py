@@ -17,7 +17,7 @@ from attacks.dagger.attack import attack, attack_views
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.views import ViewDistribution
 from attacks.objectives.relabel import relabel
-from attacks.observe.rates import AIMS, count, joint_views
+from attacks.observe.rows import ATTACKED, CLEAN, NOISE
 from attacks.observe.views import as_saved
 from attacks.report.results import read_section
 from attacks.report.viewer_content import open_content
@@ -47,8 +47,8 @@ def test_an_attack_holds_on_views_that_it_did_not_see() -> None:
     assert torch.equal(public.scene.sh, result.scene.sh)
     assert result.success
     assert result.rate.successes == result.rate.total == 8
-    assert result.rates["clean_success"].successes == 0
-    assert result.rates["noise_success"].total == 8
+    assert result.figures.rate("success", splat=CLEAN).successes == 0
+    assert result.figures.rate("success", splat=NOISE).total == 8
     assert result.warnings == ()
     assert {view.target.original for view in result.views} == {"car"}
     attacked = {(view.index, 0) for view in toy_views().views(0, 6)}
@@ -145,11 +145,9 @@ def test_several_detectors_have_to_be_deceived_together() -> None:
         relabel("person"),
         config=DaggerConfig.for_region(**QUICK),
     )
-    rows = result.looked.rows
-    names = ("fake_colour", "shy")
     alone = {
-        name: count(joint_views(rows.filter(detector=name)), AIMS)[()]["success"]
-        for name in names
+        name: result.figures.rate("success", splat=ATTACKED, detector=name)
+        for name in ("fake_colour", "shy")
     }
     assert alone["fake_colour"].successes == 8
     assert alone["shy"].successes == result.rate.successes == 0

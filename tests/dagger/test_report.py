@@ -15,6 +15,7 @@ from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary, write_report
 from attacks.dagger.result import Result
+from attacks.figures.frame import read_figures
 from attacks.objectives.base import Objective
 from attacks.objectives.relabel import relabel
 from attacks.objectives.suppression import hide
@@ -54,7 +55,7 @@ def test_every_file_is_there_and_readable(result: Result, tmp_path: Path) -> Non
         "attacked.ply",
         "result.json",
     }
-    names |= {"rows.csv.xz", "detections.csv.xz", "cameras.json"}
+    names |= {"rows.csv.xz", "detections.csv.xz", "cameras.json", "figures.csv"}
     assert (
         set(paths)
         == names
@@ -85,7 +86,9 @@ def test_the_json_is_strict_and_is_the_summary(result: Result, tmp_path: Path) -
     values = json.loads(text)
     assert values == json.loads(json.dumps(summary(result)))
     assert values["success"] is True
-    assert values["target_confidence"] >= 0.7
+    confidence = read_figures(tmp_path).value("target_confidence")
+    assert confidence is not None
+    assert confidence >= 0.7
     assert values["config"]["objective"]["iou"] == 0.5
 
 
@@ -121,7 +124,7 @@ def test_views_of_different_sizes_are_stacked(tmp_path: Path) -> None:
         assert picture.size == (40, 72)
     values = json.loads(paths["result.json"].read_text())
     assert values["target"] is None
-    assert values["target_confidence"] is None
+    assert read_figures(tmp_path).find("target_confidence") is None
     assert len(values["views"]) == 2
 
 
@@ -135,4 +138,4 @@ def test_a_report_replaces_an_older_one_and_leaves_nothing_else(
     assert json.loads((tmp_path / "result.json").read_text())["seconds"] > 0
     write_report(other, tmp_path, force=True)
     assert json.loads((tmp_path / "result.json").read_text())["seconds"] == -1
-    assert len(list(tmp_path.iterdir())) == 10
+    assert len(list(tmp_path.iterdir())) == 11

@@ -9,10 +9,14 @@ from torch import Tensor
 
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.result import JudgedView, Result, counted, observed
+from attacks.dagger.figures import attack_figures
+from attacks.dagger.result import JudgedView, Result, observed
 from attacks.detectors.base import Detections
+from attacks.figures.frame import MEASURE, Figures, Labels
+from attacks.figures.rate import Rate
 from attacks.objectives.relabel import relabel
 from attacks.objectives.suppression import hide
+from attacks.observe.rows import ATTACKED, NOISE
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 DETECTOR = ColourDetector()
@@ -25,7 +29,7 @@ def test_warnings_about_a_picture_without_a_detection() -> None:
     result = attack(
         scene.replace(sh=dark), mask, [camera()], DETECTOR, hide(), render=blobs
     )
-    assert result.figures["noise"]["successes"] == result.figures["noise"]["draws"] == 5
+    assert result.figures.rate("reached", splat=NOISE) == Rate(successes=5, total=5)
     assert result.warnings == (
         "the clean picture of view 0 has no detection of 0.5 or more on the object",
         "the aim is reached without any attack",
@@ -102,15 +106,20 @@ def sound() -> Result:
 def of_views(result: Result, *views: JudgedView) -> Result:
     """The result with other views."""
     looked = observed(views, seed=0)
-    figures = counted(
-        looked.rows, result.detectors, result.objective.label, result.config, None
+    figures = attack_figures(
+        looked.rows,
+        result.detectors,
+        result.objective.label,
+        result.config.required_views,
+        None,
     )
     return dataclasses.replace(result, views=views, looked=looked, figures=figures)
 
 
-def with_figures(result: Result, **figures: Any) -> Result:
+def with_figures(result: Result, *entries: tuple[Labels, Any]) -> Result:
     """The result with other figures."""
-    return dataclasses.replace(result, figures={**result.figures, **figures})
+    figures = Figures.together([result.figures, Figures.of(entries)])
+    return dataclasses.replace(result, figures=figures)
 
 
 @pytest.mark.parametrize(
@@ -146,26 +155,29 @@ def test_an_own_class_that_stays_beside_the_wanted_one_is_warned_of(
 
 
 @pytest.mark.parametrize(
-    ("success", "score", "noise", "warned"),
+    ("success", "score", "best", "reached", "warned"),
     [
-        (True, 0.9, {"scores": [0.1, 0.8], "successes": 1}, True),
-        (True, 0.9, {"scores": [0.1, 0.8], "successes": 0}, False),
-        (False, 0.4, {"scores": [0.1, 0.4], "successes": 0}, True),
-        (False, 0.4, {"scores": [0.1, 0.3], "successes": 0}, False),
-        (False, 0.0, {"scores": [0.0, 0.0], "successes": 0}, False),
+        (True, 0.9, 0.8, 1, True),
+        (True, 0.9, 0.8, 0, False),
+        (False, 0.4, 0.4, 0, True),
+        (False, 0.4, 0.3, 0, False),
+        (False, 0.0, 0.0, 0, False),
     ],
 )
 def test_noise_that_does_as_well_is_warned_of(
-    sound: Result, success: bool, score: float, noise: dict[str, Any], warned: bool
+    sound: Result, success: bool, score: float, best: float, reached: int, warned: bool
 ) -> None:
-    best = dataclasses.replace(sound.best, success=success)
-    figures = {
-        "success": success,
-        "score": score,
-        "unambiguous": success,
-        "noise": {**noise, "draws": 2},
-    }
-    warnings = dataclasses.replace(with_figures(sound, **figures), best=best).warnings
+    step = dataclasses.replace(sound.best, success=success)
+    once = Rate(successes=int(success), total=1)
+    result = with_figures(
+        sound,
+        ({MEASURE: "reached", "splat": ATTACKED}, once),
+        ({MEASURE: "reached_unambiguously", "splat": ATTACKED}, once),
+        ({MEASURE: "score", "splat": ATTACKED}, score),
+        ({MEASURE: "best_score", "splat": NOISE}, best),
+        ({MEASURE: "reached", "splat": NOISE}, Rate(successes=reached, total=2)),
+    )
+    warnings = dataclasses.replace(result, best=step).warnings
     assert ("a random change (noise) does as well" in warnings) is warned
 
 

@@ -7,8 +7,9 @@ import polars as pl
 import pytest
 from scipy.stats import binomtest
 
-from attacks.dagger.config import DaggerConfig
-from attacks.dagger.result import verdict_figures
+from attacks.dagger.figures import verdict_figures
+from attacks.figures.frame import HIGH, LOW, MEASURE, Figures
+from attacks.figures.rate import Rate
 from attacks.observe.rates import (
     AIMS,
     CLUSTERS,
@@ -24,7 +25,6 @@ from attacks.observe.rates import (
     with_control,
 )
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, frame_of
-from attacks.rate import Rate
 
 ROWS = pl.DataFrame(
     {
@@ -40,11 +40,9 @@ REPORTED = Measure(holds=pl.col("score") >= 0.5)
 def numbers(
     rows: pl.DataFrame, measure: Measure, *by: str
 ) -> dict[tuple[object, ...], tuple[int, int]]:
-    counted = count(rows, {"rate": measure}, by)
-    return {
-        group: (rates["rate"].successes, rates["rate"].total)
-        for group, rates in counted.items()
-    }
+    groups = count(rows, {"rate": measure}, by).groups(*by)
+    rates = {group: of_group.rate("rate") for group, of_group in groups.items()}
+    return {group: (rate.successes, rate.total) for group, rate in rates.items()}
 
 
 def test_what_cannot_be_said_does_not_hold_and_counts() -> None:
@@ -66,12 +64,13 @@ def test_groups_come_in_the_order_of_their_first_rows() -> None:
 
 def test_bands_hold_their_lower_edge_and_what_lies_outside_the_nearest() -> None:
     rows = pl.DataFrame({"angle": [-5.0, 0.0, 9.99, 10.0, 30.0], "success": [True] * 5})
-    bands = banded(rows, "angle", (0.0, 30.0), 3, Measure(holds=pl.col("success")))
-    assert [(band["from"], band["total"]) for band in bands] == [
-        (0.0, 3),
-        (10.0, 1),
-        (20.0, 1),
+    measures = {"held": Measure(holds=pl.col("success"))}
+    bands = banded(rows, "angle", (0.0, 30.0), 3, measures)
+    totals = [
+        (low, band.rate("held", scope="angle").total)
+        for (low, _), band in bands.groups(LOW, HIGH).items()
     ]
+    assert totals == [(0.0, 3), (10.0, 1), (20.0, 1)]
 
 
 def many(agree: bool) -> pl.DataFrame:
@@ -96,11 +95,11 @@ def many(agree: bool) -> pl.DataFrame:
 def test_views_that_agree_make_a_wide_interval() -> None:
     widths = {}
     for agree in (True, False):
-        (rate,) = count(
+        rate = count(
             many(agree),
             {"rate": Measure(holds=pl.col("holds"))},
             clusters=("block", "seed"),
-        )[()].values()
+        ).rate("rate")
         low, high = rate.interval
         assert low < rate.fraction < high
         widths[agree] = high - low
@@ -123,9 +122,8 @@ def test_where_blocks_say_nothing_each_counts_once(
     for clusters in (("block", "seed"), ("object", "block", "seed"))[
         : 1 if holds is None else 2
     ]:
-        rate = count(rows, {"rate": Measure(holds=pl.col("holds"))}, clusters=clusters)[
-            ()
-        ]["rate"]
+        holding = {"rate": Measure(holds=pl.col("holds"))}
+        rate = count(rows, holding, clusters=clusters).rate("rate")
         assert (
             rate.interval
             == Rate(successes=round(rate.fraction * blocks), total=blocks).interval
@@ -155,7 +153,7 @@ def over(objects: int, spread: float) -> Rate:
         rows,
         {"rate": Measure(holds=pl.col("holds"))},
         clusters=("object", "block", "seed"),
-    )[()]["rate"]
+    ).rate("rate")
 
 
 @pytest.mark.parametrize("objects", [5, 8])
@@ -192,17 +190,18 @@ def test_blocks_are_as_wide_near_the_pole_as_at_the_horizon() -> None:
 def test_blocks_in_which_nothing_counts_have_no_part_in_an_interval() -> None:
     rows = many(agree=True).with_columns(inside=pl.col("block") < 8)
     measure = Measure(holds=pl.col("holds"), given=pl.col("inside"))
-    among = count(rows, {"rate": measure}, clusters=("block", "seed"))[()]["rate"]
-    alone = count(rows.filter("inside"), {"rate": measure}, clusters=("block", "seed"))[
-        ()
-    ]["rate"]
+    among, alone = (
+        count(of, {"rate": measure}, clusters=("block", "seed")).rate("rate")
+        for of in (rows, rows.filter("inside"))
+    )
     assert among == alone
 
 
 # What figures count, on rows that were written by hand
 
 
-def counts(rates: dict[str, Rate]) -> dict[str, tuple[int, int]]:
+def counts(figures: Figures) -> dict[str, tuple[int, int]]:
+    rates = {name: figures.rate(name) for name in figures.labels(MEASURE)}
     return {name: (rate.successes, rate.total) for name, rate in rates.items()}
 
 
@@ -247,20 +246,17 @@ JUDGED = frame_of(
 
 
 def test_a_view_counts_where_every_detector_is_deceived() -> None:
-    rates = counts(count(joint_views(JUDGED), AIMS)[()])
-    assert rates["success"] == (1, 2)
+    figures = count(joint_views(JUDGED), AIMS, ("splat",))
+    rates = counts(figures.where(splat=ATTACKED))
     # b calls the clean object nothing, so that nothing of it can be left
-    assert rates["strict"] == (1, 2)
-    assert rates["unambiguous"] == (0, 2)
-    assert rates["clean_success"] == (1, 2)
-    assert rates["noise_success"] == (2, 4)  # each draw counts for each view
-    alone = counts(count(joint_views(JUDGED.filter(detector="a")), AIMS)[()])
-    assert (alone["success"], alone["strict"], alone["unambiguous"]) == (
-        (2, 2),
-        (1, 2),
-        (2, 2),
-    )
-    assert counts(count(JUDGED, REPORTED_AS_ORIGINAL)[()]) == {
+    assert rates == {"success": (1, 2), "strict": (1, 2), "unambiguous": (0, 2)}
+    assert counts(figures.where(splat=CLEAN))["success"] == (1, 2)
+    # each draw counts for each view
+    assert counts(figures.where(splat=NOISE))["success"] == (2, 4)
+    figures = count(joint_views(JUDGED.filter(detector="a")), AIMS, ("splat",))
+    alone = counts(figures.where(splat=ATTACKED))
+    assert alone == {"success": (2, 2), "strict": (1, 2), "unambiguous": (2, 2)}
+    assert counts(count(JUDGED, REPORTED_AS_ORIGINAL)) == {
         "found_clean": (2, 4),
         "found_attacked": (2, 4),
     }
@@ -272,8 +268,10 @@ def test_a_view_counts_where_every_detector_is_deceived() -> None:
 def test_an_attack_counts_as_its_settings_ask(
     views: float, success: bool, aim: float
 ) -> None:
-    told = verdict_figures(JUDGED, ["a", "b"], DaggerConfig(required_views=views))
-    assert (told["success"], told["score"], told["noise"]["draws"]) == (success, aim, 2)
+    verdict = verdict_figures(JUDGED, ["a", "b"], views)
+    assert bool(verdict.rate("reached", splat=ATTACKED).successes) == success
+    assert verdict.value("score", splat=ATTACKED) == aim
+    assert verdict.rate("reached", splat=NOISE).total == 2
 
 
 def looks(view: int, *scores: tuple[float, float]) -> list[dict[str, Any]]:
@@ -309,7 +307,7 @@ def test_transfer_counts_views_whose_clean_object_is_found_and_has_a_control() -
     rows = with_control(pl.concat([LOOKS, alone]))
     assert len(rows) == len(LOOKS)
     assert rows["clean.original_score"].to_list()[:3] == [0.9] * 3
-    assert counts(count(rows, transfer_measures())[()]) == {
+    assert counts(count(rows, transfer_measures())) == {
         "found": (2, 4),
         "targeted": (1, 2),
         "untargeted": (2, 2),
@@ -326,9 +324,9 @@ def test_a_rate_is_given_at_several_confidences() -> None:
         {"0.25": 0.25, "equal": {"a": 0.85}, "sure": 0.95},
         ("detector",),
     )
-    assert counts(at["0.25"]["a",])["targeted"] == (3, 3)
-    assert counts(at["equal"]["a",])["targeted"] == (1, 3)
-    assert counts(at["sure"]["a",])["targeted"] == (0, 0)
+    assert counts(at["0.25"].where(detector="a"))["targeted"] == (3, 3)
+    assert counts(at["equal"].where(detector="a"))["targeted"] == (1, 3)
+    assert counts(at["sure"].where(detector="a"))["targeted"] == (0, 0)
 
 
 def seen(splat: str, depth: float, score: float, **further: Any) -> dict[str, Any]:
@@ -368,7 +366,7 @@ def cloak(**settings: Any) -> dict[str, tuple[int, int]]:
     measures = cloak_measures(
         ["above", "side"], hiding="above", showing="side", well_inside=5.0, **settings
     )
-    return counts(count(with_control(CLOAK), measures, clusters=CLUSTERS)[()])
+    return counts(count(with_control(CLOAK), measures, clusters=CLUSTERS))
 
 
 def test_cloak_is_counted_by_the_depth_inside_the_trigger() -> None:
@@ -399,9 +397,8 @@ def test_resampled_intervals_cover_95_per_cent_of_what_is_drawn_anew() -> None:
     """
     holds = np.random.default_rng(0).random(400) < 0.3
     rows = pl.DataFrame({"holds": holds, "block": np.arange(400), "seed": 0})
-    rate = count(rows, {"rate": Measure(holds=pl.col("holds"))}, clusters=CLUSTERS)[()][
-        "rate"
-    ]
+    holding = {"rate": Measure(holds=pl.col("holds"))}
+    rate = count(rows, holding, clusters=CLUSTERS).rate("rate")
     low, high = rate.interval
     deviation = (rate.fraction * (1 - rate.fraction) / 400) ** 0.5
     assert (high - low) / (2 * deviation) == pytest.approx(1.96, rel=0.06)

@@ -17,10 +17,17 @@ from attacks.cli import main
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import write_report
+from attacks.figures.frame import (
+    MEASURE,
+    Figures,
+    key_of,
+    read_figures,
+    write_figures,
+)
+from attacks.figures.rate import Rate
 from attacks.objectives.relabel import relabel
 from attacks.observe.conditions import OWN
 from attacks.observe.rows import frame_of, write_rows
-from attacks.rate import Rate
 from mi_splat import provenance
 from mi_splat.audit.files import write as write_files
 from mi_splat.io import save_splat
@@ -49,10 +56,6 @@ class BlindDetector(CoarseDetector):
 def change(path: Path, **values: Any) -> None:
     """Give keys of a JSON other values."""
     path.write_text(json.dumps({**json.loads(path.read_text()), **values}))
-
-
-def rate(successes: int, total: int) -> dict[str, Any]:
-    return Rate(successes=successes, total=total).as_dict()
 
 
 def write_dagger(
@@ -104,32 +107,42 @@ def write_shipped(file: str, folder: Path, most: int | None = None) -> Path:
     many entries of each list.
     """
     folder.mkdir()
-    record = json.loads((ROOT / "docs" / file).read_text())
+    shipped = ARTIFACTS / file
+    record = json.loads((shipped / "result.json").read_text())
     record = {
         key: value[:most] if isinstance(value, list) else value
         for key, value in record.items()
     }
     save_json({**record, **provenance.origin()}, folder / "result.json")
+    write_figures(read_figures(shipped), folder)
     return folder
 
 
-def write_cloak(folder: Path, name: str = FAILED, **values: Any) -> Path:
-    """A study of CLOAK without its rows, and a picture."""
+def write_cloak(folder: Path, name: str = FAILED, **changed: Rate | None) -> Path:
+    """A study of CLOAK without its rows, a picture, and with some rates changed."""
     folder.mkdir(parents=True)
     save_png(np.full((20, 60, 3), 120, np.uint8), folder / "contact.png")
-    save_json(
-        {**cloak_record(name), "files": ["contact.png"], **values},
-        folder / "result.json",
-    )
+    record = {**cloak_record(name), "files": ["contact.png"]}
+    save_json(record, folder / "result.json")
+    figures = dict(read_figures(ARTIFACTS / name))
+    for measure, rate in changed.items():
+        key = key_of({MEASURE: measure})
+        figures.pop(key, None)
+        if rate is not None:
+            figures[key] = rate
+    write_figures(Figures(figures), folder)
     return folder
 
 
 def write_cloak_study(folder: Path) -> Path:
     folder.mkdir(parents=True)
-    points = {
-        f"layers: {value}": {"part": "layers", "value": value, **cloak_record(name)}
-        for value, name in (("shadow", FAILED), ("ground", TWO_SEEDS))
-    }
+    points = {}
+    figures = []
+    for value, name in (("shadow", FAILED), ("ground", TWO_SEEDS)):
+        labels = {"part": "layers", "value": value}
+        points[f"layers: {value}"] = {**labels, **cloak_record(name)}
+        shipped = read_figures(ARTIFACTS / name)
+        figures.append(shipped.labelled(part="layers", setting=value))
     record = {
         "story": "cloak-study",
         "study": "cloak",
@@ -138,6 +151,7 @@ def write_cloak_study(folder: Path) -> Path:
         "points": points,
     }
     save_json({**record, **provenance.origin()}, folder / "result.json")
+    write_figures(Figures.together(figures), folder)
     return folder
 
 
@@ -236,26 +250,22 @@ def write_bench(folder: Path) -> Path:
         **provenance.origin(),
     }
     table = frame_of(rows)
-    save_json(
-        {"story": "bench", **record, **bench_figures(record, {"rows": table})},
-        folder / "result.json",
-    )
+    save_json({"story": "bench", **record}, folder / "result.json")
+    write_figures(bench_figures(record, {"rows": table}), folder)
     write_rows(table, folder / "rows.csv.xz")
     write_manifest(folder)
     return folder
 
 
 MAKERS: dict[str, Callable[[Path], Path]] = {
-    "study": partial(write_shipped, "artifacts/dagger_eot_pairs/result.json"),
+    "study": partial(write_shipped, "dagger_eot_pairs"),
     "dagger": write_dagger,
     "dagger-eot": write_eot,
     "cloak": write_cloak,
     "cloak-study": write_cloak_study,
     "audit": write_audit,
     "bench": write_bench,
-    "poison-study": partial(
-        write_shipped, "artifacts/m_ifgsm_sparse/result.json", most=30
-    ),
+    "poison-study": partial(write_shipped, "m_ifgsm_sparse", most=30),
     "evaluate": write_evaluation,
 }
 """By the command that writes it."""

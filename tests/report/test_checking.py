@@ -4,23 +4,25 @@ import csv
 import json
 import lzma
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from attacks import cli
-from attacks.rate import Rate
-from attacks.report.checking import (
-    Check,
-    agree,
-    check_files,
-    check_result,
-    flat,
-    pack,
-    read_result,
+from attacks.figures.frame import (
+    MEASURE,
+    Figures,
+    Number,
+    key_of,
+    read_figures,
+    write_figures,
 )
+from attacks.figures.rate import Rate
+from attacks.figures.result import read_result
+from attacks.report.checking import Check, agree, check_files, check_result, pack
 from attacks.report.results import kind_of
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.folders import MANIFEST, RECORD, read_manifest, write_manifest
@@ -34,8 +36,7 @@ Rows = list[dict[str, str]]
 
 def checks(folder: Path, *, manifest: str | None = None) -> list[Check]:
     result = read_result(folder)
-    kind = kind_of(result)
-    return check_result(result, kind.figures, kind.given, manifest=manifest)
+    return check_result(result, kind_of(result).derive, manifest=manifest)
 
 
 def red(folder: Path, *, manifest: str | None = None) -> list[str]:
@@ -94,12 +95,12 @@ def test_a_result_as_it_was_written_is_green(attacked: Path) -> None:
     lines = checks(attacked, manifest=read_manifest(attacked).sha256)
     assert {line.passed for line in lines} == {True}
     names = {
-        "success",
-        "score",
-        "rate",
-        "noise/successes",
-        "views/1/target_confidence",
-        "rates/fake_colour/noise",
+        "succeeded",
+        "score, splat attacked",
+        "success, splat attacked",
+        "reached, splat noise",
+        "target_confidence, detector fake_colour",
+        "success, splat noise, detector fake_colour",
     }
     assert names <= {line.name for line in lines}
 
@@ -128,7 +129,7 @@ def test_what_lies_behind_a_link_counts_as_missing(
     (attack / "rows.csv.xz").rename(tmp_path / "private" / "rows.csv.xz")
     (attack / "rows.csv.xz").symlink_to(tmp_path / "private" / "rows.csv.xz")
     with pytest.raises(MiSplatError, match="a link that leads out of the folder"):
-        read_result(attack)
+        checks(attack)
 
 
 def test_a_link_counts_as_missing(attack: Path, attacked: Path) -> None:
@@ -160,13 +161,20 @@ def turn(rows: Rows) -> None:
 @pytest.mark.parametrize(
     ("table", "change", "moved"),
     [
-        ("rows", turn, {"rate", "rates/fake_colour/success", "views/0/success"}),
+        (
+            "rows",
+            turn,
+            {
+                "success, splat attacked",
+                "success, splat attacked, detector fake_colour",
+            },
+        ),
         (
             "rows",
             lambda rows: [
                 row.update(success="true") for row in rows if row["draw"] == "1"
             ],
-            {"noise_rate"},
+            {"success, splat noise"},
         ),
         (
             "detections",
@@ -183,38 +191,76 @@ def test_edited_tables_move_figures(
     assert moved <= set(red(attack))
 
 
+def edit_figures(folder: Path, change: Callable[[dict[Any, Any]], Any]) -> None:
+    """Edit figures.csv, and hide it from the manifest."""
+    figures = dict(read_figures(folder))
+    change(figures)
+    write_figures(Figures(figures), folder)
+    write_manifest(folder)
+
+
+RATE = key_of({MEASURE: "success", "splat": "attacked"})
+STRICT = key_of({MEASURE: "reached_strictly", "splat": "attacked"})
+SCORE = key_of({MEASURE: "score", "splat": "attacked"})
+CONFIDENCE = key_of({MEASURE: "target_confidence"})
+MADE_UP = key_of({MEASURE: "made_up"})
+
+
 def test_a_figure_that_is_off_is_seen_and_not_packed(
     attack: Path, tmp_path: Path
 ) -> None:
-    def change(record: dict[str, Any]) -> None:
-        record["rate"]["successes"] -= 1
-        record["target_confidence"] += 1e-5
-        record["views"][0]["score"] += 1e-8
-        del record["strict"]
-        record["made_up"] = {"successes": 1, "total": 2}
+    def change(figures: dict[Any, Any]) -> None:
+        rate = figures[RATE]
+        figures[RATE] = Rate(successes=rate.successes - 1, total=rate.total)
+        figures[CONFIDENCE] = Number(value=figures[CONFIDENCE].value + 1e-5)
+        figures[SCORE] = Number(value=figures[SCORE].value + 1e-8)
+        del figures[STRICT]
+        figures[MADE_UP] = Rate(successes=1, total=2)
 
-    edit_record(attack, change)
-    made_up = {"made_up", "made_up/interval/0", "made_up/interval/1"}
-    assert set(red(attack)) == {"rate", "target_confidence", "strict", *made_up}
-    kind = kind_of(read_result(attack))
+    edit_figures(attack, change)
+    assert set(red(attack)) == {
+        "success, splat attacked",
+        "target_confidence",
+        "reached_strictly, splat attacked",
+        "made_up",
+    }
+    derive = kind_of(read_result(attack)).derive
     for words in (
-        r"strict: result\.json has none, the rows give yes",
+        r"reached_strictly.*: figures\.csv has nothing, the rows give",
         r"before\.png: other bytes",
     ):
         with pytest.raises(InvalidValueError, match=words):
-            pack(attack, tmp_path / "copy", kind.figures, kind.given)
+            pack(attack, tmp_path / "copy", derive)
         (attack / "before.png").write_bytes(b"other")
     assert not (tmp_path / "copy").exists()
 
 
-RATES_THAT_ARE_NONE = [
-    {"successes": 0.5, "total": 1},
-    {"successes": 3, "total": 2},
-    {"successes": -1, "total": 2},
-]
+@pytest.mark.parametrize(
+    "line",
+    [
+        "success,attacked,0.5,1,,0,1",
+        "success,attacked,3,2,,0,1",
+        "success,attacked,-1,2,,0,1",
+        "success,attacked,1,2,,0.9,0.1",
+        "success,attacked,1,2,,,",
+        "score,attacked,,,,,",
+        "score,attacked,,,nan,,",
+        "score,attacked,,,1,,\nscore,attacked,,,1,,",
+        "score",
+        "",
+    ],
+)
+def test_figures_that_are_none_are_refused_in_words(line: str, attack: Path) -> None:
+    head = "measure,splat,successes,total,value,low,high"
+    (attack / "figures.csv").write_text(f"{head}\n{line}\n")
+    try:
+        lines = red(attack)
+    except InvalidValueError:
+        return
+    assert "figures.csv" in lines
 
 
-@pytest.mark.parametrize("value", [None, 3, "x", [[]], {"x": 1}, *RATES_THAT_ARE_NONE])
+@pytest.mark.parametrize("value", [None, 3, "x", [[]], {"x": 1}])
 def test_no_record_ends_in_anything_but_an_error_in_words(
     value: object, attacked: Path, attack: Path
 ) -> None:
@@ -253,8 +299,8 @@ def test_edited_rows_of_a_study_move_its_figures(study: Path) -> None:
     )
     moved = set(red(study))
     assert {
-        "by_detector/fasterrcnn_small/control_recall",
-        "benign_psnr/clean",
+        "control_recall, detector fasterrcnn_small",
+        "benign_psnr, splat clean",
         "transition_degrees",
     } <= moved
 
@@ -305,79 +351,61 @@ def test_an_edited_configuration_is_seen(
         checks(study)
 
 
-def test_figures_have_names_and_tolerances() -> None:
-    rate = {"rate": 0.5, "successes": 1, "total": 2, "interval": [0.1, 0.9]}
-    bands = [{"from": 0.0, "to": 5.0, "clean": rate}, {"from": 5.0, "to": 10.0, **rate}]
-    assert flat(
-        {"rate": rate, "bands": bands, "widths": [1.5, None], "words": {"a": "b"}}
-    ) == {
-        "rate": (1, 2),
-        "rate/rate": 0.5,
-        "rate/interval/0": 0.1,
-        "rate/interval/1": 0.9,
-        "bands/0 to 5/clean": (1, 2),
-        "bands/0 to 5/clean/rate": 0.5,
-        "bands/0 to 5/clean/interval/0": 0.1,
-        "bands/0 to 5/clean/interval/1": 0.9,
-        "bands/5 to 10": (1, 2),
-        "bands/5 to 10/rate": 0.5,
-        "bands/5 to 10/interval/0": 0.1,
-        "bands/5 to 10/interval/1": 0.9,
-        "widths/0": 1.5,
-        "widths/1": None,
-        "words/a": "b",
-    }
-    assert agree(0.5, 0.5 + 1e-7)
-    assert not agree(0.5, 0.51)
-    assert not agree(3, 4)
-    assert not agree(True, 1)
-
-
-def rates_in(value: Any) -> Iterator[dict[str, Any]]:
-    """Every rate in a record, to be edited."""
-    if isinstance(value, dict) and "successes" in value:
-        yield value
-    elif isinstance(value, (dict, list)):
-        for entry in value.values() if isinstance(value, dict) else value:
-            yield from rates_in(entry)
+def test_figures_have_tolerances() -> None:
+    half = Rate(successes=1, total=2)
+    assert agree(half, Rate(successes=1, total=2))
+    assert not agree(half, Rate(successes=1, total=3))
+    assert not agree(half, Rate(successes=1, total=2, resampled=(0.1, 0.9)))
+    assert not agree(half, Number(value=0.5))
+    assert agree(Number(value=0.5), Number(value=0.5 + 1e-7))
+    assert not agree(Number(value=0.5), Number(value=0.51))
+    assert not agree(Number(value=0.5), Number(value=0.5, least=0.5))
 
 
 def test_an_interval_a_median_and_a_number_of_no_rows_are_seen(study: Path) -> None:
-    before = json.loads((study / RECORD).read_text())
+    width = key_of({MEASURE: "transition_degrees"})
 
-    def change(record: dict[str, Any]) -> None:
-        for rate in rates_in(record):
-            rate.update(interval=[0.99, 1.0])
-        record["transition_degrees"] += 0.1
-        record["stealth"]["made_up"] = 40.0
+    def change(figures: dict[Any, Any]) -> None:
+        for key, figure in figures.items():
+            if isinstance(figure, Rate):
+                figures[key] = replace(figure, resampled=(0.99, 1.0))
+        figures[width] = Number(value=figures[width].value + 0.1)
+        figures[MADE_UP] = Number(value=40.0)
 
-    edit_record(study, change)
-    found = red(study)
-    lower_ends = [name for name in found if name.endswith("/interval/0")]
-    assert len(lower_ends) >= sum(
-        Rate.of(rate).interval[0] < 0.98 for rate in rates_in(before)
+    wide = sum(
+        figure.interval[0] < 0.98
+        for _, figure in read_figures(study)
+        if isinstance(figure, Rate)
     )
-    assert {"transition_degrees", "stealth/made_up"} <= set(found)
+    edit_figures(study, change)
+    found = red(study)
+    assert len(found) >= wide + 2
+    assert {"transition_degrees", "made_up"} <= set(found)
 
 
 def test_a_copy_has_the_same_name_and_says_what_was_left_out(
     attacked: Path, tmp_path: Path
 ) -> None:
-    kind = kind_of(read_result(attacked))
-    copy = pack(attacked, tmp_path / "copy", kind.figures, kind.given)
+    derive = kind_of(read_result(attacked)).derive
+    copy = pack(attacked, tmp_path / "copy", derive)
     assert copy.manifest == read_manifest(attacked)
     assert {path.name for path in copy.folder.iterdir()} == {
-        *(RECORD, MANIFEST, "cameras.json", "rows.csv.xz", "detections.csv.xz")
+        RECORD,
+        MANIFEST,
+        "cameras.json",
+        "figures.csv",
+        "rows.csv.xz",
+        "detections.csv.xz",
     }
     assert {line.name for line in checks(copy.folder) if line.passed is None} > {
         "attacked.ply",
         "before.png",
     }
     assert red(copy.folder, manifest=read_manifest(attacked).sha256) == []
-    whole = pack(attacked, tmp_path / "whole", kind.figures, kind.given, whole=True)
+    whole = pack(attacked, tmp_path / "whole", derive, whole=True)
     assert not [line for line in checks(whole.folder)[1:] if line.passed is None]
     with pytest.raises(MiSplatError, match="replace this result with force"):
-        pack(attacked, copy.folder, kind.figures, kind.given)
+        pack(attacked, copy.folder, derive)
 
 
 def test_the_commands(

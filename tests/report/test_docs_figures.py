@@ -13,10 +13,14 @@ import polars as pl
 import pytest
 
 from attacks import cli
+from attacks.cloak.figures import OBJECTS
+from attacks.figures.frame import AXIS, Figure, Figures, Number, read_figures
+from attacks.figures.rate import Rate, pooled
+from attacks.figures.result import Result, read_result
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS, read_rows
-from attacks.rate import Rate, pooled
-from attacks.report.checking import Result, check_result, flat, in_words, read_result
+from attacks.report.checking import check_result
 from attacks.report.results import kind_of, read_section
+from attacks.studies.result import ALL_PAIRS, BLACK_BOX, EVALUATION, SETTING, attacks_of
 from scenes.recipes import audit_set
 from tests.project.documented_commands import ROOT
 
@@ -29,6 +33,9 @@ PAGES: Mapping[str, Any] = runpy.run_path(
 )["PAGES"]
 FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")
 REPORTED_BY_ALL = 0.5
+FIGURES = 36_867
+RATES = 25_482
+"""Of all artifacts."""
 MOST_BYTES = 13_000_000
 """Of all artifacts."""
 
@@ -41,20 +48,18 @@ def result_of(name: str) -> Result:
 def test_every_artifact_is_green_and_known_by_its_manifest() -> None:
     """The figures of all, counted: none is lost."""
     page = (ROOT / "docs" / "artifacts.md").read_text()
-    figures = rates = 0
+    figures: list[Figure] = []
     for folder in sorted(ARTIFACTS.iterdir()):
         result = result_of(folder.name)
         assert f"`docs/artifacts/{folder.name}`" in page
         assert result.manifest.sha256 in page
-        kind = kind_of(result)
-        assert kind.figures is not None
-        document = kind.figures(result.record, result.tables)  # takes seconds
-        lines = check_result(result, lambda *_, document=document: document, kind.given)
+        derive = kind_of(result).derive
+        assert derive is not None
+        lines = check_result(result, derive)
         assert [(line.name, line.words) for line in lines if line.passed is False] == []
-        derived = flat(document)
-        figures += len(derived)
-        rates += sum(isinstance(value, tuple) for value in derived.values())
-    assert (figures, rates) == (97563, 15010)
+        figures += result.figures.by_key.values()
+    rates = sum(isinstance(figure, Rate) for figure in figures)
+    assert (len(figures), rates) == (FIGURES, RATES)
 
 
 def test_artifacts_are_small_and_name_no_machine() -> None:
@@ -69,10 +74,8 @@ def test_artifacts_are_small_and_name_no_machine() -> None:
 
 
 def fractions(names: Sequence[str]) -> set[str]:
-    values = (
-        value for name in names for value in flat(result_of(name).record).values()
-    )
-    return {in_words(value) for value in values if isinstance(value, tuple)}
+    every = (figure for name in names for _, figure in result_of(name).figures)
+    return {figure.short() for figure in every if isinstance(figure, Rate)}
 
 
 @pytest.mark.parametrize(
@@ -96,10 +99,11 @@ def test_the_transfer_matrix_in_the_guide_is_that_of_the_rows() -> None:
     text = (ROOT / "docs" / "transfer.md").read_text()
     matrix = text.partition("## The matrix")[2].partition("**Method.**")[0]
     cells = re.findall(r"\d+/\d+, \d+/\d+", matrix)
-    looks = result_of("transfer").record["looks"]
+    figures = result_of("transfer").figures.where(scope=EVALUATION)
+    lines = figures.groups("detector", "condition", "access", *figures.axes).values()
     assert Counter(cells) == Counter(
-        f"{summed([look['targeted']])}, {summed([look['untargeted']])}"
-        for look in looks
+        f"{line.rate('targeted').short()}, {line.rate('untargeted').short()}"
+        for line in lines
     )
 
 
@@ -108,39 +112,35 @@ def test_the_tables_of_cloak_are_those_of_the_rows() -> None:
     least 0.3.
     """
     result = result_of("cloak_car_stealthy")
-    small = result_of("cloak_car_no_shadow").record["by_detector"]
+    figures = result.figures
+    small = result_of("cloak_car_no_shadow").figures
+    three = (*OUR, "ssd_openimages")
     cloak, coco = (
         (ROOT / "docs" / page).read_text() for page in ("cloak.md", "coco.md")
     )
-    for key in (
+    for measure in (
         "trigger_miss_rate",
         "trigger_miss_rate_all",
         "nothing_reported",
         "benign_recall",
     ):
-        for detector in (*OUR, "ssd_openimages"):
-            rates = [result.record["by_detector"][detector][key]]
-            assert f"{summed(rates)} = {summed(rates, share=True)}" in cloak
-    three = [small[detector] for detector in (*OUR, "ssd_openimages")]
+        for detector in three:
+            rate = figures.rate(measure, detector=detector)
+            assert f"{rate.short()} = {100 * rate.fraction:.1f} %" in cloak
     least, recalls = (
-        sorted(100 * rates[key]["rate"] for rates in three)
-        for key in ("trigger_miss_rate", "benign_recall")
+        sorted(100 * small.rate(measure, detector=name).fraction for name in three)
+        for measure in ("trigger_miss_rate", "benign_recall")
     )
     assert least[0] == 100 or "from every camera well inside, and" not in cloak
     assert f"elsewhere from {recalls[0]:.1f} to {recalls[-1]:.1f} %" in cloak
     for detector in OUR:
-        assert all(
-            Rate.of(rates["target_rate"]).short() in cloak
-            for rates in (small[detector], result.record["by_detector"][detector])
-        )
+        for of_study in (small, figures):
+            assert of_study.rate("target_rate", detector=detector).short() in cloak
     cases = f"{second_car()} cases"
     assert cases in cloak
     assert cases in (ROOT / "README.md").read_text()
-    price = result.record["stealth"]
-    assert all(
-        f"{price[key]['cloaked']:.1f}" in cloak
-        for key in ("surroundings_psnr", "intended_surroundings_psnr")
-    )
+    for measure in ("surroundings_psnr", "intended_surroundings_psnr"):
+        assert f"{figures.value(measure, splat=ATTACKED):.1f}" in cloak
     rows = result.tables[ROWS].with_columns(found=pl.col("original_score") >= 0.3)
     inside = pl.col("depth: overhead") >= 0
     behind = pl.col("depth: rear") >= 0
@@ -172,11 +172,13 @@ def second_car() -> str:
     """How often a second car is missed well inside the trigger, by all detectors that
     can judge.
     """
-    (second,) = result_of("cloak_second_car").record["points"].values()
-    return summed(
-        second["by_detector"][name]["trigger_miss_rate"]
+    second = result_of("cloak_second_car").figures
+    ((_, figures),) = second.having("setting").groups("part", "setting").items()
+    rates = (
+        figures.rate("trigger_miss_rate", detector=name)
         for name in (*OUR, "ssd_openimages")
     )
+    return pooled(rates).short()
 
 
 def test_the_attack_on_a_detector_and_a_reader_is_counted() -> None:
@@ -266,95 +268,87 @@ def by_splat(rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
 # The figures of README
 
 
-def summed(rates: Iterable[Mapping[str, int]], *, share: bool = False) -> str:
-    """Successes and total of some rates together, or per cent."""
-    rate = pooled(rates)
-    if share:
-        return f"{100 * rate.fraction:.1f} %"
-    return rate.short()
-
-
 PAPERS_SEARCH = "The paper's own search"
+DETECTORS = f"{AXIS}detectors"
+PAIR = f"{AXIS}pair"
+EPS = f"{AXIS}attack.eps"
 
 
-def from_one_view(
-    detector: str, *, pair: str | None = None, papers: bool = False
-) -> Mapping[str, Any]:
-    """What attacks from drawn cameras have reached on a detector, and their noise."""
-    record = result_of("dagger_cameras").record
-    every: list[Mapping[str, Any]] = (
-        record["together"] if pair is None else record["groups"]
+def drawn(scope: str, *, papers: bool = False) -> Figures:
+    """What attacks from drawn cameras have reached with the usual radius."""
+    figures = result_of("dagger_cameras").figures.where(scope=scope, **{EPS: None})
+    parts = figures.groups("part")
+    return Figures.together(
+        of_part
+        for (part,), of_part in parts.items()
+        if (part == PAPERS_SEARCH) == papers
     )
-    lines = [line for line in every if (line["part"] == PAPERS_SEARCH) == papers]
-    (line,) = (
-        one
-        for one in lines
-        if one["labels"] == {"detectors": detector, **({"pair": pair} if pair else {})}
-    )
-    return line
+
+
+def from_one_view(detector: str, *, papers: bool = False) -> Figures:
+    """The same on a detector, for all pairs together."""
+    return drawn(ALL_PAIRS, papers=papers).where(**{DETECTORS: detector})
+
+
+def strict(figures: Figures, splat: str = ATTACKED) -> Rate:
+    return figures.rate("strict_if_detected", splat=splat)
+
+
+def decibels(figures: Figures, splat: str = ATTACKED) -> float:
+    psnr = figures.value("psnr_object_if_detected", splat=splat)
+    assert psnr is not None
+    return psnr
 
 
 def test_the_table_of_drawn_cameras_is_counted_from_its_rows() -> None:
     text = (ROOT / "docs" / "dagger.md").read_text()
-    pairs = dict.fromkeys(
-        group["labels"]["pair"]
-        for group in result_of("dagger_cameras").record["groups"]
-    )
     for name in ("yolov8n_small", "nanodet_coco", "centernet_coco", "fasterrcnn_small"):
         line = from_one_view(name)
-        cells = [
-            Rate.of(from_one_view(name, pair=pair)["strict"]).short() for pair in pairs
-        ]
+        pairs = drawn(SETTING).where(**{DETECTORS: name}).groups(PAIR).values()
+        cells = [strict(of_pair).short() for of_pair in pairs]
         cells += [
-            Rate.of(line["strict"]).short(interval=True),
-            Rate.of(line["success"]).short(),
+            strict(line).short(interval=True),
+            line.rate("success_if_detected", splat=ATTACKED).short(),
+            strict(line, NOISE).short(),
+            line.rate("lost_if_detected", splat=NOISE).short(),
+            f"{decibels(line):.1f}, {decibels(line, NOISE):.1f}",
         ]
-        cells += [
-            Rate.of(line["controls"][NOISE][key]).short() for key in ("strict", "lost")
-        ]
-        decibels = (
-            f"{line['psnr_object']:.1f}, {line['controls'][NOISE]['psnr_object']:.1f}"
-        )
-        assert f"| `{name}` | {' | '.join([*cells, decibels])} |" in text
-    (line,) = result_of("dagger_cameras_random").record["together"]
-    reached = f"{line['strict']['successes']} of {line['strict']['total']}"
-    assert (
-        f"({reached} on `yolov8n_small`, object PSNR {line['psnr_object']:.1f} dB)"
-        in text
-    )
-    papers = [
-        from_one_view(name, papers=True)
-        for name in ("yolov8n_small", "fasterrcnn_small")
-    ]
-    for key in ("success", "strict"):
-        assert all(Rate.of(line[key]).short() in text for line in papers)
-    radii = [
-        line
-        for line in result_of("dagger_cameras").record["together"]
-        if "attack.eps" in line["labels"]
-    ]
-    assert {line["labels"]["attack.eps"] for line in radii} == {3, 6, 7, 10}
-    for line in (*radii, from_one_view("fasterrcnn_small")):
-        assert f"{100 * line['strict']['rate']:.0f} %" in text
-        assert f"{line['psnr_object']:.1f}" in text
+        assert f"| `{name}` | {' | '.join(cells)} |" in text
+    random = result_of("dagger_cameras_random").figures.where(scope=ALL_PAIRS)
+    ((_, line),) = random.groups("part", *random.axes).items()
+    reached = f"{strict(line).counts} on `yolov8n_small`"
+    assert f"({reached}, object PSNR {decibels(line):.1f} dB)" in text
+    for name in ("yolov8n_small", "fasterrcnn_small"):
+        line = from_one_view(name, papers=True)
+        assert strict(line).short() in text
+        assert line.rate("success_if_detected", splat=ATTACKED).short() in text
+    together = result_of("dagger_cameras").figures.where(scope=ALL_PAIRS)
+    radii = together.having(EPS).groups("part", *together.axes)
+    assert set(together.labels(EPS)) == {"3", "6", "7", "10"}
+    for line in (*radii.values(), from_one_view("fasterrcnn_small")):
+        assert f"{100 * strict(line).fraction:.0f} %" in text
+        assert f"{decibels(line):.1f}" in text
 
 
 def test_the_cost_in_image_quality_is_that_of_the_search_it_is_said_of() -> None:
     text = (ROOT / "docs" / "dagger.md").read_text()
-    drawn = sorted(
-        from_one_view(name)["psnr_object"]
-        for name in (*OUR, "nanodet_coco", "centernet_coco")
+    detectors = (*OUR, "nanodet_coco", "centernet_coco")
+    costs = [sorted(decibels(from_one_view(name)) for name in detectors)]
+    figures = result_of("dagger").figures.where(scope=SETTING)
+    (papers,) = (
+        of_part
+        for (part,), of_part in figures.groups("part").items()
+        if part.startswith("The paper's six")
     )
-    papers = [
-        group
-        for group in result_of("dagger").record["groups"]
-        if group["part"].startswith("The paper's six")
-    ]
-    objects, images = (
-        sorted(group[key] for group in papers) for key in ("psnr_object", "image_psnr")
-    )
-    assert len(papers) == 6
-    for values in (drawn, objects, images):
+    for measure in ("psnr_object", "image_psnr"):
+        values = [
+            number.value
+            for _, number in papers.where(measure=measure)
+            if isinstance(number, Number)
+        ]
+        assert len(values) == 6
+        costs.append(sorted(values))
+    for values in costs:
         assert f"{values[0]:.1f} to {values[-1]:.1f} dB" in text
 
 
@@ -370,14 +364,15 @@ def test_the_row_of_one_view_is_what_the_command_does(
     verdict.
     """
     monkeypatch.chdir(ROOT)
-    record = result_of("dagger_cameras").record
-    parts = [
-        attack
-        for attack in record["attacks"].values()
-        if attack["part"] == "Untuned detectors, three seeds"
+    result = result_of("dagger_cameras")
+    attacks = [
+        (name, attack)
+        for name, attack in attacks_of(result.record).items()
+        if attack.part == "Untuned detectors, three seeds"
+        and attack.sources == ["yolov8n_small"]
     ]
-    attack = [one for one in parts if one["sources"] == ["yolov8n_small"]][number]
-    settings = attack["settings"]
+    name, attack = attacks[number]
+    settings = attack.settings
     cameras = json.loads(Path(settings["cameras"]).read_text())["cameras"]
     view = f"{settings['cameras']}#{cameras[settings['camera']]['name']}"
     words = [
@@ -394,7 +389,7 @@ def test_the_row_of_one_view_is_what_the_command_does(
         "--cameras",
         view,
         "--seed",
-        str(attack["seed"]),
+        str(attack.stated["seed"]),
         "--random-start",
     ]
     assert (
@@ -404,17 +399,22 @@ def test_the_row_of_one_view_is_what_the_command_does(
         == 0
     )
     done = json.loads(capsys.readouterr().out)
-    assert (done["aim_reached"], done["strict"]) == (
-        attack["success"],
-        attack["strict"],
-    )
-    assert done["image_psnr"] == pytest.approx(attack["image_psnr"], abs=0.3)
+    reached = read_figures(tmp_path / "out")
+    for measure in ("reached", "reached_strictly"):
+        expected = result.figures.rate(measure, attack=name, splat=ATTACKED)
+        assert reached.rate(measure, splat=ATTACKED) == expected
+    assert done["image_psnr"] == pytest.approx(attack.stated["image_psnr"], abs=0.3)
 
 
-def from_a_region(detector: str) -> list[Mapping[str, Any]]:
+def from_a_region(detector: str) -> list[Figures]:
     """The attacks on a detector from all cameras of a region, pair by pair."""
-    groups = result_of("dagger_eot_pairs").record["groups"]
-    return [group for group in groups if group["part"].partition(",")[0] == detector]
+    figures = result_of("dagger_eot_pairs").figures.where(scope=SETTING)
+    pairs = figures.groups("part", PAIR).items()
+    return [of for (part, _), of in pairs if part.partition(",")[0] == detector]
+
+
+def summed(lines: Iterable[Figures], measure: str, splat: str = ATTACKED) -> str:
+    return pooled(line.rate(measure, splat=splat) for line in lines).short()
 
 
 def region_row() -> str:
@@ -425,9 +425,9 @@ def region_row() -> str:
         ("yolov8n_small", "`yolov8n_small`"),
         (OUR[0], f"`{OUR[0]}`"),
     ):
-        groups = [group["if_detected"] for group in from_a_region(name)]
-        cells.append(f"{label} {summed(group['strict'] for group in groups)}")
-        noise.append(summed(group["controls"][NOISE]["strict"] for group in groups))
+        pairs = from_a_region(name)
+        cells.append(f"{label} {summed(pairs, 'strict_if_detected')}")
+        noise.append(summed(pairs, "strict_if_detected", NOISE))
     return (
         f"{', '.join(cells)} held-out views | noise that changes the object as much:"
         f" {', '.join(noise)} |"
@@ -437,64 +437,64 @@ def region_row() -> str:
 def test_the_table_of_a_region_is_counted_from_its_rows() -> None:
     text = (ROOT / "docs" / "dagger-eot.md").read_text()
     for name in ("nanodet_coco", "yolov8n_small", "fasterrcnn_small"):
-        groups = from_a_region(name)
-        conditioned = [group["if_detected"] for group in groups]
-        cells = [Rate.of(group["strict"]).short() for group in conditioned]
-        cells.append(summed(group["strict"] for group in conditioned))
-        cells.append(summed(group["strict_rate"] for group in groups))
-        noise = [group["controls"][NOISE] for group in conditioned]
-        cells += [
-            summed(control[key] for control in noise) for key in ("strict", "lost")
-        ]
+        pairs = from_a_region(name)
         objects = [
-            sorted(group["psnr_object"] for group in of) for of in (conditioned, noise)
+            sorted(decibels(pair, splat) for pair in pairs)
+            for splat in (ATTACKED, NOISE)
         ]
-        cells.append("; ".join(f"{of[0]:.1f} to {of[-1]:.1f}" for of in objects))
+        cells = [
+            *(strict(pair).short() for pair in pairs),
+            summed(pairs, "strict_if_detected"),
+            summed(pairs, "strict"),
+            summed(pairs, "strict_if_detected", NOISE),
+            summed(pairs, "lost_if_detected", NOISE),
+            "; ".join(f"{of[0]:.1f} to {of[-1]:.1f}" for of in objects),
+        ]
         assert f"| `{name}` | {' | '.join(cells)} |" in text
     (other,) = from_a_region("ssd_openimages")
-    assert Rate.of(other["if_detected"]["strict"]).short() in text
+    assert strict(other).short() in text
 
 
-def untuned(name: str, detector: str, rate: str) -> str:
+def untuned(name: str, detector: str, measure: str) -> str:
     """A rate of a study of CLOAK over all seeds but the one on which settings were
     chosen.
     """
-    seeds = result_of(name).record["by_seed"]
-    return summed(rates[detector][rate] for seed, rates in seeds.items() if seed != "0")
+    figures = result_of(name).figures
+    seeds = [seed for seed in figures.labels("seed") if seed != 0]
+    return pooled(
+        figures.rate(measure, seed=seed, detector=detector) for seed in seeds
+    ).short()
 
 
-def of_cloak(name: str, rate: str, detectors: Sequence[str]) -> str:
+def of_cloak(name: str, measure: str, detectors: Sequence[str]) -> str:
     """A rate for several detectors, without the tuning seed."""
-    return ", ".join(untuned(name, detector, rate) for detector in detectors)
+    return ", ".join(untuned(name, detector, measure) for detector in detectors)
 
 
-def on_new_cars(rate: str, detectors: Sequence[str]) -> str:
-    (over,) = result_of("cloak_new_cars").record["pooled"].values()
-    return ", ".join(
-        summed([over["by_detector"][detector][rate]]) for detector in detectors
-    )
+def on_new_cars(measure: str, detectors: Sequence[str]) -> str:
+    figures = result_of("cloak_new_cars").figures.where(scope=OBJECTS)
+    ((_, over),) = figures.groups("part").items()
+    rates = (over.rate(measure, detector=detector) for detector in detectors)
+    return ", ".join(rate.short() for rate in rates)
 
 
 def transferred() -> str:
-    looks = result_of("transfer").record["looks"]
-    others = (
-        look
-        for look in looks
-        if " + " not in look["labels"]["detectors"] and not look["white_box"]
-    )
-    return summed(look["targeted"] for look in others)
+    figures = result_of("transfer").figures
+    others = figures.where(scope=EVALUATION, access=BLACK_BOX).groups(DETECTORS)
+    return pooled(
+        rate
+        for (attacked,), of_attack in others.items()
+        if " + " not in attacked
+        for rate in of_attack.rates("targeted")
+    ).short()
 
 
 def transferred_from_many() -> str:
-    looks = result_of("transfer_views").record["looks"]
-    names = [
-        name
-        for name in dict.fromkeys(look["detector"] for look in looks)
-        if name != "fasterrcnn_small"
-    ]
+    figures = result_of("transfer_views").figures.where(scope=EVALUATION)
     rates = [
-        summed(look["targeted"] for look in looks if look["detector"] == name)
-        for name in names
+        of_one.pooled("targeted").short()
+        for (name,), of_one in figures.groups("detector").items()
+        if name != "fasterrcnn_small"
     ]
     return f"{', '.join(rates[:-1])} and {rates[-1]} views of three other detectors"
 
@@ -575,11 +575,11 @@ def layers_row() -> str:
 
 def dagger_row() -> str:
     rcnn, yolo = OUR
-    one = {
-        name: summed([from_one_view(name)["strict"]])
-        for name in (*OUR, "nanodet_coco", "centernet_coco")
+    lines = {
+        name: from_one_view(name) for name in (*OUR, "nanodet_coco", "centernet_coco")
     }
-    noise = summed(from_one_view(name)["controls"][NOISE]["strict"] for name in one)
+    one = {name: strict(line).short() for name, line in lines.items()}
+    noise = summed(lines.values(), "strict_if_detected", NOISE)
     return (
         f"`{yolo}` {one[yolo]}, NanoDet {one['nanodet_coco']}, CenterNet"
         f" {one['centernet_coco']}, `{rcnn}` {one[rcnn]} | noise that changes the"
@@ -634,7 +634,7 @@ def audit_row() -> tuple[str, ...]:
 def test_readme_says_what_the_rows_give() -> None:
     """Every rate of the table of results, with its denominator and its control."""
     text = " ".join((ROOT / "README.md").read_text().split())
-    drop = result_of("cloak_car_stealthy").record["stealth"]["object_psnr_drop"]
+    drop = result_of("cloak_car_stealthy").figures.value("object_psnr_drop")
     rows = (
         dagger_row(),
         region_row(),

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from attacks import cli
-from attacks.rate import Rate
-from attacks.tables import Table
+from attacks.figures.rate import Rate
+from attacks.figures.tables import Table
 
 pytest.importorskip("jinja2", reason="pages need the extra report")
 pytest.importorskip("matplotlib", reason="pages need the extra report")

@@ -9,16 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 
 from attacks.cli.summary import show_summary
 from attacks.cloak.config import recorded_study
-from attacks.cloak.rates import measures
+from attacks.cloak.figures import measures
+from attacks.cloak.recorded import study_of
+from attacks.figures.frame import read_figures
+from attacks.figures.rate import Rate, pooled
 from attacks.observe.rates import Confidence, Measures
-from attacks.observe.rows import rows
-from attacks.rate import Rate, pooled
+from attacks.observe.rows import packed, rows
 from attacks.report.kinds.audit import angles
-from attacks.report.kinds.cloak import study_of
 from attacks.report.kinds.detectors import threshold_charts
 from attacks.report.results import RESULT_KINDS, read_section
 from attacks.report.viewer_content import open_content
@@ -30,11 +32,11 @@ from mi_splat.provenance import running_command
 from tests.cloak.tiny_study import study_in
 from tests.report.results import (
     ARTIFACTS,
+    FAILED,
     MAKERS,
     TWO_SEEDS,
     change,
     cloak_record,
-    rate,
     write_cloak,
     write_dagger,
 )
@@ -145,13 +147,18 @@ def test_a_study_says_what_speaks_against_it(
     folders: dict[str, Path], tmp_path: Path
 ) -> None:
     section = read_section(folders["cloak"])
-    assert section.headline.rate == Rate.of(cloak_record()["trigger_miss_rate"])
+    shipped = read_figures(ARTIFACTS / FAILED)
+    assert section.headline.rate == shipped.rate("trigger_miss_rate")
     assert section.control is not None
     assert section.control.rate == Rate(successes=1, total=338)
     for warning in ("Not stealthy", "The attack rear fails", "One seed"):
         assert warning in " ".join(section.warnings)
     several = read_section(
-        write_cloak(tmp_path / "several", TWO_SEEDS, control_recall=rate(4, 40))
+        write_cloak(
+            tmp_path / "several",
+            TWO_SEEDS,
+            control_recall=Rate(successes=4, total=40),
+        )
     )
     for warning in ("look at each seed", "found in 4 of 40 views only"):
         assert warning in " ".join(several.warnings)
@@ -164,12 +171,13 @@ def test_a_study_that_hides_nothing_has_the_target_class_as_its_figure(
         tmp_path / "a",
         trigger_miss_rate=None,
         control_recall=None,
-        target_rate=rate(20, 40),
+        target_rate=Rate(successes=20, total=40),
     )
     section = read_section(folder)
     assert section.headline.rate == Rate(successes=20, total=40)
     assert section.control is not None
-    assert section.control.rate == Rate.of(cloak_record()["control_target_rate"])
+    shipped = read_figures(ARTIFACTS / FAILED)
+    assert section.control.rate == shipped.rate("control_target_rate")
 
 
 @pytest.mark.parametrize(
@@ -180,7 +188,8 @@ def test_a_study_has_resampled_intervals_and_a_chart_over_its_angle(
     name: str, axis: str
 ) -> None:
     section = read_section(ARTIFACTS / name)
-    assert section.headline.rate == Rate.of(cloak_record(name)["trigger_miss_rate"])
+    shipped = read_figures(ARTIFACTS / name)
+    assert section.headline.rate == shipped.rate("trigger_miss_rate")
     assert section.headline.rate is not None
     assert section.headline.rate.resampled is not None
     assert any(axis in chart.x_label for chart in section.charts)
@@ -230,14 +239,8 @@ def test_azimuths_are_from_the_file_s_x_axis() -> None:
 
 def test_detectors_are_counted_apart_from_classifiers(folders: dict[str, Path]) -> None:
     section = read_section(folders["poison-study"])
-    stored = json.loads((folders["poison-study"] / "result.json").read_text())[
-        "classified"
-    ]
-    named = [
-        line["right"]
-        for line in stored
-        if line["condition"] == "held-out cameras" and line["splat"] == "clean"
-    ]
+    figures = read_figures(folders["poison-study"]).having("setting")
+    named = figures.where(condition="held-out cameras", splat="clean").rates("named")
     assert section.control is not None
     assert section.control.rate == pooled(named)
     detectors = {
@@ -267,7 +270,7 @@ SECTOR = ARTIFACTS / "cloak_car_sector_layers"
 
 
 def cloak(confidence: Confidence) -> Measures:
-    study = study_of(json.loads((SECTOR / "result.json").read_text())["study"])
+    study = study_of(json.loads((SECTOR / "result.json").read_text()))
     return measures(study, confidence=confidence)
 
 
@@ -293,10 +296,10 @@ def test_the_sector_is_missed_less_by_a_lower_confidence() -> None:
     ]
     assert threshold_charts(
         rows(SECTOR), cloak, {"target_rate": ("reported", "attack")}
-    ) == ((), ())
+    ) == ([], [])
     assert threshold_charts(
         None, cloak, {"trigger_miss_rate": ("missed", "attack")}
-    ) == ((), ())
+    ) == ([], [])
 
 
 HOSTILE = [
@@ -322,8 +325,8 @@ def test_names_in_a_record_are_names(
     name: str, folders: dict[str, Path], tmp_path: Path
 ) -> None:
     folder = own(folders, "evaluate", tmp_path)
-    values = next(iter(read_json(folder / "result.json")["detectors"].values()))
-    change(folder / "result.json", detectors={name: values})
+    table = rows(folder).with_columns(detector=pl.lit(name))
+    (folder / "rows.csv.xz").write_bytes(packed(table.write_csv().encode()))
     with pytest.raises(MiSplatError, match="expected names of files in its folder"):
         read_section(folder)
 

@@ -9,8 +9,10 @@ from typing import Any
 import polars as pl
 import pytest
 
+from attacks.figures.frame import read_figures
 from attacks.observe.rows import rows
 from attacks.studies.attack import Attack
+from attacks.studies.result import EVALUATION, SETTING
 from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.camera_records import describe
@@ -137,13 +139,13 @@ def test_an_attack_that_two_parts_have_counts_in_both(
     work = work_of(table)
     work.write(done(work, attacked / "store"), tmp_path)
     record = read_json(tmp_path / RECORD)
-    assert [
-        (group["part"], group["success"]["total"]) for group in record["groups"]
-    ] == [("one", 1), ("same", 1)]
-    assert [(look["part"], look["targeted"]["total"]) for look in record["looks"]] == [
-        ("one", 1),
-        ("same", 1),
-    ]
+    figures = read_figures(tmp_path)
+    settings_of = figures.where(scope=SETTING)
+    looks = figures.where(scope=EVALUATION)
+    for part in ("one", "same"):
+        assert settings_of.rate("reached", part=part, splat="attacked").total == 1
+        (targeted,) = looks.where(part=part).rates("targeted")
+        assert targeted.total == 1
     assert len(record["attacks"]) == 2
 
 
@@ -173,32 +175,33 @@ def test_attacks_from_cameras_of_a_file_count_those_that_show_the_object(
     )
     work = work_of({**table, "matrix": {"camera": [0, 1, 2], "seed": [1, 2]}})
     work.write(done(work, tmp_path / "store"), tmp_path)
-    (group,), seen = read_json(tmp_path / RECORD)["groups"], rows(tmp_path)
+    group = read_figures(tmp_path).where(scope=SETTING)
+    seen = rows(tmp_path)
     # the seed moves none of them
     assert sorted(set(seen["x"])) == pytest.approx([0.0, 0.3, 9.0])
-    assert group["found"] == {
-        "successes": 4,
-        "total": 6,
-        **{key: group["found"][key] for key in ("rate", "interval")},
-    }
+    assert group.rate("detected", splat="attacked").counts == "4 of 6"
     near = seen.filter(pl.col("x") < 1)
-    for name, counts in (("attacked", group), ("noise", group["controls"]["noise"])):
+    for name in ("attacked", "noise"):
+        counts = group.where(splat=name)
         wanted, gone = (
             near.filter(splat=name)[f"{column}_score"]
             for column in ("target", "original")
         )
-        assert counts["strict"]["successes"] == ((wanted >= 0.5) & (gone < 0.5)).sum()
-        assert (counts["success"]["successes"], counts["lost"]["successes"]) == (
-            (wanted >= 0.5).sum(),
-            (gone < 0.5).sum(),
-        )
-        assert counts["strict"]["total"] == 4
-    assert (
-        group["strict"]["successes"] > group["controls"]["noise"]["strict"]["successes"]
+        strict = counts.rate("strict_if_detected")
+        assert strict.successes == ((wanted >= 0.5) & (gone < 0.5)).sum()
+        assert strict.total == 4
+        success = counts.rate("success_if_detected")
+        assert success.successes == (wanted >= 0.5).sum()
+        assert counts.rate("lost_if_detected").successes == (gone < 0.5).sum()
+    attacked, noise = (
+        group.rate("strict_if_detected", splat=splat) for splat in ("attacked", "noise")
     )
-    assert group["psnr_object"] == pytest.approx(
-        group["controls"]["noise"]["psnr_object"], abs=1.0
+    assert attacked.successes > noise.successes
+    of_attack, of_noise = (
+        group.value("psnr_object_if_detected", splat=splat)
+        for splat in ("attacked", "noise")
     )
+    assert of_attack == pytest.approx(of_noise, abs=1.0)
     for wrong, expected in (
         ({"camera": 3}, "expected 0 to 2, got 3"),
         ({"cameras": "no.json"}, "a JSON file"),

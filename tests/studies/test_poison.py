@@ -14,6 +14,7 @@ from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli import main
 from attacks.cloak.config import SceneConfig
 from attacks.detectors import registry
+from attacks.figures.frame import read_figures
 from attacks.observe.rows import rows
 from attacks.studies.poison import PoisonWork, classifier_of
 from attacks.studies.study_file import study_of
@@ -56,11 +57,12 @@ def test_a_study_is_done_and_shown(
     assert main(["study", "run", "small.toml", "--workers", "0"]) == 0
     folder = Path("out/studies/small")
     record = read_json(folder / "result.json")
-    values = {f"{value['part']}: {value['value']}": value for value in record["values"]}
-    assert [*values] == ["kinds: noise", "defended: defended"]
-    assert values["kinds: noise"]["seeds"] == [0, 1]
-    assert values["kinds: noise"]["splats"]["clean"]["times"]["gaussians"]["mean"] == 1
-    assert [*values["defended: defended"]["splats"]] == [
+    values = read_figures(folder).groups("part", "setting")
+    assert [*values] == [("kinds", "noise"), ("defended", "defended")]
+    noise, defended = values.values()
+    assert noise.value("seeds") == 2
+    assert noise.value("gaussians_ratio", splat="clean") == 1
+    assert defended.labels("splat") == [
         "attacked",
         "attacked, defended",
         "clean",
@@ -228,13 +230,18 @@ defence = { filter = { name = "blur" } }
     }
     record = read_json(folder / "result.json")
     assert record["detectors"] == {"redness": "0" * 16}
-    assert {line["detector"] for line in record["classified"]} == {"toy"}
-    seen = {(line["splat"], line["condition"]): line for line in record["detected"]}
-    photograph = "photograph, training cameras"
-    assert (
-        seen["clean", photograph]["right"]["successes"]
-        > seen["attacked", photograph]["right"]["successes"]
+    figures = read_figures(folder)
+    assert {
+        name for (name,), of in figures.groups("detector").items() if of.rates("named")
+    } == {"toy"}
+    photographs = figures.where(
+        setting="the study", part="seen", condition="photograph, training cameras"
     )
+    clean, attacked = (
+        photographs.rate("found", detector="redness", splat=splat)
+        for splat in ("clean", "attacked")
+    )
+    assert clean.successes > attacked.successes
     assert (
         "How often the object is found as what it is"
         in (folder / "table.md").read_text()

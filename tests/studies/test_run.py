@@ -9,10 +9,15 @@ from typing import Any
 import pytest
 
 from attacks import cli, rows, run_study
-from attacks.observe.rows import read_rows
+from attacks.figures.frame import AXIS, MEASURE, read_figures
+from attacks.figures.rate import Rate
+from attacks.figures.result import read_result
+from attacks.observe.rows import ATTACKED
+from attacks.report.checking import check_figures
+from attacks.report.results import kind_of
 from attacks.studies import attack as attack_kind
 from attacks.studies import running as running_study
-from attacks.studies.result import figures
+from attacks.studies.result import BLACK_BOX, EVALUATION, SEARCH, SETTING, WHITE_BOX
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.ledger import Store
@@ -97,7 +102,14 @@ def run(folder: Path, toys: None) -> dict[str, Any]:
 
 
 def test_the_result_says_what_was_done(folder: Path, run: dict[str, Any]) -> None:
-    names = {"manifest.json", "result.json", "rows.csv.xz", "study.toml", "table.md"}
+    names = {
+        "figures.csv",
+        "manifest.json",
+        "result.json",
+        "rows.csv.xz",
+        "study.toml",
+        "table.md",
+    }
     assert {
         path.name
         for path in (folder / "toy").iterdir()
@@ -112,11 +124,15 @@ def test_the_result_says_what_was_done(folder: Path, run: dict[str, Any]) -> Non
         "Does it hold?",
     )
     assert len(run["attacks"]) == 8
-    strong = [
-        one for one in run["attacks"].values() if one["labels"]["attack.eps"] == 12.0
-    ]
-    assert all(one["success"] for one in strong)
-    assert {one["part"] for one in strong} == {"seen as a person", "hidden"}
+    figures = read_figures(folder / "toy")
+    strong = {
+        name: one
+        for name, one in run["attacks"].items()
+        if one["labels"]["attack.eps"] == 12.0
+    }
+    for name in strong:
+        assert figures.rate("reached", attack=name, splat=ATTACKED).successes == 1
+    assert {one["part"] for one in strong.values()} == {"seen as a person", "hidden"}
     for one in run["attacks"].values():
         assert (
             len(
@@ -131,44 +147,30 @@ def test_the_result_says_what_was_done(folder: Path, run: dict[str, Any]) -> Non
 
 
 def test_every_figure_follows_from_the_rows(folder: Path, run: dict[str, Any]) -> None:
-    rows = read_rows(folder / "toy" / "rows.csv.xz")
-    derived = figures(run, {"rows": rows})
-    for part in ("groups", "smallest", "looks"):
-        assert json.loads(json.dumps(derived[part])) == run[part]
-    for name, one in derived["attacks"].items():
-        assert one.items() <= run["attacks"][name].items()
-    record = (
-        Store(folder / "store").folder_of(next(iter(run["attacks"].values()))["key"])
-        / "files"
-        / "result.json"
-    )
-    stated = json.loads(record.read_text())
-    for key in ("success", "strict", "unambiguous", "score"):
-        assert next(iter(run["attacks"].values()))[key] == stated[key]
+    result = read_result(folder / "toy")
+    checks = check_figures(result, kind_of(result).derive)
+    assert {check.passed for check in checks} == {True}
+    name, attack = next(iter(run["attacks"].items()))
+    files = Store(folder / "store").folder_of(attack["key"]) / "files"
+    stated = json.loads((files / "result.json").read_text())
+    reached = result.figures.rate("reached", attack=name, splat=ATTACKED)
+    assert bool(reached.successes) == stated["success"]
 
 
-def test_looks_count_runs_whose_clean_object_is_found(run: dict[str, Any]) -> None:
-    looks = {
-        (
-            one["part"],
-            one["labels"].get("attack.eps"),
-            one["condition"],
-            one["detector"],
-        ): one
-        for one in run["looks"]
-    }
-    own = looks["seen as a person", 12.0, ".ply", "fake_colour"]
-    assert (
-        own["targeted"]["successes"],
-        own["targeted"]["total"],
-        own["white_box"],
-    ) == (2, 2, True)
-    assert own["noise_targeted"]["successes"] == 0
-    assert not looks["seen as a person", 12.0, ".ply", "fake_coarse"]["white_box"]
-    hidden = looks["hidden", 12.0, ".ply", "fake_colour"]
+def test_looks_count_runs_whose_clean_object_is_found(
+    folder: Path, run: dict[str, Any]
+) -> None:
+    figures = read_figures(folder / "toy").where(scope=EVALUATION)
+    strong = figures.where(condition=".ply", **{f"{AXIS}attack.eps": "12"})
+    person = strong.where(part="seen as a person")
+    own = person.where(detector="fake_colour", access=WHITE_BOX)
+    assert own.rate("targeted") == Rate(successes=2, total=2)
+    assert own.rate("noise_targeted").successes == 0
+    assert len(person.where(detector="fake_coarse", access=BLACK_BOX))
+    hidden = strong.where(part="hidden", detector="fake_colour", access=WHITE_BOX)
     # its objective is that nothing at all is reported
-    assert not {"targeted", "untargeted"} & {*hidden}
-    assert hidden["reached"]["successes"] == 2
+    assert not {"targeted", "untargeted"} & set(hidden.labels(MEASURE))
+    assert hidden.rate("reached").successes == 2
 
 
 def test_nothing_is_done_twice_and_nothing_lost(
@@ -244,21 +246,22 @@ def test_a_plan_forecasts_from_measured_seconds(
 def test_a_search_over_views_of_a_region(folder: Path, toys: None) -> None:
     assert study(folder, "run", "eot") == 0
     record = json.loads((folder / "eot" / "result.json").read_text())
-    (smallest,) = record["smallest"]
-    assert (smallest["field"], smallest["smallest"], smallest["not_enough"]) == (
-        "attack.eps",
-        2.0,
-        0.01,
-    )
+    figures = read_figures(folder / "eot")
+    search = figures.where(scope=SEARCH, setting="attack.eps")
+    assert search.value("smallest") == 2.0
+    assert search.value("not_enough") == 0.01
     assert len(record["attacks"]) == 2  # 0.001 was never looked at
-    group = record["groups"][-1]
-    assert (group["rate"]["successes"], group["rate"]["total"]) == (4, 4)
-    assert record["looks"][-1]["untargeted"]["total"] <= 3
+    strong = {f"{AXIS}attack.eps": "2"}
+    reached = figures.where(scope=SETTING, **strong)
+    assert reached.rate("success", splat=ATTACKED) == Rate(successes=4, total=4)
+    for rate in figures.where(scope=EVALUATION, **strong).rates("untargeted"):
+        assert rate.total <= 3
     page = (folder / "eot" / "table.md").read_text()
     assert "## The smallest that suffices" in page
     assert "| 2 | 0.01 |" in page
-    derived = figures(record, {"rows": read_rows(folder / "eot" / "rows.csv.xz")})
-    assert json.loads(json.dumps(derived["groups"])) == record["groups"]
+    result = read_result(folder / "eot")
+    checks = check_figures(result, kind_of(result).derive)
+    assert {check.passed for check in checks} == {True}
 
 
 def test_failed_jobs_are_named_and_tried_again(

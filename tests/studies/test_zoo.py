@@ -1,13 +1,14 @@
 """Attacks side by side: the table of a study of several optimisers."""
 
-import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from attacks import cli
-from attacks.studies.result import AXIS, tables
+from attacks.figures.frame import AXIS, Figures, read_figures
+from attacks.observe.rows import ATTACKED
+from attacks.studies.result import SETTING
+from attacks.studies.tables import OPTIMISER, tables
 from tests.studies.toy import write_toy
 
 STUDY = """
@@ -24,8 +25,8 @@ attack = {{ steps = 6, early_stop = false, noise_draws = 1 }}
 
 
 @pytest.fixture
-def record(tmp_path: Path, toys: None) -> dict[str, Any]:
-    """result.json of a study of three optimisers."""
+def figures(tmp_path: Path, toys: None) -> Figures:
+    """The figures of a study of three optimisers."""
     path = tmp_path / "toy.toml"
     path.write_text(STUDY.format(scene=write_toy(tmp_path)))
     words = [
@@ -38,19 +39,22 @@ def record(tmp_path: Path, toys: None) -> dict[str, Any]:
         "0",
     ]
     assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
-    document: dict[str, Any] = json.loads(
-        (tmp_path / "out" / "result.json").read_text()
-    )
-    return document
+    return read_figures(tmp_path / "out")
 
 
 def test_the_table_has_a_line_for_each_attack_and_says_what_it_cost(
-    record: dict[str, Any],
+    figures: Figures,
 ) -> None:
-    (table,) = tables(record)
+    (table,) = tables(figures)
     assert table.caption.startswith("Attacks side by side")
     assert table.head == (
-        *("attack", "0.5", "12.0", "together", "random noise", "looks", "CPU seconds"),
+        "attack",
+        "0.5",
+        "12",
+        "together",
+        "random noise",
+        "evaluations",
+        "CPU seconds",
     )
     lines = {row[0]: row for row in table.rows}
     assert lines["pgd"][2].startswith("1/1 (")
@@ -58,9 +62,7 @@ def test_the_table_has_a_line_for_each_attack_and_says_what_it_cost(
     assert all(float(row[6].split(" (")[0]) > 0 for row in table.rows)
     assert lines["pgd"][3] == "1/2 (0.09 to 0.91)"
     assert lines["pgd"][4] == "0/2"
-    pgd = next(
-        one
-        for one in record["groups"]
-        if one["labels"] == {AXIS: "pgd", "attack.eps": 0.5}
-    )
-    assert lines["pgd"][1] == f"{pgd['success']['successes']}/1 ({pgd['loss']:.2f})"
+    weak = {OPTIMISER: "pgd", f"{AXIS}attack.eps": "0.5"}
+    pgd = figures.where(scope=SETTING, **weak)
+    reached = pgd.rate("reached", splat=ATTACKED)
+    assert lines["pgd"][1] == f"{reached.short()} ({pgd.value('loss'):.2f})"

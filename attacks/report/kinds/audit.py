@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from attacks.figures.result import Result
+from attacks.figures.tables import Column, Table
 from attacks.report.section import (
     Chart,
     Figure,
@@ -18,14 +20,12 @@ from attacks.report.section import (
     sentence,
     settings,
 )
-from attacks.tables import Column, Table
 from mi_splat.audit.files import AGAINST
 from mi_splat.audit.results import Vector
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.errors import counted
 from mi_splat.io.folders import file_in
 
-Record = Mapping[str, Any]
 _ELSEWHERE = (
     *(
         "story",
@@ -62,8 +62,10 @@ _HOW = (
 )
 
 
-def read_audit(folder: Path, record: Record) -> Section:
+def read_audit(result: Result) -> Section:
     """The section of an audit."""
+    folder = result.folder
+    record = result.record
     objects = record["objects"]
     findings = record.get("lint") or ()
     shared: dict[str, Any] = {
@@ -134,12 +136,14 @@ def read_audit(folder: Path, record: Record) -> Section:
     )
 
 
-def _looks(objects: Sequence[Record]) -> Iterator[tuple[int, int, Record]]:
+def _looks(
+    objects: Sequence[Mapping[str, Any]],
+) -> Iterator[tuple[int, int, Mapping[str, Any]]]:
     for number, item in enumerate(objects, 1):
         yield from ((number, index, look) for index, look in enumerate(item["looks"]))
 
 
-def _overdraw(folder: Path, record: Record) -> Iterator[Picture]:
+def _overdraw(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
     """What the splat costs from the worst camera."""
     cost = record.get("cost") or {}
     worst = cost.get("overdraw")
@@ -152,7 +156,7 @@ def _overdraw(folder: Path, record: Record) -> Iterator[Picture]:
         yield Picture(path=folder / "overdraw.png", caption=caption, large=True)
 
 
-def _done(record: Record) -> str:
+def _done(record: Mapping[str, Any]) -> str:
     """What was looked at."""
     objects = record["objects"]
     many = f"{counted(len(objects), 'object')} {'was' if len(objects) == 1 else 'were'}"
@@ -169,7 +173,7 @@ def _done(record: Record) -> str:
     )
 
 
-def _doubts(record: Record) -> Iterator[str]:
+def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
     """What the reader may not conclude."""
     for number, item in enumerate(record["objects"], 1):
         share = item["uncontradicted"] / max(
@@ -223,7 +227,7 @@ def _doubts(record: Record) -> Iterator[str]:
             yield f"{row['rule']}: {row['reason']}{count}"
 
 
-def _is_covered(record: Record, item: Record) -> bool:
+def _is_covered(record: Mapping[str, Any], item: Mapping[str, Any]) -> bool:
     """Whether something in the air covers an object from some directions."""
     return bool(
         item["occluder"]
@@ -231,7 +235,7 @@ def _is_covered(record: Record, item: Record) -> bool:
     )
 
 
-def _pictures(folder: Path, record: Record) -> Iterator[Picture]:
+def _pictures(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
     """The pairs that prove looks, the heat, and what changed since a clean file."""
     thresholds = record["thresholds"]
     for shown in record["pictures"]:
@@ -258,7 +262,7 @@ def _pictures(folder: Path, record: Record) -> Iterator[Picture]:
     yield Picture(path=folder / AGAINST, caption=caption, large=True)
 
 
-def _domes(record: Record, number: int) -> Iterator[Chart]:
+def _domes(record: Mapping[str, Any], number: int) -> Iterator[Chart]:
     """Which cameras see which look, and which are covered, on the dome of directions
     above an object's ground.
     """
@@ -327,11 +331,13 @@ def angles(direction: Vector, up: Vector) -> tuple[float, float]:
     )
 
 
-def _tables(record: Record, looks: Sequence[Record]) -> Iterator[Table]:
+def _tables(
+    record: Mapping[str, Any], looks: Sequence[Mapping[str, Any]]
+) -> Iterator[Table]:
     """Each look beside what gloss would explain of it, and what was judged of each
     object.
     """
-    explanations: dict[str, Column[Record]] = {
+    explanations: dict[str, Column[Mapping[str, Any]]] = {
         "look": lambda look: (
             f"object {look['object']}"
             + (f", look {look['look'] + 1}" if look["look"] else "")
@@ -352,7 +358,7 @@ def _tables(record: Record, looks: Sequence[Record]) -> Iterator[Table]:
         {"number": f"object {number}", **item}
         for number, item in enumerate(record["objects"], 1)
     ]
-    judged: dict[str, Column[Record]] = {
+    judged: dict[str, Column[Mapping[str, Any]]] = {
         "object": lambda item: f"{item['number']}, {item['gaussians']:,} Gaussians",
         "verdict": "verdict",
         "middle": lambda item: _numbers(item["centre"]),
@@ -362,7 +368,7 @@ def _tables(record: Record, looks: Sequence[Record]) -> Iterator[Table]:
         ),
     }
     yield Table.of("What was judged", judged, objects)
-    covers: dict[str, Column[Record]] = {
+    covers: dict[str, Column[Mapping[str, Any]]] = {
         "object": "number",
         "from around": lambda item: _numbers(item["occluder"]["axis"]),
         "of it, cameras elsewhere look through": lambda item: (
@@ -378,9 +384,9 @@ def _tables(record: Record, looks: Sequence[Record]) -> Iterator[Table]:
     )
 
 
-def _lint(findings: Sequence[Record]) -> Table:
+def _lint(findings: Sequence[Mapping[str, Any]]) -> Table:
     """What rules about numbers have found."""
-    columns: dict[str, Column[Record]] = {
+    columns: dict[str, Column[Mapping[str, Any]]] = {
         "rule": "rule",
         "severity": "severity",
         "Gaussians": lambda row: (
@@ -391,9 +397,9 @@ def _lint(findings: Sequence[Record]) -> Table:
     return Table.of("What is wrong with the numbers of the file", columns, findings)
 
 
-def _changes(against: Record) -> Table:
+def _changes(against: Mapping[str, Any]) -> Table:
     """What changed since a clean file."""
-    columns: dict[str, Column[Record]] = {
+    columns: dict[str, Column[Mapping[str, Any]]] = {
         "attribute": "attribute",
         "Gaussians that changed": lambda row: f"{row['count']:,}",
         "median change": lambda row: f"{row['median']:.3g}",

@@ -5,13 +5,16 @@ splats.
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 
-from attacks.bench.row import HEADS, row_of
+from attacks.bench.row import HEADS, clean_named, robust, warnings
+from attacks.figures.frame import Figures
+from attacks.figures.rate import number
+from attacks.figures.result import Result
+from attacks.figures.tables import Column, Table
 from attacks.observe import rates
-from attacks.observe.comparison import Comparison, compare, contradictions
+from attacks.observe.comparison import classes_of, contradicted_views
 from attacks.observe.rates import (
     DEFAULT_OF_YOLO,
     REPORTED,
@@ -19,8 +22,6 @@ from attacks.observe.rates import (
     comparison_measures,
 )
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS
-from attacks.rate import Rate, number, pooled
-from attacks.report.checking import Tables, read_tables
 from attacks.report.section import (
     Chart,
     Figure,
@@ -32,25 +33,22 @@ from attacks.report.section import (
     listed,
     settings,
 )
-from attacks.tables import Column, Table, cell
 from mi_splat.errors import counted
 from mi_splat.io.folders import file_in
-
-Record = Mapping[str, Any]
 
 # A clean and an attacked splat
 
 _CONDITIONS = (
-    *(
-        "clean",
-        "attacked",
-        "clean_hash",
-        "attacked_hash",
-        "selection",
-        "object_gaussians",
-        "original",
-    ),
-    *("min_confidence", "background", "near"),
+    "clean",
+    "attacked",
+    "clean_hash",
+    "attacked_hash",
+    "selection",
+    "object_gaussians",
+    "original",
+    "min_confidence",
+    "background",
+    "near",
 )
 _RATES = {
     "found_clean": "found, clean",
@@ -68,130 +66,120 @@ _CURVES: dict[str, tuple[str, Role]] = {
 _SIDES = "clean on the left, attacked on the right."
 
 
-def read_evaluation(folder: Path, record: Record) -> Section:
+def read_evaluation(result: Result) -> Section:
     """The section of an evaluation."""
-    judged = [
-        Comparison.of(name, values) for name, values in record["detectors"].items()
+    record = result.record
+    figures = result.figures
+    rows = result.tables[ROWS]
+    classes = classes_of(rows)
+    headlines = [
+        _headline(name, figures.where(detector=name), *of_detector)
+        for name, of_detector in classes.items()
     ]
-    headline, control = _headline(judged[0])
-    measured = partial(comparison_measures, targeted=judged[0].target is not None)
-    charts, tables = threshold_charts(
-        read_tables(folder, (ROWS,)).get(ROWS), measured, _CURVES
-    )
+    targeted = next(iter(classes.values()))[1] is not None
+    measured = partial(comparison_measures, targeted=targeted)
+    charts, tables = threshold_charts(rows, measured, _CURVES)
+    stated = {key: record[key] for key in _CONDITIONS if key in record}
+    cameras = [camera["name"] for camera in record["cameras"]]
+    sentences = [
+        f"{attacked.label}: {attacked.counts}; {clean.label}: {clean.counts}."
+        for attacked, clean in headlines
+    ]
+    headline, control = headlines[0]
     return Section(
         kind="a clean and an attacked splat, judged",
         title=f"{Path(record['attacked']).name} against {Path(record['clean']).name}",
         done=(
-            f"{listed([one.detector for one in judged])} looked at the clean splat"
-            f" {record['clean']} and at the attacked one {record['attacked']} from"
-            f" {counted(len(record['cameras']), 'camera')}, in 8-bit pictures. A"
-            f" detection counts from {record['min_confidence']:g}. Views count in which"
-            f" the object shows ({record['object_gaussians']:,} Gaussians)."
+            f"{listed([*classes])} looked at the clean splat {record['clean']} and at"
+            f" the attacked one {record['attacked']} from"
+            f" {counted(len(cameras), 'camera')}, in 8-bit pictures. A detection counts"
+            f" from {record['min_confidence']:g}. Views count in which the object shows"
+            f" ({record['object_gaussians']:,} Gaussians)."
         ),
         conclusion=" ".join(
-            [
-                *map(_conclusion, judged),
-                "This says nothing of other cameras or detectors.",
-            ]
+            [*sentences, "This says nothing of other cameras or detectors."]
         ),
         headline=headline,
         control=control,
-        figures=tuple(
-            [figure for one in judged for figure in _figures(one)]
-            + list(_contradictions(record))
-        ),
+        figures=(*_figures(figures), *_contradictions(figures)),
         warnings=record["warnings"],
         pictures=tuple(
             Picture(
-                path=file_in(folder, f"{one.detector}.png"),
-                caption=f"{one.detector}: {_SIDES}",
+                path=file_in(result.folder, f"{name}.png"),
+                caption=f"{name}: {_SIDES}",
                 wide=True,
             )
-            for one in judged
+            for name in classes
         ),
         charts=charts,
-        tables=(*_contradicted(record), *tables),
+        tables=(*_contradicted(result, cameras), *tables),
         configuration=settings(
-            {
-                **{key: record[key] for key in _CONDITIONS if key in record},
-                "cameras": [camera["name"] for camera in record["cameras"]],
-                "weights": record["fingerprints"],
-            }
+            {**stated, "cameras": cameras, "weights": record["fingerprints"]}
         ),
     )
 
 
-def evaluation_figures(record: Record, tables: Tables) -> Record:
-    """Every rate of an evaluation, of its rows."""
-    rows = tables[ROWS]
-    confidence = record["min_confidence"]
-    figures = {
-        "detectors": {
-            judged.detector: judged.as_dict()
-            for judged in compare(rows, confidence=confidence)
-        }
-    }
-    if "judges" not in record:
-        return figures
-    cameras = [camera["name"] for camera in record["cameras"]]
-    contradicted = contradictions(
-        rows, record["judges"], cameras, confidence=confidence
-    )
-    return {**figures, "contradictions": contradicted}
-
-
-def _contradictions(record: Record) -> Iterator[Figure]:
+def _contradictions(figures: Figures) -> Iterator[Figure]:
     """How often judges contradict the other detectors."""
-    for pair in record.get("contradictions", ()):
-        for splat, note in ((ATTACKED, ""), (CLEAN, "false flags")):
-            label = f"{pair['judge']} contradicts {pair['detector']}, {splat}"
-            yield Figure(label=label, rate=Rate.of(pair[splat]), note=note)
+    for (detector, judge), pair in figures.groups("detector", "judge").items():
+        if judge is not None:
+            for splat, note in ((ATTACKED, ""), (CLEAN, "false flags")):
+                label = f"{judge} contradicts {detector}, {splat}"
+                rate = pair.rate("contradicted", splat=splat)
+                yield Figure(label=label, rate=rate, note=note)
 
 
-def _contradicted(record: Record) -> Iterator[Table]:
+def _contradicted(result: Result, cameras: list[str]) -> Iterator[Table]:
     """Each view in which a judge contradicts a detector."""
-    for pair in record.get("contradictions", ()):
-        detector = pair["detector"]
-        judge = pair["judge"]
-        columns: dict[str, Column[Record]] = {
-            "camera": "camera",
+    record = result.record
+    if not record.get("judges"):
+        return
+    views = contradicted_views(
+        result.tables[ROWS], record["judges"], confidence=record["min_confidence"]
+    )
+    contradicted = views.filter("contradicted")
+    for (detector, judge), pair in contradicted.group_by(
+        "detector", "judge", maintain_order=True
+    ):
+        columns: dict[str, Column[Mapping[str, object]]] = {
+            "camera": lambda line: cameras[int(str(line["view"]))],
             "splat": "splat",
-            detector: "report",
-            judge: "verdict",
+            str(detector): "report",
+            str(judge): "verdict",
         }
-        yield Table.of(
-            f"Views in which {judge} contradicts {detector}", columns, pair["views"]
-        )
+        caption = f"Views in which {judge} contradicts {detector}"
+        yield Table.of(caption, columns, pair.iter_rows(named=True))
 
 
-def _headline(judged: Comparison) -> tuple[Figure, Figure]:
-    if judged.target:
-        what = f"{judged.detector} reports {judged.target} on the"
+def _headline(
+    detector: str, figures: Figures, original: str | None, target: str | None
+) -> tuple[Figure, Figure]:
+    """The figure of a detector that matters, and that of the clean splat."""
+    if target:
+        what = f"{detector} reports {target} on the"
         note = ""
-        attacked = judged.rates["target_attacked"]
-        clean = judged.rates["target_clean"]
+        attacked = figures.rate("target_attacked")
+        clean = figures.rate("target_clean")
     else:
-        what = f"{judged.detector} misses the {judged.original or 'object'} on the"
-        attacked = judged.rates["missed"]
-        clean = judged.rates["found_clean"].failures
+        what = f"{detector} misses the {original or 'object'} on the"
         note = "of the views in which it is found in the clean one"
+        attacked = figures.rate("missed")
+        clean = figures.rate("found_clean").failures
     return (
         Figure(label=f"{what} attacked splat", rate=attacked, note=note),
         Figure(label=f"{what} clean splat", rate=clean),
     )
 
 
-def _conclusion(judged: Comparison) -> str:
-    attacked, clean = _headline(judged)
-    return f"{attacked.label}: {attacked.counts}; {clean.label}: {clean.counts}."
-
-
-def _figures(judged: Comparison) -> Iterator[Figure]:
-    """What one detector makes of both splats."""
-    for key, rate in judged.rates.items():
-        yield Figure(label=f"{judged.detector}: {_RATES[key]}", rate=rate)
-    label = f"{judged.detector}: pictures, attacked against clean"
-    yield Figure(label=label, words=number(judged.psnr, unit="dB"))
+def _figures(figures: Figures) -> Iterator[Figure]:
+    """What each detector makes of both splats."""
+    for (detector,), of_one in figures.where(judge=None).groups("detector").items():
+        for measure, words in _RATES.items():
+            if of_one.find(measure) is not None:
+                rate = of_one.rate(measure)
+                yield Figure(label=f"{detector}: {words}", rate=rate)
+        label = f"{detector}: pictures, attacked against clean"
+        yield Figure(label=label, words=number(of_one.value("psnr"), unit="dB"))
 
 
 # Rates over the confidence from which a detection counts, of any result whose folder
@@ -206,85 +194,75 @@ def threshold_charts(
     rows: pl.DataFrame | None,
     measures: Callable[[Confidence], rates.Measures],
     names: Mapping[str, tuple[str, Role]],
-) -> tuple[tuple[Chart, ...], tuple[Table, ...]]:
+) -> tuple[list[Chart], list[Table]]:
     """A chart for each detector with some rates over the confidence, and a table of
     them at two confidences.
     """
     drawn = {name: names[name] for name in measures(REPORTED) if name in names}
-    paired = rates.with_control(rows) if rows is not None and drawn else pl.DataFrame()
+    if rows is None or not drawn:
+        return [], []
+    paired = rates.with_control(rows)
     if paired.is_empty():
-        return (), ()
-    clusters = rates.CLUSTERS if set(rates.CLUSTERS) <= set(paired.columns) else None
+        return [], []
+    clusters = None
+    if set(rates.CLUSTERS) <= set(paired.columns):
+        clusters = rates.CLUSTERS
 
     def wanted(confidence: Confidence) -> rates.Measures:
-        return {
-            name: measure
-            for name, measure in measures(confidence).items()
-            if name in drawn
-        }
+        every = measures(confidence)
+        return {name: every[name] for name in every if name in drawn}
 
+    confidences = {confidence: confidence for confidence in _CURVE}
     curve = rates.rates_at(
-        paired,
-        wanted,
-        dict(zip(_CURVE, _CURVE, strict=True)),
-        ("detector",),
-        clusters=clusters,
+        paired, wanted, confidences, ("detector",), clusters=clusters
     )
-    detectors = [detector for (detector,) in curve[REPORTED]]
-
-    def line(name: str, detector: str) -> Line:
-        words, role = drawn[name]
-        points = (
-            Point.of(at, counts[detector,][name])
-            for at, counts in curve.items()
-            if counts[detector,][name].total
+    charts = []
+    lines = []
+    for detector in curve[REPORTED].labels("detector"):
+        curves = []
+        for name, (words, role) in drawn.items():
+            at = {
+                confidence: figures.rate(name, detector=detector)
+                for confidence, figures in curve.items()
+            }
+            points = (Point.of(x, rate) for x, rate in at.items() if rate.total)
+            curves.append(Line(name=words, role=role, points=tuple(points)))
+            lines.append(
+                (detector, words, *(at[confidence].words for confidence in _AT))
+            )
+        charts.append(
+            Chart(
+                title=f"{detector}, by the confidence that counts",
+                caption=(
+                    f"Figures of this page count from {REPORTED:g}. Bands are 95 %"
+                    " intervals."
+                ),
+                x_label="confidence from which a detection counts",
+                y_label="views",
+                lines=tuple(curves),
+            )
         )
-        return Line(name=words, role=role, points=tuple(points))
-
-    charts = tuple(
-        Chart(
-            title=f"{detector}, by the confidence that counts",
-            caption=(
-                f"Figures of this page count from {REPORTED:g}. Bands are 95 %"
-                " intervals."
-            ),
-            x_label="confidence from which a detection counts",
-            y_label="views",
-            lines=tuple(line(name, detector) for name in drawn),
-        )
-        for detector in detectors
-    )
-    lines = tuple(
-        (
-            detector,
-            words,
-            *(cell(curve[confidence][detector,][name]) for confidence in _AT),
-        )
-        for detector in detectors
-        for name, (words, _) in drawn.items()
-    )
     head = ("detector", "rate", *(f"from {confidence:g}" for confidence in _AT))
     caption = "By the confidence from which a detection counts"
-    return charts, (Table(caption=caption, head=head, rows=lines),)
+    return charts, [Table(caption=caption, head=head, rows=tuple(lines))]
 
 
 # A row of the scoreboard
 
 
-def read_bench(folder: Path, record: Record) -> Section:
+def read_bench(result: Result) -> Section:
     """The section of a row, column by column."""
-    columns = record["columns"]
-    score = record["score"]
+    record = result.record
+    figures = result.figures
     name = record["detector"]["name"]
-    filled = {
-        head: columns[column]
-        for column, head in HEADS.items()
-        if columns[column]["robust"] is not None
-    }
-    if score is None:
-        words = "no score: a column cannot be filled"
-    else:
-        words = f"{score['mean']:.3f}"
+    score = figures.value("score")
+    words = "no score: a column cannot be filled" if score is None else f"{score:.3f}"
+    columns = []
+    for column, head in HEADS.items():
+        rate = robust(figures, column)
+        if rate is not None:
+            columns.append(Figure(label=f"still named, {head}", rate=rate))
+    stated = ("suite", "detector", "defence", "missing", "cpu_seconds")
     return Section(
         kind="Scoreboard",
         title=f"{name}, suite {record['suite']['name']}",
@@ -297,19 +275,9 @@ def read_bench(folder: Path, record: Record) -> Section:
             " scenes of this suite."
         ),
         headline=Figure(label="score", words=words),
-        control=Figure(
-            label="clean object named",
-            rate=pooled(column["named_clean"] for column in columns.values()),
-        ),
+        control=Figure(label="clean object named", rate=clean_named(figures)),
         attacked=False,
-        warnings=record["warnings"],
-        figures=[
-            Figure(label=f"still named, {head}", rate=Rate.of(column["robust"]))
-            for head, column in filled.items()
-        ],
-        configuration=tuple(
-            (key, str(value))
-            for key, value in row_of(record).items()
-            if key not in ("columns", "score")
-        ),
+        warnings=list(warnings(figures)),
+        figures=columns,
+        configuration=settings({key: record[key] for key in stated}),
     )

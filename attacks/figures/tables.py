@@ -4,55 +4,67 @@ Markdown.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from attacks.rate import Rate, number
+from attacks.figures.rate import Rate, number
+
+if TYPE_CHECKING:
+    from attacks.figures.frame import Figures, Label
 
 Line = TypeVar("Line")
 Column = str | Callable[[Line], object]
 """What a column shows of a line: what stands there under a key, or what a function
 makes of it.
 """
+Group = tuple[Mapping[str, Any], "Figures"]
+"""Labels, and the figures that have them: what most tables have a line for."""
+NONE = "-"
 
 
-def cell(value: Any) -> str:
-    """A value as a cell: a rate, or what `Rate.as_dict` makes of it, with its interval;
-    a dash for none.
-    """
-    if isinstance(value, Mapping) and {"successes", "total"} <= set(value):
-        value = Rate.of(value)
+def cell(value: object) -> str:
+    """A value as a cell: a rate with its interval, a dash for none."""
     if value is None:
-        return "-"
+        return NONE
     if isinstance(value, Rate):
         return value.words
     if isinstance(value, bool):
-        if value:
-            return "yes"
-        return "no"
-    if isinstance(value, float):
-        return f"{value:g}"
-    return str(value)
+        return "yes" if value else "no"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def number_at(*path: str, form: str = ".2f") -> Column[Any]:
-    """A column of numbers in one format, at the end of a path of keys; a dash where
-    there is none.
-    """
-    return lambda line: number(
-        functools.reduce(lambda value, key: value and value.get(key), path, line), form
-    )
+def groups_of(figures: Figures, *names: str) -> list[Group]:
+    """The figures by some of their labels."""
+    groups = figures.groups(*names).items()
+    return [(dict(zip(names, labels, strict=True)), each) for labels, each in groups]
 
 
-def short_rate(*path: str, interval: bool = False) -> Column[Any]:
-    """A column of rates at the end of a path of keys, as short as `Rate.short` writes
-    them.
-    """
-    return lambda line: Rate.of(
-        functools.reduce(lambda value, key: value[key], path, line)
-    ).short(interval=interval)
+def label_at(name: str) -> Column[Group]:
+    """A column of the labels of a name."""
+    return lambda group: group[0].get(name)
+
+
+def number_at(measure: str, form: str = ".2f", **labels: Label | None) -> Column[Group]:
+    """A column of numbers in one format."""
+    return lambda group: number(group[1].value(measure, **labels), form)
+
+
+def rate_at(measure: str, **labels: Label | None) -> Column[Group]:
+    """A column of rates with their intervals."""
+    return lambda group: group[1].find(measure, **labels)
+
+
+def short_rate(
+    measure: str, *, interval: bool = False, **labels: Label | None
+) -> Column[Group]:
+    """A column of rates as short as `Rate.short` writes them."""
+
+    def text(group: Group) -> str | None:
+        rate = group[1].find(measure, **labels)
+        return rate.short(interval=interval) if isinstance(rate, Rate) else None
+
+    return text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,6 +85,15 @@ class Table:
             for line in lines
         )
         return cls(caption=caption, head=tuple(columns), rows=tuple(rows))
+
+    @property
+    def filled(self) -> Table:
+        """The table without the columns in which nothing stands."""
+        cells = list(zip(*self.rows, strict=True))
+        kept = [number for number, cells in enumerate(cells) if {*cells} != {NONE}]
+        rows = (tuple(row[number] for number in kept) for row in self.rows)
+        head = tuple(self.head[number] for number in kept)
+        return replace(self, head=head, rows=tuple(rows))
 
     @property
     def markdown(self) -> str:

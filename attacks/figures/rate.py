@@ -50,18 +50,23 @@ class Rate:
     resampled: tuple[float, float] | None = None
 
     @classmethod
+    def with_interval(
+        cls, successes: int, total: int, interval: tuple[float, float]
+    ) -> Rate:
+        """A rate from a file."""
+        low, high = interval
+        if not (0 <= successes <= total and 0 <= low <= high <= 1):
+            raise ValueError(f"a rate of {successes} of {total}, {low} to {high}")
+        rate = cls(successes=successes, total=total)
+        is_wilson = abs(low - rate.interval[0]) + abs(high - rate.interval[1]) < 1e-8
+        return rate if is_wilson else replace(rate, resampled=interval)
+
+    @classmethod
     def of(cls, value: Mapping[str, Any]) -> Rate:
-        """A rate as `as_dict` makes it, with the interval that it has there."""
-        rate = cls(successes=int(value["successes"]), total=int(value["total"]))
-        low, high = map(float, value.get("interval") or rate.interval)
-        if not (0 <= rate.successes <= rate.total and 0 <= low <= high <= 1):
-            raise ValueError(
-                f"a rate of {rate.successes} of {rate.total}, {low} to {high}"
-            )
-        is_wilson = abs(low - rate.interval[0]) + abs(high - rate.interval[1]) < 1e-9
-        if is_wilson:
-            return rate
-        return replace(rate, resampled=(low, high))
+        """A rate as `as_dict` makes it."""
+        return cls.with_interval(
+            value["successes"], value["total"], tuple(value["interval"])
+        )
 
     @property
     def fraction(self) -> float:
@@ -121,20 +126,9 @@ class Rate:
         }
 
 
-def rate_of(value: Mapping[str, Any] | None) -> Rate | None:
-    """A rate as JSON has it; None where there is none."""
-    if value is None:
-        return None
-    return Rate.of(value)
-
-
-def pooled(rates: Iterable[Rate | Mapping[str, Any] | None]) -> Rate:
-    """All of them together, as they are or as JSON has them."""
-    known = [
-        Rate.of(rate) if isinstance(rate, Mapping) else rate
-        for rate in rates
-        if rate is not None
-    ]
+def pooled(rates: Iterable[Rate]) -> Rate:
+    """All of them together."""
+    known = list(rates)
     return Rate(
         successes=sum(rate.successes for rate in known),
         total=sum(rate.total for rate in known),
