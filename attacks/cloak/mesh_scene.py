@@ -27,8 +27,9 @@ from mi_splat.capture.mesh import (
     translation,
 )
 from mi_splat.capture.mesh_files import image_floats, load_mesh
+from mi_splat.capture.mitsuba_scene import scene_dict
 from mi_splat.capture.objects import SUFFIX, chosen_file
-from mi_splat.capture.path_tracer import PathTracer, in_front, scene_dict
+from mi_splat.capture.path_tracer import PathTracer, in_front
 
 DRAWN = {"road": road, "grass": grass}
 """Textures that are drawn by code and tile the plane."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,9 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.cameras.camera import Camera
-from mi_splat.cameras.directions import unit_vector
-from mi_splat.capture.daylight import Light, sky_map
-from mi_splat.capture.mesh import Asset, Floats, Mesh, to_linear, to_srgb
+from mi_splat.capture.mesh import Floats, to_srgb
 from mi_splat.errors import InvalidValueError
 from mi_splat.render.plugins.sensor import sensor_dict
 from mi_splat.render.scene_files import load_mitsuba_scene
@@ -84,160 +82,6 @@ def load_scene(scene: dict[str, Any] | Path) -> mi.Scene:
     if isinstance(scene, dict):
         return mi.load_dict(scene)
     return load_mitsuba_scene(scene)
-
-
-def corner_normals(mesh: Mesh, *, crease: float = 38.0) -> Floats:
-    """(F, 3, 3) shading normal of each corner: mean of the faces around that meet under
-    less than `crease` degrees.
-    """
-    corners = mesh.vertices[mesh.faces].astype(np.float64)
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-20)
-    if not mesh.smooth:
-        return np.repeat(flat[:, None], 3, 1).astype(np.float32)
-    keys = np.round(corners.reshape(-1, 3) * 1e5).astype(np.int64)
-    _, point, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-    order = np.argsort(point.ravel(), kind="stable")
-    start = np.cumsum(counts) - counts
-    sharing = counts[point.ravel()]  # how many corners lie at this corner's point
-    corner = np.repeat(np.arange(len(sharing)), sharing)
-    rank = np.arange(len(corner)) - np.repeat(np.cumsum(sharing) - sharing, sharing)
-    neighbours = order[start[point.ravel()[corner]] + rank]
-    near = np.einsum("ij,ij->i", flat[corner // 3], flat[neighbours // 3]) > math.cos(
-        math.radians(crease)
-    )
-    total = np.zeros((len(sharing), 3))
-    for axis in range(3):
-        total[:, axis] = np.bincount(
-            corner[near], area[neighbours[near] // 3, axis], minlength=len(sharing)
-        )
-    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
-    return total.reshape(-1, 3, 3).astype(np.float32)
-
-
-def _material(
-    texture: Floats, roughness: float | None, *, palette: bool
-) -> dict[str, Any]:
-    """A Mitsuba BSDF; the colours of a palette are not blended into each other."""
-    reflectance = {
-        "type": "bitmap",
-        "bitmap": mi.Bitmap(to_linear(texture)),
-        "raw": True,
-        "wrap_mode": "repeat",
-        "filter_type": "nearest" if palette else "bilinear",
-    }
-    if roughness is None:
-        return {
-            "type": "twosided",
-            "bsdf": {"type": "diffuse", "reflectance": reflectance},
-        }
-    plastic = {
-        "type": "roughplastic",
-        "alpha": roughness,
-        "diffuse_reflectance": reflectance,
-        "nonlinear": True,
-    }
-    return {"type": "twosided", "bsdf": plastic}
-
-
-def _is_plain(mesh: Mesh) -> bool:
-    return mesh.texture.shape[:2] == (1, 1)
-
-
-def _shape(name: str, meshes: Sequence[Mesh]) -> mi.Mesh:
-    """One Mitsuba mesh of parts that share roughness and texture, or that are all of
-    plain colours (one palette).
-    """
-    texture = meshes[0].texture
-    uvs = [mesh.uvs[mesh.faces].reshape(-1, 2) for mesh in meshes]
-    plain = _is_plain(meshes[0])
-    if plain:
-        texture = np.concatenate([mesh.texture for mesh in meshes], axis=1)
-        uvs = [
-            np.broadcast_to(((i + 0.5) / len(meshes), 0.5), uv.shape)
-            for i, uv in enumerate(uvs)
-        ]
-    properties = mi.Properties()
-    properties["mesh_bsdf"] = mi.load_dict(
-        _material(texture, meshes[0].roughness, palette=plain)
-    )
-    corners = sum(mesh.faces.size for mesh in meshes)
-    shape = mi.Mesh(
-        name,
-        corners,
-        corners // 3,
-        properties,
-        has_vertex_normals=True,
-        has_vertex_texcoords=True,
-    )
-    shape.set_id(name)
-    values = mi.traverse(shape)
-    values["vertex_positions"] = np.concatenate(
-        [mesh.vertices[mesh.faces].ravel() for mesh in meshes]
-    )
-    values["vertex_normals"] = np.concatenate(
-        [corner_normals(mesh).ravel() for mesh in meshes]
-    )
-    down = np.concatenate(uvs) * (1, -1) + (0, 1)  # v runs down there
-    values["vertex_texcoords"] = down.astype(np.float32).ravel()
-    values["faces"] = np.arange(corners, dtype=np.uint32)
-    values.update()
-    return shape
-
-
-def shapes(asset: Asset, prefix: str) -> dict[str, Any]:
-    """Mitsuba meshes of an asset by id (prefix_0, prefix_1, ...), its parts gathered by
-    material.
-    """
-    groups: dict[tuple[bytes | None, tuple[int, ...], float | None], list[Mesh]] = {}
-    for mesh in asset.meshes:
-        texture = None if _is_plain(mesh) else mesh.texture.tobytes()
-        groups.setdefault((texture, mesh.texture.shape, mesh.roughness), []).append(
-            mesh
-        )
-    return {
-        f"{prefix}_{i}": _shape(f"{prefix}_{i}", meshes)
-        for i, meshes in enumerate(groups.values())
-    }
-
-
-def scene_dict(
-    assets: Sequence[Asset],
-    *,
-    light: Light | None = None,
-    backdrop: Asset | None = None,
-) -> dict[str, Any]:
-    """A Mitsuba scene, without a sensor, of `assets` in daylight; the scene belongs to
-    the variant that traces.
-    """
-    light = Light() if light is None else light
-    to_sun = unit_vector(light.sun_azimuth, light.sun_elevation)
-    with tracing_variant():
-        scene: dict[str, Any] = {
-            "type": "scene",
-            "integrator": {"type": "path", "max_depth": MAX_DEPTH},
-        }
-        for number, asset in enumerate(assets):
-            scene |= shapes(asset, f"object{number}")
-        if backdrop is not None:
-            scene |= shapes(backdrop, "backdrop")
-        upright = mi.ScalarTransform4f().rotate([1, 0, 0], 90)
-        scene["sky"] = {
-            "type": "envmap",
-            "bitmap": mi.Bitmap(sky_map(light)),
-            "to_world": upright,
-        }
-        if light.sun_strength > 0:
-            irradiance = {
-                "type": "rgb",
-                "value": [light.sun_strength * c for c in light.sun_colour],
-            }
-            scene["sun"] = {
-                "type": "directional",
-                "direction": [-c for c in to_sun],
-                "irradiance": irradiance,
-            }
-    return scene
 
 
 BRIGHTEST = 1.6

@@ -16,8 +16,9 @@ from mi_splat.capture.daylight import Light
 from mi_splat.capture.ground import Kind, square_of_ground
 from mi_splat.capture.mesh import Asset
 from mi_splat.capture.mesh_files import load_mesh
+from mi_splat.capture.mitsuba_scene import scene_dict
 from mi_splat.capture.objects import OBJECTS, SUFFIX, object_file, shipped_file
-from mi_splat.capture.path_tracer import PathTracer, scene_dict
+from mi_splat.capture.path_tracer import PathTracer
 from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.scene_parts import SceneParts

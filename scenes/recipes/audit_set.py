@@ -38,8 +38,9 @@ from mi_splat.cameras.camera import Camera, View
 from mi_splat.cameras.framing import near_plane
 from mi_splat.cameras.sets import framing, hemisphere, orbit
 from mi_splat.capture.ground import square_of_ground
+from mi_splat.capture.mitsuba_scene import scene_dict
 from mi_splat.capture.objects import OBJECTS
-from mi_splat.capture.path_tracer import PathTracer, scene_dict
+from mi_splat.capture.path_tracer import PathTracer
 from mi_splat.capture.sources import open_source
 from mi_splat.capture.surface_points import surface_samples
 from mi_splat.errors import InvalidValueError

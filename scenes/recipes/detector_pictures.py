@@ -31,13 +31,8 @@ from mi_splat.cameras.directions import direction_of
 from mi_splat.cameras.lens import Lens
 from mi_splat.capture.daylight import Light
 from mi_splat.capture.mesh import Asset, Floats, rotation, scaling, translation
-from mi_splat.capture.path_tracer import (
-    FEW_PICTURES,
-    in_front,
-    scene_dict,
-    shapes,
-    tracing_variant,
-)
+from mi_splat.capture.mitsuba_scene import scene_dict, shapes
+from mi_splat.capture.path_tracer import FEW_PICTURES, in_front, tracing_variant
 from mi_splat.capture.surface_points import nearness, surface_samples
 from mi_splat.errors import InvalidValueError
 from mi_splat.render.renderer import Renderer

@@ -24,7 +24,7 @@ from torch import Tensor
 from mi_splat.cameras.camera import Camera, View, look_at
 from mi_splat.cameras.lens import Lens, angle_of
 from mi_splat.capture.mesh import Asset
-from mi_splat.capture.path_tracer import scene_dict
+from mi_splat.capture.mitsuba_scene import scene_dict
 from mi_splat.capture.sources import EXAMPLES, ExampleScene, Point
 from mi_splat.capture.surface_points import nearness, surface_samples
 from mi_splat.io import load_splat, save_splat

@@ -53,6 +53,7 @@ MODULES_WITHOUT = {
     "attacks.detectors.registry": "a variable that this program sets",
     "attacks.studies.cloak": "a table of a study, in the kinds `study ...`",
     "attacks.transformations.draws": "a JPEG that was encoded there",
+    "mi_splat.capture.mitsuba_scene": "arrays of a mesh that was read",
 }
 """Modules that turn bytes into values and need no kind, and why."""
 READERS = {reader for kind in KINDS.values() for reader in kind.readers}

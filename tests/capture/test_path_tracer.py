@@ -13,17 +13,17 @@ import torch
 
 from mi_splat.cameras.camera import Camera, look_at, orbit_pose, project_points
 from mi_splat.cameras.lens import Lens
-from mi_splat.capture import path_tracer
+from mi_splat.capture import mitsuba_scene, path_tracer
 from mi_splat.capture.daylight import Light
-from mi_splat.capture.mesh import Asset
+from mi_splat.capture.mesh import Asset, Mesh, skin
+from mi_splat.capture.mitsuba_scene import corner_normals, scene_dict
 from mi_splat.capture.path_tracer import (
     FEW_PICTURES,
     MANY_PICTURES,
     PathTracer,
-    corner_normals,
-    scene_dict,
     tracing_variant,
 )
+from mi_splat.errors import InvalidValueError
 from mi_splat.maths.metrics import psnr
 from scenes.recipes.mesh_views import capture, depth_maps
 from scenes.recipes.objects.primitives import box, ellipsoid, quad, sheet
@@ -163,3 +163,35 @@ def test_a_large_picture_is_traced_in_bands(monkeypatch: pytest.MonkeyPatch) -> 
     banded = tracer.picture(camera(), seed=0)
     assert not torch.equal(whole, banded)
     assert psnr(whole, banded) > 30
+
+
+def fan(count: int, *, smooth: bool = True) -> Mesh:
+    """Triangles that all meet at the origin."""
+    angles = np.linspace(0, np.pi, count + 1)
+    rim = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    order = np.arange(1, count + 1)
+    faces = np.stack([0 * order, order, order + 1], axis=1)
+    vertices = np.concatenate([np.zeros((1, 3)), rim])
+    return Mesh(
+        vertices.astype(np.float32),
+        faces.astype(np.uint32),
+        np.zeros((len(vertices), 2), np.float32),
+        skin(0.5),
+        smooth=smooth,
+    )
+
+
+def test_normals_are_the_same_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    ball = ellipsoid((1, 2, 3), (0.5, 0.5, 0.5), segments=20)
+    whole = corner_normals(ball)
+    for at_once in (1, 7, 1000):
+        monkeypatch.setattr(mitsuba_scene, "_PAIRS_AT_ONCE", at_once)
+        assert np.array_equal(corner_normals(ball), whole)
+
+
+def test_faces_at_one_point_take_no_unbounded_time_or_memory() -> None:
+    up = corner_normals(fan(3000))
+    assert np.allclose(up, (0, 0, 1))
+    with pytest.raises(InvalidValueError, match=r"few faces meet, got one of 60,000"):
+        corner_normals(fan(60_000))
+    assert corner_normals(fan(60_000, smooth=False)).shape == (60_000, 3, 3)

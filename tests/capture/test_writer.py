@@ -15,7 +15,8 @@ from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import hemisphere, orbit
 from mi_splat.capture.daylight import Light
 from mi_splat.capture.mesh import Asset
-from mi_splat.capture.path_tracer import PathTracer, scene_dict
+from mi_splat.capture.mitsuba_scene import scene_dict
+from mi_splat.capture.path_tracer import PathTracer
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
 from mi_splat.capture.surface_points import surface_points

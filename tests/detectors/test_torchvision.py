@@ -49,7 +49,7 @@ from attacks.detectors.weights import apply_weights, fingerprint
 from attacks.testing import check_detector
 from mi_splat.cameras.camera import Camera, orbit_pose, project_box
 from mi_splat.cameras.lens import Lens
-from mi_splat.capture.path_tracer import scene_dict
+from mi_splat.capture.mitsuba_scene import scene_dict
 from mi_splat.errors import InvalidValueError
 from scenes.recipes.detector_surroundings import daylight, plain
 from scenes.recipes.mesh_views import capture

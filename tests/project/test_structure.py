@@ -30,6 +30,7 @@ LOADERS = r"attacks|attacks\.(detectors|classifiers|cli|cloak\.kinds|report)\b.*
 """Parts of attacks that know a particular detector, or judge it, or read weights as
 detectors do.
 """
+TRACERS = r"capture\.(path_tracer|mitsuba_scene)"
 RENDERERS = (
     r"mi_splat\.render\."
     r"(tile|ray|plugins|setup|variant|renderer|frozen_view|overdraw|volprim)\b.*"
@@ -52,7 +53,7 @@ RULES = {
         r"mi_splat\.(errors|attributes|fields)|attacks\.(optimisers|search\b.*)",
     ),
     "only_renderers_import_mitsuba": (
-        rf"(?!({RENDERERS}|mi_splat\.(capture\.path_tracer|render\.scene_files))$).*",
+        rf"(?!({RENDERERS}|mi_splat\.({TRACERS}|render\.scene_files))$).*",
         r"(mitsuba|drjit)\b.*",
         r"",
     ),
