@@ -215,14 +215,18 @@ def log_endings(logger: str) -> None:
 def ending_of(process: int) -> str:
     """How a process of this group has ended, in words; empty if nothing is known."""
     path = Path(os.environ.get(GROUP_FOLDER, ""), _ENDINGS)
-    if not path.is_file():
-        return ""
-    lines = path.read_text("utf-8").splitlines()
-    found = "\n".join(line for line in lines if re.search(rf"\b{process}\b", line))
+    end = time.monotonic() + _LAST_BREATH
+    found = ""
+    while path.is_file() and not found and time.monotonic() < end:
+        lines = path.read_text("utf-8").splitlines()
+        found = "\n".join(x for x in lines if re.search(rf"\b{process}\b", x))
+        time.sleep(_LOOK)
     if "memory" in found:
         return "used more memory than it may"
     number = re.search(r"by signal (\d+)", found)
-    return f"ended by {signal.Signals(int(number[1])).name}" if number else found
+    if number is None:
+        return found
+    return f"ended by {signal.Signals(int(number[1])).name}"
 
 
 def inbox(receive: Callable[[], _Message]) -> queue.SimpleQueue[_Message]:

@@ -28,7 +28,6 @@ from mi_splat.ledger import Done, Job
 from mi_splat.ledger.engines import engine_for
 from mi_splat.ledger.job import by_depth
 from mi_splat.ledger.plans import Driver, Plan, Result, grid
-from mi_splat.ledger.running import forgive
 
 if TYPE_CHECKING:
     from mi_splat.ledger.engines import Engine
@@ -219,7 +218,6 @@ def run_with(engine: Engine, work: Work[Any], *, out: Path) -> Run:
     its own; jobs that have failed earlier are tried again.
     """
     store = engine.store.folder
-    forgive(work.jobs().values(), engine.store)
     results = Driver(engine, name=work.study.name).run(work.plans())
     failed = {
         label: result for label, result in results.items() if isinstance(result, str)

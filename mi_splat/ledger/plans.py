@@ -112,6 +112,7 @@ class Driver:
         if self._store.has(task.key):
             self._engine.on_event(task.event("kept"))
             return self._store.existing(task.key)
+        self._store.forgive(task.key)  # each run tries again what has failed earlier
         outcome = await self._outcome(task)
         if outcome.state == "failed":
             return outcome.text

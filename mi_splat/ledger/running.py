@@ -111,13 +111,6 @@ def lookup(
         yield job, task, done
 
 
-def forgive(jobs: Iterable[Job], store: Store) -> None:
-    """Forget that jobs, or those before them, have failed earlier."""
-    for _, task, _ in lookup(jobs, store):
-        if task is not None:
-            store.forgive(task.key)
-
-
 def input_paths(store: Store, task: Task) -> dict[str, Path]:
     """Where the inputs of a task are, each of which is still what it was."""
     paths = {}

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from subprocess import Popen
 
+from distributed import Client
+
 from mi_splat.io.parsing import read_json
 from tests.project.layers import ROOT
 
@@ -45,7 +47,10 @@ def cluster(folder: Path, workers: int) -> Iterator[tuple[str, Popen[bytes]]]:
         for number in range(workers):
             worker = started(f"worker-{number}", "worker", "--nthreads", "1", *here)
             processes.append(worker)
-        yield read_json(file)["address"], scheduler
+        address = read_json(file)["address"]
+        with Client(address, set_as_default=False) as client:
+            client.wait_for_workers(workers, timeout=60)
+        yield address, scheduler
     finally:
         for process in reversed(processes):
             process.kill()  # its children end with it

@@ -193,9 +193,6 @@ def run_killed(
             processes.wait(every)
             if driver.poll() == 0:
                 return processes
-            # a job that was hit three times is tried again
-            for path in folder.glob("failed/*.json"):
-                Store(folder).forgive(path.stem)
             if sum(processes.kills.values()) < kills:
                 processes.kill()
 
