@@ -5,10 +5,10 @@ For one job, for a plan of 10,000, and for the status and the rows of 100,000.
     python benchmarks/ledger.py [--folder out/ledger] [--jobs 100000] [--json]
 
 The jobs add two numbers, so that all is overhead: what a job costs in one process with
-every byte brought to the disk, what it costs in two child processes, a plan in which
-nothing is done, and the status and the rows of a store in which all is done. (The
-folders of the large store are written without the ledger, as fast as the disk takes
-them.)
+every byte brought to the disk, what it costs on a Dask cluster of this machine once
+that has started, a plan in which nothing is done, and the status and the rows of a
+store in which all is done. (The folders of the large store are written without the
+ledger, as fast as the disk takes them.)
 """
 
 import argparse
@@ -24,10 +24,11 @@ import polars
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from mi_splat.ledger import Job, Store
+from mi_splat.ledger import Event, Job, Store
 from mi_splat.ledger.engines import Cluster
-from mi_splat.ledger.plans import Driver, grid, plan, status
+from mi_splat.ledger.plans import Driver, grid
 from mi_splat.ledger.running import task_for
+from mi_splat.ledger.states import status
 from mi_splat.ledger.store import record_text
 from tests.ledger.drive import Ledger
 from tests.ledger.kinds.configs import NumbersConfig
@@ -54,6 +55,20 @@ def timed(what: Callable[[], Any]) -> float:
     return time.perf_counter() - begun
 
 
+def on_cluster(folder: Path, workers: int) -> tuple[float, float]:
+    """Seconds until the first job is done, and then for each of the others."""
+    ends: list[float] = []
+
+    def note(event: Event) -> None:
+        if event.state == "done":
+            ends.append(time.perf_counter())
+
+    begun = time.perf_counter()
+    engine = Cluster(folder, workers=workers, on_event=note)
+    Driver(engine).run([grid(numbers(FEW))])
+    return ends[0] - begun, (ends[-1] - ends[0]) / (len(ends) - 1)
+
+
 def fill(store: Store, jobs: dict[str, Job]) -> None:
     """Write the store as if all jobs had been done."""
     for label, job in jobs.items():
@@ -67,13 +82,7 @@ def fill(store: Store, jobs: dict[str, Job]) -> None:
                 "name": label,
             }
         ]
-        record = {
-            "kind": task.kind,
-            "config": task.config,
-            "inputs": {},
-            "code": task.code,
-            "seconds": 0.0,
-        }
+        record = {**task.as_json, "seconds": 0.0}
         (folder / "job.json").write_text(
             record_text({**record, "varies": [], "rows": rows}, {})
         )
@@ -105,16 +114,15 @@ def main() -> None:
     ledger = Ledger(options.folder / "one")
     few = list(numbers(2 * FEW).values())
     timed(lambda: [ledger.do(job) for job in few[:10]])
-    results["ms a job in one process"] = (
-        timed(lambda: [ledger.do(job) for job in few[10 : 10 + FEW]]) / FEW * 1e3
-    )
-    engine = Cluster(options.folder / "two", workers=2)
-    driver = Driver(engine)
-    results["ms a job in two child processes, their start with it"] = (
-        timed(lambda: driver.run([grid(numbers(FEW))])) / FEW * 1e3
-    )
+    plain = timed(lambda: [ledger.do(job) for job in few[10 : 10 + FEW]]) / FEW
+    results["ms a job in one process"] = plain * 1e3
+    for workers in (1, 2):
+        start, each = on_cluster(options.folder / str(workers), workers)
+        results[f"s to start a cluster of {workers}"] = start
+        results[f"ms a job on a cluster of {workers}"] = each * 1e3
+        results[f"times that of one process, on {workers}"] = each / plain
     store = Store(options.folder / "many")
-    results[f"s to plan {MANY:,}"] = timed(lambda: plan(store, "few", numbers(MANY)))
+    results[f"s to plan {MANY:,}"] = timed(lambda: status(store, numbers(MANY)))
     many = numbers(options.jobs)
     fill(store, many)
     results[f"s for the status of {options.jobs:,}"] = timed(

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from attacks.studies.running import Run, Work
     from mi_splat.ledger import Event
     from mi_splat.ledger.engines import Engine
-    from mi_splat.ledger.plans import Entry
+    from mi_splat.ledger.states import Entry
 
 
 EXAMPLES = (
@@ -109,18 +109,18 @@ def _work(study: Study) -> Work[Any]:
 
 def _plan(options: StudyOptions, study: Study) -> None:
     from mi_splat.ledger import Store
-    from mi_splat.ledger.plans import plan
+    from mi_splat.ledger.states import note_keys
 
-    work = _work(study)
-    plan(Store(options.store), study.name, work.jobs())
-    show_forecast(options, work)
+    entries = show_forecast(options, _work(study))
+    keys = [entry.key for entry in entries if entry.key]
+    note_keys(Store(options.store), study.name, keys)
 
 
-def show_forecast(options: StudyOptions, work: Work[Any]) -> None:
-    """Show what is left to do of a study, and how long it takes."""
+def show_forecast(options: StudyOptions, work: Work[Any]) -> list[Entry]:
+    """Show what is left to do of a study, and how long it takes; the jobs."""
     from attacks.report.section import duration
     from mi_splat.ledger import Store
-    from mi_splat.ledger.plans import forecast, status
+    from mi_splat.ledger.states import forecast, status
 
     study = work.study
     store = Store(options.store)
@@ -150,6 +150,7 @@ def show_forecast(options: StudyOptions, work: Work[Any]) -> None:
         )
     document |= {"not_measured": unknown, "searches": len(work.searches)}
     show_result(document, *lines, as_json=options.json)
+    return entries
 
 
 def _run(options: StudyOptions, study: Study) -> int:
@@ -267,7 +268,7 @@ def follow(advance: Advance) -> Callable[[Event], None]:
 
 def _status(options: StudyOptions, study: Study) -> None:
     from mi_splat.ledger import Store
-    from mi_splat.ledger.plans import STATES, status
+    from mi_splat.ledger.states import STATES, status
 
     store = Store(options.store)
     entries = status(store, _work(study).jobs())
@@ -296,7 +297,7 @@ def _title(entry: Entry) -> str:
 def _clean(options: StudyOptions, study: Study) -> None:
     """Delete the results that no other study of the store uses."""
     from mi_splat.ledger import Store
-    from mi_splat.ledger.plans import planned
+    from mi_splat.ledger.states import planned
 
     store = Store(options.store)
     others = [

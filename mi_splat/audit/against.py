@@ -10,8 +10,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mi_splat.audit.surfaces import SKY, Target, cameras_around, near_of, quantile
+from mi_splat.audit.objects import Target, quantile
+from mi_splat.audit.surfaces import SKY
 from mi_splat.audit.thresholds import LIMITS
+from mi_splat.audit.viewpoints import cameras_around, near_of
 from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.maths.neighbours import nearest_neighbours

@@ -29,6 +29,7 @@ from mi_splat.audit.explanations import (
     region_of,
     support_of,
 )
+from mi_splat.audit.objects import Frame, Target, frame_of, targets, whole
 from mi_splat.audit.results import (
     Audit,
     Look,
@@ -38,23 +39,10 @@ from mi_splat.audit.results import (
     Vector,
     vector,
 )
-from mi_splat.audit.surfaces import (
-    Elements,
-    Frame,
-    Sight,
-    Target,
-    cameras_around,
-    cameras_within,
-    elements,
-    frame_of,
-    free_positions,
-    in_sight,
-    own_surface,
-    sight,
-    targets,
-    whole,
-)
+from mi_splat.audit.rooms import free_positions
+from mi_splat.audit.surfaces import Elements, Sight, elements, own_surface, sight
 from mi_splat.audit.thresholds import LIMITS
+from mi_splat.audit.viewpoints import cameras_around, cameras_within, in_sight
 from mi_splat.cameras.camera import Camera, as_cameras, project_points
 from mi_splat.cameras.directions import Point
 from mi_splat.errors import InvalidValueError

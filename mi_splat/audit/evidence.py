@@ -10,20 +10,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from mi_splat.audit.explanations import angles_between, switch_scores
+from mi_splat.audit.objects import Frame, Target
 from mi_splat.audit.results import Edit, Look, Occluder, vector
-from mi_splat.audit.surfaces import (
-    Elements,
-    Frame,
-    Sight,
-    Target,
-    basis,
-    lattice,
-    lengths,
-    missed_by,
-    near_of,
-    rays,
-)
+from mi_splat.audit.surfaces import Elements, Sight, lengths, missed_by, rays
 from mi_splat.audit.thresholds import LIMITS
+from mi_splat.audit.viewpoints import basis, lattice, near_of
 from mi_splat.cameras.camera import Camera, look_at, project_points
 from mi_splat.cameras.lens import Lens
 from mi_splat.maths.neighbours import nearest_neighbours

@@ -11,8 +11,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from mi_splat.audit.results import Region, Scores, vector
-from mi_splat.audit.surfaces import Elements, Sight, lattice
+from mi_splat.audit.surfaces import Elements, Sight
 from mi_splat.audit.thresholds import LIMITS
+from mi_splat.audit.viewpoints import lattice
 
 _WIDTHS = torch.arange(6, 91, 2, dtype=torch.float64)
 

@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageOps
 from torch import Tensor
 
 from mi_splat.audit.rules import Finding, Severity, Stored, findings_of
-from mi_splat.audit.surfaces import lattice
+from mi_splat.audit.viewpoints import lattice
 from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.cameras.framing import near_plane_of
 from mi_splat.cameras.lens import Lens

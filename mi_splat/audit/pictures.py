@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from mi_splat.audit.auditing import cameras_in_frame, judged_object, seen_share
+from mi_splat.audit.objects import Target, frame_of, targets
 from mi_splat.audit.results import Audit
-from mi_splat.audit.surfaces import Target, frame_of, targets
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras.camera import Camera, View, cameras_of
 from mi_splat.cameras.directions import Point

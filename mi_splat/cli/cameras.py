@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mi_splat.audit.surfaces import AROUND, place_inside
+from mi_splat.audit.rooms import AROUND, place_inside
 from mi_splat.cameras.camera import Camera, odd_fields_of_view, orbit_pose
 from mi_splat.cameras.directions import UP
 from mi_splat.cameras.forms import FORMS

@@ -7,8 +7,8 @@ A *job* is a kind, a configuration and inputs::
     render = Job(kind="attacks.rendered", config=RenderConfig(), inputs=scene)
     pictures = {"pictures": render.part("pictures/*")}
     judged = Job(kind="attacks.judged", config=JudgeConfig(), inputs=pictures)
-    engine = InProcess(Path("out/store"), on_event=print)
-    done = Driver(Path("out/store"), engine).run([grid({"judged": judged})])["judged"]
+    engine = Cluster(Path("out/store"), workers=2, on_event=print)
+    done = Driver(engine).run([grid({"judged": judged})])["judged"]
     done.rows, done.folder, done.record["seconds"]
 
 A *kind* is a module with `run(config, inputs, out)`, which builds all that it needs
@@ -34,8 +34,13 @@ itself::
   named in the module's `VARIES`, and count neither as content nor in comparisons.
 - What a kind loads by name, such as a detector, stands in its module as a whole dotted
   name: `LOADS = ("a.b",)`.
-- A kind imports its configuration's class, so that a record can be read again; and
-  `Out` for type checkers alone, so that the ledger's own code is not in its key.
+- A kind imports `Out` for type checkers alone, so that the ledger's own code is not in
+  its key.
+
+Jobs run in this process, or on the workers of a Dask cluster. A worker writes into the
+store itself, so that only the description of a job is sent, and how its try has ended.
+A file below `locks` says who does a job: one that its process has left behind when it
+was killed counts as a try of the job, whichever scheduler it came from.
 
 Results are looked at when they are used: a file that was changed since is an error, not
 a result.

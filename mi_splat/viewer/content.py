@@ -15,7 +15,7 @@ import torch
 from PIL import ImageDraw
 from torch import Tensor
 
-from mi_splat.audit.surfaces import place_inside
+from mi_splat.audit.rooms import place_inside
 from mi_splat.cameras.camera import Camera, View, odd_fields_of_view
 from mi_splat.cameras.directions import UP, Point
 from mi_splat.cameras.framing import bounds

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.audit.evidence import edit_of
-from mi_splat.audit.surfaces import frame_of, targets
+from mi_splat.audit.objects import frame_of, targets
 from mi_splat.render.scene_files import open_scene
 from mi_splat.scene import GaussianScene
 

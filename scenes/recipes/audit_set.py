@@ -33,7 +33,7 @@ from mi_splat.audit.files import document, findings
 from mi_splat.audit.gate import VERDICTS, Policy
 from mi_splat.audit.linting import lint_file
 from mi_splat.audit.results import ObjectAudit
-from mi_splat.audit.surfaces import lattice
+from mi_splat.audit.viewpoints import lattice
 from mi_splat.cameras.camera import Camera, View
 from mi_splat.cameras.framing import near_plane
 from mi_splat.cameras.sets import framing, hemisphere, orbit

@@ -5,8 +5,8 @@ judged.
 import torch
 
 from mi_splat.audit import Audit, Look, ObjectAudit, Occluder, Pair, Region
-from mi_splat.audit.surfaces import lattice
 from mi_splat.audit.thresholds import LIMITS
+from mi_splat.audit.viewpoints import lattice
 from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.cameras.lens import Lens
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.audit.surfaces import basis, lattice
+from mi_splat.audit.viewpoints import basis, lattice
 from mi_splat.capture.mesh import Asset
 from mi_splat.capture.surface_points import surface_samples
 from mi_splat.maths.rotation import from_matrix

@@ -18,17 +18,11 @@ from attacks import cli
 from mi_splat.audit import Audit, Look, ObjectAudit, Occluder, audit, linting
 from mi_splat.audit.evidence import cover_heat, cover_of
 from mi_splat.audit.explanations import support_of
+from mi_splat.audit.objects import Target, frame_of, targets
 from mi_splat.audit.results import headline
-from mi_splat.audit.surfaces import (
-    Elements,
-    Sight,
-    Target,
-    cameras_around,
-    frame_of,
-    lattice,
-    targets,
-)
+from mi_splat.audit.surfaces import Elements, Sight
 from mi_splat.audit.thresholds import LIMITS
+from mi_splat.audit.viewpoints import cameras_around, lattice
 from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.cameras.lens import Lens
 from mi_splat.errors import InvalidValueError

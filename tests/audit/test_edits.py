@@ -16,10 +16,11 @@ from attacks.report.results import read_section
 from mi_splat.audit import pictures
 from mi_splat.audit.evidence import edit_of
 from mi_splat.audit.files import UNNAMED, document_of_pictures
+from mi_splat.audit.objects import frame_of, targets
 from mi_splat.audit.pictures import audit_pictures, compare_pictures
 from mi_splat.audit.results import Edit
-from mi_splat.audit.surfaces import frame_of, lattice, targets
 from mi_splat.audit.thresholds import LIMITS
+from mi_splat.audit.viewpoints import lattice
 from mi_splat.cameras.camera import Camera, View, look_at
 from mi_splat.cameras.lens import Lens
 from mi_splat.datasets import Dataset, PointCloud, load_dataset

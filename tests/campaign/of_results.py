@@ -30,7 +30,7 @@ from mi_splat.conformance_scenes import conformance_scenes
 from mi_splat.errors import MiSplatError
 from mi_splat.io.documents import save_json
 from mi_splat.io.folders import locked_folder, write_manifest
-from mi_splat.ledger.plans import note_keys, planned
+from mi_splat.ledger.states import note_keys, planned
 from mi_splat.ledger.store import Store
 from mi_splat.render.renderer import save_floats
 from tests.campaign.kind import Kind, copied, written

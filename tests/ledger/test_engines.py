@@ -23,21 +23,12 @@ import pytest
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.errors import SplatFileError
-from mi_splat.ledger import Done, Event, Job, Store, engines
+from mi_splat.ledger import Done, Event, Job, Store, engines, workers
 from mi_splat.ledger.engines import Cluster, InProcess
 from mi_splat.ledger.job import EngineError, Row, Task
-from mi_splat.ledger.plans import (
-    Driver,
-    Entry,
-    Plan,
-    Result,
-    forecast,
-    grid,
-    plan,
-    planned,
-    status,
-)
+from mi_splat.ledger.plans import Driver, Plan, Result, grid
 from mi_splat.ledger.running import task_for
+from mi_splat.ledger.states import forecast, note_keys, planned, status
 from mi_splat.process_group import Limits
 from mi_splat.processes import keep_to, own_cores
 from tests.ledger.cluster import cluster, until
@@ -350,6 +341,32 @@ def test_a_scheduler_that_is_lost_is_an_error_and_nothing_else(tmp_path: Path) -
     assert all(isinstance(result, Done) for result in run(store, jobs).values())
 
 
+def test_a_machine_without_the_store_is_an_error(tmp_path: Path) -> None:
+    terms = workers.Terms(
+        store=str(tmp_path / "elsewhere"),
+        folder=str(tmp_path),
+        run="any",
+        limits=Limits(),
+        variables={},
+    )
+    with pytest.raises(EngineError, match="put the store on a disk that all machines"):
+        workers.attempt(_task(tmp_path, walk(0)), terms)
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_a_worker_has_the_variables_of_the_command_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MI_SPLAT_WEIGHTS", "of this run")
+    jobs = whereabouts(2, 0.0)
+    with cluster(tmp_path, 1) as (address, _):
+        first = run(tmp_path, {"0": jobs["0"]}, scheduler=address)
+        monkeypatch.delenv("MI_SPLAT_WEIGHTS")
+        second = run(tmp_path, {"1": jobs["1"]}, scheduler=address)
+    assert rows_of(first)[0]["weights"] == "of this run"
+    assert rows_of(second)[0]["weights"] is None
+
+
 def test_no_scheduler_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -407,15 +424,13 @@ def test_a_plan_knows_the_keys_that_it_has_used(tmp_path: Path) -> None:
     jobs = {"second": walk(2, one=walk(1))}
     with pytest.raises(InvalidValueError, match="expected a plan, got none"):
         planned(store, "plan")
-    assert len(planned_after(plan(store, "plan", jobs), store)) == 1
     run(tmp_path, jobs)
+    assert len(store.keys()) == 2
     assert planned(store, "plan") == store.keys()
+    note_keys(store, "plan", ["0" * 32])
+    assert planned(store, "plan") == {*store.keys(), "0" * 32}
     (tmp_path / "plans" / "plan.json").write_text("[[]]")
     with pytest.raises(InvalidValueError, match="expected a list of keys"):
         planned(store, "plan")
-    assert len(planned_after(plan(store, "plan", jobs), store)) == 2
-
-
-def planned_after(entries: list[Entry], store: Store) -> set[str]:
-    assert planned(store, "plan") == {entry.key for entry in entries if entry.key}
-    return planned(store, "plan")
+    run(tmp_path, jobs)
+    assert planned(store, "plan") == store.keys()

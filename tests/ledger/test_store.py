@@ -23,8 +23,8 @@ from mi_splat.io.errors import SplatFileError
 from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Event, Job, running
 from mi_splat.ledger.job import DiskFullError, Task, digest
-from mi_splat.ledger.plans import plan, planned
 from mi_splat.ledger.running import run_job, task_for
+from mi_splat.ledger.states import note_keys, planned
 from mi_splat.ledger.store import Store, content_of_path, record_text
 from tests.ledger.drive import Ledger, walk
 from tests.ledger.kinds.configs import NumbersConfig, Sign
@@ -298,7 +298,7 @@ def test_a_key_is_digits_or_no_part_of_a_path(key: str, tmp_path: Path) -> None:
 
 def test_a_plan_with_another_key_is_refused(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    plan(store, "numbers", {"one": Job(kind=NUMBERS, config=NumbersConfig())})
+    note_keys(store, "numbers", ["0" * 32])
     (tmp_path / "plans" / "numbers.json").write_text('["../victim"]')
     with pytest.raises(
         InvalidValueError, match=r"expected 32 hexadecimal digits, got \.\./victim"
@@ -333,11 +333,7 @@ def test_a_plan_replaces_a_link_and_not_what_it_leads_to(tmp_path: Path) -> None
     (tmp_path / "mine.txt").write_text("mine")
     (tmp_path / "store" / "plans").mkdir(parents=True)
     (tmp_path / "store" / "plans" / "numbers.json").symlink_to("../../mine.txt")
-    plan(
-        Store(tmp_path / "store"),
-        "numbers",
-        {"one": Job(kind=NUMBERS, config=NumbersConfig())},
-    )
+    note_keys(Store(tmp_path / "store"), "numbers", ["0" * 32])
     assert (tmp_path / "mine.txt").read_text() == "mine"
 
 

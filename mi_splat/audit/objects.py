@@ -1,0 +1,298 @@
+"""The objects of a splat, in a frame of its own.
+
+The frame turns, moves and grows with the splat, so that a verdict depends neither on
+how the file's axes lie, nor on its unit, nor on the order of its rows.
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mi_splat.audit.thresholds import LIMITS
+from mi_splat.cameras.directions import Point
+from mi_splat.errors import InvalidValueError
+from mi_splat.maths.neighbours import nearest_neighbours, nearest_of
+from mi_splat.maths.rotation import from_z
+from mi_splat.scene import GaussianScene, Similarity
+from mi_splat.selection.clusters import clusters, find_plane
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frame:
+    """The splat in its own frame."""
+
+    scene: GaussianScene  # the Gaussians, moved, turned, resized and sorted
+    order: Tensor  # (N,) row of the file of each of them
+    to_world: Similarity  # from the frame to the world of the file
+
+    def direction(self, values: Tensor) -> Tensor:
+        """(..., 3) directions of the frame as directions of the world."""
+        return values.double() @ self.to_world.rotation.double().T
+
+    def own(self, direction: Point) -> Tensor:
+        """(3,) float64 unit vector of the frame along a direction of the world."""
+        return (
+            from_z(torch.tensor(list(direction), dtype=torch.float64))[:, 2]
+            @ self.to_world.rotation.double()
+        )
+
+    def point(self, values: Tensor) -> Tensor:
+        """(..., 3) points of the frame as points of the world."""
+        return (
+            self.to_world.scale * self.direction(values)
+            + self.to_world.translation.double()
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Target:
+    """An object to look at, in the frame of the splat."""
+
+    rows: Tensor  # (M,) its Gaussians
+    centre: Tensor  # (3,) float64
+    radius: float  # of a ball that holds nearly all of it
+    # (3,) float64 unit vector away from the ground; None if it stands on none
+    up: Tensor | None
+    cells: int = 48  # pieces of surface along its diameter
+    # whether it is what is around another, such as a sky: cameras stand within, if at
+    # all
+    surrounds: bool = False
+    # whether it is the core of something larger, which then is around it and covers it
+    core: bool = False
+
+    def above(self, scene: GaussianScene, points: Tensor, gap: float) -> Tensor:
+        """(...) bool, which (..., 3) points lie so many radii above its foot; all of
+        them where it stands on none.
+        """
+        if self.up is None:
+            return torch.ones(points.shape[:-1], dtype=torch.bool)
+        up = self.up.float()
+        heights = scene.means[self.rows] @ up
+        return (
+            points @ up
+            > heights.kthvalue(max(1, len(heights) // 50)).values + gap * self.radius
+        )
+
+
+def frame_of(scene: GaussianScene) -> Frame:
+    """The splat in the frame of its own principal axes."""
+    scene = scene.detach().to("cpu", torch.float32)
+    colours = scene.sh[:, 0].numpy()
+    order = torch.from_numpy(
+        np.lexsort(
+            (colours[:, 2], colours[:, 1], colours[:, 0], scene.opacities.numpy())
+        )
+    )
+    scene = scene.select(order)
+    points = scene.means[scene.opacities > LIMITS.solid].double()
+    if not len(points):
+        got = f"none of {len(scene):,}"
+        do = "pass a splat that shows something"
+        raise InvalidValueError.of(
+            "scene", f"Gaussians with an opacity above {LIMITS.solid:g}", got, do
+        )
+    centre = points.mean(0)
+    for _ in range(3):
+        gaps = (points - centre).norm(dim=1)
+        near = points[gaps <= quantile(gaps, LIMITS.crowd)]
+        centre = near.mean(0)
+    radius = float((near - centre).norm(dim=1).max())
+    if not radius > 0:
+        do = "pass a splat of a scene, not of a point"
+        raise InvalidValueError.of(
+            "scene", "Gaussians at several places", "all at one", do
+        )
+    axes = torch.linalg.eigh((near - centre).T @ (near - centre)).eigenvectors.T.flip(0)
+    skew = ((near - centre) @ axes.T).pow(3).sum(0)
+    axes = axes * torch.where(skew < 0, -1.0, 1.0)[:, None].double()
+    if torch.linalg.det(axes) < 0:
+        axes[2] *= -1
+    to_frame = Similarity(
+        rotation=axes, translation=-(axes @ centre) / radius, scale=1 / radius
+    )
+    back = Similarity(rotation=axes.T.contiguous(), translation=centre, scale=radius)
+    return Frame(scene=scene.transform(to_frame), order=order, to_world=back)
+
+
+def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Target]:
+    """The objects of a splat: at most `LIMITS.most_objects` components that are no
+    ground; else where most of it is.
+
+    Of what is around others, only the largest component is judged, too.
+    """
+    rows = (scene.opacities > LIMITS.solid).nonzero()[:, 0]
+    points = scene.means[rows].double()
+    label = _components(scene.select(rows))
+    chosen: list[Target] = []
+    for number in range(min(LIMITS.components, int(label.max()) + 1)):
+        part = points[label == number]
+        if len(part) < max(LIMITS.least_share * len(points), LIMITS.least_count):
+            continue
+        centre = part.median(0).values
+        radius = LIMITS.object_margin * quantile((part - centre).norm(dim=1), 0.95)
+        if any(_is_part(part, centre, radius, larger) for larger in chosen):
+            continue
+        thin = _normal_of_flat(part)
+        ground = next((target.up for target in chosen if target.up is not None), None)
+        if (
+            thin is not None
+            and ground is not None
+            and abs(float(thin @ ground)) > LIMITS.upright
+        ):
+            continue
+        up = _up(part, centre, radius, points[label != number])
+        if thin is not None and (up is None or abs(float(thin @ up)) > LIMITS.upright):
+            continue
+        chosen.append(
+            Target(rows=rows[label == number], centre=centre, radius=radius, up=up)
+        )
+    chosen = chosen[: LIMITS.most_objects]
+    core = _core(rows, points, scene.scales[rows].prod(1))
+    loose = all(
+        target.up is None and core.radius * LIMITS.loose < target.radius
+        for target in chosen
+    )
+    chosen = _parted(chosen + [dataclasses.replace(core, core=bool(chosen))] * loose)
+    ground = next((target.up for target in chosen if target.up is not None), None)
+    if ground is None:
+        return chosen
+    up = ground if stated_up is None else stated_up
+    agree = [
+        stated_up is None
+        and one.up is not None
+        and float(one.up @ ground) > LIMITS.upright
+        for one in chosen
+    ]
+    return [
+        one if same else dataclasses.replace(one, up=up)
+        for one, same in zip(chosen, agree, strict=True)
+    ]
+
+
+def _components(scene: GaussianScene) -> Tensor:
+    """(N,) int64 the connected component of each Gaussian, from the largest."""
+    every = math.ceil(len(scene) / LIMITS.most_linked)
+    if every <= 1:
+        return clusters(scene)
+    label = clusters(scene.select(slice(None, None, every)))
+    nearest = nearest_of(scene.means, every)
+    return label[nearest // every]
+
+
+def _is_part(part: Tensor, centre: Tensor, radius: float, larger: Target) -> bool:
+    """Whether a few points lie in an object that is not much larger, and so are seen
+    well enough with it.
+    """
+    large = radius > LIMITS.part_radius * larger.radius
+    return (
+        _holds(larger, centre)
+        and large
+        and len(part) < LIMITS.part_share * len(larger.rows)
+    )
+
+
+def _parted(objects: list[Target]) -> list[Target]:
+    """Objects, and the first of what is around another."""
+    inner = [
+        one for one in objects if not any(_surrounds(one, other) for other in objects)
+    ]
+    outer = [
+        dataclasses.replace(one, surrounds=True) for one in objects if one not in inner
+    ]
+    return inner + outer[:1]
+
+
+def _surrounds(target: Target, other: Target) -> bool:
+    return target.radius > LIMITS.surrounds * other.radius and _holds(
+        target, other.centre
+    )
+
+
+def _holds(target: Target, point: Tensor) -> bool:
+    return float((point - target.centre).norm()) < target.radius
+
+
+def whole(scene: GaussianScene) -> Target:
+    """All of a splat as one object."""
+    rows = (scene.opacities > LIMITS.solid).nonzero()[:, 0]
+    points = scene.means[rows].double()
+    centre = points.median(0).values
+    radius = LIMITS.whole_margin * quantile((points - centre).norm(dim=1), 0.5)
+    return Target(rows=rows, centre=centre, radius=radius, up=None)
+
+
+def quantile(values: Tensor, share: float) -> float:
+    """The value below which so large a share of (M,) values lies; of any number of
+    them.
+    """
+    return float(values.kthvalue(min(len(values), 1 + int(share * len(values)))).values)
+
+
+def _normal_of_flat(points: Tensor) -> Tensor | None:
+    """The normal of a component that is a plane; None if it is none."""
+    sample = points[:: max(1, len(points) // LIMITS.ground_sample)]
+    _, extents, axes = torch.linalg.svd(sample - points.mean(0), full_matrices=False)
+    if extents[2] >= LIMITS.flat * extents[0]:
+        return None
+    normal: Tensor = axes[2]
+    return normal
+
+
+def _core(rows: Tensor, points: Tensor, sizes: Tensor) -> Target:
+    """Where the smallest Gaussians are: what a training saw best, though ground and fog
+    hang together with it.
+    """
+    small = points[sizes <= quantile(sizes, LIMITS.small)]
+    centre = small.median(0).values
+    gaps = (points - centre).norm(dim=1)
+    radius = LIMITS.whole_margin * quantile(
+        (small - centre).norm(dim=1), LIMITS.dense
+    ) or float(gaps.max())
+    inside = gaps <= radius
+    return Target(
+        rows=rows[inside],
+        centre=centre,
+        radius=radius,
+        up=_up(points[inside], centre, radius, points),
+    )
+
+
+def _up(part: Tensor, centre: Tensor, radius: float, around: Tensor) -> Tensor | None:
+    """The normal of the ground of an object, on its side of it; None if it stands on
+    none of the largest planes.
+    """
+    near = around[(around - centre).norm(dim=1) < LIMITS.ground_reach * radius]
+    near = near[:: max(1, len(near) // LIMITS.ground_sample)]
+    for _ in range(LIMITS.planes):
+        distances, _ = nearest_neighbours(near, 8)
+        if not distances.shape[1]:
+            return None
+        inside = find_plane(
+            near, distances[:, -1], least=math.ceil(LIMITS.ground_share * len(near)) + 3
+        )
+        if inside is None:
+            return None
+        ground = near[inside]
+        near = near[~inside]
+        on = ground.mean(0)
+        normal: Tensor = torch.linalg.svd(ground - on, full_matrices=False).Vh[2]
+        heights = (part - on) @ normal
+        if heights.mean() < 0:
+            heights = -heights
+            normal = -normal
+        across = ground - centre - ((ground - centre) @ normal)[:, None] * normal
+        above = (
+            float((heights > -LIMITS.under * radius).double().mean()) >= LIMITS.one_side
+        )
+        touches = quantile(heights, 1 - LIMITS.one_side) < LIMITS.touch * radius
+        if (
+            above
+            and touches
+            and quantile(across.norm(dim=1), 0.9) > LIMITS.beyond * radius
+        ):
+            return normal
+    return None
