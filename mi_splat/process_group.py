@@ -149,10 +149,6 @@ class ProcessGroup:
         said = self._output.read().decode("utf-8", "replace").strip()
         return GroupEndedError(f"{how}: {said}" if said else how)
 
-    def terminate(self) -> None:
-        """Ask the first process to end."""
-        self._process.terminate()
-
     def kill(self) -> None:
         """End every process of the group at once."""
         if self._is_closed:  # its number may be that of another group by now

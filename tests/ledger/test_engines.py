@@ -23,7 +23,7 @@ import pytest
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.errors import SplatFileError
-from mi_splat.ledger import Done, Event, Job, Store, engines
+from mi_splat.ledger import Done, Event, Job, Store, engines, workers
 from mi_splat.ledger.engines import Cluster, InProcess
 from mi_splat.ledger.job import EngineError, Row, Task
 from mi_splat.ledger.plans import Driver, Plan, Result, grid
@@ -339,6 +339,32 @@ def test_a_scheduler_that_is_lost_is_an_error_and_nothing_else(tmp_path: Path) -
             Driver(engine).run([grid(jobs)])
     assert not (store / "failed").exists()
     assert all(isinstance(result, Done) for result in run(store, jobs).values())
+
+
+def test_a_machine_without_the_store_is_an_error(tmp_path: Path) -> None:
+    terms = workers.Terms(
+        store=str(tmp_path / "elsewhere"),
+        folder=str(tmp_path),
+        run="any",
+        limits=Limits(),
+        variables={},
+    )
+    with pytest.raises(EngineError, match="put the store on a disk that all machines"):
+        workers.attempt(_task(tmp_path, walk(0)), terms)
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_a_worker_has_the_variables_of_the_command_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MI_SPLAT_WEIGHTS", "of this run")
+    jobs = whereabouts(2, 0.0)
+    with cluster(tmp_path, 1) as (address, _):
+        first = run(tmp_path, {"0": jobs["0"]}, scheduler=address)
+        monkeypatch.delenv("MI_SPLAT_WEIGHTS")
+        second = run(tmp_path, {"1": jobs["1"]}, scheduler=address)
+    assert rows_of(first)[0]["weights"] == "of this run"
+    assert rows_of(second)[0]["weights"] is None
 
 
 def test_no_scheduler_is_an_error(

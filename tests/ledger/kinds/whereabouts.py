@@ -1,4 +1,4 @@
-"""Says where it runs: in which process, and on how many cores."""
+"""Says where it runs: in which process, on how many cores, with which weights."""
 
 from __future__ import annotations
 
@@ -19,4 +19,9 @@ def run(
 ) -> list[dict[str, Any]]:
     """One row, after some time."""
     time.sleep(config.seconds)
-    return [{"process": os.getpid(), "cores": len(os.sched_getaffinity(0))}]
+    row = {
+        "process": os.getpid(),
+        "cores": len(os.sched_getaffinity(0)),
+        "weights": os.environ.get("MI_SPLAT_WEIGHTS"),
+    }
+    return [row]
