@@ -26,8 +26,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from attacks.cloak.config import AttackConfig, LayerConfig, StudyConfig
 from attacks.cloak.layers import DIRECTIONS, shares, switched
-from attacks.cloak.rates import fit_transition
 from attacks.cloak.setup import Setup
+from attacks.cloak.transition import fit_transition
 from attacks.studies.cloak import config_of
 from attacks.studies.study_file import read_study
 from mi_splat.cameras.sets import hemisphere

@@ -159,6 +159,12 @@ def check_figures(result: Result, derive: Derive | None) -> list[Check]:
         if key not in derived.by_key:
             words = f"{in_words(figure)}, of no rows"
             lines.append(Check(name=text_of(key), words=words, passed=False))
+    if "success" in result.record:  # which studies read that look for a radius
+        success = result.record["success"]
+        same = success is bool(derived.rate("succeeded").successes)
+        lines.append(
+            Check(name=f"success in {RECORD}", words=str(success), passed=same)
+        )
     return lines
 
 

@@ -190,13 +190,18 @@ def results() -> Iterator[Kind]:
             readers=checks,
             document=PLAIN_JSON,
         )
-    tables = (*checks, "attacks.report.checking:read_tables")
     yield Kind(
         name="checked table",
-        make=partial(_artifact, "*.csv*"),
+        make=partial(_artifact, "rows.csv.xz"),
         read=_check,
-        readers=tables,
+        readers=(*checks, "attacks.figures.result:read_tables"),
         packing=XZ,
+    )
+    yield Kind(
+        name="checked figures",
+        make=partial(_artifact, "figures.csv"),
+        read=_check,
+        readers=(*checks, "attacks.figures.frame:read_figures"),
     )
     yield Kind(
         name="record of a capture",

@@ -36,7 +36,6 @@ MODULES_WITHOUT = {
     ),
     **dict.fromkeys(
         (
-            "attacks.cli.bench",
             "attacks.cli.summary",
             "attacks.cli.doctor",
             "mi_splat.cli.train",

@@ -205,7 +205,7 @@ def test_dagger_writes_its_report(
         "result.json",
         "mask.npy",
     }
-    names |= {"cameras.json", "rows.csv.xz", "detections.csv.xz"}
+    names |= {"cameras.json", "figures.csv", "rows.csv.xz", "detections.csv.xz"}
     names |= {
         "manifest.json",
         "attacked.xml",

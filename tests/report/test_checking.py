@@ -224,6 +224,8 @@ def test_a_figure_that_is_off_is_seen_and_not_packed(
         "reached_strictly, splat attacked",
         "made_up",
     }
+    edit_record(attack, lambda record: record.update(success=not record["success"]))
+    assert "success in result.json" in red(attack)
     derive = kind_of(read_result(attack)).derive
     for words in (
         r"reached_strictly.*: figures\.csv has nothing, the rows give",

@@ -6,7 +6,7 @@ from dataclasses import asdict
 import polars as pl
 
 from attacks.cloak.config import StudyConfig, knowledge_for
-from attacks.cloak.figures import ELEVATION, SECTOR, by_azimuth, measures
+from attacks.cloak.figures import ELEVATION, by_azimuth, measures
 from attacks.cloak.recorded import study_of
 from attacks.cloak.study import CONTACT, POISONED_PICTURES, study_toml
 from attacks.cloak.tables import NAMES, RATES, costs, tables
@@ -304,7 +304,7 @@ def _around(tables: Mapping[str, pl.DataFrame], study: StudyConfig) -> Iterator[
                 "Bands are 95 % intervals; cameras below all that is hidden from"
                 " everywhere."
             ),
-            x_label=f"azimuth of the camera in sectors of {SECTOR:g} degrees",
+            x_label="azimuth of the camera, degrees",
             y_label="views in which it is reported",
             lines=tuple(lines),
         )
