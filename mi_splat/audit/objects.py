@@ -72,21 +72,17 @@ class Target:
             return torch.ones(points.shape[:-1], dtype=torch.bool)
         up = self.up.float()
         heights = scene.means[self.rows] @ up
-        return (
-            points @ up
-            > heights.kthvalue(max(1, len(heights) // 50)).values + gap * self.radius
-        )
+        foot = heights.kthvalue(max(1, len(heights) // 50)).values
+        return points @ up > foot + gap * self.radius
 
 
 def frame_of(scene: GaussianScene) -> Frame:
     """The splat in the frame of its own principal axes."""
     scene = scene.detach().to("cpu", torch.float32)
-    colours = scene.sh[:, 0].numpy()
-    order = torch.from_numpy(
-        np.lexsort(
-            (colours[:, 2], colours[:, 1], colours[:, 0], scene.opacities.numpy())
-        )
-    )
+    red, green, blue = scene.sh[:, 0].numpy().T
+    opacities = scene.opacities.numpy()
+    # by opacity, and among equal ones by colour: not by the order of the file
+    order = torch.from_numpy(np.lexsort((blue, green, red, opacities)))
     scene = scene.select(order)
     points = scene.means[scene.opacities > LIMITS.solid].double()
     if not len(points):
@@ -106,8 +102,10 @@ def frame_of(scene: GaussianScene) -> Frame:
         raise InvalidValueError.of(
             "scene", "Gaussians at several places", "all at one", do
         )
-    axes = torch.linalg.eigh((near - centre).T @ (near - centre)).eigenvectors.T.flip(0)
-    skew = ((near - centre) @ axes.T).pow(3).sum(0)
+    offsets = near - centre
+    axes = torch.linalg.eigh(offsets.T @ offsets).eigenvectors.T.flip(0)
+    # an axis points to where the longer tail of the points is
+    skew = (offsets @ axes.T).pow(3).sum(0)
     axes = axes * torch.where(skew < 0, -1.0, 1.0)[:, None].double()
     if torch.linalg.det(axes) < 0:
         axes[2] *= -1
@@ -137,40 +135,50 @@ def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Targe
         if any(_is_part(part, centre, radius, larger) for larger in chosen):
             continue
         thin = _normal_of_flat(part)
-        ground = next((target.up for target in chosen if target.up is not None), None)
-        if (
-            thin is not None
-            and ground is not None
-            and abs(float(thin @ ground)) > LIMITS.upright
-        ):
+        ground = _ground_of(chosen)
+        if thin is not None and ground is not None and _is_level(thin, ground):
             continue
         up = _up(part, centre, radius, points[label != number])
-        if thin is not None and (up is None or abs(float(thin @ up)) > LIMITS.upright):
+        # a plane that stands on nothing, or lies on the ground, is no object
+        if thin is not None and (up is None or _is_level(thin, up)):
             continue
         chosen.append(
             Target(rows=rows[label == number], centre=centre, radius=radius, up=up)
         )
     chosen = chosen[: LIMITS.most_objects]
     core = _core(rows, points, scene.scales[rows].prod(1))
-    loose = all(
+    is_loose = all(
         target.up is None and core.radius * LIMITS.loose < target.radius
         for target in chosen
     )
-    chosen = _parted(chosen + [dataclasses.replace(core, core=bool(chosen))] * loose)
-    ground = next((target.up for target in chosen if target.up is not None), None)
+    if is_loose:
+        chosen.append(dataclasses.replace(core, core=bool(chosen)))
+    chosen = _parted(chosen)
+    ground = _ground_of(chosen)
     if ground is None:
         return chosen
-    up = ground if stated_up is None else stated_up
-    agree = [
-        stated_up is None
-        and one.up is not None
-        and float(one.up @ ground) > LIMITS.upright
-        for one in chosen
-    ]
-    return [
-        one if same else dataclasses.replace(one, up=up)
-        for one, same in zip(chosen, agree, strict=True)
-    ]
+    upright = []
+    for one in chosen:
+        if stated_up is not None:
+            upright.append(dataclasses.replace(one, up=stated_up))
+        elif one.up is not None and float(one.up @ ground) > LIMITS.upright:
+            upright.append(one)
+        else:
+            upright.append(dataclasses.replace(one, up=ground))
+    return upright
+
+
+def _ground_of(objects: list[Target]) -> Tensor | None:
+    """The direction away from the ground of the first object that stands on one."""
+    for target in objects:
+        if target.up is not None:
+            return target.up
+    return None
+
+
+def _is_level(normal: Tensor, up: Tensor) -> bool:
+    """Whether a plane lies as the ground does."""
+    return abs(float(normal @ up)) > LIMITS.upright
 
 
 def _components(scene: GaussianScene) -> Tensor:
@@ -187,22 +195,20 @@ def _is_part(part: Tensor, centre: Tensor, radius: float, larger: Target) -> boo
     """Whether a few points lie in an object that is not much larger, and so are seen
     well enough with it.
     """
-    large = radius > LIMITS.part_radius * larger.radius
-    return (
-        _holds(larger, centre)
-        and large
-        and len(part) < LIMITS.part_share * len(larger.rows)
-    )
+    is_large = radius > LIMITS.part_radius * larger.radius
+    is_few = len(part) < LIMITS.part_share * len(larger.rows)
+    return _holds(larger, centre) and is_large and is_few
 
 
 def _parted(objects: list[Target]) -> list[Target]:
     """Objects, and the first of what is around another."""
-    inner = [
-        one for one in objects if not any(_surrounds(one, other) for other in objects)
-    ]
-    outer = [
-        dataclasses.replace(one, surrounds=True) for one in objects if one not in inner
-    ]
+    inner = []
+    outer = []
+    for one in objects:
+        if any(_surrounds(one, other) for other in objects):
+            outer.append(dataclasses.replace(one, surrounds=True))
+        else:
+            inner.append(one)
     return inner + outer[:1]
 
 
@@ -249,9 +255,10 @@ def _core(rows: Tensor, points: Tensor, sizes: Tensor) -> Target:
     small = points[sizes <= quantile(sizes, LIMITS.small)]
     centre = small.median(0).values
     gaps = (points - centre).norm(dim=1)
-    radius = LIMITS.whole_margin * quantile(
-        (small - centre).norm(dim=1), LIMITS.dense
-    ) or float(gaps.max())
+    spread = quantile((small - centre).norm(dim=1), LIMITS.dense)
+    radius = LIMITS.whole_margin * spread
+    if not radius:  # all of them at one place
+        radius = float(gaps.max())
     inside = gaps <= radius
     return Target(
         rows=rows[inside],
@@ -271,9 +278,8 @@ def _up(part: Tensor, centre: Tensor, radius: float, around: Tensor) -> Tensor |
         distances, _ = nearest_neighbours(near, 8)
         if not distances.shape[1]:
             return None
-        inside = find_plane(
-            near, distances[:, -1], least=math.ceil(LIMITS.ground_share * len(near)) + 3
-        )
+        least = math.ceil(LIMITS.ground_share * len(near)) + 3
+        inside = find_plane(near, distances[:, -1], least=least)
         if inside is None:
             return None
         ground = near[inside]
@@ -284,15 +290,13 @@ def _up(part: Tensor, centre: Tensor, radius: float, around: Tensor) -> Tensor |
         if heights.mean() < 0:
             heights = -heights
             normal = -normal
-        across = ground - centre - ((ground - centre) @ normal)[:, None] * normal
-        above = (
-            float((heights > -LIMITS.under * radius).double().mean()) >= LIMITS.one_side
-        )
+        offsets = ground - centre
+        across = offsets - (offsets @ normal)[:, None] * normal
+        over = float((heights > -LIMITS.under * radius).double().mean())
+        is_above = over >= LIMITS.one_side
         touches = quantile(heights, 1 - LIMITS.one_side) < LIMITS.touch * radius
-        if (
-            above
-            and touches
-            and quantile(across.norm(dim=1), 0.9) > LIMITS.beyond * radius
-        ):
+        # the ground goes on where the object ends
+        goes_on = quantile(across.norm(dim=1), 0.9) > LIMITS.beyond * radius
+        if is_above and touches and goes_on:
             return normal
     return None

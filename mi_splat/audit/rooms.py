@@ -26,26 +26,32 @@ class Grid:
     size: float  # side of a voxel
     filled: Tensor  # (X, Y, Z) bool, whether something is in each
 
+    @property
+    def limit(self) -> Tensor:
+        """(3,) int64 number of voxels along each axis."""
+        return torch.tensor(self.filled.shape)
+
+    def cells(self, points: Tensor) -> Tensor:
+        """(..., 3) int64 voxels in which (..., 3) points lie, also outside of the
+        grid.
+        """
+        return ((points - self.low) / self.size).floor().long()
+
     def ends(self, points: Tensor, directions: Tensor) -> Tensor:
         """(P, D) bool, whether the rays from (P, 3) points in (D, 3) directions meet
         something in the grid.
         """
-        limit = torch.tensor(self.filled.shape)
+        limit = self.limit
         met = torch.zeros(len(points), len(directions), dtype=torch.bool)
         # of the rays that are in the grid and met nothing
         start, way = torch.ones_like(met).nonzero().unbind(1)
         for step in range(1, 4 * int(limit.max())):
-            cell = (
-                (
-                    (points[start] + step / 2 * self.size * directions[way] - self.low)
-                    / self.size
-                )
-                .floor()
-                .long()
-            )
+            reached = points[start] + step / 2 * self.size * directions[way]
+            cell = self.cells(reached)
             inside = ((cell >= 0) & (cell < limit)).all(-1)
-            start, way, (x, y, z) = start[inside], way[inside], cell[inside].unbind(1)
-            ends = self.filled[x, y, z]
+            start = start[inside]
+            way = way[inside]
+            ends = self.filled[cell[inside].unbind(1)]
             met[start[ends], way[ends]] = True
             start = start[~ends]
             way = way[~ends]
@@ -57,48 +63,41 @@ def grid_of(scene: GaussianScene) -> Grid:
     deviation from it along an axis.
     """
     rows = (scene.opacities > LIMITS.solid).nonzero()[:, 0]
-    solid = scene.select(rows[:: math.ceil(len(rows) / LIMITS.room_gaussians)])
+    every = math.ceil(len(rows) / LIMITS.room_gaussians)
+    solid = scene.select(rows[::every])
     points = solid.means.double()
     axes = (to_matrix(solid.rotations) * solid.scales[:, None]).double()
-    reach = torch.cat(
-        [
-            points,
-            *(
-                points + sign * axes[:, :, axis]
-                for axis in range(3)
-                for sign in (-1, 1)
-            ),
-        ]
-    )
-    sides = points.unbind(1)
-    low = torch.stack(
-        [torch.tensor(quantile(side, LIMITS.room_edge)) for side in sides]
-    ).double()
-    high = torch.stack(
-        [torch.tensor(quantile(side, 1 - LIMITS.room_edge)) for side in sides]
-    ).double()
+    reach = [points]
+    for axis in range(3):
+        for sign in (-1, 1):
+            reach.append(points + sign * axes[:, :, axis])
+    low = _edge(points, LIMITS.room_edge)
+    high = _edge(points, 1 - LIMITS.room_edge)
     size = max(float((high - low).max()) / LIMITS.room_voxels, 1e-9)
     low = low - size
     shape = ((high - low) / size).ceil().long() + 1
     filled = torch.zeros(*shape.tolist(), dtype=torch.bool)
-    cell = ((reach - low) / size).floor().long()
-    x, y, z = cell[((cell >= 0) & (cell < shape)).all(1)].unbind(1)
-    filled[x, y, z] = True
-    return Grid(low=low, size=size, filled=filled)
+    grid = Grid(low=low, size=size, filled=filled)
+    cell = grid.cells(torch.cat(reach))
+    inside = ((cell >= 0) & (cell < shape)).all(1)
+    filled[cell[inside].unbind(1)] = True
+    return grid
+
+
+def _edge(points: Tensor, share: float) -> Tensor:
+    """(3,) float64 coordinates below which so large a share of the points lies."""
+    sides = [torch.tensor(quantile(side, share)) for side in points.unbind(1)]
+    return torch.stack(sides).double()
 
 
 def free_positions(scene: GaussianScene) -> Tensor | None:
     """(P, 3) float64 positions inside a room from which it is seen; None where the
     scene is seen from outside.
     """
-    grid, free, positions, share = _enclosed(scene)
-    within = (
-        share >= LIMITS.enclosed_share
-        and _between(grid, positions, free) > LIMITS.between
-    )
-    if within:
-        return positions
-    return None
+    hollow = _hollow(scene)
+    if hollow.share < LIMITS.enclosed_share or not hollow.is_room:
+        return None
+    return hollow.positions
 
 
 AROUND = (30.0, 120.0, 210.0, 300.0)
@@ -130,74 +129,74 @@ def place_inside(
     """
     if not bool((scene.opacities > LIMITS.solid).any()):
         return None
-    grid, free, positions, share = _enclosed(scene)
-    if share < LIMITS.enclosed_share:
+    hollow = _hollow(scene)
+    if hollow.share < LIMITS.enclosed_share:
         return None
-    middle = positions[(positions - positions.mean(0)).norm(dim=1).argmin()]
+    positions = hollow.positions
+    gaps = (positions - positions.mean(0)).norm(dim=1)
+    middle = positions[gaps.argmin()]
     turn = from_z(torch.tensor(up, dtype=torch.float64))
     places = []
     for azimuth in azimuths:
-        way = (
-            turn
-            @ orbit_pose((0, 0, 0), azimuth=azimuth, elevation=elevation, distance=1)[
-                :3, 3
-            ]
-        )
-        distance = _free_on(grid, free, middle, way)
-        ahead = (
-            functional.normalize(scene.means.double() - middle - distance * way, dim=1)
-            @ -way
-        )
+        pose = orbit_pose((0, 0, 0), azimuth=azimuth, elevation=elevation, distance=1)
+        way = turn @ pose[:3, 3]
+        distance = _free_on(hollow, middle, way)
+        offsets = scene.means.double() - middle - distance * way
+        ahead = functional.normalize(offsets, dim=1) @ -way
         places.append((int((ahead > _AHEAD).sum()), distance, azimuth))
     _, distance, azimuth = max(places)
     x, y, z = middle.tolist()
-    return Inside(
-        (x, y, z), distance, azimuth, _between(grid, positions, free) > LIMITS.between
-    )
+    return Inside((x, y, z), distance, azimuth, hollow.is_room)
 
 
-def _free_on(grid: Grid, free: Tensor, start: Tensor, way: Tensor) -> float:
-    """How far it is from a free position to the last free voxel on a way."""
-    steps = torch.arange(4 * max(grid.filled.shape))[:, None] / 2 * grid.size
-    cells = ((start + steps * way - grid.low) / grid.size).floor().long()
-    kept = cells.clamp(min=0).minimum(torch.tensor(grid.filled.shape) - 1)
-    ends = (cells != kept).any(1) | ~free[kept.unbind(1)]
-    return float(steps[max(1, int(ends.nonzero()[0]) - 1)])
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Hollow:
+    """The free space of a scene."""
+
+    grid: Grid
+    free: Tensor  # (X, Y, Z) bool, voxels without anything in them or beside them
+    positions: Tensor  # (P, 3) float64 middles of free voxels that are enclosed
+    share: float  # of the free voxels that were tried
+
+    @property
+    def is_room(self) -> bool:
+        """Whether enough stands between its free places, unlike in an empty box."""
+        return _between(self) > LIMITS.between
 
 
-def _enclosed(scene: GaussianScene) -> tuple[Grid, Tensor, Tensor, float]:
-    """The grid of a scene, its free voxels, and of those the middles of enclosed ones
-    and their share.
-    """
+def _hollow(scene: GaussianScene) -> _Hollow:
     grid = grid_of(scene)
-    free = (
-        functional.max_pool3d(grid.filled[None, None].float(), 3, stride=1, padding=1)[
-            0, 0
-        ]
-        == 0
-    )
+    filled = grid.filled[None, None].float()
+    free = functional.max_pool3d(filled, 3, stride=1, padding=1)[0, 0] == 0
     tried = free.nonzero()
     tried = tried[:: max(1, len(tried) // LIMITS.room_places)]
     positions = grid.low + (tried + 0.5) * grid.size
     ends = grid.ends(positions, torch.from_numpy(even_directions(LIMITS.room_rays)))
     enclosed = ends.double().mean(1) > LIMITS.enclosed
-    return (
-        grid,
-        free,
-        positions[enclosed],
-        float(enclosed.double().sum() / max(1, len(tried))),
-    )
+    share = float(enclosed.double().sum() / max(1, len(tried)))
+    return _Hollow(grid=grid, free=free, positions=positions[enclosed], share=share)
 
 
-def _between(grid: Grid, positions: Tensor, free: Tensor) -> float:
+def _free_on(hollow: _Hollow, start: Tensor, way: Tensor) -> float:
+    """How far it is from a free position to the last free voxel on a way."""
+    grid = hollow.grid
+    steps = torch.arange(4 * max(grid.filled.shape))[:, None] / 2 * grid.size
+    cells = grid.cells(start + steps * way)
+    kept = cells.clamp(min=0).minimum(grid.limit - 1)
+    ends = (cells != kept).any(1) | ~hollow.free[kept.unbind(1)]
+    last = int(ends.nonzero()[0]) - 1
+    return float(steps[max(1, last)])
+
+
+def _between(hollow: _Hollow) -> float:
     """Share of the filled voxels that stand between two free places, along an axis of
     the grid.
     """
+    grid = hollow.grid
     marks = torch.zeros(grid.filled.shape)
-    x, y, z = ((positions - grid.low) / grid.size).floor().long().unbind(1)
-    marks[x, y, z] = 1
+    marks[grid.cells(hollow.positions).unbind(1)] = 1
     near = functional.max_pool3d(marks[None, None], 5, stride=1, padding=2)[0, 0] > 0
-    near &= free
+    near &= hollow.free
     among = torch.zeros_like(grid.filled)
     for axis in (0, 1, 2):
         before = near.cumsum(axis) > 0

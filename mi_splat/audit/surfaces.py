@@ -73,22 +73,19 @@ def sight(
     with torch.no_grad():
         for number, camera in enumerate(cameras):
             outputs = render.outputs(scene, camera)
-            depths.append(
-                outputs.median_depth.masked_fill(outputs.alpha <= 0.5, math.inf)
-            )
+            is_empty = outputs.alpha <= 0.5
+            depths.append(outputs.median_depth.masked_fill(is_empty, math.inf))
             ahead = rays(camera)
             clear.append(_clear(outputs, ahead, camera, target))
             points, normals, shown = _surface(outputs, ahead, camera, target)
             pixels = shown.flatten().nonzero()[:, 0]
             image = outputs.image if pictures is None else pictures[number]
             colours = image.flatten(0, 1)[pixels].clamp(0, 1)
-            values = torch.cat(
-                [torch.cat([points, normals]).flatten(1)[:, pixels].T, colours], 1
-            )
+            geometry = torch.cat([points, normals]).flatten(1)[:, pixels].T
+            values = torch.cat([geometry, colours], 1)
             keys, seen = torch.unique(_keys(values, target), return_inverse=True)
-            sums = _sums(
-                torch.cat([torch.ones(len(pixels), 1), values], 1), seen, len(keys)
-            )
+            counted = torch.cat([torch.ones(len(pixels), 1), values], 1)
+            sums = _sums(counted, seen, len(keys))
             parts.append((keys, torch.full_like(keys, number), sums))
             if number % LIMITS.heat_every == 0:
                 shown_by[number] = pixels, seen + first
@@ -116,7 +113,8 @@ def missed_by(
     offset = (target.centre - camera.position).float()
     length = lengths(ahead)
     along = (ahead * offset[:, None, None]).sum(0) / length
-    return length, along, (offset.square().sum() - along.square()).clamp(min=0).sqrt()
+    square = offset.square().sum() - along.square()
+    return length, along, square.clamp(min=0).sqrt()
 
 
 def _clear(
@@ -125,24 +123,23 @@ def _clear(
     """Share of the rays near an object that end in one place, or meet nothing."""
     length, _, miss = missed_by(ahead, camera, target)
     spread = (outputs.depth - outputs.median_depth).abs() * length
-    one = (spread < LIMITS.one_place * target.radius) & (
-        outputs.alpha > LIMITS.solid_ray
-    )
-    return float(
-        (one | (outputs.alpha < LIMITS.empty_ray))[miss < target.radius].float().mean()
-    )
+    is_one = spread < LIMITS.one_place * target.radius
+    is_solid = outputs.alpha > LIMITS.solid_ray
+    is_empty = outputs.alpha < LIMITS.empty_ray
+    is_clear = (is_one & is_solid) | is_empty
+    return float(is_clear[miss < target.radius].float().mean())
 
 
 def _keys(values: Tensor, target: Target) -> Tensor:
     """(P,) int64 number of the voxel and the face of surface at (P, 6 or more) points
     and normals.
     """
-    voxel = (
-        (values[:, :3] - target.centre.float()) / _size(target)
-    ).floor().long() + 512
-    axis = values[:, 3:6].abs().argmax(1)
-    face = 2 * axis + (values[:, 3:6].gather(1, axis[:, None])[:, 0] > 0)
-    return ((voxel[:, 0] * 1024 + voxel[:, 1]) * 1024 + voxel[:, 2]) * 8 + face
+    offsets = values[:, :3] - target.centre.float()
+    x, y, z = ((offsets / _size(target)).floor().long() + 512).unbind(1)
+    normals = values[:, 3:6]
+    axis = normals.abs().argmax(1)
+    face = 2 * axis + (normals.gather(1, axis[:, None])[:, 0] > 0)
+    return ((x * 1024 + y) * 1024 + z) * 8 + face
 
 
 def _size(target: Target) -> float:
@@ -156,14 +153,11 @@ def rays(camera: Camera) -> Tensor:
     """
     x = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (torch.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-    local = torch.stack(
-        [
-            x.expand(len(y), -1),
-            y[:, None].expand(-1, len(x)),
-            torch.ones(len(y), len(x)),
-        ]
-    )
-    return (camera.to_world[:3, :3].float() @ local.flatten(1)).reshape(local.shape)
+    across = x.expand(len(y), -1)
+    down = y[:, None].expand(-1, len(x))
+    local = torch.stack([across, down, torch.ones(len(y), len(x))])
+    turn = camera.to_world[:3, :3].float()
+    return (turn @ local.flatten(1)).reshape(local.shape)
 
 
 def lengths(vectors: Tensor) -> Tensor:
@@ -200,11 +194,10 @@ def _surface(
         & (facing.abs() > LIMITS.facing)
     )
     shown &= lengths(points - centre) < LIMITS.reach * target.radius
+    edge = LIMITS.depth_edge * target.radius
     for values, kept in ((depth, shown), (depth.T, shown.T)):
         for step in (1, 2):
-            level = (
-                values[step:] - values[:-step]
-            ).abs() <= LIMITS.depth_edge * target.radius
+            level = (values[step:] - values[:-step]).abs() <= edge
             kept[step:] &= level
             kept[:-step] &= level
     shown[:2] = shown[-2:] = False
@@ -217,35 +210,35 @@ def elements(view: Sight, target: Target) -> Elements:
     pieces, of_seen = torch.unique(view.keys, return_inverse=True)
     sums = _sums(view.sums, of_seen, len(pieces))
     pixels = sums[:, :1]
-    positions = sums[:, 1:4] / sums[:, :1]
-    normals = sums[:, 4:7] / sums[:, :1]
-    near = (positions - target.centre.float()).norm(
-        dim=1
-    ) < LIMITS.around * target.radius
-    kept = torch.bincount(of_seen, minlength=len(pieces)) >= LIMITS.least_views
+    positions = sums[:, 1:4] / pixels
+    normals = sums[:, 4:7] / pixels
+    gaps = (positions - target.centre.float()).norm(dim=1)
+    near = gaps < LIMITS.around * target.radius
+    views = torch.bincount(of_seen, minlength=len(pieces))
+    kept = views >= LIMITS.least_views
     number = torch.where(kept, kept.cumsum(0) - 1, -1)[of_seen]
     kept_pixels = number >= 0
     colours = view.sums[kept_pixels, 7:] / view.sums[kept_pixels, :1]
-    values = torch.cat(
-        [torch.ones(len(colours), 1), colours, colours.square().sum(1, keepdim=True)], 1
-    )
+    squares = colours.square().sum(1, keepdim=True)
+    values = torch.cat([torch.ones(len(colours), 1), colours, squares], 1)
     moments = torch.zeros(len(view.cameras), int(kept.sum()), 5)
     moments[view.seen_by[kept_pixels], number[kept_pixels]] = values
     length = normals.norm(dim=1)
     kept_normals = functional.normalize(normals[kept], dim=1)
     voxels, voxel_of = torch.unique(pieces[near] // 8, return_inverse=True)
-    shown = _sums(
-        torch.stack([pixels[near, 0], kept[near].float()], 1), voxel_of, len(voxels)
-    )
+    per_piece = torch.stack([pixels[near, 0], kept[near].float()], 1)
+    shown = _sums(per_piece, voxel_of, len(voxels))
+    is_seen = shown[:, 0] >= LIMITS.least_pixels
+    has_piece = shown[:, 1] > 0
+    agrees = length > LIMITS.agreed
     return Elements(
         moments=moments,
         positions=positions[kept],
         normals=kept_normals,
-        judged=((length > LIMITS.agreed) & near)[kept]
-        & ~_rims(pieces[kept], kept_normals),
+        judged=(agrees & near)[kept] & ~_rims(pieces[kept], kept_normals),
         size=_size(target),
         of_seen=number,
-        unseen=int(((shown[:, 0] >= LIMITS.least_pixels) & (shown[:, 1] == 0)).sum()),
+        unseen=int((is_seen & ~has_piece).sum()),
     )
 
 
@@ -256,15 +249,18 @@ def own_surface(
     changes, and nothing beside it.
     """
     own = pieces.judged & target.above(scene, pieces.positions, LIMITS.above)
+    to_own = _radii_away(pieces.positions, target)
     for other in beside:
-        first, second = (
-            (pieces.positions - one.centre.float()).norm(dim=1) / one.radius
-            for one in (target, other)
-        )
-        own &= first <= second
+        own &= to_own <= _radii_away(pieces.positions, other)
     if int(own.sum()) >= LIMITS.least_pieces:
         return dataclasses.replace(pieces, judged=own)
     return pieces
+
+
+def _radii_away(positions: Tensor, target: Target) -> Tensor:
+    """(E,) distances from the centre of an object, in its radii."""
+    gaps: Tensor = (positions - target.centre.float()).norm(dim=1)
+    return gaps / target.radius
 
 
 def _rims(keys: Tensor, normals: Tensor) -> Tensor:

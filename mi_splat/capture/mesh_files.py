@@ -49,6 +49,8 @@ FARTHEST = 10.0
 of the radius off a surface."""
 MOST_TRIANGLES = 1 << 24
 """Triangles that a file may place in all: its nodes may place one mesh often."""
+MOST_PIXELS = 1 << 28
+"""Pixels of all textures of a file, each of which has at most those of an image."""
 COAT = "KHR_materials_clearcoat"
 FLOATS = "MISPLAT_texture_floats"
 """Extension of a texture that names an image with its floats, see `floats_of`."""
@@ -169,11 +171,35 @@ def _base_texture(material: Part) -> Part | None:
     return texture
 
 
+@dataclass(slots=True, eq=False)
+class _Textures:
+    """The textures of a file, each decoded once."""
+
+    glb: Glb
+    pixels: int = 0
+    decoded: dict[int, Floats] = field(default_factory=dict)
+
+    def numbered(self, index: int) -> Floats:
+        """(h, w, 3) sRGB of a texture."""
+        if index not in self.decoded:
+            entry = self.glb.document["textures"][index]
+            self.decoded[index] = self.counted(_texture(self.glb, entry))
+        return self.decoded[index]
+
+    def counted(self, texture: Floats) -> Floats:
+        """A texture, whose pixels are added to those of all."""
+        height, width = texture.shape[:2]
+        self.pixels += height * width
+        if self.pixels > MOST_PIXELS:
+            raise ValueError(f"textures of more than {MOST_PIXELS:,} pixels")
+        return texture
+
+
 @dataclass(frozen=True, eq=False)
 class Material:
     """What a file says of a surface."""
 
-    glb: Glb
+    textures: _Textures
     entry: Part = field(default_factory=dict)
 
     @cached_property
@@ -186,10 +212,11 @@ class Material:
         reference = _base_texture(self.entry)
         if reference is None:
             return skin(GREY if factor is None else to_srgb(factor))
-        texture = _texture(self.glb, self.glb.document["textures"][reference["index"]])
+        texture = self.textures.numbered(reference["index"])
         if factor is None:
             return texture
-        return to_srgb(to_linear(texture) * np.float32(factor))
+        product = to_linear(texture) * np.float32(factor)
+        return self.textures.counted(to_srgb(product))
 
     @cached_property
     def roughness(self) -> float | None:
@@ -203,8 +230,9 @@ class Material:
 
 def _meshes(glb: Glb, to_metres: Doubles) -> Iterator[Mesh]:
     """The meshes of a file, each placed in it and turned."""
+    textures = _Textures(glb)
     entries = glb.document.get("materials", [])
-    materials = [Material(glb, entry) for entry in entries]
+    materials = [Material(textures, entry) for entry in entries]
     triangles = 0
     for primitive, placed in glb.placed():
         geometry = glb.geometry(primitive)
@@ -221,7 +249,7 @@ def _meshes(glb: Glb, to_metres: Doubles) -> Iterator[Mesh]:
             faces = faces[:, ::-1]
         in_file = geometry.positions.astype(np.float64) @ placed[:3, :3].T
         vertices = (in_file + placed[:3, 3]) @ to_metres.T
-        material = Material(glb)
+        material = Material(textures)
         if "material" in primitive:
             material = materials[primitive["material"]]
         uvs = np.zeros((count, 2), np.float32)

@@ -159,9 +159,12 @@ def shapes(asset: Asset, prefix: str) -> dict[str, Any]:
     by material.
     """
     groups: dict[tuple[Any, ...], list[Mesh]] = {}
+    contents: dict[int, bytes] = {}  # of textures, many of which are the same array
     for mesh in asset.meshes:
-        texture = None if _is_plain(mesh) else mesh.texture.tobytes()
-        material = (texture, mesh.texture.shape, mesh.roughness)
+        number = id(mesh.texture)
+        if number not in contents:
+            contents[number] = b"" if _is_plain(mesh) else mesh.texture.tobytes()
+        material = (contents[number], mesh.texture.shape, mesh.roughness)
         groups.setdefault(material, []).append(mesh)
     made = {}
     for number, meshes in enumerate(groups.values()):

@@ -4,7 +4,7 @@ project's own scenes.
 
 import hashlib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -231,15 +231,18 @@ def _middle(bounds: NDArray[np.float64]) -> tuple[Point, float]:
     return (x, y, z), math.dist(*bounds.tolist()) / 2
 
 
-def digest_of(assets: Iterable[Asset], light: Light) -> str:
-    """Digest of assets in a light."""
+def digest_of(assets: Sequence[Asset], light: Light) -> str:
+    """Digest of objects in a light."""
     parts = [repr(light).encode()]
+    numbers: dict[int, int] = {}  # of textures, many of which are the same array
     for mesh in (mesh for asset in assets for mesh in asset.meshes):
-        parts += [
-            array.tobytes()
-            for array in (mesh.vertices, mesh.faces, mesh.uvs, mesh.texture)
-        ]
-        parts.append(repr((mesh.texture.shape, mesh.roughness, mesh.smooth)).encode())
+        parts += [mesh.vertices.tobytes(), mesh.faces.tobytes(), mesh.uvs.tobytes()]
+        texture = id(mesh.texture)
+        if texture not in numbers:
+            numbers[texture] = len(numbers)
+            parts.append(mesh.texture.tobytes())
+        surface = (numbers[texture], mesh.texture.shape, mesh.roughness, mesh.smooth)
+        parts.append(repr(surface).encode())
     return _digest(parts)
 
 

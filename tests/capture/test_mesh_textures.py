@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image, features
 
+from mi_splat.capture import mesh_files
 from mi_splat.capture.mesh import Asset, to_linear, to_srgb
 from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.errors import MiSplatError
@@ -152,6 +153,18 @@ def test_webp_is_shown(tmp_path: Path) -> None:
         ).max()
         < 3
     )
+
+
+def test_textures_have_few_pixels_in_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_glb(tmp_path, truck())
+    pixels = stripes().width * stripes().height
+    monkeypatch.setattr(mesh_files, "MOST_PIXELS", pixels)
+    load_mesh(path)
+    tinted = material(baseColorTexture=BASE, baseColorFactor=[0.5, 1, 1, 1])
+    with pytest.raises(MiSplatError, match="textures of more than 128 pixels"):
+        load_mesh(write_glb(tmp_path, truck(), material=tinted))
 
 
 def test_textures_of_too_many_pixels_are_not_decoded(tmp_path: Path) -> None:
