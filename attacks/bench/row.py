@@ -67,7 +67,9 @@ def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> Fi
 def robust(figures: Figures, column: str, **labels: str) -> Rate | None:
     """The rate of a column; None where too few views can be judged."""
     rate = figures.rate("robust", part=column, **labels)
-    return rate if rate.total >= LEAST else None
+    if rate.total >= LEAST:
+        return rate
+    return None
 
 
 def warnings(figures: Figures) -> Iterator[str]:

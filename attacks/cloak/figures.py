@@ -39,19 +39,25 @@ from attacks.observe.rows import (
 
 LOWER = 0.3
 """Confidence from which rates are counted a second time."""
-OWN_REGION, AT_LOWER = "own region", f"confidence {LOWER:g}"
-WITHIN_MARGIN, BEYOND_MARGINS = "within a margin", "beyond every margin"
-OBJECTS, OBJECTS_IN_REGION = "all objects", "all objects, own region"
+OWN_REGION = "own region"
+AT_LOWER = f"confidence {LOWER:g}"
+WITHIN_MARGIN = "within a margin"
+BEYOND_MARGINS = "beyond every margin"
+OBJECTS = "all objects"
+OBJECTS_IN_REGION = "all objects, own region"
 ELEVATION = "elevation"
 """Scopes: rates in each detector's own region, at the confidence `LOWER`, in margins of
 poison, of several objects together, and in bands of elevation.
 """
-STEALTHY, STEALTHY_ON_OBJECT = 1.5, 3.0
+STEALTHY = 1.5
+STEALTHY_ON_OBJECT = 3.0
 """Most that images may lose where an attack is called stealthy, dB: beside the object
 from inside the trigger, and on the object from outside beside a trigger. 3 dB are an
 error of twice the square.
 """
-BIN, SECTOR, BAND = 5.0, 30.0, 10.0
+BIN = 5.0
+SECTOR = 30.0
+BAND = 10.0
 """Degrees over which rates are taken: of elevation, of azimuth, and of elevation where
 a detector's region is found.
 """
@@ -129,7 +135,8 @@ def measures(
     """What the rates of a study count: those of `attacks.observe.rates.cloak_measures`,
     of all its attacks or of one.
     """
-    hiding, showing = None, None
+    hiding = None
+    showing = None
     for config in reversed(study.attack):
         if attack not in (None, config.name):
             continue
@@ -298,7 +305,9 @@ def pooled_psnr(values: pl.Series) -> float | None:
     or there are none.
     """
     errors = [0.0 if psnr is None else 10 ** (-psnr / 10) for psnr in values]
-    return -10 * math.log10(statistics.mean(errors)) if any(errors) else None
+    if any(errors):
+        return -10 * math.log10(statistics.mean(errors))
+    return None
 
 
 # What the attack costs in images
@@ -368,7 +377,9 @@ def _means(rows: pl.DataFrame, column: str) -> dict[str, float]:
 
 
 def _drop(clean: Mapping[str, float], cloaked: Mapping[str, float]) -> float | None:
-    return clean[CLEAN] - cloaked[ATTACKED] if clean and cloaked else None
+    if clean and cloaked:
+        return clean[CLEAN] - cloaked[ATTACKED]
+    return None
 
 
 def _transition(study: StudyConfig, tables: Tables) -> Costs:

@@ -185,7 +185,9 @@ def headline_of(figures: Figures) -> str:
     class of any other.
     """
     hides = "trigger_miss_rate" in figures.labels("measure")
-    return "trigger_miss_rate" if hides else "target_rate"
+    if hides:
+        return "trigger_miss_rate"
+    return "target_rate"
 
 
 def costs(figures: Figures) -> dict[str, str]:

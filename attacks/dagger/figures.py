@@ -20,11 +20,13 @@ from attacks.observe.rates import (
 from attacks.observe.rows import ATTACKED, CONTROLS, ROWS
 from attacks.search.loop import Verdict
 
-FIXED, DRAWN = "dagger", "dagger-eot"
+FIXED = "dagger"
+DRAWN = "dagger-eot"
 """Kinds of results, by where views come from."""
 DETECTED = "clean object detected"
 """Scope of rates over the views in which every detector reports the clean object."""
-AZIMUTHS, ELEVATIONS = 8, 4
+AZIMUTHS = 8
+ELEVATIONS = 4
 """Parts of the angles by which success is counted."""
 
 Entries = Iterator[tuple[Labels, Figure | float | None]]

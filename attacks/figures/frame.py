@@ -31,7 +31,8 @@ MEASURE = "measure"
 """The label that says what was counted or measured."""
 AXIS = "axis: "
 """Head of the labels of what a study varies; the name of the axis follows."""
-LOW, HIGH = "from", "to"
+LOW = "from"
+HIGH = "to"
 """Labels with the ends of a part of an interval."""
 NUMBERS = ("successes", "total", "value", "low", "high", "least", "most")
 """Columns that are no labels."""
@@ -144,12 +145,16 @@ class Figures:
     def rate(self, measure: str, **labels: Label | None) -> Rate:
         """The rate with exactly these labels; where there is none, one of nothing."""
         figure = self.find(measure, **labels)
-        return figure if isinstance(figure, Rate) else NOTHING
+        if isinstance(figure, Rate):
+            return figure
+        return NOTHING
 
     def value(self, measure: str, **labels: Label | None) -> float | None:
         """The number with exactly these labels; None where there is none."""
         figure = self.find(measure, **labels)
-        return figure.value if isinstance(figure, Number) else None
+        if isinstance(figure, Number):
+            return figure.value
+        return None
 
     def rates(self, measure: str, **labels: Label | None) -> list[Rate]:
         """Every rate with these labels, whatever others it has."""

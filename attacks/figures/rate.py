@@ -59,7 +59,9 @@ class Rate:
             raise ValueError(f"a rate of {successes} of {total}, {low} to {high}")
         rate = cls(successes=successes, total=total)
         is_wilson = abs(low - rate.interval[0]) + abs(high - rate.interval[1]) < 1e-8
-        return rate if is_wilson else replace(rate, resampled=interval)
+        if is_wilson:
+            return rate
+        return replace(rate, resampled=interval)
 
     @classmethod
     def of(cls, value: Mapping[str, Any]) -> Rate:

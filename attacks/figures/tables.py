@@ -30,8 +30,12 @@ def cell(value: object) -> str:
     if isinstance(value, Rate):
         return value.words
     if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:g}" if isinstance(value, float) else str(value)
+        if value:
+            return "yes"
+        return "no"
+    if isinstance(value, float):
+        return f"{value:g}"
+    return str(value)
 
 
 def groups_of(figures: Figures, *names: str) -> list[Group]:
@@ -62,7 +66,9 @@ def short_rate(
 
     def text(group: Group) -> str | None:
         rate = group[1].find(measure, **labels)
-        return rate.short(interval=interval) if isinstance(rate, Rate) else None
+        if isinstance(rate, Rate):
+            return rate.short(interval=interval)
+        return None
 
     return text
 

@@ -61,11 +61,10 @@ def count(
             total = measure.given.sum()
         sums += [holds.sum().alias(f"{name}/successes"), total.alias(f"{name}/total")]
     columns = list(dict.fromkeys((*by, *(clusters or ()))))
-    table = (
-        rows.group_by(columns, maintain_order=True).agg(sums)
-        if columns
-        else rows.select(sums)
-    )
+    if columns:
+        table = rows.group_by(columns, maintain_order=True).agg(sums)
+    else:
+        table = rows.select(sums)
     groups = table.partition_by(by, maintain_order=True) if by else [table]
     entries = []
     for group in groups:

@@ -134,7 +134,9 @@ def values_of(figures: Figures) -> list[float]:
 
 def _stealthy(group: Group) -> bool | None:
     stealthy = group[1].value("stealthy")
-    return None if stealthy is None else bool(stealthy)
+    if stealthy is None:
+        return None
+    return bool(stealthy)
 
 
 _COSTS: dict[str, Column[Group]] = {

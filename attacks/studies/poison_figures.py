@@ -187,7 +187,9 @@ def tables(figures: Figures) -> Iterator[Table]:
 def _value_of(group: Group) -> str:
     labels, _ = group
     part = str(labels["part"])
-    return part if labels["setting"] is None else f"{part}: {labels['setting']}"
+    if labels["setting"] is None:
+        return part
+    return f"{part}: {labels['setting']}"
 
 
 def _seen_columns(measure: str) -> dict[str, Column[Group]]:

@@ -33,9 +33,12 @@ from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, ROWS
 from attacks.studies.attack import CAMERAS
 from attacks.studies.study_file import merged
 
-SETTING, ALL_PAIRS = "setting", "all pairs"
-SEARCH, EVALUATION = "search", "evaluation"
-WHITE_BOX, BLACK_BOX = "white-box", "black-box"
+SETTING = "setting"
+ALL_PAIRS = "all pairs"
+SEARCH = "search"
+EVALUATION = "evaluation"
+WHITE_BOX = "white-box"
+BLACK_BOX = "black-box"
 """Labels of `access`: whether the detector that judges was attacked."""
 SHARED = "of_all_attacks"
 """Key of result.json under which stands what all attacks share."""
@@ -104,7 +107,9 @@ def views_of(settings: Mapping[str, Any]) -> Views:
     """
     if settings.get("transformations"):
         return "region"
-    return "drawn" if CAMERAS in settings else "scene"
+    if CAMERAS in settings:
+        return "drawn"
+    return "scene"
 
 
 Attacks = Mapping[str, StudiedAttack]
@@ -306,7 +311,8 @@ def _if_detected(attacks: Attacks, judged: pl.DataFrame) -> Figures:
     Views of one drawn camera, or of one part of a region, are not independent: they are
     a cluster.
     """
-    own, places = {}, {}
+    own = {}
+    places = {}
     for name, attack in attacks.items():
         shown = attack.settings["object"]
         own[name] = shown.replace("_", " ")

@@ -54,7 +54,9 @@ def of_parts(figures: Figures, scope: str) -> list[tuple[str, Figures]]:
 
 
 def _titled(caption: str, part: str) -> str:
-    return f"{caption}: {part}" if part else caption
+    if part:
+        return f"{caption}: {part}"
+    return caption
 
 
 def title_of(axis: str) -> str:
@@ -174,7 +176,9 @@ def _names(lines: Sequence[Mapping[str, Any]], keys: Iterable[str]) -> list[str]
 def _named(key: str, label: str) -> str:
     """A label that is a number, with the name of its axis."""
     is_number = label.replace(".", "", 1).isdigit()
-    return f"{title_of(key)} {label}" if is_number else label
+    if is_number:
+        return f"{title_of(key)} {label}"
+    return label
 
 
 # Several optimisers in one study
@@ -234,4 +238,6 @@ def _spread(figures: Figures, measure: str) -> str:
         return cell(None)
     mean = sum(values) / len(values)
     low, middle, high = (f"{value:.3g}" for value in (min(values), mean, max(values)))
-    return low if low == high else f"{middle} ({low} to {high})"
+    if low == high:
+        return low
+    return f"{middle} ({low} to {high})"

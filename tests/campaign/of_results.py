@@ -221,7 +221,7 @@ def results() -> Iterator[Kind]:
         name="plan",
         make=_plan,
         read=_forget,
-        readers=("mi_splat.ledger.plans",),
+        readers=("mi_splat.ledger.states",),
         document=PLAIN_JSON,
     )
     yield Kind(

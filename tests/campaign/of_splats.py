@@ -288,7 +288,7 @@ def values() -> Iterator[Kind]:
         read=lambda path: read_pictures(path.parent),
         readers=("attacks.cloak.kinds.pictures:read_pictures",),
     )
-    mesh = ("mi_splat.capture.mesh_files:load_mesh", "mi_splat.capture.gltf:Glb")
+    mesh = ("mi_splat.capture.mesh_files:load_mesh", "mi_splat.capture.gltf")
     yield Kind(
         name="mesh truck.glb", make=_truck, read=load_mesh, readers=mesh, document=GLB
     )

@@ -225,7 +225,8 @@ def _charts(figures: Figures) -> Iterator[Chart]:
             str(number): of_line
             for number, (_, of_line) in enumerate(settings_of(settings), 1)
         }
-        if compared := by_optimiser(settings):
+        compared = by_optimiser(settings)
+        if compared:
             below = "attack"
             lines = compared
         rates = {

@@ -109,7 +109,9 @@ def _times(splats: Figures) -> Number | None:
     seeds.
     """
     times = splats.find("gaussians_ratio", splat=ATTACKED)
-    return times if isinstance(times, Number) else None
+    if isinstance(times, Number):
+        return times
+    return None
 
 
 def _mean(splats: Figures) -> float:
