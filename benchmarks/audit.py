@@ -3,8 +3,8 @@
 CPU seconds and peak memory of the command, beside a process that renders as many
 images.
 
-    python benchmarks/audit.py [--counts 5000 100000] [--rounds 3] [--against REVISION]
-    [--json]
+    python benchmarks/audit.py [--counts 5000 100000] [--rounds 3]
+        [--against REVISION] [--json]
 
 The splats are the car of discs of tests/audit/scenes.py on a ground, written as PLY.
 Every process has one thread; all run in turn, the best of the rounds is the figure, and

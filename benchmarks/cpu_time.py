@@ -1,8 +1,8 @@
 """What work costs in CPU time of one thread, as ratios within one run: new code beside
 old code, ours beside a peer's.
 
-    python benchmarks/cpu_time.py FILE [--against REVISION] [--rounds 9] [--only NAME]
-    [--json]
+    python benchmarks/cpu_time.py FILE [--against REVISION] [--rounds 9]
+        [--only NAME] [--json]
 
 FILE is a program in Python with a function `runs()`, which makes what is needed and
 returns a dictionary of functions without arguments; each is timed under its name. With

@@ -2,8 +2,8 @@
 
 Loading and saving, side by side with NumPy on the same bytes, as ratios.
 
-    python benchmarks/files.py [--count 1000000] [--degree 3] [--rounds 9] [--folder
-    DIR] [--json]
+    python benchmarks/files.py [--count 1000000] [--degree 3] [--rounds 9]
+        [--folder DIR] [--json]
 
 The runs of one round follow each other, since a shared machine changes its speed within
 minutes, and the median over the rounds of the ratio within a round is reported. NumPy

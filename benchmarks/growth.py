@@ -2,8 +2,8 @@
 
 CPU seconds, peak memory and exponent of every operation on points.
 
-    python benchmarks/growth.py [--counts 1000 10000 100000 1000000] [--only NAME ...]
-    [--limit 60] [--json]
+    python benchmarks/growth.py [--counts 1000 10000 100000 1000000]
+        [--only NAME ...] [--limit 60] [--json]
 
 Each operation of `OPERATIONS` runs on each number of points in a process of its own
 with one thread. The points lie on a ground and on balls above it, and a tenth of them

@@ -2,9 +2,9 @@
 
 Side by side with Mitsuba's own `volprim_rf_basic`, as ratios.
 
-    python benchmarks/render.py [--rounds 15] [--cpu] [--json] python
-    benchmarks/cpu_time.py benchmarks/render.py --against REVISION     # ours alone,
-    beside older code
+    python benchmarks/render.py [--rounds 15] [--cpu] [--json]
+    # ours alone, beside older code
+    python benchmarks/cpu_time.py benchmarks/render.py --against REVISION
 
 The same splat, camera and process for both; each is run three times before it is timed,
 so that compilation stays apart, and the runs are interleaved, since a shared machine

@@ -1,8 +1,8 @@
 """How many pictures a second does `mi-splat view` make while the camera moves, and how
 soon does it react at rest?
 
-    python benchmarks/view.py [--gaussians 100000] [--canvas 1000 700] [--pictures 120]
-    [--json]
+    python benchmarks/view.py [--gaussians 100000] [--canvas 1000 700]
+        [--pictures 120] [--json]
 
 A camera goes around a shell of Gaussians. Timed is what the server does for each
 picture: rendering, putting together, and encoding as JPEG, at the resolution that the

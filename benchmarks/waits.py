@@ -1,8 +1,9 @@
 """What a user waits for: CPU seconds of whole commands, imports included, beside those
 of `import torch` alone.
 
-    python benchmarks/waits.py [--rounds 5] [--only render] [--against REVISION] python
-    benchmarks/waits.py --rounds 1 --only cloak    # its kernels are compiled anew
+    python benchmarks/waits.py [--rounds 5] [--only render] [--against REVISION]
+    # its kernels are compiled anew
+    python benchmarks/waits.py --rounds 1 --only cloak
 
 Commands run in turn, each in a process of its own with one thread of torch; the best of
 the rounds is the figure, and the ratio is that of the medians. Kernels that Dr.Jit

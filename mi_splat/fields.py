@@ -1,8 +1,7 @@
 """A field of a configuration says once what it takes: its range, its unit, what its
 values are called, what to do.
 
-    eps: Annotated[float, at_least(0, "units of the splat file", "5 is the paper's")] =
-    5.0
+    eps: Annotated[float, at_least(0, "units of the file", "5 is the paper's")] = 5.0
 
 The constructor reads it (`check`), the command line (`mi_splat.cli.flags`), and files
 of studies (`decode`); all of them refuse a value in the same words. Light, without

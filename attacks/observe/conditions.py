@@ -4,13 +4,13 @@ distances, picture noise, a street.
 A new renderer, format or place is a new condition, and no new experiment. The names, of
 studies of both attacks:
 
-    ""                               the renderer of the splat's own scene "tile",
-    "ray", "volprim", ...    renderers, as `mi-splat compare` calls them ".ply", ".spz",
-    ...              the whole splat goes through a file (`FORMATS`) "SH in float16",
-    "SH of degree 1" "0.5 x distance"                 cameras move towards the object,
-    or away from it "noise 0.05", "blur 1.5", "JPEG 60"   in the pictures; pixels
-    "09:30"                          the object alone on a street of meshes, under the
-    sun of an hour (`SunTable`)
+    ""                               the renderer of the splat's own scene
+    "tile", "ray", "volprim", ...    renderers, as `mi-splat compare` calls them
+    ".ply", ".spz", ...              the splat goes through a file (`FORMATS`)
+    "SH in float16", "SH of degree 1"
+    "0.5 x distance"                 cameras move towards the object, or away from it
+    "noise 0.05", "blur 1.5", "JPEG 60"   in the pictures; pixels
+    "09:30"                          a street of meshes in the sun of an hour
 
 and those of other packages (`CONDITIONS`).
 """

@@ -6,8 +6,9 @@ becomes one of them by `register_optimiser`, or by an entry point (docs/plug-ins
 
     def make(settings: SearchSettings) -> Optimiser: ...
 
-    register_optimiser(OptimiserSpec(name="mine", make=make, about="what it does, in a
-    line")) attack(..., config=DaggerConfig(optimiser="mine"))
+    spec = OptimiserSpec(name="mine", make=make, about="what it does, in a line")
+    register_optimiser(spec)
+    attack(..., config=DaggerConfig(optimiser="mine"))
 """
 
 from __future__ import annotations

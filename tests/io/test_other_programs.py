@@ -4,8 +4,8 @@ gaussforge comes from PyPI with the extra `dev`. splat-transform comes from npm 
 with 2.7.1):
 
     npm install --prefix FOLDER @playcanvas/splat-transform@2.7.1
-    SPLAT_TRANSFORM=FOLDER/node_modules/.bin/splat-transform python -m pytest
-    tests/io/test_other_programs.py
+    export SPLAT_TRANSFORM=FOLDER/node_modules/.bin/splat-transform
+    python -m pytest tests/io/test_other_programs.py
 
 Without the variable it is looked for on the path. What is not there is skipped. Each
 program writes a plain PLY of what it has decoded; the scenes have no symmetry, so that

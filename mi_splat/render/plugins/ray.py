@@ -1,24 +1,22 @@
 """The integrator `splat_ray`: `gaussians` shapes among meshes and lights, ray traced.
 
-==============  ========  =========
-==================================================================================
-parameter       type      default    meaning ==============  ========  =========
-==================================================================================
-background      rgb       0, 0, 0    sRGB colour behind everything, in a scene without
-an environment emitter alpha           boolean   false      append the opacity of the
-camera's ray as a channel: 1 - transmittance, 1 where it
-                                     meets a surface
-linear          boolean   true       light adds up in linear values; false, for scenes
-of splats alone: in sRGB values,
-                                     as in 3DGS, and the picture is in sRGB
-colour_to_mean  boolean   false      look a Gaussian's colour up in the direction from
-the ray's origin to its mean, as
-                                     3DGS does, in place of along the ray
-max_depth       integer   6          longest path in vertices; -1 is no limit rr_depth
-integer   5          vertices after which a path may end at random hide_emitters
-boolean   false      the camera does not see the environment emitter ==============
-========  =========
-==================================================================================
+==============  =======  =======  ======================================================
+parameter       type     default  meaning
+==============  =======  =======  ======================================================
+background      rgb      0, 0, 0  sRGB colour behind everything, in a scene without an
+                                  environment emitter
+alpha           boolean  false    append the opacity of the camera's ray as a channel: 1
+                                  - transmittance, 1 where it meets a surface
+linear          boolean  true     light adds up in linear values; false, for scenes of
+                                  splats alone: in sRGB values, as in 3DGS, and the
+                                  picture is in sRGB
+colour_to_mean  boolean  false    look a Gaussian's colour up in the direction from the
+                                  ray's origin to its mean, as 3DGS does, instead of
+                                  along the ray
+max_depth       integer  6        longest path in vertices; -1 is no limit
+rr_depth        integer  5        vertices after which a path may end at random
+hide_emitters   boolean  false    the camera does not see the environment emitter
+==============  =======  =======  ======================================================
 
 The first four can be changed, as attributes of the integrator or through `mi.traverse`,
 where they are called `<id of the integrator>.linear` and so on ("integrator" without an

@@ -1,18 +1,20 @@
 """The shape `gaussians`: any splat that this library reads, as Mitsuba's `ellipsoids`.
 
-==================  ==================
-============================================================================== parameter
-type                meaning ==================  ==================
-============================================================================== filename
-string              a splat file, looked up beside the scene file and on Mitsuba's
-search path means               tensor (N, 3)       instead of a file, from Python: the
-five tensors of a GaussianScene scales              tensor (N, 3)       standard
-deviations, world units rotations           tensor (N, 4)       quaternions w, x, y, z
-opacities           tensor (N, )        in [0, 1] sh                  tensor (N, K, 3)
-spherical harmonics in 3DGS order to_world            transform           rotation,
-translation and uniform scale; the spherical harmonics turn with it extent, ...
-as `ellipsoids`     passed on to Mitsuba's shape ==================  ==================
-==============================================================================
+===========  ================  =========================================================
+parameter    type              meaning
+===========  ================  =========================================================
+filename     string            a splat file, looked up beside the scene file and on
+                               Mitsuba's search path
+means        tensor (N, 3)     instead of a file, from Python: the five tensors of a
+                               GaussianScene
+scales       tensor (N, 3)     standard deviations, world units
+rotations    tensor (N, 4)     quaternions w, x, y, z
+opacities    tensor (N, )      in [0, 1]
+sh           tensor (N, K, 3)  spherical harmonics in 3DGS order
+to_world     transform         rotation, translation and uniform scale; the spherical
+                               harmonics turn with it
+extent, ...  as `ellipsoids`   passed on to Mitsuba's shape
+===========  ================  =========================================================
 
 `mi.traverse` shows `<id>.data` (N x 10: centre, standard deviations, quaternion x, y,
 z, w), `<id>.opacities` (N) and `<id>.sh_coeffs` (N x 3K), all differentiable.

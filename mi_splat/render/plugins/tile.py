@@ -1,17 +1,18 @@
 """The integrator `splat_tile`: the picture that 3DGS trainers optimise, from every
 `gaussians` shape of a scene.
 
-===========  =======  =========
-=====================================================================================
-parameter    type     default    meaning ===========  =======  =========
-=====================================================================================
-background   rgb      0, 0, 0    sRGB colour behind the splat near         float
-(below)    Gaussians whose mean has a smaller camera-space depth are culled, world units
-alpha        boolean  false      append opacity (1 - transmittance) as a fourth channel
-linear       boolean  false      linear instead of sRGB values (mi.Bitmap and
-mi.util.write_bitmap expect linear ones) antialiased  boolean  false      opacities take
-the 2D filter of Mip-Splatting into account, see below ===========  =======  =========
-=====================================================================================
+===========  =======  =======  =========================================================
+parameter    type     default  meaning
+===========  =======  =======  =========================================================
+background   rgb      0, 0, 0  sRGB colour behind the splat
+near         float    (below)  Gaussians whose mean has a smaller camera-space depth are
+                               culled, world units
+alpha        boolean  false    append opacity (1 - transmittance) as a fourth channel
+linear       boolean  false    linear instead of sRGB values (mi.Bitmap and
+                               mi.util.write_bitmap expect linear ones)
+antialiased  boolean  false    opacities take the 2D filter of Mip-Splatting into
+                               account, see below
+===========  =======  =======  =========================================================
 
 All five can be changed, as attributes of the integrator or through `mi.traverse`, where
 they are called `<id of the integrator>.near` and so on ("integrator" without an id);
