@@ -592,48 +592,6 @@ def fit_config(training: TrainingConfig) -> FitConfig:
     )
 
 
-_GONE = (
-    *(
-        "surrogate",
-        "cleaning",
-        "true_pictures",
-        "point_deviations",
-        "occluder_radius",
-        "occluder_edge",
-    ),
-    *("up", "scale", "rotate", "front", "emphasis", "emphasis_depth", "other_seed"),
-)
-"""Settings of results of November 2026 that no study has any more; in those results
-they are off.
-"""
-
-
 def recorded_study(values: Mapping[str, Any], where: str) -> StudyConfig:
-    """The study that a result names, without the settings that are no more."""
-
-    def kept(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            fields = {
-                name: kept(entry) for name, entry in value.items() if name not in _GONE
-            }
-            return _by_file(fields) if "object" in fields else fields
-        if isinstance(value, list):
-            return [kept(entry) for entry in value]
-        return value
-
-    return decode(StudyConfig, kept(values), where)
-
-
-_SHIPPED_SEED = 900004
-"""Of the objects that are shipped by name."""
-
-
-def _by_file(scene: dict[str, Any]) -> dict[str, Any]:
-    """A scene of a result whose object a seed chose, by the name of its file."""
-    seed = scene.pop("seed", _SHIPPED_SEED)
-    if scene.get("colour", True) is None:
-        del scene["colour"]
-    if seed == _SHIPPED_SEED:
-        return scene
-    name = scene["object"]
-    return {**scene, "object": f"{name}_{seed}", "label": name}
+    """The study that a result names."""
+    return decode(StudyConfig, values, where)

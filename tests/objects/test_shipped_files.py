@@ -28,18 +28,17 @@ def same(read: Asset, made: Asset, *, tolerance: float = 0.0) -> None:
     """Whether a path tracer is given the same numbers, but for the rounding of another
     processor.
     """
-    close = {"rtol": 0, "atol": tolerance}
     assert len(read.meshes) == len(made.meshes)
     for one, other in zip(read.meshes, made.meshes, strict=True):
-        np.testing.assert_allclose(one.vertices, other.vertices, **close)
+        np.testing.assert_allclose(one.vertices, other.vertices, rtol=0, atol=tolerance)
         np.testing.assert_array_equal(one.faces, other.faces)
-        np.testing.assert_allclose(one.texture, other.texture, **close)
+        np.testing.assert_allclose(one.texture, other.texture, rtol=0, atol=tolerance)
         assert one.roughness == pytest.approx(other.roughness, abs=tolerance)
         assert one.smooth == other.smooth
         if one.texture.shape[:2] != (1, 1):
             # Mitsuba's v runs down
             down, wanted = (np.float32(1) - mesh.uvs[:, 1] for mesh in (one, other))
-            np.testing.assert_allclose(down, wanted, **close)
+            np.testing.assert_allclose(down, wanted, rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize("name", OBJECTS)
