@@ -161,7 +161,7 @@ def detailed(figures: Mapping[str, Any], conditions: Iterable[str]) -> Iterator[
             name,
             label,
             number(part["ap"][label], ".3f"),
-            cell(rate),
+            cell(Rate.of(rate)),
             _often(part["reported_as"].get(label, {})),
         )
         for name, part in sets.items()
@@ -184,7 +184,7 @@ def detailed(figures: Mapping[str, Any], conditions: Iterable[str]) -> Iterator[
         (
             name,
             _per_picture(part),
-            cell(part["pictures_with"]),
+            cell(Rate.of(part["pictures_with"])),
             _often(part["by_class"]),
         )
         for name, part in parts.items()
