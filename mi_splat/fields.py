@@ -165,7 +165,8 @@ def check(config: object) -> None:
     it. Other types are left alone.
     """
     hints = type_hints(type(config))
-    for field in dataclasses.fields(config):  # type: ignore[arg-type]  # a dataclass, as said above
+    # a dataclass, as said above
+    for field in dataclasses.fields(config):  # type: ignore[arg-type]
         value = getattr(config, field.name)
         kept = taken(hints[field.name], value, field.name)
         if kept is not value:

@@ -109,7 +109,8 @@ def serve() -> None:
 
     if FORKS:
         modules = [module for several in EXTRAS.values() for module in several]
-        sys.modules.update(dict.fromkeys(modules))  # type: ignore[arg-type]  # None: not to be imported
+        # None: not to be imported
+        sys.modules.update(dict.fromkeys(modules))  # type: ignore[arg-type]
         import torch
         import torchvision  # noqa: F401
 
@@ -220,7 +221,8 @@ def _hide(missing: list[str]) -> None:
     assert not set(missing) & set(sys.modules), (
         "a module that is to be missing is there already"
     )
-    sys.modules.update(dict.fromkeys(missing))  # type: ignore[arg-type]  # None: not to be imported
+    # None: not to be imported
+    sys.modules.update(dict.fromkeys(missing))  # type: ignore[arg-type]
 
 
 if __name__ == "__main__":

@@ -199,7 +199,8 @@ class Judge:
         try:
             self._read(request, judged)
             is_whole = True
-        except Exception as error:  # noqa: BLE001  # whatever it is, it concerns this file alone
+        except Exception as error:  # noqa: BLE001
+            # whatever it is, it concerns this file alone
             judged.error = (
                 shortened(" ".join(str(error).split()), _LONGEST)
                 or type(error).__name__

@@ -164,7 +164,8 @@ def _judge_from(
         try:
             judged = judge.judge(request)
             verdicts.add(request["file"], judged, policy, time.monotonic() - started)
-        except BaseException as error:  # noqa: BLE001  # it counts as a file that is not judged
+        except BaseException as error:  # noqa: BLE001
+            # it counts as a file that is not judged
             verdicts.lose(error)
 
 

@@ -79,7 +79,8 @@ class StudySteps:
         """What the study describes."""
         return Setup.of(self.study)
 
-    @cache  # noqa: B019  # a study is planned once, and its steps live as long as the process
+    # a study is planned once, and its steps live as long as the process
+    @cache  # noqa: B019
     def pictures(self) -> Job:
         """The victim's pictures of the scene."""
         return self._job(

@@ -51,7 +51,8 @@ class CloakJudge:
 
     def looks(self, steps: StudySteps, detectors: Sequence[Detector]) -> Iterator[Look]:
         """The looks at each splat of a study."""
-        sun, street = street_of(self.condition, self.sun)
+        sun, files = street_of(self.condition, self.sun)
+        street: dict[str, Any] = {**files}
         if sun is not None and steps.study.layers is None:
             do = (
                 "take a study with [layers], whose object is known Gaussian by Gaussian"
@@ -64,8 +65,14 @@ class CloakJudge:
             for detector in (
                 detectors if self.detector is None else [loaded(self.detector)]
             ):
-                how = {"condition": self.condition, "every": self.every, "sun": sun}
-                job = steps.seen(steps.splat(splat, seed), detector, **how, **street)  # type: ignore[arg-type]
+                job = steps.seen(
+                    steps.splat(splat, seed),
+                    detector,
+                    condition=self.condition,
+                    every=self.every,
+                    sun=sun,
+                    **street,
+                )
                 label = (
                     f"{detector.name} looks at the {splat} splat, seed {seed}, {shown}"
                 )

@@ -76,7 +76,8 @@ def measured(
     if holds_surfaces(path):
 
         def makes_meshes(samples: int) -> MixedScene:
-            return MixedScene(path, samples=samples, seed=samples, **config.parameters)  # type: ignore[arg-type]
+            parameters: Mapping[str, Any] = config.parameters
+            return MixedScene(path, samples=samples, seed=samples, **parameters)
 
     loaded = _splats(config)
     cameras = find_cameras(loaded, config.view, split=split)

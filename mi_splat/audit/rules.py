@@ -379,7 +379,8 @@ def findings_of(stored: Stored) -> Iterator[Finding]:
                     "choose another name",
                 )
             finding = ADDED[name](stored)
-        except Exception as error:  # noqa: BLE001  # whatever a plug-in raises, the other rules have to be heard
+        except Exception as error:  # noqa: BLE001
+            # whatever a plug-in raises, the other rules have to be heard
             reason = f"The rule {name} of {ADDED.package(name)} did not run: {error}"
             finding = Finding(rule=name, severity="warning", reason=reason)
         if finding is not None:

@@ -157,12 +157,15 @@ def _own(
     antialiased: bool = False,
 ) -> Renderer:
     """The project's own renderer; see `RenderSettings`."""
-    changed = {
-        "method": method,
-        "colour_to_mean": colour_to_mean,
-        "antialiased": antialiased,
-    }
-    return Renderer(dataclasses.replace(settings, **changed, alpha=False, linear=False))  # type: ignore[arg-type]
+    changed = dataclasses.replace(
+        settings,
+        method=method,
+        colour_to_mean=colour_to_mean,
+        antialiased=antialiased,
+        alpha=False,
+        linear=False,
+    )
+    return Renderer(changed)
 
 
 register_method("tile", functools.partial(_own, method="tile"))

@@ -149,7 +149,8 @@ def _appender() -> Any:
     """The receiver of log lines; its class needs Mitsuba."""
     import mitsuba as mi
 
-    class StderrAppender(mi.Appender):  # type: ignore[misc]  # Mitsuba's classes have no types for mypy
+    # Mitsuba's classes have no types for mypy
+    class StderrAppender(mi.Appender):  # type: ignore[misc]
         """Writes every line of the log to stderr."""
 
         def append(self, level: object, text: str) -> None:

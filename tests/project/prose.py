@@ -91,5 +91,6 @@ def check() -> list[str]:
 
 if __name__ == "__main__":
     complained = check()
-    print(*complained, sep="\n", end="\n" if complained else "")  # noqa: T201 - it is a command
+    # it is a command
+    print(*complained, sep="\n", end="\n" if complained else "")  # noqa: T201
     sys.exit(bool(complained))
