@@ -9,12 +9,21 @@ import logging
 import os
 import time
 import uuid
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from mi_splat.errors import one_line
-from mi_splat.ledger.job import EngineError, Event, OnEvent, Outcome, Task, nobody
+from mi_splat.errors import message, one_line
+from mi_splat.ledger.job import (
+    EngineError,
+    EngineWarning,
+    Event,
+    OnEvent,
+    Outcome,
+    Task,
+    nobody,
+)
 from mi_splat.ledger.running import run_job
 from mi_splat.ledger.store import TRIES, Store
 from mi_splat.process_group import GroupEndedError, Limits, ProcessGroup
@@ -217,6 +226,11 @@ class Cluster:
             loop.call_soon_threadsafe(self.on_event, Event(**event[1][EVENT]))
 
         client.subscribe_topic(self._run, tell)
+        if self._scheduler and not client.scheduler_info()["workers"]:
+            expected = "a scheduler with workers"
+            do = f"start some with dask worker {address}; jobs wait until one comes"
+            text = message(f"scheduler {address}", expected, "none yet", do)
+            warnings.warn(text, EngineWarning, stacklevel=2)
         self._client = client
         return client
 

@@ -290,6 +290,10 @@ class EngineError(MiSplatError):
     """What runs jobs does not work itself."""
 
 
+class EngineWarning(UserWarning):
+    """What runs jobs works, but not yet."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
     """How a try of a task ended: done, held (by another process), again (it failed and

@@ -49,7 +49,8 @@ def cluster(folder: Path, workers: int) -> Iterator[tuple[str, Popen[bytes]]]:
             processes.append(worker)
         address = read_json(file)["address"]
         with Client(address, set_as_default=False) as client:
-            client.wait_for_workers(workers, timeout=60)
+            if workers:
+                client.wait_for_workers(workers, timeout=60)
         yield address, scheduler
     finally:
         for process in reversed(processes):

@@ -25,7 +25,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io.errors import SplatFileError
 from mi_splat.ledger import Done, Event, Job, Store, engines, workers
 from mi_splat.ledger.engines import Cluster, InProcess
-from mi_splat.ledger.job import EngineError, Row, Task
+from mi_splat.ledger.job import EngineError, EngineWarning, Row, Task
 from mi_splat.ledger.plans import Driver, Plan, Result, grid
 from mi_splat.ledger.running import task_for
 from mi_splat.ledger.states import forecast, note_keys, planned, status
@@ -424,3 +424,17 @@ def test_a_plan_knows_the_keys_that_it_has_used(tmp_path: Path) -> None:
         planned(store, "plan")
     run(tmp_path, jobs)
     assert planned(store, "plan") == store.keys()
+
+
+def test_a_scheduler_without_workers_is_warned_of(tmp_path: Path) -> None:
+    with cluster(tmp_path, 0) as (address, _):
+        engine = Cluster(tmp_path / "store", scheduler=address)
+
+        async def connect() -> None:
+            engine._connected()
+
+        try:
+            with pytest.warns(EngineWarning, match="scheduler with workers, got none"):
+                asyncio.run(connect())
+        finally:
+            engine.close()
