@@ -10,13 +10,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mi_splat.audit.objects import Target, quantile
+from mi_splat.audit.objects import Target
 from mi_splat.audit.surfaces import SKY
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.audit.viewpoints import cameras_around, near_of
 from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.maths.neighbours import nearest_neighbours
+from mi_splat.maths.quantiles import quantile
 from mi_splat.maths.rotation import multiply
 from mi_splat.maths.sh import colour_to_dc
 from mi_splat.render.renderer import Renderer, RenderSettings

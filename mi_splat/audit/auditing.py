@@ -39,12 +39,12 @@ from mi_splat.audit.results import (
     Vector,
     vector,
 )
-from mi_splat.audit.rooms import free_positions
 from mi_splat.audit.surfaces import Elements, Sight, elements, own_surface, sight
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.audit.viewpoints import cameras_around, cameras_within, in_sight
 from mi_splat.cameras.camera import Camera, as_cameras, project_points
 from mi_splat.cameras.directions import Point
+from mi_splat.cameras.rooms import free_positions
 from mi_splat.errors import InvalidValueError
 from mi_splat.render.scene_files import resized
 from mi_splat.scene import GaussianScene, check_scene

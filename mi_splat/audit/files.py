@@ -31,6 +31,7 @@ from mi_splat.audit.surfaces import SKY
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras.camera import Camera
 from mi_splat.cameras.framing import near_plane
+from mi_splat.cameras.rooms import ROOMS
 from mi_splat.datasets import Dataset
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
@@ -369,7 +370,7 @@ def document(
         "gaussians": len(audit.mask) if audit else lint and lint.gaussians,
         "carrying": int(audit.mask.sum()) if audit else 0,
         "near": audit.near if audit else 0.0,
-        "thresholds": dataclasses.asdict(LIMITS),
+        "thresholds": dataclasses.asdict(LIMITS) | dataclasses.asdict(ROOMS),
         "objects": [_of_object(item) for item in audit.objects] if audit else [],
         **({"against": audit.against.as_dict()} if audit and audit.against else {}),
         **({"up": list(audit.up)} if audit and audit.up else {}),

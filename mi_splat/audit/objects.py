@@ -16,6 +16,7 @@ from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras.directions import Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.maths.neighbours import nearest_neighbours, nearest_of
+from mi_splat.maths.quantiles import quantile
 from mi_splat.maths.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.selection.clusters import clusters, find_plane
@@ -229,13 +230,6 @@ def whole(scene: GaussianScene) -> Target:
     centre = points.median(0).values
     radius = LIMITS.whole_margin * quantile((points - centre).norm(dim=1), 0.5)
     return Target(rows=rows, centre=centre, radius=radius, up=None)
-
-
-def quantile(values: Tensor, share: float) -> float:
-    """The value below which so large a share of (M,) values lies; of any number of
-    them.
-    """
-    return float(values.kthvalue(min(len(values), 1 + int(share * len(values)))).values)
 
 
 def _normal_of_flat(points: Tensor) -> Tensor | None:

@@ -102,16 +102,6 @@ class Thresholds:
     across: float = 0.3
 
     # Rooms
-    room_voxels: int = 32  # Along the longest side of a scene.
-    room_edge: float = 0.01  # Share of its points beyond each side that do not count.
-    room_gaussians: int = 100_000  # Gaussians that fill voxels, evenly taken of all.
-    room_rays: int = 48  # From each free place that is tried.
-    room_places: int = 500  # Free places that are tried.
-    # Share of the rays from an enclosed place that end at something.
-    enclosed: float = 0.85
-    enclosed_share: float = 0.2  # Share of the free places of a room that are enclosed,
-    # and of its filled voxels that stand between two of them: an empty shell has none.
-    between: float = 0.005
     # Radii from the middle of an object to the nearest camera in a room.
     room_distance: float = 1.3
     # Half the field of view, by the angle at which the object is seen.

@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mi_splat.audit.rooms import AROUND, place_inside
 from mi_splat.cameras.camera import Camera, odd_fields_of_view, orbit_pose
 from mi_splat.cameras.directions import UP
 from mi_splat.cameras.forms import FORMS
 from mi_splat.cameras.framing import bounds, culled_in_view, near_plane, nothing_in_view
 from mi_splat.cameras.lens import Lens
+from mi_splat.cameras.rooms import AROUND, place_inside
 from mi_splat.cameras.sets import camera_set, framing, with_up
 from mi_splat.cli.console import note, warn
 from mi_splat.cli.options import CameraOptions, axis_name, up_line

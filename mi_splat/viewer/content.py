@@ -15,10 +15,10 @@ import torch
 from PIL import ImageDraw
 from torch import Tensor
 
-from mi_splat.audit.rooms import place_inside
 from mi_splat.cameras.camera import Camera, View, odd_fields_of_view
 from mi_splat.cameras.directions import UP, Point
 from mi_splat.cameras.framing import bounds
+from mi_splat.cameras.rooms import place_inside
 from mi_splat.cameras.sets import framing
 from mi_splat.datasets import DatasetError, DatasetWarning, is_dataset, load_dataset
 from mi_splat.datasets.poses import poses_of

@@ -8,9 +8,9 @@ import torch
 from mi_splat.audit.auditing import audit, seen_share
 from mi_splat.audit.objects import frame_of, targets, whole
 from mi_splat.audit.results import summary
-from mi_splat.audit.rooms import free_positions, place_inside
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.audit.viewpoints import cameras_around
+from mi_splat.cameras.rooms import free_positions, place_inside
 from tests.audit import scenes
 from tests.audit.scenes import Made, standing
 

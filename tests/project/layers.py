@@ -38,6 +38,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "mi_splat.cameras.camera",
         "mi_splat.cameras.directions",
         "mi_splat.cameras.framing",
+        "mi_splat.cameras.rooms",
     ),
     "files": ("mi_splat.io",),
     "ledger": ("mi_splat.ledger",),

@@ -9,13 +9,32 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.audit.objects import quantile
-from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras.camera import orbit_pose
 from mi_splat.cameras.directions import UP, Point
+from mi_splat.maths.quantiles import quantile
 from mi_splat.maths.rotation import from_z, to_matrix
 from mi_splat.maths.sh import even_directions
 from mi_splat.scene import GaussianScene
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoomLimits:
+    """What a room is, and how closely a scene is looked through for one."""
+
+    solid: float = 0.1  # Opacity of a Gaussian that says where things are.
+    room_voxels: int = 32  # Along the longest side of a scene.
+    room_edge: float = 0.01  # Share of its points beyond each side that do not count.
+    room_gaussians: int = 100_000  # Gaussians that fill voxels, evenly taken of all.
+    room_rays: int = 48  # From each free place that is tried.
+    room_places: int = 500  # Free places that are tried.
+    # Share of the rays from an enclosed place that end at something.
+    enclosed: float = 0.85
+    enclosed_share: float = 0.2  # Share of the free places of a room that are enclosed,
+    # and of its filled voxels that stand between two of them: an empty shell has none.
+    between: float = 0.005
+
+
+ROOMS = RoomLimits()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,8 +81,8 @@ def grid_of(scene: GaussianScene) -> Grid:
     """The voxels that hold the middle of a solid Gaussian, or a point one standard
     deviation from it along an axis.
     """
-    rows = (scene.opacities > LIMITS.solid).nonzero()[:, 0]
-    every = math.ceil(len(rows) / LIMITS.room_gaussians)
+    rows = (scene.opacities > ROOMS.solid).nonzero()[:, 0]
+    every = math.ceil(len(rows) / ROOMS.room_gaussians)
     solid = scene.select(rows[::every])
     points = solid.means.double()
     axes = (to_matrix(solid.rotations) * solid.scales[:, None]).double()
@@ -71,9 +90,9 @@ def grid_of(scene: GaussianScene) -> Grid:
     for axis in range(3):
         for sign in (-1, 1):
             reach.append(points + sign * axes[:, :, axis])
-    low = _edge(points, LIMITS.room_edge)
-    high = _edge(points, 1 - LIMITS.room_edge)
-    size = max(float((high - low).max()) / LIMITS.room_voxels, 1e-9)
+    low = _edge(points, ROOMS.room_edge)
+    high = _edge(points, 1 - ROOMS.room_edge)
+    size = max(float((high - low).max()) / ROOMS.room_voxels, 1e-9)
     low = low - size
     shape = ((high - low) / size).ceil().long() + 1
     filled = torch.zeros(*shape.tolist(), dtype=torch.bool)
@@ -95,7 +114,7 @@ def free_positions(scene: GaussianScene) -> Tensor | None:
     scene is seen from outside.
     """
     hollow = _hollow(scene)
-    if hollow.share < LIMITS.enclosed_share or not hollow.is_room:
+    if hollow.share < ROOMS.enclosed_share or not hollow.is_room:
         return None
     return hollow.positions
 
@@ -127,10 +146,10 @@ def place_inside(
     """Where to stand in a hollow scene, at the azimuth from which most Gaussians are
     ahead.
     """
-    if not bool((scene.opacities > LIMITS.solid).any()):
+    if not bool((scene.opacities > ROOMS.solid).any()):
         return None
     hollow = _hollow(scene)
-    if hollow.share < LIMITS.enclosed_share:
+    if hollow.share < ROOMS.enclosed_share:
         return None
     positions = hollow.positions
     gaps = (positions - positions.mean(0)).norm(dim=1)
@@ -161,7 +180,7 @@ class _Hollow:
     @property
     def is_room(self) -> bool:
         """Whether enough stands between its free places, unlike in an empty box."""
-        return _between(self) > LIMITS.between
+        return _between(self) > ROOMS.between
 
 
 def _hollow(scene: GaussianScene) -> _Hollow:
@@ -169,10 +188,10 @@ def _hollow(scene: GaussianScene) -> _Hollow:
     filled = grid.filled[None, None].float()
     free = functional.max_pool3d(filled, 3, stride=1, padding=1)[0, 0] == 0
     tried = free.nonzero()
-    tried = tried[:: max(1, len(tried) // LIMITS.room_places)]
+    tried = tried[:: max(1, len(tried) // ROOMS.room_places)]
     positions = grid.low + (tried + 0.5) * grid.size
-    ends = grid.ends(positions, torch.from_numpy(even_directions(LIMITS.room_rays)))
-    enclosed = ends.double().mean(1) > LIMITS.enclosed
+    ends = grid.ends(positions, torch.from_numpy(even_directions(ROOMS.room_rays)))
+    enclosed = ends.double().mean(1) > ROOMS.enclosed
     share = float(enclosed.double().sum() / max(1, len(tried)))
     return _Hollow(grid=grid, free=free, positions=positions[enclosed], share=share)
 
