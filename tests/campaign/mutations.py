@@ -43,7 +43,7 @@ class Packing:
     pack: Callable[[bytes], bytes]
 
 
-GZIP = Packing(gzip.decompress, lambda data: gzip.compress(data, 1))
+GZIP = Packing(gzip.decompress, lambda data: gzip.compress(data, 1, mtime=0))
 XZ = Packing(lzma.decompress, lambda data: lzma.compress(data, preset=0))
 
 
