@@ -427,7 +427,9 @@ def _skipped(done: Poisoned, config: Any) -> list[str]:
     skipped = len(done.poison.get("skipped", ()))
     if not skipped or not isinstance(config, MisreadingConfig):
         return []
-    sure = config.attack.least_confidence
+    sure: float | None = getattr(config.attack, "least_confidence", None)
+    if sure is None:  # of another package
+        return []
     return [
         f"in {skipped} pictures {config.classifier} is less than {sure:.0%}"
         f" confident of {config.label}; they stay"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from attacks.observe import Control
 from attacks.optimisers import NormName, OptimiserSpec, Radius, Schedule, optimiser_spec
-from attacks.threats import changed_by, names
+from attacks.threats import names
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import (
@@ -169,9 +169,8 @@ class DaggerConfig:
         optimiser_spec(self.optimiser)
         for name in self.attributes:
             check_choice("attributes", name, names())
-        if "smooth-noise" in self.controls and changed_by(self.attributes) != tuple(
-            name for name in ATTRIBUTES if name in self.attributes
-        ):
+        has_threat = any(name not in ATTRIBUTES for name in self.attributes)
+        if has_threat and "smooth-noise" in self.controls:
             raise InvalidValueError.of(
                 "controls",
                 "noise or norm-noise, for an attack on more than Gaussians",

@@ -46,6 +46,7 @@ from attacks.studies.result import figures, shared_apart, views_of
 from attacks.studies.running import Attempt, Observed, Work, bisection, check_apart
 from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
 from attacks.studies.tables import tables
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import FieldError, check_choice, decode
 from mi_splat.io.folders import RECORD
@@ -213,6 +214,9 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
         attack["random_start"] = True
     values |= {"attack": attack, "objective": _objective(values, where)}
     config = decode(Attack, values, where)
+    for name in config.attack.attributes:
+        # what is judged under conditions is looked for where the clean object is
+        check_choice(f"{where}, attributes", name, ATTRIBUTES)
     for name in config.detectors if config.objective.label is not None else ():
         check_choice(
             f"target: class of {name}",

@@ -29,10 +29,9 @@ from attacks.observe.rows import ATTACKED, CLEAN
 from attacks.observe.views import ViewDetections, image_change
 from attacks.optimisers import NormName
 from attacks.studies.attack import AttackScene, attack_scene, detectors_of, distribution
-from attacks.threats import changed_by
 from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange, changing
-from mi_splat.attributes import ATTRIBUTES, LARGEST
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.io import load_splat
 from mi_splat.scene import GaussianScene
@@ -182,16 +181,15 @@ def _splats(
     """
     rows = scene.objects[config.object]
     drawn = config.transformations is not None
-    attributes, eps = _noisy(config)
     clean, attacked = clean_and_attacked(
-        scene.scene, rows, saved.select(rows) if drawn else saved, attributes
+        scene.scene, rows, saved.select(rows) if drawn else saved, config.attributes
     )
     clean, attacked = (
         replace(subset, sh_degree=config.sh_degree) for subset in (clean, attacked)
     )
     settings = DaggerConfig(
-        attributes=attributes,
-        eps=eps,
+        attributes=config.attributes,
+        eps=config.eps,
         norm=config.norm,
         seed=config.seed,
         sh_degree=config.sh_degree,
@@ -213,7 +211,9 @@ def _splats(
         render=render,
         clean=image,
     )
-    controls = control_scenes(problem, attacked.parameters(attributes), settings, views)
+    controls = control_scenes(
+        problem, attacked.parameters(config.attributes), settings, views
+    )
     # The file of an attack on a region holds the whole scene.
     shown = (scene.scene, saved) if drawn else (clean.scene, attacked.scene)
     return {
@@ -221,15 +221,6 @@ def _splats(
         ATTACKED: shown[1],
         **{name: noisy for (name, _), noisy in controls},
     }
-
-
-def _noisy(config: Look) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    """What noise changes, and within which radii: what the attack may change, or of
-    threats, which no file tells, the attributes that these change.
-    """
-    if all(name in ATTRIBUTES for name in config.attributes):
-        return config.attributes, config.eps
-    return changed_by(config.attributes), (LARGEST,)
 
 
 def clean_and_attacked(

@@ -8,7 +8,7 @@ One of your own becomes one of them by `THREATS.add`, or by an entry point
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -60,17 +60,6 @@ THREATS: Registry[Threat] = Registry(
 def names() -> tuple[str, ...]:
     """All that an attack may change: attributes of Gaussians, and threats."""
     return (*ATTRIBUTES, *THREATS)
-
-
-def changed_by(chosen: Iterable[str]) -> tuple[Attribute, ...]:
-    """The attributes of Gaussians that an attack on these parameters changes."""
-    found = set[str]()
-    for name in chosen:
-        if name in ATTRIBUTES:
-            found.add(name)
-        else:
-            found.update(THREATS[name].changes)
-    return tuple(name for name in ATTRIBUTES if name in found)
 
 
 def _ship(module: str, name: str, changes: tuple[Attribute, ...], **words: str) -> None:

@@ -11,6 +11,7 @@ from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.detectors import registry
 from attacks.studies.running import work_of
 from attacks.studies.study_file import read_study, study_of
+from mi_splat.errors import InvalidValueError
 from tests.cloak.tiny_study import KNOWN
 from tests.project.layers import ROOT
 from tests.studies.toy import Toy, settings, write_toy
@@ -75,6 +76,16 @@ def test_studies_of_dagger(changes: dict[str, Any], match: str, tmp_path: Path) 
     write_toy(tmp_path)
     with pytest.raises(Exception, match=match):
         work_of(study_of(settings(tmp_path, **changes), "toy"))
+
+
+def test_threats_are_refused_whose_objects_are_not_where_looks_expect_them(
+    tmp_path: Path,
+) -> None:
+    write_toy(tmp_path)
+    attack = {"eps": 0.1, "steps": 4, "attributes": ["shift"]}
+    table = settings(tmp_path, attack=attack)
+    with pytest.raises(InvalidValueError, match=r"attributes: .*sh, got shift"):
+        work_of(study_of(table, "toy")).jobs()
 
 
 STREET = str(ROOT / "scenes" / "mixed" / "car_among_meshes.xml")
