@@ -78,6 +78,7 @@ def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
         yield f"  from: {entry['origin']} ({entry['licence']})"
     classes = entry.get("classes")
     if classes:
+        yield (f"  counts from: {entry['threshold']:g} ({entry['threshold_origin']})")
         yield (
             f"  {len(classes)} classes:"
             f" {', '.join(classes[:SHOWN])}{', ...' if len(classes) > SHOWN else ''}"
@@ -150,6 +151,8 @@ def _detector(name: str) -> dict[str, Any]:
         "name": name,
         "classes": list(spec.classes),
         "weights": weights,
+        "threshold": spec.threshold,
+        "threshold_origin": spec.threshold_origin,
         **_state(spec),
     }
 

@@ -57,8 +57,10 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     """
     target: ClassName | None = None
     """Class that the attacker wants."""
-    min_confidence: Confidence = 0.5
-    """Confidence from which a detection counts."""
+    min_confidence: Confidence | None = None
+    """Confidence from which a detection counts; None is the operating threshold of each
+    detector (see `mi-splat detectors`).
+    """
     judges: Detectors = ()
     """Further detectors that check the others: a view is flagged where one reports a
     class that a judge knows and the judge does not, or the other way round. `rapidocr`
@@ -80,6 +82,7 @@ def run(options: EvaluateOptions) -> None:
         doubts,
         figures,
         side_by_side,
+        thresholds_of,
     )
     from attacks.observe.rows import ATTACKED, CLEAN, ROWS
     from attacks.observe.views import evaluate
@@ -104,7 +107,7 @@ def run(options: EvaluateOptions) -> None:
         scenes = {CLEAN: clean.scene, ATTACKED: attacked.scene}
         names = list(chosen.cameras)
         cameras = list(chosen.cameras.values())
-        confidence = options.min_confidence
+        confidence = options.min_confidence or thresholds_of(detectors)
         advance(f"looking from {len(cameras)} cameras")
         seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
         classes = {"original": options.original, "target": options.target}
@@ -112,6 +115,7 @@ def run(options: EvaluateOptions) -> None:
             seen, **classes, min_confidence=confidence, judges=judges
         )
         document = _document(options, chosen, scenes, detectors)
+        document["min_confidence"] = confidence
         if judges:
             document["judges"] = judges
         counted = figures(document, {ROWS: looked.rows})
@@ -168,7 +172,6 @@ def _document(
         "selection": options.selection.as_dict() or "the Gaussians that differ",
         "object_gaussians": int(chosen.mask.sum()),
         "original": options.original,
-        "min_confidence": options.min_confidence,
         **({} if chosen.up == UP else {"up": list(chosen.up)}),
         "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
         **{f"{name}_hash": scene_hash(scene) for name, scene in scenes.items()},

@@ -134,15 +134,15 @@ def _relabel(label: str | None, confidence: float | None) -> Objective:
 
 
 def _hide(label: str | None, confidence: float | None) -> Objective:
-    from attacks.objectives.suppression import GONE, hide
+    from attacks.objectives.suppression import hide
 
-    return hide(confidence=GONE if confidence is None else confidence)
+    return hide(confidence=confidence)
 
 
 def _untargeted(label: str | None, confidence: float | None) -> Objective:
-    from attacks.objectives.suppression import GONE, untargeted
+    from attacks.objectives.suppression import untargeted
 
-    return untargeted(confidence=GONE if confidence is None else confidence)
+    return untargeted(confidence=confidence)
 
 
 for _spec in (

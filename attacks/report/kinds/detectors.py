@@ -20,6 +20,7 @@ from attacks.observe.rates import (
     REPORTED,
     Confidence,
     comparison_measures,
+    confidence_words,
 )
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS
 from attacks.report.section import (
@@ -86,6 +87,7 @@ def read_evaluation(result: Result) -> Section:
         for attacked, clean in headlines
     ]
     headline, control = headlines[0]
+    least = confidence_words(record["min_confidence"])
     return Section(
         kind="a clean and an attacked splat, judged",
         title=f"{Path(record['attacked']).name} against {Path(record['clean']).name}",
@@ -93,7 +95,7 @@ def read_evaluation(result: Result) -> Section:
             f"{listed([*classes])} looked at the clean splat {record['clean']} and at"
             f" the attacked one {record['attacked']} from"
             f" {counted(len(cameras), 'camera')}, in 8-bit pictures. A detection counts"
-            f" from {record['min_confidence']:g}. Views count in which the object shows"
+            f" from {least}. Views count in which the object shows"
             f" ({record['object_gaussians']:,} Gaussians)."
         ),
         conclusion=" ".join(
