@@ -276,16 +276,21 @@ def _opened(
 
 
 def _detectors_and_objective(
-    options: AttackOptions,
+    options: DaggerOptions | DaggerRegionOptions,
 ) -> tuple[Sequence[Detector], Objective]:
     from attacks.cli.options import load_detectors
 
     targeted = OBJECTIVES.chosen(options.objective).targeted
     target = (options.target or DEFAULT_TARGET) if targeted else None
     detectors = load_detectors(options.detectors, options.weights, options.device)
-    return detectors, objective_of(
-        options.objective, target, options.confidence, strict=options.strict
+    objective = objective_of(
+        options.objective,
+        target,
+        options.confidence,
+        strict=options.strict,
+        quiet=options.config.object_psnr is not None,
     )
+    return detectors, objective
 
 
 def _attack(

@@ -78,11 +78,11 @@ def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
         yield f"  from: {entry['origin']} ({entry['licence']})"
     classes = entry.get("classes")
     if classes:
-        yield (f"  counts from: {entry['threshold']:g} ({entry['threshold_origin']})")
         yield (
             f"  {len(classes)} classes:"
             f" {', '.join(classes[:SHOWN])}{', ...' if len(classes) > SHOWN else ''}"
         )
+        yield f"  counts from: {entry['threshold']:g} ({entry['threshold_origin']})"
 
 
 def _get(options: DetectorsOptions) -> None:
