@@ -31,7 +31,7 @@ from attacks.observe.rows import (
 from attacks.observe.views import ViewDetections, detect_views
 from attacks.search.loop import Verdict
 from mi_splat.cameras.camera import Camera
-from mi_splat.cameras.directions import Direction, Point, direction_of
+from mi_splat.cameras.directions import UP, Direction, Point, direction_of
 from mi_splat.scene import GaussianScene
 
 ON_OBJECT = 0.5
@@ -198,13 +198,15 @@ def observations_of(
     return Observations(rows=frame_of(rows), detections=frame_of(detections))
 
 
-def seen_from(centre: Point) -> Callable[[ViewDetections], dict[str, Any]]:
+def seen_from(
+    centre: Point, up: Point = UP
+) -> Callable[[ViewDetections], dict[str, Any]]:
     """Angles and distance of a view's camera from a centre (3,), world units: a part of
-    the `cells` of `observe`.
+    the `cells` of `observe`; `up` (3,) is up in their world.
     """
 
     def cells(seen: ViewDetections) -> dict[str, Any]:
-        direction = direction_of(seen.camera, centre)
+        direction = direction_of(seen.camera, centre, up)
         distance = float(
             torch.linalg.vector_norm(
                 seen.camera.position - torch.tensor(centre).to(seen.camera.position)
