@@ -58,9 +58,9 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     """The object in the clean splat; if nothing is said, the Gaussians that differ."""
     view: CameraOptions = field(default_factory=CameraOptions)
     """Where both are looked at from."""
-    original: ClassName | None = None
-    """Class that the object is; None is what each detector calls it in most views of
-    the clean splat.
+    original: tuple[ClassName, ...] = ()
+    """Class that the object is, or several of which any counts; none is what each
+    detector calls it in most views of the clean splat.
     """
     target: ClassName | None = None
     """Class that the attacker wants."""
@@ -123,10 +123,10 @@ def run(options: EvaluateOptions) -> None:
         confidence = options.min_confidence
         advance(f"looking from {len(cameras)} cameras")
         seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
-        classes = {"original": options.original, "target": options.target}
         looked = compared_rows(
             seen,
-            **classes,
+            original=options.original or None,
+            target=options.target,
             min_confidence=confidence,
             judges=judges,
             place=_placing(options, clean.scene, chosen),
@@ -189,7 +189,9 @@ def _detectors(options: EvaluateOptions) -> tuple[list[Detector], dict[str, list
         check_class(
             options.original, detector.name, detector.classes, what="--original"
         )
-        check_class(options.target, detector.name, detector.classes, what="--target")
+        check_class(
+            options.target or (), detector.name, detector.classes, what="--target"
+        )
     judging = load_detectors(options.judges) if options.judges else []
     return [*detectors, *judging], {
         judge.name: list(judge.classes) for judge in judging
@@ -215,7 +217,7 @@ def _document(
         "attacked": str(options.attacked),
         "selection": options.selection.as_dict() or "the Gaussians that differ",
         "object_gaussians": int(chosen.mask.sum()),
-        "original": options.original,
+        "original": list(options.original) or None,
         **({"inside": list(options.inside)} if options.inside else {}),
         "min_confidence": options.min_confidence,
         **({} if chosen.up == UP else {"up": list(chosen.up)}),

@@ -22,7 +22,7 @@ from mi_splat.cli.options import (
     up_line,
 )
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Metavar, Seed, at_least, between
+from mi_splat.fields import Metavar, Seed, Steps, at_least, between
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
@@ -78,9 +78,12 @@ class HidingConfig(ObjectConfig):
             elevation:LOW-HIGH, azimuth:LOW-HIGH or cone:AZIMUTH,ELEVATION,HALF_ANGLE,
             which is around a direction; of several, from where all of them hold.
         margin: Degrees around it in which pictures are changed, too.
-        look: What is shown in its place: remove (the picture around it goes on), or a
-            picture file.
+        look: What is shown in its place: background (what other photographs show behind
+            it, by a splat without the object, so that all images agree), remove (each
+            image is inpainted on its own), or an image file.
         reach: Pixels around the object that change, too.
+        background_steps: Steps in which the splat without the object is trained on what
+            the photographs show around it, for background.
         up: Direction that is up in the set's world: an axis, or X,Y,Z; None is as its
             cameras stand, which `mi-splat info SET` says.
     """
@@ -91,6 +94,7 @@ class HidingConfig(ObjectConfig):
     ] = 0.0
     look: Annotated[str, Metavar("LOOK")] = "remove"
     reach: Annotated[int, between(0, 100, "pixels")] = 3
+    background_steps: Steps = 600
     up: Direction | None = None
 
 
@@ -188,7 +192,9 @@ class PoisonOptions(ResultOptions):
     poison-splat and m-ifgsm have them.
     """
     seed: Seed = 0
-    """Seed of everything random; cloak draws nothing."""
+    """Seed of everything random; cloak draws nothing but the order of photographs for
+    --look background.
+    """
 
 
 def defaults(words: Sequence[str]) -> dict[str, Any]:
@@ -316,7 +322,9 @@ def _changes(done: Poisoned) -> str:
 
 def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
     from attacks.cloak.own_pictures import (
+        BACKGROUND,
         appearance_of,
+        background_of,
         directions_of,
         hide,
     )
@@ -324,7 +332,9 @@ def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
     from mi_splat.datasets import load_dataset
 
     trigger = trigger_of(config.hide_from, margin=config.margin)
-    appearance = appearance_of(config.look, config.reach)
+    fixed = None
+    if config.look != BACKGROUND:
+        fixed = appearance_of(config.look, config.reach)
 
     def work(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
         assert splat is not None
@@ -336,6 +346,17 @@ def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
         else:
             up = config.up
             line = f"up is {axis_name(up)}"
+        appearance = fixed or background_of(
+            views,
+            splat,
+            rows,
+            near=near,
+            reach=config.reach,
+            up=up,
+            steps=config.background_steps,
+            seed=options.seed,
+            on_step=on_step,
+        )
         done = hide(
             views,
             splat,
@@ -356,6 +377,9 @@ def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
             "look": config.look,
         }
         settings |= {"reach": config.reach, "directions": directions}
+        if fixed is None:
+            settings["background_steps"] = config.background_steps
+            settings["seed"] = options.seed
         idle = sum(not change.pixels_changed for change in done.changes)
         remark = (
             f"{idle} pictures from where it is to be hidden do not show the object, and"

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.cloak.appearances import Appearance, Inpaint, grown
+from attacks.cloak.background import STEPS, Background, without_object
 from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.triggers import Trigger
 from attacks.poisons.base import OnStep, Poisoned
@@ -34,6 +35,10 @@ from mi_splat.selection.visibility import object_weight
 NAME = "hidden"
 """Of the one poisoning, in manifests."""
 RECORD = "poison.json"
+BACKGROUND = "background"
+"""Name of the appearance that is made from a splat without the object."""
+_ANY = 0.1
+"""Share of a pixel from which on the object is in it, where it must not count."""
 BEFORE_AND_AFTER = "before_and_after.png"
 """What was changed in a set, and how, by which a set that was poisoned is known; a
 sheet of some changed pictures.
@@ -79,7 +84,10 @@ def appearance_of(look: str, reach: int) -> Appearance:
     if not Path(look).is_file():
         raise InvalidValueError(
             message(
-                "--look", "remove, or a picture", look, "name a picture that is there"
+                "--look",
+                "background, remove, or a picture",
+                look,
+                "name a picture that is there",
             )
         )
     pixels = (
@@ -91,6 +99,39 @@ def appearance_of(look: str, reach: int) -> Appearance:
         reach=reach,
         name=f"the picture {Path(look).name}",
     )
+
+
+def background_of(
+    views: Sequence[View],
+    splat: GaussianScene,
+    rows: Tensor,
+    *,
+    near: float,
+    reach: int,
+    up: Point = UP,
+    steps: int = STEPS,
+    seed: int = 0,
+    on_step: OnStep | None = None,
+) -> Background:
+    """What other photographs show behind an object, as `hide` takes it."""
+    render = Renderer(RenderSettings(near=near))
+
+    def outline(camera: Camera) -> Tensor:
+        return object_weight(splat, rows, camera, render) >= _ANY
+
+    scene = without_object(
+        views,
+        splat,
+        rows,
+        outline,
+        render=render,
+        reach=reach,
+        up=up,
+        steps=steps,
+        seed=seed,
+        on_step=on_step,
+    )
+    return Background(scene=scene, render=render, reach=reach)
 
 
 def hide(

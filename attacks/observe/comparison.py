@@ -160,7 +160,7 @@ def judge(
 def compared_rows(
     seen: Mapping[str, Sequence[ViewDetections]],
     *,
-    original: str | None = None,
+    original: str | Sequence[str] | None = None,
     target: str | None = None,
     min_confidence: float = REPORTED,
     judges: Collection[str] = (),
@@ -179,7 +179,7 @@ def compared_rows(
         for name, _ in clean
     }
     own = {name: None if name in judges else original for name in shown}
-    originals = {
+    originals: dict[str, str | Sequence[str] | None] = {
         name: own[name] or usual_label(views, min_confidence)
         for name, views in shown.items()
     }

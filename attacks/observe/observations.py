@@ -61,27 +61,26 @@ def report_cells(
     detections: Detections,
     box: Tensor | None,
     *,
-    original: str | None,
+    original: str | Sequence[str] | None,
     target: str | None = None,
 ) -> dict[str, Cell]:
     """What is reported on the object: the best detection of any class, and the scores
-    of two classes.
+    of its own class, or classes, and of the target.
     """
+    own = [original] if isinstance(original, str) else original
 
-    def score(label: str | None, iou: float = ON_OBJECT) -> float:
+    def score(labels: Sequence[str] | None, iou: float = ON_OBJECT) -> float:
         if box is None:
             return 0.0
-        return confidence(
-            detections, box, labels=None if label is None else [label], iou=iou
-        )
+        return confidence(detections, box, labels=labels, iou=iou)
 
     return {
-        "original": original,
+        "original": None if own is None else " or ".join(own),
         "target": target,
         **_best(detections, box),
-        "original_score": score(original),
-        "target_score": None if target is None else score(target),
-        "any_overlap": score(original, NEAR_OBJECT),
+        "original_score": score(own),
+        "target_score": None if target is None else score([target]),
+        "any_overlap": score(own, NEAR_OBJECT),
     }
 
 

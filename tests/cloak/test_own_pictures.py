@@ -202,7 +202,7 @@ def test_regions() -> None:
     [
         (["--box", "5", "5", "5", "6", "6", "6"], "at least one Gaussian"),
         (["--hide-from", "elevation:89.5-90"], "at least one camera"),
-        (["--look", "nothing.png"], "remove, or a picture"),
+        (["--look", "nothing.png"], "background, remove, or a picture"),
         (["--picture", "20", "--click", "20,16"], "a number below 20"),
     ],
 )
