@@ -89,11 +89,7 @@ class Rate:
     @property
     def failures(self) -> Rate:
         """The rate of those of which it does not hold."""
-        failed = Rate(successes=self.total - self.successes, total=self.total)
-        if self.resampled is None:
-            return failed
-        low, high = self.resampled
-        return replace(failed, resampled=(1 - high, 1 - low))
+        return Rate(successes=self.total - self.successes, total=self.total)
 
     @property
     def counts(self) -> str:

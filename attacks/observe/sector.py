@@ -78,8 +78,8 @@ def sector_figures(rows: pl.DataFrame, confidence: Confidence) -> Figures:
     """Rates inside of the sector and elsewhere, of each split and of both together.
 
     `found_clean` and `found_attacked` are of all views in which the object shows.
-    `missed`: the object's class is not detected on it any more, and `nothing`: no class
-    at all is, of the views in which the clean object is detected.
+    `detected`: the object's class is still detected on it, `missed`: it is not, and
+    `nothing`: no class at all is, of the views in which the clean object is detected.
     """
     scope = pl.when(pl.col(HIDDEN) >= 0)
     paired = with_control(rows).with_columns(
@@ -87,6 +87,7 @@ def sector_figures(rows: pl.DataFrame, confidence: Confidence) -> Figures:
     )
     measures = dict(comparison_measures(confidence, targeted=False))
     missed = measures["missed"]
+    measures["detected"] = Measure(holds=~missed.holds, given=missed.given)
     measures["nothing"] = Measure(
         holds=of(ATTACKED) & ~reported("score", confidence), given=missed.given
     )

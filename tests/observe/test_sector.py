@@ -71,18 +71,13 @@ def test_rates_are_of_views_in_which_the_clean_object_is_detected() -> None:
     assert counts(inside.rate("missed", split="train")) == (1, 1)
     assert counts(inside.rate("found_clean")) == (3, 4)
     elsewhere = counted.where(detector="d", scope="elsewhere")
-    assert counts(elsewhere.rate("missed").failures) == (2, 3)
-    assert counts(elsewhere.rate("missed", split="test").failures) == (1, 2)
+    assert counts(elsewhere.rate("detected")) == (2, 3)
+    assert counts(elsewhere.rate("detected", split="test")) == (1, 2)
     # each detector has its own threshold
     low = sector_figures(table(), {"d": 0.1}).where(detector="d", scope="inside")
     assert counts(low.rate("missed")) == (0, 4)
     few = list(sector_doubts(counted, ["d"]))
     assert few[1].endswith("in 2 held-out views inside the sector: few")
-
-
-def test_failures_of_a_resampled_rate_keep_its_interval() -> None:
-    rate = Rate(successes=3, total=10, resampled=(0.1, 0.6))
-    assert rate.failures.interval == pytest.approx((0.4, 0.9))
 
 
 @pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, -1.0, 0.0)])

@@ -144,7 +144,7 @@ def _sectors(figures: Figures, detectors: list[str]) -> Iterator[Table]:
                     "cameras": words,
                     "missed": of_split.rate("missed", scope=INSIDE),
                     "nothing": of_split.rate("nothing", scope=INSIDE),
-                    "detected": of_split.rate("missed", scope=ELSEWHERE).failures,
+                    "detected": of_split.rate("detected", scope=ELSEWHERE),
                     "clean": of_split.rate("found_clean", scope=INSIDE),
                 }
             )
