@@ -66,7 +66,7 @@ class DetectOptions(DetectorOptions, ResultOptions):
 def run(options: DetectOptions) -> None:
     """Detect, draw the boxes, and list them."""
     from attacks.cli.options import load_detectors
-    from attacks.detectors.registry import operating_threshold
+    from attacks.observe.comparison import thresholds_of
     from attacks.observe.drawing import annotated, listed
     from mi_splat.io.documents import file_name, save_json, save_png
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
@@ -74,7 +74,6 @@ def run(options: DetectOptions) -> None:
     _check_inputs(options)
     check_new_folder(options.out, force=options.force)
     rows: dict[str, dict[str, Any]] = {}
-    thresholds = {name: operating_threshold(name) for name in options.detectors}
     with (
         progress("loading") as advance,
         new_folder(options.out, force=options.force) as folder,
@@ -95,7 +94,7 @@ def run(options: DetectOptions) -> None:
                     name = f"{name}-{len(rows)}"
                 least = options.min_confidence
                 if least is None:
-                    least = thresholds[detector]
+                    least = thresholds_of(detectors())[detector]
                 items = [item for item in listed(detections) if item["score"] >= least]
                 rows[name] = {
                     "source": str(source),
@@ -112,7 +111,9 @@ def run(options: DetectOptions) -> None:
         document = {
             "story": "detect",
             "min_confidence": (
-                thresholds if options.min_confidence is None else options.min_confidence
+                thresholds_of(detectors())
+                if options.min_confidence is None
+                else options.min_confidence
             ),
             "view": _given(options.view),
             "fingerprints": {
