@@ -48,8 +48,10 @@ RING = 6
 """Pixels around what is replaced, whose colours the rendering is matched to."""
 _BLURS = (64.0, 24.0, 8.0, 3.0)
 _ENOUGH = 0.05
+_ALIKE = 0.15
 """Standard deviations in pixels, from wide to narrow; the weight of a ring from which
-on the narrower one counts alone.
+on the narrower one counts alone; the difference of a channel from which on a rendering
+shows something else than the image.
 """
 _FEWEST = 30
 """Gaussians beside an object from which on they are taken for its ground."""
@@ -118,9 +120,10 @@ def spread(difference: Tensor, hole: Tensor) -> Tensor:
     """(H, W, 3) differences outside of a hole (H, W), blurred into it.
 
     Close to the outline it is the mean of what is near; deep inside that of the whole
-    ring, so that noise of single pixels is not drawn into the hole.
+    ring, so that noise of single pixels is not drawn into the hole. Where the two
+    images show different things, nothing is taken from there.
     """
-    around = grown(hole, RING) & ~hole
+    around = grown(hole, RING) & ~hole & (difference.abs().amax(-1) < _ALIKE)
     weight = around.double().numpy()
     values = difference.double().numpy() * weight[..., None]
     result: NDArray[np.float64] | None = None
