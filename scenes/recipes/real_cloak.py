@@ -142,6 +142,8 @@ def study(capture: str, source: Path, mask: Path | None, out: Path) -> None:
     write_small(source, small, settings)
     training = ["--iterations", settings.iterations]
     training += ["--max-gaussians", settings.max_gaussians]
+    # the held-out images of a poisoned set are clean, and must not choose the step
+    training += ["--keep", "last"]
     clean = out / "clean" / "splat.ply"
     run(clean, "train", small, "--out", clean.parent, *training, "--seed", 0)
     if mask is None:
