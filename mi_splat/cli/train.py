@@ -81,6 +81,10 @@ class TrainOptions(JsonOptions):
     """
     device: Literal["cpu", "cuda"] = "cpu"
     """Where it is trained: on the CPU, or on an NVIDIA GPU."""
+    keep: Literal["best", "last"] = "best"
+    """Which step's splat is written: the best evaluation on the held-out images, which
+    matters where few photographs overfit, or the last.
+    """
     checkpoint_every: Annotated[int, at_least(1, "steps", "1000 is usual")] = 1000
     """Steps between two checkpoints."""
     seed: Seed = 0
@@ -90,9 +94,12 @@ class TrainOptions(JsonOptions):
 def defaults(words: Sequence[str]) -> dict[str, Any]:
     """The strategy and its options, which say what further flags there are."""
     name = choice_among(STRATEGIES, words, "--strategy", _STRATEGY)
-    return {"strategy": name, "fit": FitConfig(strategy=strategy_config(name))}
+    fit = FitConfig(strategy=strategy_config(name), eval_interval=EVAL_INTERVAL)
+    return {"strategy": name, "fit": fit}
 
 
+EVAL_INTERVAL = 500
+"""Steps between two evaluations, of which the best is kept."""
 FEW_VIEWS = 10
 """Training views below which a splat is warned of."""
 RANDOM_START = 10_000
@@ -173,6 +180,7 @@ def _train(options: TrainOptions) -> None:
             seed=options.seed,
             held_out=held_out,
             every=options.checkpoint_every,
+            keep=options.keep,
             settings=settings,
             dataset=options.dataset,
             on_resume=on_resume,
@@ -261,7 +269,13 @@ def _show(options: TrainOptions, count: int, seconds: float) -> None:
     ]
     if figures["psnr"] is not None:
         quality = f"PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}"
-        lines.append(f"held out ({figures['held_out_views']} pictures): {quality}")
+        lines.append(f"held out ({figures['held_out_views']} images): {quality}")
+    if figures["kept_iteration"] < options.fit.iterations:
+        last = figures["history"][-1]["held_out"]["psnr"]
+        lines.append(
+            f"step {figures['kept_iteration']:,} was kept, the best on held-out images;"
+            f" after the last step they have {last:.2f} dB (--keep last)"
+        )
     lines.append(f"took {seconds:.0f} s; figures are in {options.out / METRICS}")
     show_result(
         {**figures, "out": str(options.out), "seconds": seconds},

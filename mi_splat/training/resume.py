@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from safetensors.torch import save
@@ -18,7 +18,7 @@ from torch import Tensor
 from mi_splat import provenance
 from mi_splat.cameras.camera import Camera, RenderFn, View, cameras_of, fingerprint_of
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.io import save_splat
+from mi_splat.io import load_splat, save_splat
 from mi_splat.io.documents import save_bytes, save_json, sweep_temporary
 from mi_splat.io.folders import own_folder
 from mi_splat.io.noted_tensors import (
@@ -233,8 +233,14 @@ def _restore(state: TrainState, notes: Fields, generator: Tensor | None) -> None
 
 CHECKPOINT = "checkpoint.safetensors"
 SPLAT = "splat.ply"
+BEST = "best.ply"
 METRICS = "metrics.json"
 CONFIG = "config.json"
+
+Keep = Literal["best", "last"]
+"""Which step's splat is the result: that of the evaluation with the highest held-out
+PSNR, or the last one's.
+"""
 
 
 def train(
@@ -247,6 +253,7 @@ def train(
     seed: int = 0,
     held_out: Sequence[View] = (),
     every: int = 1000,
+    keep: Keep | None = None,
     settings: Mapping[str, object] | None = None,
     dataset: Path | None = None,
     on_resume: Callable[[TrainState], None] | None = None,
@@ -261,6 +268,9 @@ def train(
 
     Writes config.json, checkpoint.safetensors every so many steps and when interrupted,
     and at the end splat.ply and metrics.json.
+    With `keep`, best.ply is the best splat of all evaluations, and `keep` says whether
+    it or the last step's is splat.ply: a splat of few photographs overfits. The
+    held-out PSNR of the best is the largest of several, and so a little optimistic.
 
     Warns:
         UserWarning: A run goes on with another number of torch's threads, which may
@@ -302,6 +312,9 @@ def train(
             def after(line: Progress) -> None:
                 if on_step is not None:
                     on_step(line)
+                # before the checkpoint, so that none is ahead of its best splat
+                if keep is not None and best_of(state.history) is line:
+                    save_splat(state.result(), folder / BEST)
                 if (
                     interrupted()
                     or line.iteration % every == 0
@@ -312,9 +325,28 @@ def train(
                     raise KeyboardInterrupt
 
             fit = advance(state, views, render=render, held_out=held_out, on_step=after)
+        last = fit.history[-1]
+        kept = last
+        if keep == "best":
+            kept = best_of(fit.history) or last
+        if kept is not last:
+            fit = dataclasses.replace(fit, scene=load_splat(folder / BEST))
         save_splat(fit.scene, folder / SPLAT)
-        save_json(_figures(fit, len(held_out)), folder / METRICS)
+        save_json(_figures(fit, kept, len(held_out)), folder / METRICS)
         return fit
+
+
+def best_of(history: Sequence[Progress]) -> Progress | None:
+    """The evaluation with the highest held-out PSNR, the later one of equals; None
+    where nothing is held out.
+    """
+    scored = [line for line in history if line.held_out is not None]
+    return max(reversed(scored), key=_held_out_psnr, default=None)
+
+
+def _held_out_psnr(line: Progress) -> float:
+    assert line.held_out is not None
+    return line.held_out.psnr
 
 
 def _resumed(
@@ -394,13 +426,14 @@ def _digest(start: GaussianScene, *sets: Sequence[View]) -> str:
     return total.hexdigest()
 
 
-def _figures(fit: Fit, held_out: int) -> dict[str, object]:
+def _figures(fit: Fit, kept: Progress, held_out: int) -> dict[str, object]:
     """How true the held-out views are, and how it came about."""
-    scores = fit.history[-1].held_out
+    scores = kept.held_out
     return {
         **dict.fromkeys(("psnr", "ssim")),
         **({} if scores is None else asdict(scores)),
         "held_out_views": held_out,
+        "kept_iteration": kept.iteration,
         "gaussians": len(fit.scene),
         "scene_hash": scene_hash(fit.scene),
         "threads": torch.get_num_threads(),

@@ -13,9 +13,10 @@ from mi_splat.cameras.camera import View
 from mi_splat.errors import InvalidValueError
 from mi_splat.processes import sigterm_as_interrupt
 from mi_splat.scene import scene_hash
+from mi_splat.training.evaluation import score
 from mi_splat.training.initialization import from_points
-from mi_splat.training.loop import FitConfig, Progress
-from mi_splat.training.resume import CheckpointError, train
+from mi_splat.training.loop import Fit, FitConfig, OnStep, Progress
+from mi_splat.training.resume import CheckpointError, Keep, best_of, train
 from mi_splat.training.strategies import ClassicConfig
 from tests.training.sets import views_of, watching
 
@@ -138,3 +139,52 @@ def test_another_number_of_threads_is_told(tmp_path: Path) -> None:
             train(views, start, tmp_path, render=watching(), config=short)
     finally:
         torch.set_num_threads(threads)
+
+
+def test_the_best_evaluation_is_kept_although_a_run_goes_on_and_is_killed(
+    tmp_path: Path,
+) -> None:
+    truth, views = views_of()
+    # The held-out view is none that training comes nearer to.
+    wrong = View(views[0].camera, 1 - views[0].image)
+    start = from_points(truth.means, torch.full((50, 3), 0.5))
+    config = dataclasses.replace(CONFIG, eval_interval=5)
+
+    def press(line: Progress) -> None:
+        if line.iteration == 23:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    def run(out: Path, keep: Keep, on_step: OnStep | None = None) -> Fit:
+        return train(
+            views[1:],
+            start,
+            out,
+            render=watching(),
+            config=config,
+            held_out=[wrong],
+            every=15,
+            keep=keep,
+            on_step=on_step,
+        )
+
+    best = run(tmp_path / "whole", "best")
+    kept = best_of(best.history)
+    assert kept is not None
+    assert kept.iteration < config.iterations
+    figures = json.loads((tmp_path / "whole/metrics.json").read_text())
+    assert figures["kept_iteration"] == kept.iteration
+    assert kept.held_out is not None
+    assert figures["psnr"] == kept.held_out.psnr
+    again = score(best.scene, [wrong], watching())
+    assert again is not None
+    assert again.psnr == pytest.approx(kept.held_out.psnr, abs=1e-4)
+
+    with pytest.raises(KeyboardInterrupt), sigterm_as_interrupt():
+        run(tmp_path / "broken", "best", press)
+    resumed = run(tmp_path / "broken", "best")
+    assert scene_hash(resumed.scene) == scene_hash(best.scene)
+
+    last = run(tmp_path / "whole", "last")
+    figures = json.loads((tmp_path / "whole/metrics.json").read_text())
+    assert figures["kept_iteration"] == config.iterations
+    assert scene_hash(last.scene) != scene_hash(best.scene)
