@@ -189,7 +189,7 @@ class Dataset(ViewSet):
             _, _, mask = _upright(frame, plane.repeat(3, -1), None, plane)
             assert mask is not None
             plane = mask
-        return torch.from_numpy(area_mean(plane, self.downscale)[..., 0])
+        return torch.from_numpy(area_mean(plane, self.downscale)[..., 0].copy())
 
     def _read(self, index: int) -> _Entry:
         """An image with its alpha and its mask, from memory or from the disk."""

@@ -20,8 +20,15 @@ from mi_splat.scene import GaussianScene
 
 FEWEST_IMAGES = 2
 """One image says nothing of how far an object reaches along its rays."""
+MOST = 0.51
+"""Share of the images that is most of them, and of two both."""
 _SHOWN = 0.1
-"""Pixels that a Gaussian makes up where an image shows it."""
+"""Pixels that a Gaussian makes up in an image which then has a whole vote."""
+_LEAST_PIXELS = 1e-6
+_HIDDEN = 0.1
+"""Votes of all images together below which a Gaussian is hidden."""
+_IN_FRAME = 0.2
+"""Share of the images that have a Gaussian of the object in their frames at least."""
 _HALF = 0.5
 
 
@@ -72,7 +79,7 @@ def vote(
     regions: Sequence[ImageRegion],
     *,
     render: RenderFn,
-    least: float = _HALF,
+    least: float = MOST,
 ) -> Tensor:
     """The Gaussians that lie in most of the regions, of the images that show them.
 
@@ -98,8 +105,9 @@ def shares(
     that show it.
 
     In each image a Gaussian lies in the region by the share of its pixels there, each
-    pixel by its weight in it. Gaussians that no image shows, as those in the middle of
-    the object, lie where their means are projected.
+    pixel by its weight in it, and where its mean is projected. The smaller share of the
+    images counts; of Gaussians that no image shows, as those in the middle of the
+    object, that of their means.
 
     Args:
         scene: The scene.
@@ -107,24 +115,27 @@ def shares(
         render: Renders the images.
 
     Returns:
-        (N,) in [0, 1]; 0 where no image has a Gaussian in its frame.
+        (N,) in [0, 1]; 0 where too few images have a Gaussian in their frames.
 
     Raises:
         InvalidValueError: There are fewer than two regions.
     """
     require_regions(len(regions), "regions")
-    votes, shown, hidden_votes, in_frame = torch.zeros(4, len(scene))
+    votes, shown, projected, in_frame = torch.zeros(4, len(scene))
     for region in regions:
         inside, pixels = _pixels(scene, region, render)
-        counts = pixels >= _SHOWN
-        votes += torch.where(counts, inside / pixels.clamp(min=_SHOWN), 0)
-        shown += counts
+        # an image that shows next to nothing of a Gaussian says little of it
+        weight = (pixels / _SHOWN).clamp(0, 1)
+        votes += weight * (inside / pixels.clamp(min=_LEAST_PIXELS)).clamp(0, 1)
+        shown += weight
         is_inside, is_in_frame = _projected(scene, region)
-        hidden_votes += is_inside
+        projected += is_inside
         in_frame += is_in_frame
-    by_weight = votes / shown.clamp(min=1)
-    by_mean = hidden_votes / in_frame.clamp(min=1)
-    return torch.where(shown > 0, by_weight, by_mean)
+    by_mean = projected / in_frame.clamp(min=1)
+    by_weight = torch.where(shown > _HIDDEN, votes / shown.clamp(min=_HIDDEN), by_mean)
+    share = torch.minimum(by_weight, by_mean)
+    enough = max(FEWEST_IMAGES, _IN_FRAME * len(regions))
+    return torch.where(in_frame >= enough, share, 0)
 
 
 def require_regions(count: int, what: str) -> None:
