@@ -307,20 +307,27 @@ def _boxed(
 
 def _as_read(item: DrawnBox, image: SourceImage) -> list[float]:
     """A box that was drawn on the file of an image, in the image as it is read."""
-    width, height = image.size() if item.size is None else item.size
-    x0, y0, x1, y1 = (round(value) for value in item.box)
+    width, height = image.size()
+    across, down = item.size or image.size()
+    x0, x1 = (_within(value * width / across, width) for value in item.box[::2])
+    y0, y1 = (_within(value * height / down, height) for value in item.box[1::2])
     plane = np.zeros((height, width), np.float32)
-    plane[max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)] = 1
+    plane[y0:y1, x0:x1] = 1
     rows, columns = torch.nonzero(image.region(plane) >= 0.5, as_tuple=True)
     if not len(rows):
         raise InvalidValueError.of(
             f"box of {item.image}",
-            f"a box inside {width} x {height} pixels",
+            f"a box inside {across} x {down} pixels",
             list(item.box),
             "count pixels from the upper left corner",
         )
     corners = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
     return [float(value) for value in corners]
+
+
+def _within(value: float, size: int) -> int:
+    """A place on a side of so many pixels."""
+    return min(max(round(value), 0), size)
 
 
 def _cut_out(
