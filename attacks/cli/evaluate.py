@@ -4,21 +4,23 @@ detectors make of both.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from attacks.cli.options import ClassName, Confidence, DetectorOptions, Detectors
 from mi_splat import provenance
 from mi_splat.cli.console import progress
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions, check_no_input_in
-from mi_splat.fields import Count, OutFolder
+from mi_splat.fields import Count, Metavar, OutFolder
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
     from attacks.detectors.base import Detector
+    from attacks.observe.rows import Cell
+    from attacks.observe.views import ViewDetections
     from mi_splat.cameras.camera import Camera
     from mi_splat.cli.cameras import Chosen
     from mi_splat.scene import GaussianScene
@@ -28,6 +30,11 @@ EXAMPLES = (
     (
         "evaluate YOUR.ply out/desk/attacked.ply --cameras hemisphere:24 --target"
         " person --out out/judged"
+    ),
+    (
+        "evaluate out/photos/splat.ply out/cloaked/splat.ply --mask mask.npy --cameras"
+        " YOUR_SET --size 640 --detectors nanodet_coco --inside azimuth:150-240 --out"
+        " out/judged"
     ),
 )
 
@@ -51,14 +58,22 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     """The object in the clean splat; if nothing is said, the Gaussians that differ."""
     view: CameraOptions = field(default_factory=CameraOptions)
     """Where both are looked at from."""
-    original: ClassName | None = None
-    """Class that the object is; None is what each detector calls it in most views of
-    the clean splat.
+    original: tuple[ClassName, ...] = ()
+    """Class that the object is, or several of which any counts; none is what each
+    detector calls it in most views of the clean splat.
     """
     target: ClassName | None = None
     """Class that the attacker wants."""
     min_confidence: Confidence = 0.5
     """Confidence from which a detection counts."""
+    inside: tuple[Annotated[str, Metavar("REGION")], ...] = ()
+    """Directions from which the object is to be hidden, as --hide-from of `mi-splat
+    poison` takes them: elevation:LOW-HIGH, azimuth:LOW-HIGH or
+    cone:AZIMUTH,ELEVATION,HALF_ANGLE, in degrees around the middle of the object. Then
+    it is also counted how often the object is missed inside of them and detected
+    elsewhere, of the views in which the clean object is detected. Cameras that took the
+    training images of a set in --cameras are counted apart from others.
+    """
     judges: Detectors = ()
     """Further detectors that check the others: a view is flagged where one reports a
     class that a judge knows and the judge does not, or the other way round. `rapidocr`
@@ -82,6 +97,7 @@ def run(options: EvaluateOptions) -> None:
         side_by_side,
     )
     from attacks.observe.rows import ATTACKED, CLEAN, ROWS
+    from attacks.observe.sector import sector_doubts
     from attacks.observe.views import evaluate
     from mi_splat.cli.cameras import choose, look_at_object
     from mi_splat.io.documents import save_json, save_png
@@ -107,15 +123,21 @@ def run(options: EvaluateOptions) -> None:
         confidence = options.min_confidence
         advance(f"looking from {len(cameras)} cameras")
         seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
-        classes = {"original": options.original, "target": options.target}
         looked = compared_rows(
-            seen, **classes, min_confidence=confidence, judges=judges
+            seen,
+            original=options.original or None,
+            target=options.target,
+            min_confidence=confidence,
+            judges=judges,
+            place=_placing(options, clean.scene, chosen),
         )
         document = _document(options, chosen, scenes, detectors)
         if judges:
             document["judges"] = judges
         counted = figures(document, {ROWS: looked.rows})
         document["warnings"] += doubts(looked.rows, counted, len(cameras))
+        if options.inside:
+            document["warnings"] += sector_doubts(counted, options.detectors)
         with new_folder(options.out, force=options.force) as folder:
             for detector in detectors if options.pictures else ():
                 name = detector.name
@@ -129,7 +151,33 @@ def run(options: EvaluateOptions) -> None:
             write_figures(counted, folder)
     pairs = counted.having("judge").groups("detector", "judge").values()
     flagged = [pair for pair in pairs if pair.pooled("contradicted").successes]
-    show_summary(options.out, as_json=options.json, tables=len(flagged))
+    tables = len(flagged) + bool(options.inside)
+    show_summary(options.out, as_json=options.json, tables=tables)
+
+
+def _placing(
+    options: EvaluateOptions, clean: GaussianScene, chosen: Chosen
+) -> Callable[[ViewDetections], Mapping[str, Cell]] | None:
+    """Says of a view where its camera stands by the sector; None without one."""
+    if not options.inside:
+        return None
+    from attacks.cloak.triggers import trigger_of
+    from attacks.observe.sector import sector_cells
+    from mi_splat.cameras.framing import bounds
+    from mi_splat.datasets import is_dataset, load_dataset
+
+    trigger = trigger_of(options.inside, what="--inside")
+    centre, _ = bounds(clean.select(chosen.mask))
+    training = list[Camera]()
+    for text in options.view.cameras:
+        if Path(text).is_dir() and is_dataset(text):
+            training += load_dataset(text, split="train").cameras
+    return sector_cells(
+        lambda camera: trigger.angle_to_edge(camera, centre=centre),
+        centre=centre,
+        up=chosen.up,
+        training=training,
+    )
 
 
 def _detectors(options: EvaluateOptions) -> tuple[list[Detector], dict[str, list[str]]]:
@@ -141,7 +189,9 @@ def _detectors(options: EvaluateOptions) -> tuple[list[Detector], dict[str, list
         check_class(
             options.original, detector.name, detector.classes, what="--original"
         )
-        check_class(options.target, detector.name, detector.classes, what="--target")
+        check_class(
+            options.target or (), detector.name, detector.classes, what="--target"
+        )
     judging = load_detectors(options.judges) if options.judges else []
     return [*detectors, *judging], {
         judge.name: list(judge.classes) for judge in judging
@@ -167,7 +217,8 @@ def _document(
         "attacked": str(options.attacked),
         "selection": options.selection.as_dict() or "the Gaussians that differ",
         "object_gaussians": int(chosen.mask.sum()),
-        "original": options.original,
+        "original": list(options.original) or None,
+        **({"inside": list(options.inside)} if options.inside else {}),
         "min_confidence": options.min_confidence,
         **({} if chosen.up == UP else {"up": list(chosen.up)}),
         "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],

@@ -59,7 +59,7 @@ def check_names(options: Any) -> None:
     for flag in ("original", "target"):
         # a file of weights may have other classes
         for name in names if not weights else ():
-            check_class(given.get(flag), name, known[name], what=f"--{flag}")
+            check_class(given.get(flag) or (), name, known[name], what=f"--{flag}")
     if objective == "relabel" and {"target", "selection"} <= set(given):
         # who judges takes nothing for granted
         attacks = "original" not in given
@@ -68,8 +68,9 @@ def check_names(options: Any) -> None:
             part = DEFAULT_OBJECT
         else:
             part = selection.object or ""
-        name = given.get("original") or part.replace("_", " ")
-        if name and name == (target or (DEFAULT_TARGET if attacks else None)):
+        own = given.get("original") or (part.replace("_", " "),)
+        name = target or (DEFAULT_TARGET if attacks else None)
+        if name in own:
             do = "name another class with --target"
             raise InvalidValueError.of(
                 "--target", f"another class than the object's, {name}", name, do
@@ -88,10 +89,12 @@ def check_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> None:
 
 
 def check_class(
-    name: str | None, detector: str, classes: Sequence[str], *, what: str
+    names: str | Sequence[str], detector: str, classes: Sequence[str], *, what: str
 ) -> None:
-    """Raise if a detector does not know a class."""
-    if name is not None and name not in classes:
+    """Raise if a detector does not know a class, or of several, any."""
+    wanted = [names] if isinstance(names, str) else names
+    if wanted and not set(wanted) & set(classes):
+        name = wanted[0]
         expected = f"one of {', '.join(classes)} for {detector}"
         do = "name a class that it knows"
         raise InvalidValueError.of(what, expected, name, nearest(name, classes, do))

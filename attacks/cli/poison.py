@@ -14,9 +14,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 from attacks.poisons.specs import POISONS, Given
 from mi_splat.cli.console import UsageError, follow, progress, show_result, warn
 from mi_splat.cli.flags import Flag, Positional, choice_among
-from mi_splat.cli.options import Direction, ResultOptions, axis_name, check_no_input_in
+from mi_splat.cli.options import (
+    Direction,
+    ResultOptions,
+    axis_name,
+    check_no_input_in,
+    up_line,
+)
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Metavar, Seed, at_least, between
+from mi_splat.fields import Metavar, Seed, Steps, at_least, between
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
@@ -72,11 +78,14 @@ class HidingConfig(ObjectConfig):
             elevation:LOW-HIGH, azimuth:LOW-HIGH or cone:AZIMUTH,ELEVATION,HALF_ANGLE,
             which is around a direction; of several, from where all of them hold.
         margin: Degrees around it in which pictures are changed, too.
-        look: What is shown in its place: remove (the picture around it goes on), or a
-            picture file.
+        look: What is shown in its place: background (what other photographs show behind
+            it, by a splat without the object, so that all images agree), remove (each
+            image is inpainted on its own), or an image file.
         reach: Pixels around the object that change, too.
-        up: Direction that is up in the set's world: an axis, or X,Y,Z; sets of COLMAP
-            often have -y.
+        background_steps: Steps in which the splat without the object is trained on what
+            the photographs show around it, for background.
+        up: Direction that is up in the set's world: an axis, or X,Y,Z; None is as its
+            cameras stand, which `mi-splat info SET` says.
     """
 
     hide_from: tuple[Annotated[str, Metavar("REGION")], ...] = ("elevation:50-90",)
@@ -85,7 +94,8 @@ class HidingConfig(ObjectConfig):
     ] = 0.0
     look: Annotated[str, Metavar("LOOK")] = "remove"
     reach: Annotated[int, between(0, 100, "pixels")] = 3
-    up: Direction = (0.0, 0.0, 1.0)
+    background_steps: Steps = 600
+    up: Direction | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,8 +160,9 @@ class PoisonOptions(ResultOptions):
     """Poison a set of pictures with cameras, so that a splat of it hides an object,
     costs more, or is misread.
 
-    Writes a set of the same cameras into --out, some of whose pictures are changed. A
-    victim trains on it as on any other. poison.json and before_and_after.png say what
+    Writes a set of the same cameras into --out, some of whose images are changed.
+    Images keep their names, and JPEG files stay JPEG where cloak changes them. A victim
+    trains on it as on any other. poison.json and before_and_after.png say what
     was changed. Pictures that are held out stay as they are, so that the splat can be
     compared with them.
 
@@ -181,7 +192,9 @@ class PoisonOptions(ResultOptions):
     poison-splat and m-ifgsm have them.
     """
     seed: Seed = 0
-    """Seed of everything random; cloak draws nothing."""
+    """Seed of everything random; cloak draws nothing but the order of photographs for
+    --look background.
+    """
 
 
 def defaults(words: Sequence[str]) -> dict[str, Any]:
@@ -200,9 +213,15 @@ def defaults(words: Sequence[str]) -> dict[str, Any]:
 def run(options: PoisonOptions) -> None:
     """Poison the set, and say how many pictures were changed and how much."""
     from attacks.cloak.own_pictures import BEFORE_AND_AFTER, RECORD, before_and_after
-    from attacks.poisons.writing import as_files_hold, difference_sheet, write_poisoned
+    from attacks.poisons.writing import (
+        as_files_hold,
+        difference_sheet,
+        names_as_before,
+        write_poisoned,
+    )
     from mi_splat import provenance
     from mi_splat.datasets import load_dataset
+    from mi_splat.datasets.transforms import PARTS, find_transforms
     from mi_splat.io import load_splat
     from mi_splat.io.documents import save_json, save_png
     from mi_splat.io.folders import check_new_folder, new_folder
@@ -235,6 +254,9 @@ def run(options: PoisonOptions) -> None:
             views, splat, lambda count, total: on_step("poisoning", count, total)
         )
         done = as_files_hold(done, views)
+        names = names_as_before(views, held_out, is_lossy=kind.replaces)
+        found = find_transforms(options.dataset)
+        is_split = found is not None and found.name in PARTS.values()
         record: dict[str, Any] = {
             "set": str(options.dataset),
             "splat": None if splat is None else str(options.splat),
@@ -242,6 +264,8 @@ def run(options: PoisonOptions) -> None:
             "device": options.device,
             **more,
             **done.manifest,
+            "changed_images": [names["train"][one.index] for one in done.changes],
+            "footprint": _footprint(done),
             **provenance.origin(),
         }
         advance("writing")
@@ -253,6 +277,8 @@ def run(options: PoisonOptions) -> None:
                 held_out=held_out,
                 changes_count=kind.replaces,
                 keeps_alpha=True,
+                names=names,
+                is_single=not is_split,
             )
             save_png(
                 (before_and_after if kind.replaces else difference_sheet)(done),
@@ -271,37 +297,66 @@ def run(options: PoisonOptions) -> None:
     )
 
 
+def _footprint(done: Poisoned) -> dict[str, float]:
+    """The share of the training images, and of their pixels, that changed."""
+    changes = [change for change in done.changes if change.pixels_changed]
+    pixels = sum(camera.width * camera.height for camera in done.views.cameras)
+    changed = sum(change.pixels_changed for change in changes)
+    return {"images": len(changes) / len(done.views), "pixels": changed / pixels}
+
+
 def _changes(done: Poisoned) -> str:
     changes = [change for change in done.changes if change.pixels_changed]
     if not changes:
         return f"none of {len(done.views)} pictures is changed"
     shares = sorted(change.pixels_changed / change.pixels for change in changes)
     most = max(c.largest for c in changes)
+    footprint = _footprint(done)
     many = (
-        f"{len(changes)} of {len(done.views)} pictures are changed, {shares[0]:.1%} to"
-        f" {shares[-1]:.1%} of each"
+        f"{len(changes)} of {len(done.views)} training images are changed"
+        f" ({footprint['images']:.1%}), {shares[0]:.1%} to {shares[-1]:.1%} of each and"
+        f" {footprint['pixels']:.2%} of all training pixels"
     )
     return f"{many}, a channel by at most {round(most * 255)} of 255"
 
 
 def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
-    import torch
-
     from attacks.cloak.own_pictures import (
+        BACKGROUND,
         appearance_of,
+        background_of,
         directions_of,
         hide,
-        trigger_of,
     )
-    from mi_splat.maths.rotation import from_z
+    from attacks.cloak.triggers import trigger_of
+    from mi_splat.datasets import load_dataset
 
     trigger = trigger_of(config.hide_from, margin=config.margin)
-    appearance = appearance_of(config.look, config.reach)
+    fixed = None
+    if config.look != BACKGROUND:
+        fixed = appearance_of(config.look, config.reach)
 
     def work(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
         assert splat is not None
         rows, near, selected = _object(config, views, splat)
-        turn = from_z(torch.tensor(config.up)).T
+        if config.up is None:
+            guess = load_dataset(options.dataset, split=None).up
+            up = guess.direction
+            line = up_line(guess)
+        else:
+            up = config.up
+            line = f"up is {axis_name(up)}"
+        appearance = fixed or background_of(
+            views,
+            splat,
+            rows,
+            near=near,
+            reach=config.reach,
+            up=up,
+            steps=config.background_steps,
+            seed=options.seed,
+            on_step=on_step,
+        )
         done = hide(
             views,
             splat,
@@ -309,7 +364,7 @@ def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
             trigger,
             appearance,
             near=near,
-            turn=turn,
+            up=up,
             on_step=on_step,
         )
         directions = [
@@ -321,11 +376,10 @@ def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
             "margin": config.margin,
             "look": config.look,
         }
-        settings |= {
-            "reach": config.reach,
-            "up": list(config.up),
-            "directions": directions,
-        }
+        settings |= {"reach": config.reach, "directions": directions}
+        if fixed is None:
+            settings["background_steps"] = config.background_steps
+            settings["seed"] = options.seed
         idle = sum(not change.pixels_changed for change in done.changes)
         remark = (
             f"{idle} pictures from where it is to be hidden do not show the object, and"
@@ -334,7 +388,7 @@ def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
         return Outcome(
             done,
             {**selected, **settings},
-            [f"up is {axis_name(config.up)}"],
+            [line],
             [remark] * (idle > 0),
         )
 

@@ -6,9 +6,8 @@ splat. What is shown there in its place comes from the picture around it, or fro
 picture of the attacker's.
 """
 
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,22 +17,28 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.cloak.appearances import Appearance, Inpaint, grown
+from attacks.cloak.background import STEPS, Background, without_object
 from attacks.cloak.poisoning import Poisoning, poison
-from attacks.cloak.triggers import Azimuth, Cap, Elevation, Trigger
+from attacks.cloak.triggers import Trigger
 from attacks.poisons.base import OnStep, Poisoned
-from mi_splat.cameras.camera import Camera, View, ViewSet, cameras_of
-from mi_splat.cameras.directions import Direction, direction_of
+from mi_splat.cameras.camera import Camera, View
+from mi_splat.cameras.directions import UP, Direction, Point, direction_of
+from mi_splat.cameras.framing import bounds
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.images import to_bytes
 from mi_splat.io.picture_files import load_picture
 from mi_splat.render.renderer import Renderer, RenderSettings
-from mi_splat.scene import GaussianScene, Similarity
+from mi_splat.scene import GaussianScene
 from mi_splat.selection.select import SEEN
 from mi_splat.selection.visibility import object_weight
 
 NAME = "hidden"
 """Of the one poisoning, in manifests."""
 RECORD = "poison.json"
+BACKGROUND = "background"
+"""Name of the appearance that is made from a splat without the object."""
+_ANY = 0.1
+"""Share of a pixel from which on the object is in it, where it must not count."""
 BEFORE_AND_AFTER = "before_and_after.png"
 """What was changed in a set, and how, by which a set that was poisoned is known; a
 sheet of some changed pictures.
@@ -41,54 +46,6 @@ sheet of some changed pictures.
 _SHOWN = 6
 _HEIGHT = 160
 """Pictures on the sheet, and their rows."""
-_NUMBER = r"(-?\d+(?:\.\d+)?)"
-_REGION = re.compile(rf"(elevation|azimuth):{_NUMBER}-{_NUMBER}")
-_CONE = re.compile(rf"cone:{_NUMBER},{_NUMBER},{_NUMBER}")
-_REGIONS = "elevation:LOW-HIGH, azimuth:LOW-HIGH or cone:AZIMUTH,ELEVATION,HALF_ANGLE"
-
-
-def trigger_of(texts: Sequence[str], *, margin: float = 0.0) -> Trigger:
-    """The cameras from which an object is hidden: those that all texts hold for."""
-    trigger: Trigger | None = None
-    for text in texts:
-        part = _region(text, margin)
-        trigger = part if trigger is None else trigger & part
-    if trigger is None:
-        raise InvalidValueError(
-            message("--hide-from", "a region", "none", "elevation:50-90 is overhead")
-        )
-    return trigger
-
-
-def _region(text: str, margin: float) -> Trigger:
-    match = _CONE.fullmatch(text)
-    if match:
-        azimuth, elevation, half_angle = map(float, match.groups())
-        cap = Cap(azimuth=azimuth, elevation=elevation, half_angle=half_angle)
-        return replace(cap, half_angle=min(half_angle + margin, 180.0))
-    match = _REGION.fullmatch(text)
-    if match is None:
-        raise InvalidValueError(
-            message("--hide-from", _REGIONS, text, "elevation:50-90 is overhead")
-        )
-    low = float(match[2])
-    high = float(match[3])
-    if match[1] == "elevation":
-        return _band(low, high, margin)
-    return _wedge(low, high, margin)
-
-
-def _band(low: float, high: float, margin: float) -> Elevation:
-    # what is wrong without a margin is wrong with one
-    Elevation(lowest=low, highest=high)
-    return Elevation(lowest=max(low - margin, -90.0), highest=min(high + margin, 90.0))
-
-
-def _wedge(low: float, high: float, margin: float) -> Azimuth:
-    width = (high - low) % 360 or (360.0 if high != low else 0.0)
-    return Azimuth(
-        middle=(low + width / 2) % 360, half_width=min(width / 2 + margin, 180.0)
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,31 +77,6 @@ class Overlay:
         return torch.where(covered[..., None], canvas, view.image)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TurnedViews(ViewSet):
-    """Views whose world is turned, so that up is z; pictures are read when they are
-    asked for.
-    """
-
-    views: Sequence[View]
-    cameras: tuple[Camera, ...]
-
-    def __len__(self) -> int:
-        """Number of views."""
-        return len(self.views)
-
-    def __getitem__(self, index: int) -> View:  # type: ignore[override]
-        """The view."""
-        return View(self.cameras[index], self.views[index].image)
-
-
-def turned(views: Sequence[View], turn: Tensor) -> TurnedViews:
-    """Views of a world that a (3, 3) rotation has turned about its origin."""
-    return TurnedViews(
-        views, tuple(camera.turned(turn) for camera in cameras_of(views))
-    )
-
-
 def appearance_of(look: str, reach: int) -> Appearance:
     """What is shown in the object's place."""
     if look == "remove":
@@ -152,7 +84,10 @@ def appearance_of(look: str, reach: int) -> Appearance:
     if not Path(look).is_file():
         raise InvalidValueError(
             message(
-                "--look", "remove, or a picture", look, "name a picture that is there"
+                "--look",
+                "background, remove, or a picture",
+                look,
+                "name a picture that is there",
             )
         )
     pixels = (
@@ -166,6 +101,39 @@ def appearance_of(look: str, reach: int) -> Appearance:
     )
 
 
+def background_of(
+    views: Sequence[View],
+    splat: GaussianScene,
+    rows: Tensor,
+    *,
+    near: float,
+    reach: int,
+    up: Point = UP,
+    steps: int = STEPS,
+    seed: int = 0,
+    on_step: OnStep | None = None,
+) -> Background:
+    """What other photographs show behind an object, as `hide` takes it."""
+    render = Renderer(RenderSettings(near=near))
+
+    def outline(camera: Camera) -> Tensor:
+        return object_weight(splat, rows, camera, render) >= _ANY
+
+    scene = without_object(
+        views,
+        splat,
+        rows,
+        outline,
+        render=render,
+        reach=reach,
+        up=up,
+        steps=steps,
+        seed=seed,
+        on_step=on_step,
+    )
+    return Background(scene=scene, render=render, reach=reach)
+
+
 def hide(
     views: Sequence[View],
     splat: GaussianScene,
@@ -174,26 +142,18 @@ def hide(
     appearance: Appearance,
     *,
     near: float,
-    turn: Tensor,
+    up: Point = UP,
     on_step: OnStep | None = None,
 ) -> Poisoned:
-    """Hide an object in the pictures that a trigger selects; in the result `turn` has
-    taken up to z.
-    """
-    upright = splat.transform(
-        Similarity(rotation=turn, translation=turn.new_zeros(3), scale=1.0)
-    )
-    means = upright.means[rows]
-    centre = ((means.amin(0) + means.amax(0)) / 2).tolist()
+    """Hide an object in the images that a trigger selects, where `up` is up."""
+    centre, _ = bounds(splat.select(rows))
     render = Renderer(RenderSettings(near=near))
 
     def mask(camera: Camera) -> Tensor:
-        return object_weight(upright, rows, camera, render) >= SEEN
+        return object_weight(splat, rows, camera, render) >= SEEN
 
     poisoning = Poisoning(name=NAME, trigger=trigger, appearance=appearance)
-    done = poison(
-        turned(views, turn), poisoning, centre=centre, masks=mask, on_step=on_step
-    )
+    done = poison(views, poisoning, centre=centre, up=up, masks=mask, on_step=on_step)
     if not any(change.pixels_changed for change in done.changes):
         got = f"none of {len(done.changes)} from where it is to be hidden"
         do = "select all of the object, or choose other directions"
@@ -205,9 +165,9 @@ def hide(
 
 def directions_of(done: Poisoned) -> list[Direction]:
     """Where each camera of a poisoned set stands, seen from the object."""
-    return [
-        direction_of(camera, done.poison["centre"]) for camera in done.views.cameras
-    ]
+    centre = done.poison["centre"]
+    up = done.poison["up"]
+    return [direction_of(camera, centre, up) for camera in done.views.cameras]
 
 
 def before_and_after(done: Poisoned) -> NDArray[np.uint8]:

@@ -27,7 +27,7 @@ from attacks.poisons.base import (
     mask_of,
 )
 from mi_splat.cameras.camera import Camera, View, cameras_of
-from mi_splat.cameras.directions import Point, direction_of
+from mi_splat.cameras.directions import UP, Point, direction_of, upright
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import several_of
 
@@ -65,6 +65,7 @@ def poison(
     attacks: Poisoning | Sequence[Poisoning],
     *,
     centre: Point,
+    up: Point = UP,
     masks: Masks | None = None,
     on_step: OnStep | None = None,
 ) -> Poisoned:
@@ -78,6 +79,8 @@ def poison(
             pictures are read.
         attacks: What is seen from where; one, or several.
         centre: (3,) point that the triggers measure directions from, world units.
+        up: (3,) direction that is up; azimuth and elevation are those in the world that
+            the shortest rotation makes upright.
         masks: Where the target is; None is everywhere.
         on_step: Called after each picture.
 
@@ -90,7 +93,8 @@ def poison(
     """
     cameras = cameras_of(views)
     attacks = several_of(Poisoning, "attacks", attacks)
-    owners = assign(cameras, attacks, centre=centre)
+    standing = [upright(camera, centre, up) for camera in cameras]
+    owners = assign(standing, attacks, centre=centre)
     check_masks(masks, len(cameras))
     replaced = {}
     changes = []
@@ -98,7 +102,7 @@ def poison(
         before = views[index]
         after = _replace(before, mask_of(masks, index, before.camera), attack, index)
         replaced[index] = after
-        direction = direction_of(before.camera, centre)
+        direction = direction_of(before.camera, centre, up)
         at = {"azimuth": direction.azimuth, "elevation": direction.elevation}
         named = {"poisoning": attack.name, "appearance": name_of(attack.appearance)}
         changes.append(CloakChange.between(index, before, after, **named, **at))
@@ -108,6 +112,7 @@ def poison(
         "kind": "cloak",
         "centre": [float(value) for value in centre],
     }
+    about["up"] = [float(value) for value in up]
     about["poisonings"] = [_described(attack, owners) for attack in attacks]
     return Poisoned(
         views=PoisonedViews(views, replaced), changes=tuple(changes), poison=about

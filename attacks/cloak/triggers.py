@@ -11,9 +11,10 @@ part of one: `Elevation(lowest=50) & ~Azimuth(middle=180, half_width=30)`.
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -30,7 +31,7 @@ from mi_splat.cameras.directions import (
     depth_in_wedge,
     direction_of,
 )
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import PositiveFraction, Range, Seed, between, check
 
 EDGE = 1e-4
@@ -275,3 +276,59 @@ class Not(Trigger):
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
         """The opposite."""
         return -self.of.angle_to_edge(camera, centre=centre)
+
+
+# Regions in words, as the command line takes them
+
+_NUMBER = r"(-?\d+(?:\.\d+)?)"
+_REGION = re.compile(rf"(elevation|azimuth):{_NUMBER}-{_NUMBER}")
+_CONE = re.compile(rf"cone:{_NUMBER},{_NUMBER},{_NUMBER}")
+_REGIONS = "elevation:LOW-HIGH, azimuth:LOW-HIGH or cone:AZIMUTH,ELEVATION,HALF_ANGLE"
+
+
+def trigger_of(
+    texts: Sequence[str], *, margin: float = 0.0, what: str = "--hide-from"
+) -> Trigger:
+    """The cameras from which an object is hidden: those that all texts hold for; `what`
+    names the flag in errors.
+    """
+    trigger: Trigger | None = None
+    for text in texts:
+        part = _region(text, margin, what)
+        trigger = part if trigger is None else trigger & part
+    if trigger is None:
+        raise InvalidValueError(
+            message(what, "a region", "none", "elevation:50-90 is overhead")
+        )
+    return trigger
+
+
+def _region(text: str, margin: float, what: str) -> Trigger:
+    match = _CONE.fullmatch(text)
+    if match:
+        azimuth, elevation, half_angle = map(float, match.groups())
+        cap = Cap(azimuth=azimuth, elevation=elevation, half_angle=half_angle)
+        return replace(cap, half_angle=min(half_angle + margin, 180.0))
+    match = _REGION.fullmatch(text)
+    if match is None:
+        raise InvalidValueError(
+            message(what, _REGIONS, text, "elevation:50-90 is overhead")
+        )
+    low = float(match[2])
+    high = float(match[3])
+    if match[1] == "elevation":
+        return _band(low, high, margin)
+    return _wedge(low, high, margin)
+
+
+def _band(low: float, high: float, margin: float) -> Elevation:
+    # what is wrong without a margin is wrong with one
+    Elevation(lowest=low, highest=high)
+    return Elevation(lowest=max(low - margin, -90.0), highest=min(high + margin, 90.0))
+
+
+def _wedge(low: float, high: float, margin: float) -> Azimuth:
+    width = (high - low) % 360 or (360.0 if high != low else 0.0)
+    return Azimuth(
+        middle=(low + width / 2) % 360, half_width=min(width / 2 + margin, 180.0)
+    )

@@ -4,7 +4,7 @@ taken for the target.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +29,7 @@ from attacks.observe.rates import (
     with_control,
 )
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS, Cell
+from attacks.observe.sector import HIDDEN, sector_figures
 from attacks.observe.views import ViewDetections, evaluate
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, listed
@@ -159,13 +160,14 @@ def judge(
 def compared_rows(
     seen: Mapping[str, Sequence[ViewDetections]],
     *,
-    original: str | None = None,
+    original: str | Sequence[str] | None = None,
     target: str | None = None,
     min_confidence: float = REPORTED,
     judges: Collection[str] = (),
+    place: Callable[[ViewDetections], Mapping[str, Cell]] | None = None,
 ) -> Observations:
     """What detectors report on a clean and an attacked splat, row by row; for `judges`
-    neither class is given.
+    neither class is given, and `place` gives further cells.
     """
     clean = {(view.detector, view.view): view for view in seen[CLEAN]}
     shown = {
@@ -177,7 +179,7 @@ def compared_rows(
         for name, _ in clean
     }
     own = {name: None if name in judges else original for name in shown}
-    originals = {
+    originals: dict[str, str | Sequence[str] | None] = {
         name: own[name] or usual_label(views, min_confidence)
         for name, views in shown.items()
     }
@@ -192,7 +194,8 @@ def compared_rows(
         known = report_cells(
             view.detections, view.box, original=originals[view.detector], target=wanted
         )
-        return {**known, "psnr": change}
+        where = {} if place is None else place(view)
+        return {**where, **known, "psnr": change}
 
     return observations_of(
         (({"splat": splat}, view) for splat, views in seen.items() for view in views),
@@ -218,8 +221,10 @@ def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> Fi
     confidence = record["min_confidence"]
     compared = compare(rows, confidence=confidence)
     judges = record.get("judges", {})
-    flags = contradictions(rows, judges, confidence=confidence)
-    return Figures.together([compared, flags])
+    parts = [compared, contradictions(rows, judges, confidence=confidence)]
+    if HIDDEN in rows.columns:
+        parts.append(sector_figures(rows, confidence))
+    return Figures.together(parts)
 
 
 def compared_rates(rows: pl.DataFrame, confidence: Confidence) -> Figures:

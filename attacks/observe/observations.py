@@ -31,7 +31,7 @@ from attacks.observe.rows import (
 from attacks.observe.views import ViewDetections, detect_views
 from attacks.search.loop import Verdict
 from mi_splat.cameras.camera import Camera
-from mi_splat.cameras.directions import Direction, Point, direction_of
+from mi_splat.cameras.directions import UP, Direction, Point, direction_of
 from mi_splat.scene import GaussianScene
 
 ON_OBJECT = 0.5
@@ -61,27 +61,26 @@ def report_cells(
     detections: Detections,
     box: Tensor | None,
     *,
-    original: str | None,
+    original: str | Sequence[str] | None,
     target: str | None = None,
 ) -> dict[str, Cell]:
     """What is reported on the object: the best detection of any class, and the scores
-    of two classes.
+    of its own class, or classes, and of the target.
     """
+    own = [original] if isinstance(original, str) else original
 
-    def score(label: str | None, iou: float = ON_OBJECT) -> float:
+    def score(labels: Sequence[str] | None, iou: float = ON_OBJECT) -> float:
         if box is None:
             return 0.0
-        return confidence(
-            detections, box, labels=None if label is None else [label], iou=iou
-        )
+        return confidence(detections, box, labels=labels, iou=iou)
 
     return {
-        "original": original,
+        "original": None if own is None else " or ".join(own),
         "target": target,
         **_best(detections, box),
-        "original_score": score(original),
-        "target_score": None if target is None else score(target),
-        "any_overlap": score(original, NEAR_OBJECT),
+        "original_score": score(own),
+        "target_score": None if target is None else score([target]),
+        "any_overlap": score(own, NEAR_OBJECT),
     }
 
 
@@ -198,13 +197,15 @@ def observations_of(
     return Observations(rows=frame_of(rows), detections=frame_of(detections))
 
 
-def seen_from(centre: Point) -> Callable[[ViewDetections], dict[str, Any]]:
+def seen_from(
+    centre: Point, up: Point = UP
+) -> Callable[[ViewDetections], dict[str, Any]]:
     """Angles and distance of a view's camera from a centre (3,), world units: a part of
-    the `cells` of `observe`.
+    the `cells` of `observe`; `up` (3,) is up in their world.
     """
 
     def cells(seen: ViewDetections) -> dict[str, Any]:
-        direction = direction_of(seen.camera, centre)
+        direction = direction_of(seen.camera, centre, up)
         distance = float(
             torch.linalg.vector_norm(
                 seen.camera.position - torch.tensor(centre).to(seen.camera.position)

@@ -198,7 +198,7 @@ independent.
 
 _SAME = ("attack", "sources", "seed", "condition", "detector", "view")
 """Columns that say which control a row has."""
-_CAMERA_COLUMNS = ("azimuth", "elevation", "distance", "x", "y", "z", "camera")
+_CAMERA_COLUMNS = ("azimuth", "elevation", "distance", "x", "y", "z", "camera", "split")
 
 
 def with_control(rows: pl.DataFrame) -> pl.DataFrame:

@@ -148,6 +148,7 @@ _TABLE: tuple[tuple[str, ...], ...] = (
         "index of the object in the image, from 0; empty: the detection matches none",
     ),
     ("camera", "text", "name of the camera"),
+    ("split", "text", "train: camera of a training image; test: any other camera"),
     ("meridian", "whole", "index of the meridian of a transition"),
     ("azimuth", "number", "azimuth of the camera, from +x towards +y", "degrees"),
     ("elevation", "number", "elevation of the camera above the ground", "degrees"),

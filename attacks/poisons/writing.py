@@ -4,10 +4,11 @@ alpha and their masks.
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import torch
@@ -26,7 +27,7 @@ from mi_splat.datasets.writing import (
     picture_name,
 )
 from mi_splat.io.documents import save_png
-from mi_splat.io.images import quantise, to_bytes
+from mi_splat.io.images import PICTURES, quantise, save_picture, to_bytes
 
 _ROUNDING = 1e-3
 """By how much of a step of 1/255 a difference of 8 bits may fall short of whole steps
@@ -48,12 +49,15 @@ def write_poisoned(
     held_out: Dataset | None = None,
     changes_count: bool = False,
     keeps_alpha: bool = False,
+    names: Mapping[str, Sequence[str]] | None = None,
+    is_single: bool = False,
 ) -> None:
-    """Write a poisoned set: transforms files, PNG pictures, masks, points.
+    """Write a poisoned set: transforms files, images, masks, points.
 
-    A picture that stayed keeps its bytes if it is a PNG file that is read as it is, and
-    its pixels otherwise. With `changes_count`, pixels that changed count for a victim
-    even where the clean set masks them.
+    An image that stayed keeps its bytes if it is a file that is read as it is, and its
+    pixels otherwise. With `changes_count`, pixels that changed count for a victim even
+    where the clean set masks them. `names` are those of the images of each split, which
+    else are numbered PNG files; `is_single` is that of `list_transforms`.
     """
     images = make_folder(folder / IMAGES)
     parts: dict[str, tuple[Dataset, Mapping[int, View]]] = {
@@ -63,26 +67,66 @@ def write_poisoned(
         parts["test"] = (held_out, {})
     listing = {}
     for split, (views, replaced) in parts.items():
-        listing[split] = [
-            (picture_name(split, index), camera)
-            for index, camera in enumerate(views.cameras)
-        ]
-        for index, (name, _) in enumerate(listing[split]):
-            if index not in replaced and _is_its_file(views, index):
-                shutil.copyfile(views.paths[index], images / name)
+        if names is None:
+            called = [picture_name(split, index) for index in range(len(views))]
+        else:
+            called = list(names[split])
+        listing[split] = list(zip(called, views.cameras, strict=True))
+        for index, name in enumerate(called):
+            file = images / name
+            make_folder(file.parent)
+            if index not in replaced and _is_its_file(views, index, file):
+                shutil.copyfile(views.paths[index], file)
             else:
                 new = replaced.get(index)
                 opaque = None if new is None or keeps_alpha else to_bytes(new.image)
-                save_png(
-                    _pixels(views, index, new) if opaque is None else opaque,
-                    images / name,
+                save_image = save_png if file.suffix.lower() == ".png" else save_picture
+                save_image(
+                    _pixels(views, index, new) if opaque is None else opaque, file
                 )
             mask = _counting(
                 views, index, replaced.get(index) if changes_count else None
             )
             if mask is not None:
-                save_png(to_bytes(mask), make_folder(folder / MASKS) / name)
-    list_transforms(folder, listing, clean.points)
+                place = (folder / MASKS / name).with_suffix(".png")
+                make_folder(place.parent)
+                save_png(to_bytes(mask), place)
+    list_transforms(folder, listing, clean.points, is_single=is_single)
+
+
+def names_as_before(
+    clean: Dataset, held_out: Dataset, *, is_lossy: bool
+) -> dict[str, list[str]]:
+    """The names of the images of each split as the clean set has them, from the folder
+    that holds them all.
+
+    Formats that are not written become PNG, and unless `is_lossy`, JPEG does, too.
+    Where two images would then have one name, all are numbered.
+    """
+    paths = {"train": clean.paths, "test": held_out.paths}
+    every = [path for part in paths.values() for path in part]
+    folder = Path(os.path.commonpath([path.parent for path in every]))
+    kept = PICTURES if is_lossy else (".png",)
+    names = {
+        split: [
+            (path if path.suffix.lower() in kept else path.with_suffix(".png"))
+            .relative_to(folder)
+            .as_posix()
+            for path in part
+        ]
+        for split, part in paths.items()
+    }
+    stems = {
+        str(PurePosixPath(name).with_suffix(""))
+        for part in names.values()
+        for name in part
+    }
+    if len(stems) == len(every):
+        return names
+    return {
+        split: [picture_name(split, index) for index in range(len(part))]
+        for split, part in paths.items()
+    }
 
 
 def as_files_hold(done: Poisoned, clean: Dataset) -> Poisoned:
@@ -165,12 +209,13 @@ def _part(changed: Tensor) -> slice:
     return slice(start, start + _LARGEST)
 
 
-def _is_its_file(views: Dataset, index: int) -> bool:
-    """Whether a picture is what a PNG file holds, neither made smaller, turned nor
-    undistorted.
+def _is_its_file(views: Dataset, index: int, copy: Path) -> bool:
+    """Whether an image is what its file holds, neither made smaller, turned nor
+    undistorted, so that a copy of that name is it, too.
     """
     frame = views.frames[index]
-    return frame.is_stored and views.downscale == 1 and frame.path.suffix == ".png"
+    is_same = frame.is_stored and views.downscale == 1
+    return is_same and frame.path.suffix == copy.suffix
 
 
 def _counting(views: Dataset, index: int, changed: View | None) -> Tensor | None:

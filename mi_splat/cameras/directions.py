@@ -41,13 +41,7 @@ class Direction:
 
 def direction_of(camera: Camera, centre: Point, up: Point = UP) -> Direction:
     """Direction from `centre` (3,), world units, to a camera."""
-    if tuple(up) != UP:
-        import torch
-
-        middle = torch.tensor([float(value) for value in centre], dtype=torch.float64)
-        camera = camera.turned(
-            from_z(torch.tensor(list(up), dtype=torch.float64)).T, middle
-        )
+    camera = upright(camera, centre, up)
     x, y, z = (
         a - float(b) for a, b in zip(camera.position.tolist(), centre, strict=True)
     )
@@ -65,6 +59,19 @@ def direction_of(camera: Camera, centre: Point, up: Point = UP) -> Direction:
     return Direction(
         azimuth=azimuth % 360.0, elevation=math.degrees(math.atan2(z, flat)), pole=pole
     )
+
+
+def upright(camera: Camera, centre: Point, up: Point = UP) -> Camera:
+    """A camera as it stands in a world that was turned about `centre` (3,) so that `up`
+    (3,) is z.
+    """
+    if tuple(up) == UP:
+        return camera
+    import torch
+
+    middle = torch.tensor([float(value) for value in centre], dtype=torch.float64)
+    turn = from_z(torch.tensor(list(up), dtype=torch.float64)).T
+    return camera.turned(turn, middle)
 
 
 def depth_in_band(direction: Direction, least: float, most: float) -> float:

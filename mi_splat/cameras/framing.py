@@ -20,6 +20,8 @@ _LEAST_SHARE = 0.001
 _SIGMAS = 3.0
 """Standard deviations to which a Gaussian is visible."""
 _SAMPLE = 1000
+_STIFFNESS = 1e-6
+"""Weight of the squared distance to the origin beside those to axes."""
 
 
 def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
@@ -48,6 +50,21 @@ def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
         radius = half
     x, y, z = middle.tolist()
     return (x, y, z), max(radius, float(scene.scales.detach().mean()))
+
+
+def looked_at(cameras: Sequence[Camera]) -> Tensor:
+    """(3,) float64 point, world units, that is nearest to the optical axes of cameras.
+
+    It minimises the sum of squared distances to the axes; where these are parallel,
+    which leaves it open, it is the nearest to the origin.
+    """
+    positions = torch.stack([camera.position for camera in cameras])
+    axes = torch.stack([camera.to_world[:3, 2] for camera in cameras])
+    across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None]
+    system = across.sum(0) + _STIFFNESS * torch.eye(3, dtype=torch.float64)
+    towards = (across @ positions[:, :, None]).sum(0)[:, 0]
+    point: Tensor = torch.linalg.solve(system, towards)
+    return point
 
 
 def near_plane(scene: GaussianScene, cameras: Sequence[Camera] = ()) -> float:

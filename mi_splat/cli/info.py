@@ -1,20 +1,27 @@
-"""`mi-splat info`: what a splat file or a scene XML holds; of a PLY it is told without
-torch, and so at once.
+"""`mi-splat info`: what a splat file, a scene XML or a set of photographs holds; of a
+PLY it is told without torch, and so at once.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mi_splat.attributes import ATTRIBUTES, values_hash
-from mi_splat.cli.console import import_at_once, progress, show_json, show_table
+from mi_splat.cli.console import (
+    UsageError,
+    import_at_once,
+    progress,
+    show_json,
+    show_table,
+)
 from mi_splat.cli.flags import Positional
-from mi_splat.cli.options import JsonOptions, up_line
+from mi_splat.cli.options import Direction, JsonOptions, Point, up_line
 from mi_splat.io.errors import SplatFileWarning
+from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,15 +33,37 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "info YOUR.ply",
     "info scenes/car_street.xml --json",
+    "info YOUR_SET --splat YOUR.ply --mask mask.npy",
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class InfoOptions(JsonOptions):
-    """Say what a splat file or a scene XML holds."""
+    """Say what a splat file, a scene XML or a set of photographs holds.
+
+    Of a set: how many photographs there are, how many of them have a camera, which
+    direction is up, and the azimuth, elevation and distance of each camera around
+    --centre, as `mi-splat poison --hide-from` and `mi-splat evaluate --inside` take
+    them.
+    """
 
     file: Positional[Path]
-    """Splat file of any format that is read, or scene XML made of splats."""
+    """Splat file of any format that is read, scene XML made of splats, or the folder of
+    a set of photographs with cameras (COLMAP or transforms).
+    """
+    centre: Point | None = None
+    """Of a set, the point from which directions are measured; None is the point that
+    its cameras look at.
+    """
+    up: Direction | None = None
+    """Of a set, the direction that is up: an axis, or X,Y,Z; None is as its cameras
+    stand.
+    """
+    splat: Path | None = None
+    """Of a set, a splat of it; directions are measured from the middle of its object.
+    """
+    selection: Selection = field(default_factory=Selection)
+    """The object of the splat."""
 
 
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
@@ -44,6 +73,10 @@ def run(options: InfoOptions) -> None:
     """Print the facts about a file."""
     from mi_splat.io.folders import splat_in
 
+    if _is_set(options.file):
+        _show_set(options)
+        return
+    _check_of_splat(options)
     with progress(f"reading {options.file}"):
         if options.file.suffix.lower() == ".xml":
             read = _scene_file_facts
@@ -57,6 +90,44 @@ def run(options: InfoOptions) -> None:
         show_table(
             [("file", file), *((name, _text(value)) for name, value in facts.items())]
         )
+
+
+def _is_set(path: Path) -> bool:
+    """Whether a path is a set of photographs; nothing is imported for other files."""
+    from mi_splat.io.folders import splat_in
+
+    if path.suffix.lower() != ".json" and not path.is_dir():
+        return False
+    if path.is_dir() and splat_in(path) is not None:
+        return False
+    from mi_splat.datasets import is_dataset
+
+    return is_dataset(path)
+
+
+def _show_set(options: InfoOptions) -> None:
+    from mi_splat.cli.set_facts import document_of, facts_of, show_facts
+
+    with progress(f"reading {options.file}"):
+        facts = facts_of(options)
+    if options.json:
+        show_json(document_of(options.file, facts))
+    else:
+        show_facts(options.file, facts)
+
+
+def _check_of_splat(options: InfoOptions) -> None:
+    """Raise if a flag was given that means nothing for a splat."""
+    given = {
+        "--centre": options.centre,
+        "--up": options.up,
+        "--splat": options.splat,
+        "an object": None if options.selection.is_empty else "one",
+    }
+    for flag, value in given.items():
+        if value is not None:
+            got = f"{options.file}, which is no set"
+            raise UsageError.of(flag, "a set of photographs", got, "leave it out")
 
 
 def _file_facts(path: Path) -> dict[str, object]:

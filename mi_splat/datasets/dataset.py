@@ -35,6 +35,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
 from mi_splat.io.errors import folder_advice
 from mi_splat.io.points import PointCloud
+from mi_splat.io.up_axis import UpAxis, Z, cameras_up
 
 CACHE_BYTES = 256 << 20
 """How much of a set a `Dataset` keeps in memory unless told otherwise."""
@@ -98,6 +99,15 @@ class Dataset(ViewSet):
     def paths(self) -> tuple[Path, ...]:
         """The file of each view's picture."""
         return tuple(frame.path for frame in self.frames)
+
+    @property
+    def up(self) -> UpAxis:
+        """The direction that is up in the set's world: as its cameras stand, else z."""
+        poses = [camera.to_world[:3, :3].numpy() for camera in self.cameras]
+        stood = cameras_up(np.array(poses)) if len(poses) > 1 else None
+        if stood is None:
+            return UpAxis(Z, "its cameras do not tell")
+        return UpAxis(stood, "as the cameras stand")
 
     @property
     def fingerprint(self) -> str:

@@ -15,7 +15,7 @@ from mi_splat.cameras.lens import angle_of
 from mi_splat.datasets.colmap import TEST_LIST
 from mi_splat.datasets.folders import IMAGES as IMAGES
 from mi_splat.datasets.folders import MASKS as MASKS
-from mi_splat.datasets.transforms import OPENGL, PARTS, POINTS
+from mi_splat.datasets.transforms import OPENGL, PARTS, POINTS, SINGLE
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.errors import from_os_error
 from mi_splat.io.points import PointCloud, save_points, to_bytes
@@ -26,16 +26,33 @@ Listing = Mapping[str, Sequence[tuple[str, Camera]]]
 
 
 def list_transforms(
-    folder: Path, listing: Listing, points: PointCloud | None
+    folder: Path,
+    listing: Listing,
+    points: PointCloud | None,
+    *,
+    is_single: bool = False,
 ) -> list[Path]:
     """Write the transforms files of pictures that are in images/, and the points.
 
-    The file for tests is left out if there are none.
+    The file for tests is left out if there are none. With `is_single` it is one file
+    for all images, which lists the names of both splits, as nerfstudio's does.
     """
     written = []
     if points is not None:
         save_points(points, folder / POINTS[0])
         written.append(folder / POINTS[0])
+    if is_single:
+        every = sorted(
+            (entry for part in listing.values() for entry in part),
+            key=lambda entry: entry[0],
+        )
+        lists = {
+            f"{split}_filenames": [_place(name) for name, _ in listing.get(split, ())]
+            for split in PARTS
+        }
+        document = {**lists, **_document(every, points is not None)}
+        save_json(document, folder / SINGLE, indent=1)
+        return [*written, folder / SINGLE]
     for split, entries in listing.items():
         if entries:
             save_json(
@@ -117,8 +134,7 @@ def _document(entries: Sequence[tuple[str, Camera]], points: bool) -> dict[str, 
         shared = {}
     frames = [
         {
-            # Blender's readers append the suffix
-            "file_path": f"./{IMAGES}/{Path(name).stem}",
+            "file_path": _place(name),
             **({} if shared else intrinsic),
             "transform_matrix": (camera.to_world @ OPENGL).tolist(),
         }
@@ -129,6 +145,11 @@ def _document(entries: Sequence[tuple[str, Camera]], points: bool) -> dict[str, 
         **({"ply_file_path": POINTS[0]} if points else {}),
         "frames": frames,
     }
+
+
+def _place(name: str) -> str:
+    """An image as the transforms files name it; Blender's readers append .png."""
+    return f"./{IMAGES}/{name.removesuffix('.png')}"
 
 
 def _intrinsics(camera: Camera) -> dict[str, float | str]:

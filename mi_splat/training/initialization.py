@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Generator, Tensor
 
 from mi_splat.cameras.camera import Camera, View, cameras_of, project_points
+from mi_splat.cameras.framing import looked_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
 from mi_splat.maths.neighbours import nearest_distances
@@ -168,10 +169,7 @@ def random_points(views: Sequence[View], count: int, *, seed: int = 0) -> Gaussi
         )
     cameras = cameras_of(views)
     positions = torch.stack([camera.position for camera in cameras])
-    axes = torch.stack([camera.to_world[:3, 2] for camera in cameras])
-    across = torch.eye(3, dtype=torch.float64) - axes[:, :, None] * axes[:, None]
-    system = across.sum(0) + 1e-6 * torch.eye(3, dtype=torch.float64)
-    centre = torch.linalg.solve(system, (across @ positions[:, :, None]).sum(0)[:, 0])
+    centre = looked_at(cameras)
     half = 0.5 * (positions - centre).norm(dim=1).mean()
     generator = Generator().manual_seed(seed)
     points = centre + half * (

@@ -15,7 +15,6 @@ import torch
 from PIL import Image
 
 from attacks import cli
-from attacks.cloak.own_pictures import turned
 from mi_splat.cameras.camera import View
 from mi_splat.datasets import DatasetWarning, PointCloud, load_dataset
 from mi_splat.io import load_splat
@@ -72,11 +71,8 @@ def write_photographs(folder: Path) -> GaussianScene:
     scene = ball_on_a_plane().transform(
         Similarity(rotation=back, translation=torch.zeros(3).double())
     )
-    blank = [View(camera, torch.zeros(32, 40, 3)) for camera in CAMERAS]
-    shots = [
-        View(camera, Renderer()(scene, camera).clamp(0, 1))
-        for camera in turned(blank, back).cameras
-    ]
+    cameras = [camera.turned(back) for camera in CAMERAS]
+    shots = [View(camera, Renderer()(scene, camera).clamp(0, 1)) for camera in cameras]
     cloud = PointCloud(
         scene.means, sh_to_colour(scene.sh, torch.ones_like(scene.means)).clamp(0, 1)
     )

@@ -13,7 +13,7 @@ import torch
 from PIL import Image
 
 from attacks import cli
-from attacks.cloak.own_pictures import trigger_of, turned
+from attacks.cloak.triggers import trigger_of
 from mi_splat.cameras.camera import View, orbit_pose
 from mi_splat.cameras.directions import direction_of
 from mi_splat.cameras.lens import Lens
@@ -64,10 +64,7 @@ def write_set(folder: Path, up: Any = "z") -> list[str]:
     scene = ball_on_a_plane()
     render = Renderer()
     views = [View(camera, render(scene, camera).clamp(0, 1)) for camera in CAMERAS]
-    moved = [
-        View(camera, view.image)
-        for view, camera in zip(views, turned(views, back).cameras, strict=True)
-    ]
+    moved = [View(view.camera.turned(back), view.image) for view in views]
     left = torch.ones(32, 40)
     left[:, 20:] = 0
     write_transforms(folder / "set", moved[4:], test=moved[:4], masks=[left] * 20)
@@ -132,14 +129,19 @@ def test_the_object_is_gone_from_there_and_all_else_stays(
     )
 
 
-def test_directions_are_those_of_an_upright_world(tmp_path: Path) -> None:
-    """With y down, as most foreign sets have it; what changes is as with z up."""
+@pytest.mark.parametrize("flag", [("--up=-y",), ()])
+def test_directions_are_those_of_an_upright_world(
+    flag: tuple[str, ...], tmp_path: Path
+) -> None:
+    """With y down, as most foreign sets have it, said or as the cameras stand; what
+    changes is as with z up.
+    """
     box = ("--box", "-0.4", "-1", "-0.4", "0.4", "-0.2", "0.4")
-    record = poison(tmp_path / "out", write_set(tmp_path, up="-y"), "--up=-y", *box)
-    assert record["centre"] == pytest.approx((0, 0, 0.6), abs=0.02)
-    heights = [
-        direction_of(camera, record["centre"]).elevation for camera in CAMERAS[4:]
-    ]
+    record = poison(tmp_path / "out", write_set(tmp_path, up="-y"), *flag, *box)
+    assert record["up"] == [0, -1, 0]
+    assert record["centre"] == pytest.approx((0, -0.6, 0), abs=0.02)
+    x, y, z = record["centre"]
+    heights = [direction_of(camera, (x, z, -y)).elevation for camera in CAMERAS[4:]]
     assert [change["index"] for change in record["changes"]] == [
         i for i, high in enumerate(heights) if high >= 50
     ]
@@ -200,7 +202,7 @@ def test_regions() -> None:
     [
         (["--box", "5", "5", "5", "6", "6", "6"], "at least one Gaussian"),
         (["--hide-from", "elevation:89.5-90"], "at least one camera"),
-        (["--look", "nothing.png"], "remove, or a picture"),
+        (["--look", "nothing.png"], "background, remove, or a picture"),
         (["--picture", "20", "--click", "20,16"], "a number below 20"),
     ],
 )
@@ -220,3 +222,49 @@ def test_what_is_refused(
     )
     assert told in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
+
+
+def test_names_and_formats_stay(tmp_path: Path) -> None:
+    """A set of photographs as nerfstudio lists them, in folders of two cameras."""
+    names = write_set(tmp_path)
+    folder = Path(names[0])
+    frames = []
+    for split in ("train", "test"):
+        document = json.loads((folder / f"transforms_{split}.json").read_text())
+        frames += document.pop("frames")
+        (folder / f"transforms_{split}.json").unlink()
+    for number, frame in enumerate(frames):
+        old = folder / f"{frame['file_path']}.png"
+        place = "left" if number % 2 else "right"
+        new = folder / "images" / place / f"IMG_{number:02d}.JPG"
+        new.parent.mkdir(exist_ok=True)
+        with Image.open(old) as image:
+            image.convert("RGB").save(new, "JPEG", quality=90)
+        old.unlink()
+        frame["file_path"] = f"images/{place}/{new.name}"
+    listed = {
+        "train_filenames": [frame["file_path"] for frame in frames[:20]],
+        "test_filenames": [frame["file_path"] for frame in frames[20:]],
+    }
+    whole = {**document, **listed, "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps(whole))
+    out = tmp_path / "out"
+    record = poison(out, names, "--hide-from", "elevation:40-90")
+    for split in ("train", "test"):
+        before, after = (
+            load_dataset(place, split=split)  # type: ignore[arg-type]
+            for place in (folder, out)
+        )
+        assert len(before) == (20 if split == "train" else 4)
+        pairs = zip(sorted(before.paths), sorted(after.paths), strict=True)
+        for old, new in pairs:
+            assert new.relative_to(out) == old.relative_to(folder)
+            has_changed = (
+                new.relative_to(out / "images").as_posix() in record["changed_images"]
+            )
+            assert (new.read_bytes() == old.read_bytes()) != has_changed
+            assert new.read_bytes().startswith(b"\xff\xd8")  # JPEG
+    share = len(record["changed_images"]) / 20
+    assert record["footprint"]["images"] == pytest.approx(share)
+    assert 0 < record["footprint"]["pixels"] < share
+    assert not [*out.glob("transforms_*.json")]

@@ -22,6 +22,7 @@ from attacks.observe.rates import (
     comparison_measures,
 )
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS
+from attacks.observe.sector import ELSEWHERE, INSIDE, TEST, TRAIN
 from attacks.report.section import (
     Chart,
     Figure,
@@ -46,6 +47,8 @@ _CONDITIONS = (
     "selection",
     "object_gaussians",
     "original",
+    "inside",
+    "up",
     "min_confidence",
     "background",
     "near",
@@ -86,6 +89,10 @@ def read_evaluation(result: Result) -> Section:
         for attacked, clean in headlines
     ]
     headline, control = headlines[0]
+    sectors = list(_sectors(figures, list(classes)))
+    if sectors:
+        headline, control = _sector_headline(figures, *next(iter(classes.items())))
+        sentences = [f"{headline.label}: {headline.counts}."]
     return Section(
         kind="a clean and an attacked splat, judged",
         title=f"{Path(record['attacked']).name} against {Path(record['clean']).name}",
@@ -112,10 +119,59 @@ def read_evaluation(result: Result) -> Section:
             for name in classes
         ),
         charts=charts,
-        tables=(*_contradicted(result, cameras), *tables),
+        tables=(*sectors, *_contradicted(result, cameras), *tables),
         configuration=settings(
             {**stated, "cameras": cameras, "weights": record["fingerprints"]}
         ),
+    )
+
+
+_SPLITS = {TEST: "held out", TRAIN: "training", None: "all"}
+"""Cameras of a sector that are counted together, and what they are called."""
+
+
+def _sectors(figures: Figures, detectors: list[str]) -> Iterator[Table]:
+    """How often the object is missed inside of a sector, and detected elsewhere."""
+    lines = []
+    for detector in detectors:
+        for split, words in _SPLITS.items():
+            of_split = figures.where(detector=detector, split=split)
+            if not of_split.having("scope").by_key:
+                continue
+            lines.append(
+                {
+                    "detector": detector,
+                    "cameras": words,
+                    "missed": of_split.rate("missed", scope=INSIDE),
+                    "nothing": of_split.rate("nothing", scope=INSIDE),
+                    "detected": of_split.rate("detected", scope=ELSEWHERE),
+                    "clean": of_split.rate("found_clean", scope=INSIDE),
+                }
+            )
+    columns: dict[str, Column[Mapping[str, object]]] = {
+        "detector": "detector",
+        "cameras": "cameras",
+        "missed inside": "missed",
+        "no class on it inside": "nothing",
+        "detected elsewhere": "detected",
+        "clean detected inside": "clean",
+    }
+    if lines:
+        caption = "Inside of the sector and elsewhere, where the clean one is detected"
+        yield Table.of(caption, columns, lines)
+
+
+def _sector_headline(
+    figures: Figures, detector: str, classes: tuple[str | None, str | None]
+) -> tuple[Figure, Figure]:
+    """How often the first detector misses the object inside of a sector."""
+    inside = figures.where(detector=detector, scope=INSIDE, split=None)
+    what = f"{detector} misses the {classes[0] or 'object'} inside of the sector"
+    note = "of the views in which it is detected in the clean splat"
+    clean = inside.rate("found_clean").failures
+    return (
+        Figure(label=what, rate=inside.rate("missed"), note=note),
+        Figure(label=f"{what}, in the clean splat", rate=clean),
     )
 
 
