@@ -1,9 +1,9 @@
 """The command line: `mi-splat COMMAND ...`, also `python -m attacks COMMAND ...`.
 
 A command is a module with its options, a dataclass, its EXAMPLES, and `run(options)`.
-It may have `defaults(words)`, which reads what other flags depend on, and
-`check_inputs(options)`, which is called before torch and Mitsuba are imported. Commands
-that share most of their code share a module.
+It, or the options of one of its commands, may have `defaults(words)`, which reads what
+other flags depend on, and the module `check_inputs(options)`, which is called before
+torch and Mitsuba are imported. Commands that share most of their code share a module.
 """
 
 from __future__ import annotations
@@ -401,7 +401,8 @@ def _command(name: str, words: Sequence[str]) -> dict[str, Any]:
         ),
         f"See also: {', '.join(see_also(name))}",
     ]
-    defaults = module.defaults(words) if hasattr(module, "defaults") else {}
+    source = kind if hasattr(kind, "defaults") else module
+    defaults = source.defaults(words) if hasattr(source, "defaults") else {}
     description = "\n\n".join(parts)
     return {
         "kind": kind,

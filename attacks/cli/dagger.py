@@ -4,7 +4,7 @@ region.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -16,7 +16,7 @@ from attacks.cli.options import (
     Confidence,
     DetectorOptions,
 )
-from attacks.dagger.config import DaggerConfig
+from attacks.dagger.config import DaggerConfig, region_defaults, views_defaults
 from attacks.objectives import OBJECTIVES, objective_of
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.cli.console import Advance, limit_threads, progress, warn
@@ -28,8 +28,6 @@ from mi_splat.processes import deferred_interrupt
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from torch import Tensor
 
     from attacks.dagger.views import FixedViews
@@ -42,7 +40,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = (
     "dagger scenes/car_street.xml --object car --target person --out out/dagger",
-    "dagger scenes/car_street.xml --objective hide --eps 2 --out out/hidden",
+    "dagger scenes/car_street.xml --objective hide --object-psnr 38 --out out/hidden",
     (
         "dagger YOUR.ply --mask mask.npy --cameras orbit:4@25 --target person --out"
         " out/desk"
@@ -58,6 +56,25 @@ EXAMPLES = (
     "demo",
     "demo --out out/first --force",
 )
+
+
+_BUDGET = ("attributes", "eps", "norm", "image_psnr", "object_psnr")
+"""Settings on which the defaults of the others depend."""
+
+
+def _budget_in(words: Sequence[str]) -> dict[str, Any]:
+    """What the user's words say of the budget, read before all other flags."""
+    given = dict[str, list[str]]()
+    flag = ""
+    for word in words:
+        if word.startswith("--"):
+            flag, equals, value = word.removeprefix("--").partition("=")
+            flag = flag.replace("-", "_")
+            given[flag] = [value] if equals else []
+        elif flag:
+            given[flag].append(word)
+    said = {name: given[name] for name in _BUDGET if name in given}
+    return {name: values for name, values in said.items() if values != ["none"]}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,12 +104,13 @@ class AttackOptions(DetectorOptions, ResultOptions):
     """
     confidence: Confidence | None = None
     """Confidence that counts as success: at least so much of the target class (None:
-    0.5, or 0.7 with --no-strict), or less of what is to vanish (None: 0.3).
+    the operating threshold of each detector, or 0.7 with --no-strict), or less of what
+    is to vanish (None: 0.3, or that threshold where it is lower).
     """
     strict: bool = True
     """Count a relabelled object only if its original class is reported with less than
-    0.5. --no-strict --step-factor 2 --momentum 0 --schedule constant is the search of
-    the paper.
+    the operating threshold, or 0.5 beside --confidence. --no-strict --eps 5
+    --step-factor 2 --momentum 0 --schedule constant is the search of the paper.
     """
 
 
@@ -114,8 +132,15 @@ class DaggerOptions(AttackOptions):
     object, so that the others can judge.
     """
     config: DaggerConfig = field(default_factory=DaggerConfig.for_views)
-    """How to attack."""
+    """How to attack. The budget is the PSNR of the object's pixels (--object-psnr);
+    with --eps, or where something else than colours changes, it is a ball.
+    """
     out: OutFolder = Path("out/dagger")
+
+    @staticmethod
+    def defaults(words: Sequence[str]) -> dict[str, Any]:
+        """The settings that depend on which budget is asked for."""
+        return {"config": DaggerConfig(**views_defaults(_budget_in(words)))}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,6 +167,11 @@ class DaggerRegionOptions(AttackOptions):
     config: DaggerConfig = field(default_factory=DaggerConfig.for_region)
     """How to attack."""
     out: OutFolder = Path("out/dagger-eot")
+
+    @staticmethod
+    def defaults(words: Sequence[str]) -> dict[str, Any]:
+        """The settings that depend on which budget is asked for."""
+        return {"config": DaggerConfig(**region_defaults(_budget_in(words)))}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,16 +276,21 @@ def _opened(
 
 
 def _detectors_and_objective(
-    options: AttackOptions,
+    options: DaggerOptions | DaggerRegionOptions,
 ) -> tuple[Sequence[Detector], Objective]:
     from attacks.cli.options import load_detectors
 
     targeted = OBJECTIVES.chosen(options.objective).targeted
     target = (options.target or DEFAULT_TARGET) if targeted else None
     detectors = load_detectors(options.detectors, options.weights, options.device)
-    return detectors, objective_of(
-        options.objective, target, options.confidence, strict=options.strict
+    objective = objective_of(
+        options.objective,
+        target,
+        options.confidence,
+        strict=options.strict,
+        quiet=options.config.object_psnr is not None,
     )
+    return detectors, objective
 
 
 def _attack(

@@ -56,14 +56,17 @@ class DetectOptions(DetectorOptions, ResultOptions):
     """Images, folders of images, splat files and scene XMLs; at least one."""
     view: CameraOptions = field(default_factory=CameraOptions)
     """Where splats and scenes are looked at from."""
-    min_confidence: Confidence = 0.3
-    """Confidence from which a detection is drawn and listed."""
+    min_confidence: Confidence | None = None
+    """Confidence from which a detection is drawn and listed; None is the operating
+    threshold of each detector (see `mi-splat detectors`).
+    """
     out: OutFolder = Path("out/detect")
 
 
 def run(options: DetectOptions) -> None:
     """Detect, draw the boxes, and list them."""
     from attacks.cli.options import load_detectors
+    from attacks.observe.comparison import thresholds_of
     from attacks.observe.drawing import annotated, listed
     from mi_splat.io.documents import file_name, save_json, save_png
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
@@ -89,11 +92,10 @@ def run(options: DetectOptions) -> None:
                 name = file_name(f"{source.stem}{where}-{detector}")
                 while name in rows:
                     name = f"{name}-{len(rows)}"
-                items = [
-                    item
-                    for item in listed(detections)
-                    if item["score"] >= options.min_confidence
-                ]
+                least = options.min_confidence
+                if least is None:
+                    least = thresholds_of(detectors())[detector]
+                items = [item for item in listed(detections) if item["score"] >= least]
                 rows[name] = {
                     "source": str(source),
                     "camera": camera,
@@ -104,13 +106,15 @@ def run(options: DetectOptions) -> None:
                     "size": [image.shape[1], image.shape[0]],
                     "picture": f"{name}.png",
                 }
-                drawn = annotated(
-                    image, detections, name, min_confidence=options.min_confidence
-                )
+                drawn = annotated(image, detections, name, min_confidence=least)
                 save_png(drawn, folder / f"{name}.png")
         document = {
             "story": "detect",
-            "min_confidence": options.min_confidence,
+            "min_confidence": (
+                thresholds_of(detectors())
+                if options.min_confidence is None
+                else options.min_confidence
+            ),
             "view": _given(options.view),
             "fingerprints": {
                 detector.name: detector.fingerprint for detector in detectors()

@@ -82,6 +82,7 @@ def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
             f"  {len(classes)} classes:"
             f" {', '.join(classes[:SHOWN])}{', ...' if len(classes) > SHOWN else ''}"
         )
+        yield f"  counts from: {entry['threshold']:g} ({entry['threshold_origin']})"
 
 
 def _get(options: DetectorsOptions) -> None:
@@ -150,6 +151,8 @@ def _detector(name: str) -> dict[str, Any]:
         "name": name,
         "classes": list(spec.classes),
         "weights": weights,
+        "threshold": spec.threshold,
+        "threshold_origin": spec.threshold_origin,
         **_state(spec),
     }
 

@@ -64,8 +64,10 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     """
     target: ClassName | None = None
     """Class that the attacker wants."""
-    min_confidence: Confidence = 0.5
-    """Confidence from which a detection counts."""
+    min_confidence: Confidence | None = None
+    """Confidence from which a detection counts; None is the operating threshold of each
+    detector (see `mi-splat detectors`).
+    """
     inside: tuple[Annotated[str, Metavar("REGION")], ...] = ()
     """Directions from which the object is to be hidden, as --hide-from of `mi-splat
     poison` takes them: elevation:LOW-HIGH, azimuth:LOW-HIGH or
@@ -95,6 +97,7 @@ def run(options: EvaluateOptions) -> None:
         doubts,
         figures,
         side_by_side,
+        thresholds_of,
     )
     from attacks.observe.rows import ATTACKED, CLEAN, ROWS
     from attacks.observe.sector import sector_doubts
@@ -120,7 +123,9 @@ def run(options: EvaluateOptions) -> None:
         scenes = {CLEAN: clean.scene, ATTACKED: attacked.scene}
         names = list(chosen.cameras)
         cameras = list(chosen.cameras.values())
-        confidence = options.min_confidence
+        confidence: float | dict[str, float] = thresholds_of(detectors)
+        if options.min_confidence is not None:
+            confidence = options.min_confidence
         advance(f"looking from {len(cameras)} cameras")
         seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
         looked = compared_rows(
@@ -132,6 +137,7 @@ def run(options: EvaluateOptions) -> None:
             place=_placing(options, clean.scene, chosen),
         )
         document = _document(options, chosen, scenes, detectors)
+        document["min_confidence"] = confidence
         if judges:
             document["judges"] = judges
         counted = figures(document, {ROWS: looked.rows})
@@ -219,7 +225,6 @@ def _document(
         "object_gaussians": int(chosen.mask.sum()),
         "original": list(options.original) or None,
         **({"inside": list(options.inside)} if options.inside else {}),
-        "min_confidence": options.min_confidence,
         **({} if chosen.up == UP else {"up": list(chosen.up)}),
         "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
         **{f"{name}_hash": scene_hash(scene) for name, scene in scenes.items()},

@@ -16,7 +16,7 @@ from typing import Any
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.controls import control_scenes
 from attacks.dagger.figures import attack_figures
-from attacks.dagger.problem import Problem, check_detectors
+from attacks.dagger.problem import Problem, check_detectors, counted_from
 from attacks.dagger.result import Result, judge, observed
 from attacks.dagger.search import OnStep, search
 from attacks.dagger.views import DrawnViews, FixedViews, ViewDistribution
@@ -162,15 +162,17 @@ def problem_of(
     config: DaggerConfig,
 ) -> Problem:
     """The problem of an attack on some views."""
+    thresholds = {one.name: counted_from(objective, one) for one in detectors}
     return Problem(
         subset=GaussianSubset.of(
             widened(views.scene, config), views.mask, sh_degree=config.sh_degree
         ),
         detectors=detectors,
         objective=objective,
-        originals=views.originals(detectors, config),
+        originals=views.originals(detectors, config, thresholds),
         render=views.render,
         clean=views.picture,
+        on_object=config.object_psnr is not None,
     )
 
 
@@ -211,9 +213,7 @@ def _judged(
         saved, subset.rows, sh_degree=subset.sh_degree
     ).parameters(stored)
     names = [detector.name for detector in problem.detectors]
-    # objectives of other packages need not have one
-    threshold = getattr(problem.objective, "confidence", None)
-    looked = observed(judged, seed=config.seed, threshold=threshold)
+    looked = observed(judged, problem.objective, seed=config.seed)
     elevations = None if drawn is None else drawn.cameras.elevations
     return Result(
         scene=attacked,

@@ -221,10 +221,9 @@ def _object_errors(
     """Over the pixels that are at least half the object's, as in `image_change`."""
     errors: list[Error] = []
     for view in views:
-        on_object = view.weight >= 0.5
         change = problem.image(parameters, view.camera) - problem.clean(view.camera)
-        squares = float(change[on_object].double().square().sum())
-        errors.append((squares, 3 * int(on_object.sum())))
+        squares = float(change[view.on_object].double().square().sum())
+        errors.append((squares, 3 * int(view.on_object.sum())))
     return errors
 
 

@@ -16,6 +16,7 @@ from attacks.observe.rates import (
     count,
     detected_views,
     joint_views,
+    with_thresholds,
 )
 from attacks.observe.rows import ATTACKED, CONTROLS, ROWS
 from attacks.search.loop import Verdict
@@ -56,6 +57,7 @@ def attack_figures(
 ) -> Figures:
     """Every figure of an attack, from its rows; `elevations` are those of a region."""
     drawn = elevations is not None
+    rows = with_thresholds(rows)
     attacked = rows.filter(splat=ATTACKED)
     verdict = verdict_figures(rows, detectors, required, drawn=drawn)
     detected = count(joint_views(detected_views(rows)), AIMS, ("splat",))
@@ -139,7 +141,7 @@ def reached_figures(
     drawn: bool = False,
 ) -> Figures:
     """Whether an attack reaches its aim, also with the object's own class gone."""
-    strict = attacked.with_columns(success=STRICT)
+    strict = with_thresholds(attacked).with_columns(success=STRICT)
     verdicts = {
         "reached": _verdict(attacked, detectors, required, drawn),
         "reached_strictly": _verdict(strict, detectors, required, drawn),

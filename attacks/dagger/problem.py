@@ -17,10 +17,12 @@ from torch import Tensor
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.views import View
 from attacks.detectors.base import Detector
+from attacks.detectors.registry import operating_threshold
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives.base import Objective, Target
 from attacks.objectives.relabel import Relabel
 from attacks.objectives.verdicts import overall_verdict
+from attacks.observe.rates import REPORTED
 from attacks.observe.views import visible_box, visible_weight
 from attacks.search.loop import Evaluation, Verdict
 from attacks.search.parameters import Parameters
@@ -49,6 +51,7 @@ class Problem:
         clean: The clean scene's picture from a camera.
         frozen: The search's pictures from these cameras, while SH alone changes; from
             all others they are `render`'s, as all of which detectors' reports count.
+        on_object: Whether errors of images are those of the object's pixels alone.
     """
 
     subset: GaussianSubset
@@ -58,6 +61,7 @@ class Problem:
     render: RenderFn
     clean: Callable[[Camera], Tensor]
     frozen: dict[Camera, FrozenView] | RecentViews = field(default_factory=dict)
+    on_object: bool = False
 
     def target(
         self, view: View, detector: Detector, box: Tensor | None = None
@@ -71,6 +75,7 @@ class Problem:
             label=self.objective.label,
             classes=detector.classes,
             original=original,
+            threshold=counted_from(self.objective, detector),
         )
 
     def box(self, view: View, parameters: Parameters) -> Tensor | None:
@@ -196,15 +201,21 @@ class Problem:
 
     def error(self, parameters: Parameters, views: Sequence[View]) -> float:
         """Mean squared error of the views' pictures, values in [0, 1], before anything
-        random happens to them.
+        random happens to them; of the object, over its pixels of all views.
         """
-        errors = [
-            self._error(self.image(parameters, view.camera), view) for view in views
-        ]
-        return float(torch.stack(errors).mean())
+        errors = torch.stack(
+            [self._error(self.image(parameters, view.camera), view) for view in views]
+        )
+        if not self.on_object:
+            return float(errors.mean())
+        pixels = torch.stack([view.on_object.sum() for view in views])
+        return float((errors * pixels).sum() / pixels.sum())
 
     def _error(self, picture: Tensor, view: View) -> Tensor:
-        return (picture - self.clean(view.camera)).square().mean()
+        change = picture - self.clean(view.camera)
+        if self.on_object:
+            change = change[view.on_object]
+        return change.square().mean()
 
     def verdicts(
         self, parameters: Parameters, views: Sequence[View]
@@ -223,6 +234,15 @@ class Problem:
                     ]
                 )
         return rows
+
+
+def counted_from(objective: Objective, detector: Detector) -> float:
+    """Confidence from which a detector's detections count: its operating threshold, or
+    0.5 where the objective states a confidence of its own.
+    """
+    if getattr(objective, "confidence", None) is None:
+        return operating_threshold(detector)
+    return REPORTED
 
 
 def _leaves(parameters: Parameters) -> Parameters:

@@ -108,6 +108,7 @@ def summary(result: Result) -> dict[str, Any]:
     """
     config = result.config
     image = result.image
+    thresholds = {view.detector: view.target.threshold for view in result.views}
     return {
         "story": DRAWN if result.drawn else FIXED,
         "success": result.success,
@@ -142,7 +143,11 @@ def summary(result: Result) -> dict[str, Any]:
         "redraws": result.redraws,
         "warnings": list(result.warnings),
         "detectors": [
-            {"detector": name, "detector_fingerprint": mark}
+            {
+                "detector": name,
+                "detector_fingerprint": mark,
+                "threshold": thresholds[name],
+            }
             for name, mark in result.fingerprints.items()
         ],
         "views": [_view(view) for view in result.views],

@@ -14,7 +14,7 @@ from attacks.dagger.views import Reports, View, detected
 from attacks.detectors.base import Detections
 from attacks.figures.frame import Figures
 from attacks.figures.rate import Rate
-from attacks.objectives.base import Objective, Target, confidence
+from attacks.objectives.base import Objective, Target, confidence, least_confidence
 from attacks.observe.observations import (
     Observations,
     camera_cells,
@@ -28,6 +28,7 @@ from attacks.observe.rows import (
     CONTROLS,
     NOISE,
     NORM_NOISE,
+    OPERATING,
     Cell,
     Row,
     frame_of,
@@ -79,7 +80,9 @@ class JudgedView:
         return confidence(seen.detections, seen.box, labels=labels)
 
 
-def observed(views: Sequence[JudgedView], **ids: Cell) -> Observations:
+def observed(
+    views: Sequence[JudgedView], objective: Objective, **ids: Cell
+) -> Observations:
     """What was reported as rows: clean, attacked and with noise."""
     rows = list[Row]()
     detections = list[Row]()
@@ -95,6 +98,10 @@ def observed(views: Sequence[JudgedView], **ids: Cell) -> Observations:
         ]
         for (splat, draw), seen in splats:
             of: dict[str, Cell] = {**ids, "splat": splat, "draw": draw}
+            of |= {
+                "threshold": least_confidence(objective, target),
+                OPERATING: target.threshold,
+            }
             of |= {"detector": judged.detector, "view": view.index}
             if torch.equal(clean, seen.image):
                 change = None
@@ -348,7 +355,7 @@ class Result:
     @property
     def strict(self) -> bool:
         """Whether the aim is reached, and the object's own class is reported with less
-        than 0.5.
+        than counts.
         """
         return self._reached("reached_strictly")
 
@@ -395,12 +402,13 @@ class Result:
 def _warnings_of_fixed(result: Result) -> list[str]:
     warnings = []
     for view in result.views:
-        if view.confidence(view.target.original, attacked=False) < 0.5:
+        least = view.target.threshold
+        if view.confidence(view.target.original, attacked=False) < least:
             by = "" if len(result.detectors) == 1 else f" by {view.detector}"
             number = view.view.index
             warnings.append(
-                f"the clean picture of view {number} has no detection{by} of 0.5 or"
-                " more on the object"
+                f"the clean picture of view {number} has no detection{by} of {least:g}"
+                " or more on the object"
             )
     first = result.trace[0]
     zeros = max(line.zero_gradient_fraction for line in result.trace)

@@ -40,7 +40,8 @@ from attacks.search.parameters import Parameters
 # is raised while the images are worse than the limit, and lowered while they are
 # better. A point that is worse than the limit is pulled towards the clean object before
 # it may become the result; one that is better and does not deceive everywhere may be
-# stretched up to the limit.
+# stretched up to the limit. Where the limit is of the object's pixels, every point is
+# judged at the limit, so that attacks of one limit change the object by the same.
 
 _DECAY = 0.8
 """Share of the earlier errors in the decaying mean that the price follows."""
@@ -54,6 +55,18 @@ bounds of the price in units of 1 / limit.
 
 _HALVINGS = 7
 """Of the interval in which the factor of a perturbation is looked for."""
+
+_ROUNDING = 1 / (6 * 255**2)
+"""Squared error that 8 bits add to the difference of two images: each has 1/12 of a
+squared step.
+"""
+
+_LOOKS = 6
+_AIM = 0.995
+_CLOSE = 0.985
+"""Factors that are tried of a perturbation that shall be at a limit; shares of the
+limit that its error is aimed at, and from which it is there: 0.07 dB.
+"""
 
 _FARTHEST = 1.5
 """Largest factor by which a perturbation is stretched."""
@@ -72,10 +85,18 @@ class ImagePrice:
     error: float | None = None
 
     @classmethod
-    def of(cls, psnr: float, *, steps: int) -> ImagePrice:
-        """The price at the beginning of a search: an error at the limit costs 1."""
-        limit = 10 ** (-psnr / 10)
-        return cls(limit=limit, weight=1 / limit, gain=_GAIN / steps)
+    def of(cls, config: DaggerConfig) -> ImagePrice | None:
+        """The price at the beginning of a search, where an error at the limit costs 1;
+        None without a limit.
+        """
+        if config.object_psnr is not None:
+            seen = 10 ** (-config.object_psnr / 10)
+            limit = max(seen - _ROUNDING, seen / 2)
+        elif config.image_psnr is not None:
+            limit = 10 ** (-config.image_psnr / 10)
+        else:
+            return None
+        return cls(limit=limit, weight=1 / limit, gain=_GAIN / config.steps)
 
     @property
     def now(self) -> float:
@@ -148,6 +169,33 @@ def stretched(
     return ball.project(fitted(farther, reference, limit, inside), reference)
 
 
+def at_limit(
+    parameters: Parameters,
+    reference: Parameters,
+    ball: Budget,
+    limit: float,
+    error: Callable[[Parameters], float],
+) -> Parameters:
+    """The point on the line from the reference through the parameters whose error is
+    the limit, or slightly less.
+
+    An error grows about with the square of the change, which gives the next factor.
+    """
+    factor = 1.0
+    point = parameters
+    for _ in range(_LOOKS):
+        here = error(point)
+        if here == 0 or _CLOSE * limit <= here <= limit:
+            return point
+        factor *= min(3.0, max(0.3, math.sqrt(_AIM * limit / here)))
+        farther = {
+            name: base + factor * (parameters[name] - base)
+            for name, base in reference.items()
+        }
+        point = ball.project(farther, reference)
+    return fitted(point, reference, limit, error)
+
+
 OnStep = Callable[[Step], bool | None]
 """Called with every line of the trace as it happens; once it says so, the search ends
 with the best point so far.
@@ -188,10 +236,7 @@ def _searched(
 ) -> Outcome:
     reference = problem.subset.parameters(config.attributes)
     steps = itertools.count()
-    if config.image_psnr is None:
-        price = None
-    else:
-        price = ImagePrice.of(config.image_psnr, steps=config.steps)
+    price = ImagePrice.of(config)
 
     def evaluate(point: Parameters) -> Evaluation:
         """Loss and gradients over the views of the next step; the price of their
@@ -204,7 +249,7 @@ def _searched(
         price = price and price.after(here.error)
         return here
 
-    if config.batch or config.image_psnr is not None:
+    if config.batch or price is not None:
         judge = _judge(problem, views, config, reference)
     else:
         judge = None
@@ -221,7 +266,12 @@ def _searched(
             else config.stop_at is not None
         ),
         smallest=config.spec.smallest,
-        hooks=Hooks(judge=judge, every=config.validate_every, on_step=on_step),
+        hooks=Hooks(
+            judge=judge,
+            every=config.validate_every,
+            start=config.object_psnr is not None,
+            on_step=on_step,
+        ),
     )
 
 
@@ -268,10 +318,8 @@ def _judge(
     """
     validation = views.validation(config)
     drawn = views.transformations is not None
-    if config.image_psnr is None:
-        limit = None
-    else:
-        limit = ImagePrice.of(config.image_psnr, steps=config.steps).limit
+    price = ImagePrice.of(config)
+    limit = None if price is None else price.limit
     stop_at = 2.0 if config.stop_at is None else config.stop_at
 
     def error(point: Parameters) -> float:
@@ -290,6 +338,9 @@ def _judge(
     def judge(point: Parameters) -> tuple[Parameters, Verdict]:
         if limit is None:
             return point, verdict_on(point)[1]
+        if problem.on_object:
+            scaled = at_limit(point, reference, config.budget, limit, error)
+            return scaled, verdict_on(scaled)[1]
         within = fitted(point, reference, limit, error)
         share, verdict = verdict_on(within)
         if within is not point or share == 1:

@@ -5,7 +5,7 @@ distribution.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -82,6 +82,11 @@ class View:
     direction: Direction
     change: PictureChange = field(default_factory=PictureChange)
     redraws: int = 0
+
+    @property
+    def on_object(self) -> Tensor:
+        """(H, W) bool, the pixels that are at least half the object's."""
+        return self.weight >= 0.5
 
     def changed(self, picture: Tensor) -> Tensor:
         """What becomes of a rendered (H, W, 3) picture of this view before a detector
@@ -275,7 +280,10 @@ class FixedViews:
         return reports
 
     def originals(
-        self, detectors: Sequence[Detector], config: DaggerConfig
+        self,
+        detectors: Sequence[Detector],
+        config: DaggerConfig,
+        thresholds: Mapping[str, float],
     ) -> Callable[[View, str], str | None]:
         """What a detector calls the clean object in a view: the class that it is surest
         of there.
@@ -394,13 +402,19 @@ class DrawnViews(FixedViews):
         self._frozen.clear()
 
     def originals(
-        self, detectors: Sequence[Detector], config: DaggerConfig
+        self,
+        detectors: Sequence[Detector],
+        config: DaggerConfig,
+        thresholds: Mapping[str, float],
     ) -> Callable[[View, str], str | None]:
-        """What a detector calls the clean object in most of the validation views."""
+        """What a detector calls the clean object in most of the validation views, from
+        its threshold on.
+        """
         reports = self.clean_reports(detectors, self.validation(config))
         labels = {
             detector.name: usual_label(
-                [seen for (_, name), seen in reports.items() if name == detector.name]
+                [seen for (_, name), seen in reports.items() if name == detector.name],
+                thresholds[detector.name],
             )
             for detector in detectors
         }

@@ -12,6 +12,10 @@ from typing import Literal
 
 from mi_splat.errors import MiSplatError, nearest
 
+DEFAULT_THRESHOLD = 0.5
+NOT_MEASURED = "not measured"
+"""Operating threshold of a detector that states none, and where it comes from."""
+
 
 class DetectorError(MiSplatError):
     """A detector that cannot be loaded or registered: unknown name, missing or
@@ -258,6 +262,9 @@ class Packaged:
     data: str = "COCO"  # photographs that it was trained on
     # foreground classes, in the order of its scores; none of a classifier
     classes: tuple[str, ...] = COCO_CLASSES
+    # operating threshold, and where it comes from (see docs/detectors.md)
+    threshold: float = DEFAULT_THRESHOLD
+    threshold_origin: str = NOT_MEASURED
     package_licence: str  # what the package states
     # where it was trained, as the `.json` file says, or where its publisher tells of it
     source: str
@@ -286,6 +293,8 @@ PACKAGED = {
                     "1b635a15009071f506f9f2b3519b31c072c534888989f30d269ffd44734ef7ef"
                 ),
             },
+            threshold=0.35,
+            threshold_origin="precision 0.93 on photographs (116 of 125)",
             package_licence="MIT",
             source="https://github.com/610265158/mobilenetv3_centernet",
             source_licence="none stated",
@@ -304,6 +313,8 @@ PACKAGED = {
                     "5d0e4f8c4eded666287330be03017d494787d35f523fd77ca23f59db984a4ad9"
                 ),
             },
+            threshold=0.45,
+            threshold_origin="precision 0.93 on photographs (211 of 228)",
             package_licence="MIT",
             source="https://github.com/RangiLyu/nanodet",
             source_licence="Apache-2.0",
@@ -322,6 +333,8 @@ PACKAGED = {
             start=184,  # its labels are before
             data="Open Images v4",
             classes=OPEN_IMAGES_CLASSES,
+            threshold=0.3,
+            threshold_origin="precision 0.90 on photographs (458 of 507)",
             package_licence="Apache-2.0",
             source="https://github.com/google-ai-edge/mediapipe",
             source_licence="Apache-2.0",

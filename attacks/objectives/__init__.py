@@ -103,9 +103,12 @@ def objective_of(
     confidence: float | None = None,
     *,
     strict: bool = False,
+    quiet: bool = False,
 ) -> Objective:
-    """An objective by its name; `strict` holds for `relabel` only (see
-    `attacks.objectives.relabel`).
+    """An objective by its name.
+
+    `strict` holds for `relabel` only (see `attacks.objectives.relabel`); `quiet` says
+    that the object's PSNR is the budget.
     """
     spec = OBJECTIVES.chosen(name)
     if spec.targeted is (label is None):
@@ -114,9 +117,12 @@ def objective_of(
             "target", f"what the aim {name} has", label or "none", do
         )
     if strict and name == "relabel":
-        from attacks.objectives.relabel import relabel
+        from attacks.objectives.relabel import STRICT_SUPPRESSION, relabel
 
-        return relabel(str(label), confidence=confidence, strict=True)
+        weight = STRICT_SUPPRESSION if quiet else 0.0
+        return relabel(
+            str(label), confidence=confidence, strict=True, suppression=weight
+        )
     package = OBJECTIVES.package(name)
     if not package:
         return spec.make(label, confidence)
@@ -134,15 +140,15 @@ def _relabel(label: str | None, confidence: float | None) -> Objective:
 
 
 def _hide(label: str | None, confidence: float | None) -> Objective:
-    from attacks.objectives.suppression import GONE, hide
+    from attacks.objectives.suppression import hide
 
-    return hide(confidence=GONE if confidence is None else confidence)
+    return hide(confidence=confidence)
 
 
 def _untargeted(label: str | None, confidence: float | None) -> Objective:
-    from attacks.objectives.suppression import GONE, untargeted
+    from attacks.objectives.suppression import untargeted
 
-    return untargeted(confidence=GONE if confidence is None else confidence)
+    return untargeted(confidence=confidence)
 
 
 for _spec in (

@@ -30,6 +30,9 @@ class Target:
     classes: tuple[str, ...]
     # class that the detector sees there before the attack; None when it sees nothing
     original: str | None = None
+    # confidence from which the detector's detections count: its operating threshold,
+    # or 0.5 where the objective states a confidence of its own
+    threshold: float = 0.5
 
 
 class Objective(Protocol):
@@ -69,6 +72,18 @@ class Objective(Protocol):
             Whether the aim is reached, and how near it is.
         """
         ...
+
+
+def least_confidence(objective: Objective, target: Target) -> float | None:
+    """Confidence that an objective counts from in a view; None of one of another
+    package that states none.
+    """
+    needed = getattr(objective, "needed", None)
+    if needed is not None:
+        number: float = needed(target)
+        return number
+    stated: float | None = getattr(objective, "confidence", None)
+    return stated
 
 
 def check_objective(value: object) -> None:

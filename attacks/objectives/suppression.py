@@ -39,13 +39,14 @@ class Suppression:
     subclasses say.
 
     Attributes:
-        confidence: A detection below this score counts as none.
+        confidence: A detection below this score counts as none; None is `GONE`, or the
+            detector's operating threshold where that is lower.
         iou: Overlap from which a detection belongs to the object; lower than for
             `Relabel`, so that a box that merely slid aside does not count as gone.
         top: Number of candidates pushed.
     """
 
-    confidence: float = GONE
+    confidence: float | None = GONE
     iou: float = 0.3
     top: int = 16
 
@@ -53,6 +54,12 @@ class Suppression:
     def label(self) -> str | None:
         """No particular class."""
         return None
+
+    def needed(self, target: Target) -> float:
+        """Score below which a detection counts as none in a view."""
+        if self.confidence is None:
+            return min(GONE, target.threshold)
+        return self.confidence
 
     def _push(self, scores: Tensor, boxes: Tensor, target: Target) -> Tensor:
         """Loss that lets the scores (A, C) of boxes (A, C, 4) on the object fall."""
@@ -63,11 +70,8 @@ class Suppression:
     ) -> Verdict:
         """Success when none of the labels (any, if None) is left on the object."""
         left = confidence(detections, target.box, labels=labels, iou=self.iou)
-        return Verdict(
-            success=left < self.confidence,
-            score=1.0 - left,
-            unambiguous=left < self.confidence,
-        )
+        is_gone = left < self.needed(target)
+        return Verdict(success=is_gone, score=1.0 - left, unambiguous=is_gone)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,11 +119,12 @@ class Untargeted(Suppression):
         return self._judge(detections, target, [target.original])
 
 
-def hide(*, confidence: float = GONE) -> Hide:
+def hide(*, confidence: float | None = None) -> Hide:
     """The object shall not be detected at all.
 
     Args:
-        confidence: Score from which a detection counts, in [0, 1].
+        confidence: Score from which a detection counts, in [0, 1]; None is 0.3, or the
+            detector's operating threshold where that is lower.
 
     Returns:
         The aim.
@@ -127,11 +132,12 @@ def hide(*, confidence: float = GONE) -> Hide:
     return Hide(confidence=confidence)
 
 
-def untargeted(*, confidence: float = GONE) -> Untargeted:
+def untargeted(*, confidence: float | None = None) -> Untargeted:
     """The object shall not be detected as what it is; as anything else will do.
 
     Args:
-        confidence: Score from which a detection counts, in [0, 1].
+        confidence: Score from which a detection counts, in [0, 1]; None is 0.3, or the
+            detector's operating threshold where that is lower.
 
     Returns:
         The aim.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.detectors.base import Detector
+from attacks.detectors.registry import as_detectors, operating_threshold
 from attacks.figures.frame import MEASURE, Figures
 from attacks.figures.rate import FEW, Rate
 from attacks.gaussian_subset import Mask
@@ -25,7 +26,9 @@ from attacks.observe.rates import (
     Confidence,
     Measure,
     comparison_measures,
+    confidence_for,
     count,
+    reported,
     with_control,
 )
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS, Cell
@@ -49,13 +52,14 @@ class Judged:
         detections: One with a row for each detection.
         views: The picture and the detections of each view, for each splat: batch by
             batch, detector by detector.
-        confidence: From which a detection counts in `rates`, in [0, 1].
+        confidence: From which a detection counts in `rates`, in [0, 1], or by the name
+            of each detector.
     """
 
     rows: pl.DataFrame
     detections: pl.DataFrame
     views: Mapping[str, Sequence[ViewDetections]]
-    confidence: float
+    confidence: float | Mapping[str, float]
 
     def __repr__(self) -> str:
         rates = (
@@ -86,11 +90,11 @@ class Judged:
     def _figures(self) -> Figures:
         if ATTACKED in self.views:
             return compared_rates(self.rows, self.confidence)
-        reported = Measure(
-            holds=pl.col("original_score") >= self.confidence,
+        found = Measure(
+            holds=reported("original_score", self.confidence),
             given=pl.col("x0").is_not_null(),
         )
-        return count(self.rows, {f"found_{CLEAN}": reported}, ("detector",))
+        return count(self.rows, {f"found_{CLEAN}": found}, ("detector",))
 
     def count(
         self, measures: Mapping[str, Measure], by: Sequence[str] = ("detector",)
@@ -108,7 +112,7 @@ def judge(
     render: RenderFn,
     original: str | None = None,
     target: str | None = None,
-    confidence: float = REPORTED,
+    confidence: float | None = None,
 ) -> Judged:
     """Let detectors look at one object of splats from many cameras.
 
@@ -126,7 +130,8 @@ def judge(
         original: What the object is; None is what each detector calls it in most views
             of the clean splat.
         target: What the attacker wants it to be; None if nothing certain.
-        confidence: From which a detection counts, in [0, 1].
+        confidence: From which a detection counts, in [0, 1]; None is the operating
+            threshold of each detector.
 
     Returns:
         Rows, rates and pictures.
@@ -135,7 +140,8 @@ def judge(
         InvalidValueError: No splat is called "clean", or an argument is of another
             kind.
     """
-    checked_number("confidence", confidence, between(0, 1))
+    if confidence is not None:
+        checked_number("confidence", confidence, between(0, 1))
     splats = {CLEAN: scenes} if isinstance(scenes, GaussianScene) else scenes
     if not isinstance(splats, Mapping):
         got = type(scenes).__name__
@@ -145,16 +151,23 @@ def judge(
             got,
             'pass {"clean": ..., "attacked": ...}',
         )
-    views = evaluate(splats, mask, cameras, detectors, render=render)
+    chosen = as_detectors(detectors)
+    views = evaluate(splats, mask, cameras, chosen, render=render)
+    least = thresholds_of(chosen) if confidence is None else confidence
     looked = compared_rows(
-        views, original=original, target=target, min_confidence=confidence
+        views, original=original, target=target, min_confidence=least
     )
     return Judged(
         rows=looked.rows,
         detections=looked.detections,
         views=views,
-        confidence=confidence,
+        confidence=least,
     )
+
+
+def thresholds_of(detectors: Sequence[Detector]) -> dict[str, float]:
+    """Operating thresholds by the names of detectors."""
+    return {one.name: operating_threshold(one) for one in detectors}
 
 
 def compared_rows(
@@ -162,7 +175,7 @@ def compared_rows(
     *,
     original: str | Sequence[str] | None = None,
     target: str | None = None,
-    min_confidence: float = REPORTED,
+    min_confidence: float | Mapping[str, float] = REPORTED,
     judges: Collection[str] = (),
     place: Callable[[ViewDetections], Mapping[str, Cell]] | None = None,
 ) -> Observations:
@@ -180,7 +193,7 @@ def compared_rows(
     }
     own = {name: None if name in judges else original for name in shown}
     originals: dict[str, str | Sequence[str] | None] = {
-        name: own[name] or usual_label(views, min_confidence)
+        name: own[name] or usual_label(views, confidence_for(name, min_confidence))
         for name, views in shown.items()
     }
 
@@ -269,7 +282,7 @@ def contradicted_views(
     rows: pl.DataFrame,
     judges: Mapping[str, Sequence[str]],
     *,
-    confidence: float = REPORTED,
+    confidence: Confidence = REPORTED,
 ) -> pl.DataFrame:
     """Which views judges contradict, for each pair of a detector and a judge.
 
@@ -287,7 +300,7 @@ def contradicted_views(
         A row for each detector, judge, splat and view in which the object shows, with
         the `report`, the `verdict` of the judge, and whether it is `contradicted`.
     """
-    sure = pl.when(pl.col("score") >= confidence).then("label")
+    sure = pl.when(reported("score", confidence)).then("label")
     seen = rows.filter(pl.col("x0").is_not_null()).select(
         "splat", "view", "detector", report=sure
     )
@@ -306,7 +319,7 @@ def contradictions(
     rows: pl.DataFrame,
     judges: Mapping[str, Sequence[str]],
     *,
-    confidence: float = REPORTED,
+    confidence: Confidence = REPORTED,
 ) -> Figures:
     """How often judges contradict each detector: on the clean splat these are false
     flags.

@@ -23,7 +23,15 @@ from numpy.typing import NDArray
 
 from attacks.figures.frame import HIGH, LOW, MEASURE, Figures
 from attacks.figures.rate import Rate, wilson
-from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, NOISE, TARGET_SCORE
+from attacks.observe.rows import (
+    ATTACKED,
+    CLEAN,
+    DEPTH,
+    NOISE,
+    OPERATING,
+    TARGET_SCORE,
+)
+from mi_splat.errors import listed
 
 DRAWS = 2000
 FEWEST_BLOCKS = 6
@@ -181,8 +189,8 @@ def banded(
 
 Measures = Mapping[str, Measure]
 Key = TypeVar("Key")
-Confidence = float | Mapping[str, float]
-"""From which a detection counts: of all detectors, or by the name of each."""
+Confidence = float | Mapping[str, float] | pl.Expr
+"""From which a detection counts: of all detectors, by the name of each, or by row."""
 
 REPORTED = 0.5
 DEFAULT_OF_YOLO = 0.25
@@ -243,10 +251,39 @@ def reported(column: str, confidence: Confidence = REPORTED) -> pl.Expr:
     return pl.col(column) >= confidence
 
 
+def confidence_for(detector: str, confidence: float | Mapping[str, float]) -> float:
+    """Confidence from which the detections of one detector count."""
+    if isinstance(confidence, Mapping):
+        return confidence[detector]
+    return confidence
+
+
+def confidence_words(confidence: float | Mapping[str, float]) -> str:
+    """Confidences that count, for a sentence."""
+    if not isinstance(confidence, Mapping):
+        return f"{confidence:g}"
+    if len({*confidence.values()}) == 1:
+        return f"{next(iter(confidence.values())):g}"
+    return listed([f"{least:g} ({name})" for name, least in confidence.items()])
+
+
 # DAGGER
 
+_OWN = pl.col(OPERATING)
+"""The detector's own threshold, of rows of `with_thresholds`."""
+
+
+def with_thresholds(rows: pl.DataFrame) -> pl.DataFrame:
+    """Rows in which each says from which confidence its detector's detections count;
+    those that do not say it count from `REPORTED`.
+    """
+    if OPERATING not in rows.columns:
+        return rows.with_columns(pl.lit(REPORTED).alias(OPERATING))
+    return rows.with_columns(_OWN.fill_null(REPORTED))
+
+
 STRICT = pl.col("success") & ~(
-    reported("original_score") & pl.col("original").is_not_null()
+    reported("original_score", _OWN) & pl.col("original").is_not_null()
 ).fill_null(value=False)
 """Whether the aim is reached in a row, and the object's own class is gone."""
 
@@ -258,8 +295,10 @@ own class gone, and with no other class of more confidence.
 """
 
 _WANTED = (pl.col("target_score") >= pl.col("threshold")).fill_null(pl.col("success"))
-_GONE = ~reported("original_score")
-_FOUND = reported("clean.original_score") & (pl.col("clean.original") == pl.col("own"))
+_GONE = ~reported("original_score", _OWN)
+_FOUND = reported("clean.original_score", _OWN) & (
+    pl.col("clean.original") == pl.col("own")
+)
 IF_DETECTED: Measures = {
     "detected": Measure(holds=_FOUND),
     "strict_if_detected": Measure(holds=_WANTED & _GONE, given=_FOUND),
@@ -273,7 +312,7 @@ and both (strict); of `with_control`.
 
 REPORTED_AS_ORIGINAL: Measures = {
     f"found_{splat}": Measure(
-        holds=pl.col("original").is_not_null() & reported("original_score"),
+        holds=pl.col("original").is_not_null() & reported("original_score", _OWN),
         given=of(splat),
     )
     for splat in (CLEAN, ATTACKED)
@@ -285,10 +324,10 @@ def detected_views(rows: pl.DataFrame) -> pl.DataFrame:
     """Those rows in whose view every detector reports the clean object, as a class that
     it knows.
     """
-    clean = rows.filter(splat=CLEAN).select(
+    clean = with_thresholds(rows.filter(splat=CLEAN)).select(
         "view",
         detected=pl.col("original").is_not_null()
-        & reported("original_score").fill_null(value=False),
+        & reported("original_score", _OWN).fill_null(value=False),
     )
     every = clean.group_by("view").agg(pl.col("detected").all()).filter("detected")
     return rows.join(every.select("view"), on="view", how="semi", maintain_order="left")
@@ -299,7 +338,7 @@ def joint_views(rows: pl.DataFrame) -> pl.DataFrame:
     every detector of the rows.
     """
     if "original_score" in rows.columns:
-        rows = rows.with_columns(strict=STRICT)
+        rows = with_thresholds(rows).with_columns(strict=STRICT)
     over = [
         name
         for name in ("attack", "seed", "condition", "splat", "draw", "view")

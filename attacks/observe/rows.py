@@ -103,6 +103,11 @@ POISON_DEPTH = "poison_depth: "
 TARGET_SCORE = "target_score: "
 """Heads of the columns that each attack of a study of CLOAK has; its name follows."""
 
+OPERATING = "operating_threshold"
+"""The column with the confidence from which the detections of a row's detector
+count.
+"""
+
 _MEASURE = "measure"
 """The column that only tables of figures have: in these, labels may be empty."""
 
@@ -210,6 +215,11 @@ _TABLE: tuple[tuple[str, ...], ...] = (
     ),
     ("target_score", "number?", "the same for the target class; empty: no target"),
     ("threshold", "number?", "confidence that the objective of the attack counts from"),
+    (
+        OPERATING,
+        "number?",
+        "confidence from which the detector's detections count; empty: 0.5",
+    ),
     (
         TARGET_SCORE,
         "number?",

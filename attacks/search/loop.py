@@ -122,12 +122,15 @@ class Hooks:
             back the point that may become the outcome: this one or what it made of it.
             None leaves the judgement to each evaluation.
         every: Steps between two judgements.
+        start: Whether the point where a run begins is judged, too; it becomes the
+            outcome only if it is a success.
         on_step: Called with every line of the trace as it happens. Once it says so, the
             search ends where something was judged, with the best point so far.
     """
 
     judge: Callable[[Parameters], tuple[Parameters, Verdict]] | None = None
     every: int = 1
+    start: bool = False
     on_step: Callable[[Step], bool | None] | None = None
 
 
@@ -190,15 +193,20 @@ def pgd(
             following = None if index == steps else optimiser(point, here, memory)
             judged = point
             verdict = here.verdict if hooks.judge is None else None
-            if hooks.judge is not None and (
-                following is None or (index and not index % hooks.every)
-            ):
+            is_due = not index % hooks.every and (index > 0 or hooks.start)
+            if hooks.judge is not None and (following is None or is_due):
                 judged, verdict = hooks.judge(point)
             line = _line(here, verdict, index, restart, _share(ball, judged, reference))
             trace.append(line)
             stopped = bool(hooks.on_step is not None and hooks.on_step(line)) or stopped
-            if verdict is not None and (
-                best_line is None or rank(line, smallest) > rank(best_line, smallest)
+            is_idle_start = hooks.start and index < min(1, steps) and not line.success
+            if (
+                verdict is not None
+                and not is_idle_start
+                and (
+                    best_line is None
+                    or rank(line, smallest) > rank(best_line, smallest)
+                )
             ):
                 best_line = line
                 best = judged

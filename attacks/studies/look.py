@@ -15,17 +15,17 @@ from torch import Tensor
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.controls import control_scenes
-from attacks.dagger.problem import Problem
+from attacks.dagger.problem import Problem, counted_from
 from attacks.dagger.views import View, fixed_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import PluggedObjective
-from attacks.objectives.base import Target
+from attacks.objectives.base import Target, least_confidence
 from attacks.objectives.relabel import Relabel
 from attacks.objectives.suppression import Hide, Untargeted
 from attacks.observe import Control
 from attacks.observe.conditions import OWN, Condition, SunTable, Viewing, condition_of
 from attacks.observe.observations import observe, report_cells, seen_from, verdict_cells
-from attacks.observe.rows import ATTACKED, CLEAN
+from attacks.observe.rows import ATTACKED, CLEAN, OPERATING
 from attacks.observe.views import ViewDetections, image_change
 from attacks.optimisers import NormName
 from attacks.studies.attack import AttackScene, attack_scene, detectors_of, distribution
@@ -113,7 +113,11 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
     def cells(seen: ViewDetections) -> dict[str, Any]:
         assert seen.box is not None  # as `fixed_views` has seen to
         target = Target(
-            box=seen.box, label=wanted.label, classes=classes, original=original
+            box=seen.box,
+            label=wanted.label,
+            classes=classes,
+            original=original,
+            threshold=counted_from(wanted, detectors[0]),
         )
         reported = report_cells(
             seen.detections, seen.box, original=original, target=wanted.label
@@ -127,7 +131,8 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
             **directions(seen),
             **reported,
             **verdict,
-            "threshold": wanted.confidence,
+            "threshold": least_confidence(wanted, target),
+            OPERATING: target.threshold,
             "object_psnr": change,
         }
 

@@ -23,13 +23,15 @@ from attacks.observe.rates import (
     CLUSTERS,
     IF_DETECTED,
     REPORTED,
+    Confidence,
     blocks_of,
     count,
     joint_views,
     transfer_measures,
     with_control,
+    with_thresholds,
 )
-from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, ROWS
+from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, OPERATING, ROWS
 from attacks.studies.attack import CAMERAS
 from attacks.studies.study_file import merged
 
@@ -91,7 +93,7 @@ class StudiedAttack:
     stated: Mapping[str, Any]  # steps, time, image quality
     aim: str
     target: str | None
-    confidence: float
+    confidence: float | None  # None is the operating threshold of each detector
     bisected: str | None
     warnings: Sequence[str]
 
@@ -174,7 +176,7 @@ def _rest(table: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]
 def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> Figures:
     """Every figure of a study."""
     attacks = attacks_of(record)
-    rows = tables[ROWS]
+    rows = with_thresholds(tables[ROWS])
     evaluated = pl.lit(value=False)
     if "condition" in rows.columns:
         evaluated = pl.col("condition").is_not_null()
@@ -365,7 +367,11 @@ def _evaluations(attacks: Attacks, rows: pl.DataFrame) -> Iterator[Figures]:
     for labels, members in _grouped(attacks, POOLED):
         mine = paired.filter(pl.col("attack").is_in([*members]))
         first = next(iter(members.values()))
-        confidence = first.confidence if first.target else REPORTED
+        confidence: Confidence = REPORTED
+        if first.confidence is None:
+            confidence = pl.col(OPERATING)
+        elif first.target:
+            confidence = first.confidence
         kinds = KINDS_OF.get(first.aim, ("reached",))
         parts = [count(mine, transfer_measures(confidence, kinds=kinds), by)]
         if first.target:

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from attacks.detectors.base import Candidates, Detections, Detector, check_images
+from attacks.detectors.registry import operating_threshold
 from attacks.objectives.base import Target
 from attacks.search.loop import Verdict
 from attacks.testing.promises import (
@@ -408,6 +409,13 @@ def _names(detector: Any) -> None:
         "a min_confidence in [0, 1]",
         least,
         "give the threshold of `detect`",
+    )
+    operating = operating_threshold(detector)
+    expect(
+        least <= operating <= 1,
+        f"an operating threshold from min_confidence ({least:g}) to 1",
+        operating,
+        "state it as `threshold` of the detector or of its DetectorSpec",
     )
 
 

@@ -123,7 +123,7 @@ def test_noise_changes_the_object_as_much_as_the_attack() -> None:
             assert abs(change.psnr_object - attacked) < 1.0
     for name in names:
         assert result.figures.rate("success", splat=name).total == 4
-    assert set(observed(result.views).rows["splat"].unique()) == {
+    assert set(observed(result.views, result.objective).rows["splat"].unique()) == {
         "clean",
         "attacked",
         *names,

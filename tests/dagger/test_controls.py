@@ -40,7 +40,7 @@ def test_noise_is_matched_in_few_looks_at_the_views(gain: float, number: int) ->
         {"sh": torch.randn(50, 4, 3, generator=generator)} for _ in range(2)
     )
     views: Any = [
-        SimpleNamespace(camera=camera, weight=torch.ones(8, 8))
+        SimpleNamespace(camera=camera, on_object=torch.ones(8, 8) > 0)
         for camera in range(number)
     ]
     wanted = _object_errors(Pictures(gain=0.4), attacked, views)  # type: ignore[arg-type]

@@ -8,6 +8,7 @@ from collections import Counter
 import pytest
 import torch
 
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.search import ImagePrice, fitted, stretched
 from attacks.dagger.views import DrawnViews, batch_indices, fixed_views
 from attacks.gaussian_subset import GaussianSubset
@@ -134,7 +135,8 @@ def test_each_view_of_a_pool_comes_once_before_one_comes_again(pool: int) -> Non
 def test_the_price_rises_while_pictures_are_too_bad_and_falls_while_they_are_good() -> (
     None
 ):
-    price = ImagePrice.of(20.0, steps=100)
+    price = ImagePrice.of(DaggerConfig(image_psnr=20.0, steps=100))
+    assert price is not None
     assert price.after(0.02).weight > price.weight > price.after(0.005).weight
     assert price.after(0.01).weight == pytest.approx(price.weight)
 

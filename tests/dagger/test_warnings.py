@@ -105,7 +105,7 @@ def sound() -> Result:
 
 def of_views(result: Result, *views: JudgedView) -> Result:
     """The result with other views."""
-    looked = observed(views, seed=0)
+    looked = observed(views, result.objective, seed=0)
     figures = attack_figures(
         looked.rows,
         result.detectors,

@@ -23,6 +23,7 @@ from attacks.observe.rates import (
     rates_at,
     transfer_measures,
     with_control,
+    with_thresholds,
 )
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, frame_of
 
@@ -256,7 +257,7 @@ def test_a_view_counts_where_every_detector_is_deceived() -> None:
     figures = count(joint_views(JUDGED.filter(detector="a")), AIMS, ("splat",))
     alone = counts(figures.where(splat=ATTACKED))
     assert alone == {"success": (2, 2), "strict": (1, 2), "unambiguous": (2, 2)}
-    assert counts(count(JUDGED, REPORTED_AS_ORIGINAL)) == {
+    assert counts(count(with_thresholds(JUDGED), REPORTED_AS_ORIGINAL)) == {
         "found_clean": (2, 4),
         "found_attacked": (2, 4),
     }

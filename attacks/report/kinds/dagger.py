@@ -12,6 +12,7 @@ from attacks.figures.result import Result
 from attacks.figures.tables import Column, Group, Table, groups_of, label_at, rate_at
 from attacks.objectives.relabel import Relabel
 from attacks.objectives.suppression import Hide, Untargeted
+from attacks.observe.rates import REPORTED, confidence_words
 from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, NOISE, ROWS
 from attacks.report.section import (
     Chart,
@@ -89,8 +90,7 @@ def read_attack(result: Result) -> Section:
     draws = figures.rate("reached", splat=NOISE).total
     wish = _wish(record, 2)
     title = _object_name(record, views)
-    radii = ", ".join(f"{eps:g} over {name}" for name, eps in record["radius"].items())
-    ball = f"a ball ({record['norm']}: {radii})"
+    ball = _budget(record)
     many = counted(rate.total, "held-out view" if drawn else "view")
     control = control_of(config)
     conclusion = [_first_sentence(result, ball, many, wish)]
@@ -135,6 +135,15 @@ def read_attack(result: Result) -> Section:
     )
 
 
+def _budget(record: Mapping[str, Any]) -> str:
+    """The budget of an attack, for a sentence."""
+    psnr = record["config"].get("object_psnr")
+    if psnr is not None:
+        return f"a budget of {psnr:g} dB on the object's pixels"
+    radii = ", ".join(f"{eps:g} over {name}" for name, eps in record["radius"].items())
+    return f"a ball ({record['norm']}: {radii})"
+
+
 def _weights(record: Mapping[str, Any]) -> dict[str, str]:
     return {one["detector"]: one["detector_fingerprint"] for one in record["detectors"]}
 
@@ -168,9 +177,14 @@ def _first_sentence(result: Result, ball: str, views: str, wish: str) -> str:
     rate = figures.rate("success", splat=ATTACKED)
     detected = figures.rate("success", splat=ATTACKED, scope=DETECTED)
     if not detected.total:
+        thresholds = {
+            one["detector"]: one.get("threshold", REPORTED)
+            for one in result.record["detectors"]
+        }
+        least = confidence_words(thresholds)
         return (
             f"No success is counted: {detectors} did not detect the clean object at"
-            f" confidence >= 0.5 in any of {views}. Within {ball} the attack made"
+            f" confidence >= {least} in any of {views}. Within {ball} the attack made"
             f" {detectors} {wish} on the object in {rate.successes} of {views}."
         )
     succeeded = figures.rate("succeeded").successes

@@ -20,6 +20,7 @@ from attacks.observe.rates import (
     REPORTED,
     Confidence,
     comparison_measures,
+    confidence_words,
 )
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS
 from attacks.observe.sector import ELSEWHERE, INSIDE, TEST, TRAIN
@@ -89,6 +90,7 @@ def read_evaluation(result: Result) -> Section:
         for attacked, clean in headlines
     ]
     headline, control = headlines[0]
+    least = confidence_words(record["min_confidence"])
     sectors = list(_sectors(figures, list(classes)))
     if sectors:
         headline, control = _sector_headline(figures, *next(iter(classes.items())))
@@ -100,7 +102,7 @@ def read_evaluation(result: Result) -> Section:
             f"{listed([*classes])} looked at the clean splat {record['clean']} and at"
             f" the attacked one {record['attacked']} from"
             f" {counted(len(cameras), 'camera')}, in 8-bit pictures. A detection counts"
-            f" from {record['min_confidence']:g}. Views count in which the object shows"
+            f" from {least}. Views count in which the object shows"
             f" ({record['object_gaussians']:,} Gaussians)."
         ),
         conclusion=" ".join(
