@@ -19,7 +19,7 @@ from torch import Tensor
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detections, Detector
 from attacks.detectors.registry import operating_threshold
-from attacks.objectives import overlap
+from attacks.objectives.base import overlap
 from mi_splat.cameras.framing import near_plane
 from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
