@@ -120,7 +120,6 @@ OF_SPLATS = (
     "capture",
     "train",
     "render",
-    "select",
     "info",
     "audit",
     "conform",

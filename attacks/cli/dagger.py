@@ -191,7 +191,7 @@ class DemoOptions(ResultOptions):
 def run(options: DaggerOptions) -> None:
     """Attack from chosen cameras; Ctrl-C ends the search with the best so far."""
     from attacks.dagger.views import FixedViews
-    from mi_splat.selection.select import doubts, require_visible
+    from mi_splat.selection.select import require_visible
 
     config = options.config
     with progress(
@@ -207,7 +207,7 @@ def run(options: DaggerOptions) -> None:
             loaded.scene, chosen.mask, cameras, render=chosen.render, up=chosen.up
         )
         origin = {"selection": selection.as_dict(), "cameras": list(chosen.cameras)}
-        told = tuple(doubts(chosen.mask, weights))
+        told = tuple(chosen.doubts(loaded, weights))
         interrupted = _attack(options, loaded, chosen, views, origin, advance, told)
     _end(options, interrupted)
 
@@ -261,6 +261,7 @@ def _opened(
     """The scene, what is selected in it, and the object with its cameras, if --out can
     be written.
     """
+    from attacks.cli.options import box_finder
     from mi_splat.cli.cameras import choose
     from mi_splat.io.folders import check_new_folder
     from mi_splat.render.scene_files import open_scene
@@ -272,7 +273,9 @@ def _opened(
     selection = options.selection
     if selection.is_empty and DEFAULT_OBJECT in loaded.objects:
         selection = replace(selection, object=DEFAULT_OBJECT)
-    return loaded, selection, choose(loaded, selection, options.view, split=split)
+    find_boxes = box_finder(options.detectors, options.weights, options.device)
+    chosen = choose(loaded, selection, options.view, split=split, find_boxes=find_boxes)
+    return loaded, selection, chosen
 
 
 def _detectors_and_objective(

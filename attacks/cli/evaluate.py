@@ -88,7 +88,7 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
 
 def run(options: EvaluateOptions) -> None:
     """Evaluate, and write pictures and numbers."""
-    from attacks.cli.options import check_detectors
+    from attacks.cli.options import box_finder, check_detectors
     from attacks.cli.summary import show_summary
     from attacks.figures.frame import write_figures
     from attacks.observe.comparison import (
@@ -118,7 +118,10 @@ def run(options: EvaluateOptions) -> None:
                 clean, changed_mask(clean.scene, attacked.scene), options.view
             )
         else:
-            chosen = choose(clean, options.selection, options.view)
+            find_boxes = box_finder(options.detectors, options.weights)
+            chosen = choose(
+                clean, options.selection, options.view, find_boxes=find_boxes
+            )
         detectors, judges = _detectors(options)
         scenes = {CLEAN: clean.scene, ATTACKED: attacked.scene}
         names = list(chosen.cameras)
@@ -137,6 +140,7 @@ def run(options: EvaluateOptions) -> None:
             place=_placing(options, clean.scene, chosen),
         )
         document = _document(options, chosen, scenes, detectors)
+        document["warnings"] += chosen.doubts(clean, {})
         document["min_confidence"] = confidence
         if judges:
             document["judges"] = judges
@@ -214,7 +218,6 @@ def _document(
     from mi_splat.cameras.directions import UP
     from mi_splat.io.camera_records import describe
     from mi_splat.scene import scene_hash
-    from mi_splat.selection.select import doubts
 
     cameras = list(chosen.cameras.values())
     return {
@@ -229,10 +232,7 @@ def _document(
         "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
         **{f"{name}_hash": scene_hash(scene) for name, scene in scenes.items()},
         "fingerprints": {detector.name: detector.fingerprint for detector in detectors},
-        "warnings": [
-            *doubts(chosen.mask, {}),
-            *_doubts(cameras, options.attacked),
-        ],
+        "warnings": list(_doubts(cameras, options.attacked)),
         **provenance.rendered_with(chosen.render),
         **provenance.origin(),
     }

@@ -15,7 +15,10 @@ from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.fields import Fraction, Metavar, between, check_choice
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from attacks.detectors.base import Detector
+    from mi_splat.cli.sources import FindBoxes
 
 DEFAULT_OBJECT = "car"
 """Part that is attacked if nothing else is said."""
@@ -124,6 +127,46 @@ def weights_of(names: Sequence[str], weights: Sequence[Path]) -> dict[str, Path]
     if weights:
         return dict(zip(names, weights, strict=True))
     return {}
+
+
+_FOUND = 0.3
+"""Confidence from which a detection says where an object is: boxes of true objects in
+photographs often have less than 0.5, and a wrong one among many is outvoted.
+"""
+
+
+def box_finder(
+    names: Sequence[str], weights: Sequence[Path] = (), device: str = "cpu"
+) -> FindBoxes:
+    """What finds boxes of some classes in an image by detectors, which are loaded when
+    the first image is looked at.
+    """
+    loaded: list[Detector] = []
+
+    def find(image: Tensor, classes: Sequence[str]) -> list[Tensor]:
+        if not loaded:
+            loaded.extend(load_detectors(names, weights, device))
+            check_any_class(classes, loaded)
+        reports = [detector.detect(image[None].to(device))[0] for detector in loaded]
+        found = []
+        for report in reports:
+            pairs = zip(report.labels, report.scores.tolist(), strict=True)
+            kept = [
+                number
+                for number, (label, score) in enumerate(pairs)
+                if label in classes and score >= _FOUND
+            ]
+            found.append(report.boxes[kept].detach().cpu())
+        return found
+
+    return find
+
+
+def check_any_class(classes: Sequence[str], detectors: Sequence[Detector]) -> None:
+    """Raise unless each class is known to one of the detectors."""
+    for name in classes:
+        if not any(name in detector.classes for detector in detectors):
+            check_class(name, detectors[0].name, detectors[0].classes, what="--detect")
 
 
 Detectors = Annotated[tuple[str, ...], Metavar("DETECTOR")]

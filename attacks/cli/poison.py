@@ -11,6 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
+from attacks.cli.options import Detectors
 from attacks.poisons.specs import POISONS, Given
 from mi_splat.cli.console import UsageError, follow, progress, show_result, warn
 from mi_splat.cli.flags import Flag, Positional, choice_among
@@ -63,10 +64,12 @@ class ObjectConfig:
     Attributes:
         selection: Which Gaussians of the splat are the object.
         picture: Which of the pictures for training --click is on, in their order.
+        detectors: Names of the detectors that find the object for --detect.
     """
 
     selection: Selection = field(default_factory=Selection)
     picture: Annotated[int, at_least(0), Metavar("NUMBER")] = 0
+    detectors: Detectors = ("fasterrcnn_small",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -532,7 +535,9 @@ def _object(
     """(N,) bool, the object's Gaussians, the near plane of the splat, and what the
     record says of these.
     """
+    from attacks.cli.options import box_finder
     from mi_splat.cameras.framing import near_plane
+    from mi_splat.cli.sources import find_in_images, photographs
     from mi_splat.render.renderer import Renderer, RenderSettings
     from mi_splat.scene import scene_hash
     from mi_splat.selection.select import select
@@ -545,7 +550,16 @@ def _object(
     near = near_plane(splat, views.cameras)
     camera = views.cameras[config.picture]
     render = Renderer(RenderSettings(near=near))
-    rows = select(splat, config.selection, camera=camera, render=render)
+    found = None
+    if config.selection.needs_images:
+        found = find_in_images(
+            splat,
+            photographs(views),
+            config.selection,
+            render=render,
+            find_boxes=box_finder(config.detectors),
+        ).mask
+    rows = select(splat, config.selection, camera=camera, render=render, found=found)
     selected = {
         "selection": config.selection.as_dict(),
         "scene_hash": scene_hash(splat),

@@ -3,7 +3,7 @@ and how pictures are made.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from mi_splat.cameras.rooms import AROUND, place_inside
 from mi_splat.cameras.sets import camera_set, framing, with_up
 from mi_splat.cli.console import note, warn
 from mi_splat.cli.options import CameraOptions, axis_name, up_line
+from mi_splat.cli.sources import FindBoxes, Found, find_in_images, source_images
 from mi_splat.datasets import DatasetError, load_dataset
 from mi_splat.datasets.colmap import find_model
 from mi_splat.datasets.frames import Split
@@ -31,8 +32,9 @@ from mi_splat.io.up_axis import Direction, UpAxis, Z, cameras_up
 from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.render.scene_files import SplatScene, open_scene, resized
 from mi_splat.scene import GaussianScene
+from mi_splat.selection.agreement import agreement, disagreements
 from mi_splat.selection.config import Selection
-from mi_splat.selection.select import select
+from mi_splat.selection.select import doubts, select
 from mi_splat.selection.visibility import object_weight
 
 ALL = "all"
@@ -473,6 +475,7 @@ class Chosen:
     cameras: dict[str, Camera]
     render: Renderer
     up: Direction
+    found: Found | None = None  # what images say of it, if they were asked
 
     def weights(self, loaded: SplatScene) -> dict[str, Tensor]:
         """(H, W) share of each pixel that the object makes up, by the camera's name."""
@@ -481,6 +484,15 @@ class Chosen:
             for name, camera in self.cameras.items()
         }
 
+    def doubts(self, loaded: SplatScene, weights: Mapping[str, Tensor]) -> list[str]:
+        """Reasons to look twice at the object, in words."""
+        texts = doubts(self.mask, weights)
+        if self.found is not None:
+            regions = self.found.regions
+            agreed = agreement(loaded.scene, self.mask, regions, render=self.render)
+            texts += disagreements(agreed)
+        return texts
+
 
 def choose(
     loaded: SplatScene,
@@ -488,23 +500,37 @@ def choose(
     options: CameraOptions,
     *,
     split: Split | None = None,
+    find_boxes: FindBoxes | None = None,
 ) -> Chosen:
     """The object and the cameras.
 
     A click is on the picture that `mi-splat render` makes with the same flags, so with
-    one the cameras come first. Otherwise the object does, and cameras that nothing else
-    is said of look at it.
+    one the cameras come first, and with images that show where the object is, too.
+    Otherwise the object does, and cameras that nothing else is said of look at it.
     """
-    if selection.click:
-        options, cameras = _upright_cameras(loaded, options, None, None, split)
-        render = renderer_of(loaded, options, cameras)
-        first = next(iter(cameras.values()))
-        mask = select(
-            loaded.scene, selection, objects=loaded.objects, camera=first, render=render
+    if not selection.click and not selection.needs_images:
+        mask = select(loaded.scene, selection, objects=loaded.objects)
+        return look_at_object(loaded, mask, options, split=split)
+    options, cameras = _upright_cameras(loaded, options, None, None, split)
+    render = renderer_of(loaded, options, cameras)
+    found = None
+    if selection.needs_images:
+        images = source_images(
+            loaded.scene, cameras, options.cameras, render=render, split=split
         )
-        return Chosen(mask=mask, cameras=cameras, render=render, up=options.up or Z)
-    mask = select(loaded.scene, selection, objects=loaded.objects)
-    return look_at_object(loaded, mask, options, split=split)
+        found = find_in_images(
+            loaded.scene, images, selection, render=render, find_boxes=find_boxes
+        )
+    mask = select(
+        loaded.scene,
+        selection,
+        objects=loaded.objects,
+        camera=next(iter(cameras.values())),
+        render=render,
+        found=None if found is None else found.mask,
+    )
+    up = options.up or Z
+    return Chosen(mask=mask, cameras=cameras, render=render, up=up, found=found)
 
 
 def look_at_object(

@@ -24,6 +24,12 @@ from mi_splat.datasets.frames import (
     Pixels,
     Split,
     area_mean,
+<<<<<<< HEAD
+=======
+    downscaled,
+    picture_size,
+    resized_plane,
+>>>>>>> main
     stored_mask,
     stored_pixels,
     turned_image,
@@ -163,6 +169,30 @@ class Dataset(ViewSet):
         if mask is None:
             return None
         return mask.unpack()
+
+    def region(self, index: int, drawn: Pixels) -> Tensor:
+        """(H, W) float32 in [0, 1], a region that was drawn on the file of an image, as
+        the image is read: turned, undistorted and made smaller with it.
+
+        Args:
+            index: Which image.
+            drawn: (h, w) in [0, 1], of the size of the file, or of that size made
+                larger or smaller.
+
+        Returns:
+            The region at the size of the view's camera; 0 where an image that was
+            undistorted shows nothing.
+        """
+        frame = self.frames[range(len(self.frames))[operator.index(index)]]
+        size = picture_size(frame.path)
+        if drawn.shape[1::-1] != size:
+            drawn = resized_plane(drawn, size)
+        plane = np.ascontiguousarray(drawn, np.float32)[..., None]
+        if not frame.is_stored:
+            _, _, mask = _upright(frame, plane.repeat(3, -1), None, plane)
+            assert mask is not None
+            plane = mask
+        return torch.from_numpy(area_mean(plane, self.downscale)[..., 0].copy())
 
     def _read(self, index: int) -> _Entry:
         """An image with its alpha and its mask, from memory or from the disk."""

@@ -303,6 +303,12 @@ def stored_mask(path: Path, image: Path, size: Size) -> Pixels:
     return np.asarray(mask, np.float32)[..., None] / np.float32(255)
 
 
+def resized_plane(plane: Pixels, size: Size) -> Pixels:
+    """(h, w) values at another width and height; pixels are averaged."""
+    image = Image.fromarray(np.ascontiguousarray(plane, np.float32))
+    return np.asarray(image.resize(size, Image.Resampling.BOX), np.float32)
+
+
 def area_mean(values: Pixels, factor: int) -> Pixels:
     """(H // factor, W // factor, C) means over squares of pixels; a rest at the right
     and at the bottom is cut off.

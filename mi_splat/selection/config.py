@@ -26,6 +26,15 @@ class Selection:
             all that is connected to it. Only what is near is looked at, by the measure
             of the picture, so click where the object is large.
         cluster: Connected component by its size; 1 is the largest.
+        detect: Classes of --detectors: the object in their boxes, in the photographs of
+            --cameras SET or in renderings from other --cameras. In each image it is the
+            most confident box of any of these classes. The object is cut out of the
+            boxes, and the images vote.
+        boxes: JSON file with boxes around the object in two images or more, as
+            `mi-splat view` writes it; cut out as with --detect.
+        masks: Folder of masks of two images or more, nonzero where the object is, each
+            with the name of its image in --cameras SET and the ending .png. The images
+            vote for the Gaussians that make up the masks.
         link_distance: Two Gaussians are connected if each is within this multiple of
             the distance to the eighth neighbour of the other (click, cluster).
         link_colour: Largest difference in a channel of sRGB of connected Gaussians, in
@@ -55,6 +64,9 @@ class Selection:
         | None
     ) = None
     planes: Annotated[int, between(0, 20, do="1 is usual")] = 1
+    detect: Annotated[tuple[str, ...], Metavar("CLASS")] = ()
+    boxes: Path | None = None
+    masks: Annotated[Path | None, Metavar("FOLDER")] = None
 
     def __post_init__(self) -> None:
         check(self)
@@ -83,6 +95,11 @@ class Selection:
         return tuple(pixels)
 
     @property
+    def needs_images(self) -> bool:
+        """Whether images say where the object is, from several cameras."""
+        return bool(self.detect) or self.boxes is not None or self.masks is not None
+
+    @property
     def is_empty(self) -> bool:
         """Whether nothing is selected."""
         return not self.as_dict()
@@ -100,6 +117,9 @@ class Selection:
             "mask": None if self.mask is None else str(self.mask),
             "click": list(self.click) or None,
             "cluster": self.cluster,
+            "detect": list(self.detect) or None,
+            "boxes": None if self.boxes is None else str(self.boxes),
+            "masks": None if self.masks is None else str(self.masks),
         }
         used: dict[str, Any] = {
             name: value for name, value in selectors.items() if value is not None

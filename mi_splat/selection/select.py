@@ -166,6 +166,8 @@ _AROUND = 1.5
 """How far around a click is looked, in halves of the picture's diagonal at its
 depth.
 """
+_CLICKED = 0.05
+"""Share of a clicked pixel that what the images select makes up at least."""
 _NAMED = 4
 """Cameras that are named at most."""
 
@@ -177,6 +179,7 @@ def select(
     objects: Mapping[str, slice] | None = None,
     camera: Camera | None = None,
     render: RenderFn | None = None,
+    found: Tensor | None = None,
 ) -> Tensor:
     """The Gaussians of one object.
 
@@ -186,6 +189,9 @@ def select(
         objects: Rows of the parts of a scene file, for `Selection.object`.
         camera: Whose picture is clicked on, for `Selection.click`.
         render: Makes that picture, for `Selection.click`.
+        found: (N,) bool, what images say (`mi_splat.selection.regions.vote`), for
+            `Selection.detect`, `boxes` and `masks`. A click then chooses among these
+            Gaussians, so that what it is connected to is not the floor.
 
     Returns:
         (N,) bool, at least one of them true.
@@ -217,6 +223,15 @@ def select(
         mask &= box_mask(scene, selection.box)
     if selection.mask is not None:
         mask &= load_mask(selection.mask, scene)
+    if selection.needs_images:
+        if found is None:
+            raise InvalidValueError.of(
+                "selection",
+                "what the images say (found)",
+                "None",
+                "pass the votes of mi_splat.selection.regions.vote",
+            )
+        mask &= found
     if selection.cluster is not None:
         labels = _clusters(scene, selection)
         if selection.cluster > (count := len(labels.bincount())):
@@ -225,7 +240,7 @@ def select(
             )
         mask &= labels == selection.cluster - 1
     if selection.click:
-        mask &= _clicked(scene, selection, camera, render)
+        mask &= _clicked(scene, selection, camera, render, among=found)
     if not bool(mask.any()):
         do = f"look at where it is in a picture of the scene; {_HOW}"
         raise InvalidValueError.of(
@@ -235,7 +250,7 @@ def select(
 
 
 _HOW = "name a part (object), or say a box, a click, a cluster or a mask"
-_FLAGS = "--object, --box, --click, --cluster or --mask"
+_FLAGS = "--object, --box, --click, --cluster, --mask, --detect, --boxes or --masks"
 
 
 def doubts(mask: Tensor, weights: Mapping[str, Tensor]) -> list[str]:
@@ -305,8 +320,12 @@ def _clicked(
     selection: Selection,
     camera: Camera | None,
     render: RenderFn | None,
+    *,
+    among: Tensor | None,
 ) -> Tensor:
-    """The components that make up most of the pixels that were clicked on."""
+    """The components that make up most of the pixels that were clicked on, of all
+    Gaussians or among some.
+    """
     if camera is None or render is None:
         raise InvalidValueError.of(
             "click", "a camera and a renderer", "none", "say in whose picture"
@@ -315,14 +334,29 @@ def _clicked(
     means = scene.means.detach().cpu().double()
     for pixel in selection.pixels:
         weights = pixel_weights(scene, camera, pixel, render).cpu().double()
+        if among is not None:
+            weights = torch.where(among, weights, 0)
+            _require_found(weights, pixel)
         point = means[int(weights.argmax())]
         # half a diagonal at depth 1
         shown = math.hypot(camera.width / camera.fx, camera.height / camera.fy) / 2
         depth = float((point - camera.position).norm())
         # So the largest plane is the one that the object stands on, and not a floor or
         # a wall far away.
-        near = ((means - point).norm(dim=1) <= _AROUND * shown * depth).nonzero()[:, 0]
+        is_near = (means - point).norm(dim=1) <= _AROUND * shown * depth
+        near = (is_near if among is None else is_near & among).nonzero()[:, 0]
         labels = _clusters(scene.select(near), selection)
         label = int(torch.bincount(labels, weights[near]).argmax())
         mask[near[labels == label]] = True
     return mask
+
+
+def _require_found(weights: Tensor, pixel: tuple[int, int]) -> None:
+    """Raise where a click is on none of the Gaussians that the images select."""
+    x, y = pixel
+    if float(weights.sum()) < _CLICKED:
+        got = f"one of which it makes up {float(weights.sum()):.1%}"
+        do = "click on the object, or leave the click out"
+        raise InvalidValueError.of(
+            f"click {x},{y}", "a pixel of what the images select", got, do
+        )

@@ -27,6 +27,7 @@ from mi_splat.cli.options import CameraOptions
 from mi_splat.datasets import load_dataset
 from mi_splat.io.camera_records import describe
 from mi_splat.render.renderer import RenderSettings
+from mi_splat.selection.boxes import load_boxes
 from mi_splat.training.resume import load_state, save_state
 from mi_splat.training.state import Progress, TrainState
 from mi_splat.training.strategies import FixedConfig
@@ -171,6 +172,16 @@ def _poses_of_set(path: Path) -> None:
     _cameras_of(str(_set_folder(path)))
 
 
+def _boxes() -> dict[str, Any]:
+    return {
+        "boxes": [
+            {"image": "left", "box": [4, 5.5, 40, 30], "size": [64, 48]},
+            {"image": "right.jpg", "box": [0, 2, 20, 30]},
+        ],
+        "cameras": [describe("left", camera())],
+    }
+
+
 def cameras() -> Iterator[Kind]:
     forms: dict[str, Callable[[], Any]] = {
         "transforms.json": _transforms,
@@ -205,6 +216,13 @@ def cameras() -> Iterator[Kind]:
             readers=("mi_splat.datasets.nerfstudio:world_of",),
             document=PLAIN_JSON,
         )
+    yield Kind(
+        name="boxes of an object",
+        make=written("boxes.json", _boxes),
+        read=load_boxes,
+        readers=("mi_splat.selection.boxes:load_boxes",),
+        document=PLAIN_JSON,
+    )
     yield Kind(
         name="cameras beside a splat",
         make=_beside_splat,

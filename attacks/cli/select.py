@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from attacks.cli.options import DetectorOptions, box_finder
 from mi_splat.cli.console import progress, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, JsonOptions
@@ -28,12 +29,17 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "select YOUR.ply --click 320,240 --out picked.png mask.npy",
     "select YOUR.ply --box -0.2 -0.2 0 0.2 0.2 0.3 --cameras orbit:8@30",
+    (
+        "select YOUR.ply --detect car --detectors nanodet_coco --cameras YOUR_PHOTOS"
+        " --out picked.png mask.npy"
+    ),
+    "select YOUR.ply --masks YOUR_MASKS --cameras YOUR_PHOTOS --out mask.npy",
     "select scenes/car_street.xml --object car --out car.ply",
 )
 
 
 @dataclass(frozen=True, kw_only=True)
-class SelectOptions(JsonOptions):
+class SelectOptions(DetectorOptions, JsonOptions):
     """Select one object of a splat, and see whether it is the right one.
 
     Prints how many Gaussians it has, where they are, how much of the picture it makes
@@ -69,7 +75,7 @@ def run(options: SelectOptions) -> None:
     from mi_splat.io.folders import check_free_file, check_not_input
     from mi_splat.io.images import is_picture
     from mi_splat.render.scene_files import open_scene
-    from mi_splat.selection.select import SEEN, doubts
+    from mi_splat.selection.select import SEEN
 
     for path in options.out:
         if not (is_picture(path) or path.suffix.lower() in (".npy", ".ply")):
@@ -83,10 +89,16 @@ def run(options: SelectOptions) -> None:
         check_free_file(path, force=options.force)
     with progress("selecting"):
         loaded = open_scene(options.scene)
-        chosen = choose(loaded, options.selection, options.view)
+        chosen = choose(
+            loaded,
+            options.selection,
+            options.view,
+            find_boxes=box_finder(options.detectors, options.weights),
+        )
         scene = loaded.scene
         mask = chosen.mask
         weights = chosen.weights(loaded)
+        doubts = chosen.doubts(loaded, weights)
         first = next(iter(chosen.cameras.values()))
         for path in options.out:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -106,15 +118,17 @@ def run(options: SelectOptions) -> None:
     document = {
         **{"gaussians": int(mask.sum()), "of": len(mask), "box": box, "views": views},
         "selection": options.selection.as_dict(),
-        "doubts": doubts(mask, weights),
+        "doubts": doubts,
         "files": [str(path) for path in options.out],
     }
-    for doubt in doubts(mask, weights):
+    for doubt in doubts:
         warn(f"warning: {doubt}")
     low, high = (" ".join(f"{value:.4g}" for value in corner) for corner in box)
     lines = [
         f"{document['gaussians']:,} of {len(mask):,} Gaussians, in the box {low} {high}"
     ]
+    if chosen.found is not None:
+        lines += chosen.found.lines
     for view in views[:LISTED]:
         seen = "seen" if view["seen"] else "not seen"
         lines.append(f"{seen} by {view['camera']}: {view['share']:.1%} of the pixels")

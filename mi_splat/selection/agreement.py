@@ -1,0 +1,83 @@
+"""How well selected Gaussians agree with regions of images that show the object."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from statistics import median
+from typing import NamedTuple
+
+from torch import Tensor
+
+from mi_splat.cameras.camera import RenderFn
+from mi_splat.scene import GaussianScene
+from mi_splat.selection.regions import ImageRegion
+from mi_splat.selection.visibility import object_weight
+
+LEAST_IOU = 0.8
+"""Intersection over union of the selection and the object's outline in an image; below,
+the selection is doubted.
+"""
+MOST_OUTSIDE = 0.03
+"""Share of an image that the selection may cover outside the object's outline."""
+_HALF = 0.5
+
+
+class Agreement(NamedTuple):
+    """A selection beside the region of the object in one image."""
+
+    iou: float  # intersection over union of their pixels
+    outside: float  # share of the image that the selection covers outside the region
+
+
+def agreement(
+    scene: GaussianScene,
+    mask: Tensor,
+    regions: Mapping[str, ImageRegion],
+    *,
+    render: RenderFn,
+) -> dict[str, Agreement]:
+    """How well a selection agrees with the object's regions, image by image.
+
+    Args:
+        scene: The scene.
+        mask: (N,) bool, the selected Gaussians.
+        regions: Where the object is, by the names of images.
+        render: Renders the images.
+
+    Returns:
+        For each image the intersection over union of the pixels of which the selection
+        makes up at least a half with the region, and the share of the image that it
+        covers outside.
+    """
+    found = dict[str, Agreement]()
+    for name, region in regions.items():
+        weight = object_weight(scene, mask, region.camera, render).cpu()
+        shown = weight >= _HALF
+        inside = region.inside.cpu() >= _HALF
+        union = int((shown | inside).sum())
+        both = int((shown & inside).sum())
+        outside = float((shown & ~inside).double().mean())
+        found[name] = Agreement(iou=both / max(union, 1), outside=outside)
+    return found
+
+
+def disagreements(agreed: Mapping[str, Agreement]) -> list[str]:
+    """Reasons to look twice at a selection, in words."""
+    if not agreed:
+        return []
+    texts = []
+    worst = min(agreed, key=lambda name: agreed[name].iou)
+    iou = median(item.iou for item in agreed.values())
+    if iou < LEAST_IOU:
+        texts.append(
+            f"the selection and the object's outlines in {len(agreed)} images differ:"
+            f" intersection over union {iou:.2f} in the median, {agreed[worst].iou:.2f}"
+            f" in {worst}"
+        )
+    outside = median(item.outside for item in agreed.values())
+    if outside > MOST_OUTSIDE:
+        texts.append(
+            f"the selection covers {outside:.1%} of the image outside the object's"
+            " outline in the median"
+        )
+    return texts
