@@ -24,12 +24,8 @@ from mi_splat.datasets.frames import (
     Pixels,
     Split,
     area_mean,
-<<<<<<< HEAD
-=======
-    downscaled,
     picture_size,
     resized_plane,
->>>>>>> main
     stored_mask,
     stored_pixels,
     turned_image,
