@@ -140,8 +140,13 @@ class Camera:
         return replace(self, to_world=pose)
 
     def downscaled(self, factor: int) -> Camera:
-        """The camera of an image that was made smaller by an integer factor; a rest of
-        the size is cut off.
+        """The camera of an image that was made smaller; a rest of its size is cut off.
+
+        Args:
+            factor: Integer by which both sides are divided.
+
+        Returns:
+            The camera with the lens of the smaller image, at the same place.
         """
         if factor == 1:
             return self

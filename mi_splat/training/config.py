@@ -106,7 +106,14 @@ class FitConfig:
             )
 
     def coarseness(self, iteration: int) -> int:
-        """By how much the images of a step are smaller: 4, 2 or 1."""
+        """By how much the images of a step are smaller.
+
+        Args:
+            iteration: Steps before it.
+
+        Returns:
+            Divisor of both sides: 4, 2 or 1.
+        """
         done = iteration / self.iterations
         if done < self.coarse_until / 2:
             return 4
