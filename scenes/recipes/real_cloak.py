@@ -36,7 +36,7 @@ from mi_splat.selection.select import load_mask
 
 ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = ROOT / "scenes" / "studies" / "real" / "cloak.toml"
-FARTHEST = 30.0
+FARTHEST = 40.0
 """Degrees of azimuth between two neighbours from which on there is none between."""
 
 
