@@ -57,7 +57,7 @@ _ALIKE = 0.15
 on the narrower one counts alone; the difference of a channel from which on a rendering
 shows something else than the image.
 """
-_BESIDE = 0.15
+_BESIDE = 0.25
 """How far above or below an object's foot its ground is looked for, in its sizes."""
 _TOLERANCES = (0.1, 0.07, 0.05, 0.035, 0.025, 0.02)
 """Distances to the ground, in sizes of the object, of what is taken for a part of it,
