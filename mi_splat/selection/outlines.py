@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.cameras.camera import Camera, RenderFn
@@ -33,6 +34,10 @@ _ITERATIONS = 3
 _POSSIBLE = 0.1
 _LIKELY = 0.5
 """Share of a pixel that is made up where the object may be, and where it is likely."""
+_EDGE = 0.12
+"""How wide the uncertain edge inside of what is likely is, as a share of the root of
+its area.
+"""
 _NO_RECTANGLE = (0, 0, 1, 1)
 _MARGIN = 0.15
 _LEAST_MARGIN = 10
@@ -117,21 +122,19 @@ def cut_out(image: Tensor, weight: Tensor) -> Tensor:
     """
     import cv2
 
-    labels = np.full(weight.shape, cv2.GC_BGD, np.uint8)
-    labels[weight.numpy() >= _POSSIBLE] = cv2.GC_PR_BGD
-    labels[weight.numpy() >= _LIKELY] = cv2.GC_PR_FGD
-    outline = torch.from_numpy((labels == cv2.GC_PR_FGD).astype(np.float32))
-    rows, columns = np.nonzero(labels != cv2.GC_BGD)
-    if not outline.any() or bool(outline.all()):
+    labels = _labels(weight.numpy())
+    outline = torch.from_numpy((labels & 1).astype(np.float32))
+    if not outline.any():
         return outline
     # colours of the background from near the object, which is faster, too
+    rows, columns = np.nonzero(labels != cv2.GC_BGD)
     margin = max(_LEAST_MARGIN, round(_MARGIN * max(np.ptp(rows), np.ptp(columns))))
     window = (
         slice(max(int(rows.min()) - margin, 0), int(rows.max()) + margin + 1),
         slice(max(int(columns.min()) - margin, 0), int(columns.max()) + margin + 1),
     )
     cut = np.ascontiguousarray(labels[window])
-    if (cut == cv2.GC_PR_FGD).all():
+    if not (cut == cv2.GC_BGD).any():
         return outline
     pixels = (image[window].clamp(0, 1) * 255).round().to(torch.uint8).numpy()
     cv2.setRNGSeed(0)
@@ -147,3 +150,21 @@ def cut_out(image: Tensor, weight: Tensor) -> Tensor:
     outline[:] = 0
     outline[window] = torch.from_numpy((cut & 1).astype(np.float32))
     return outline
+
+
+def _labels(weight: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """(H, W) what GrabCut begins with: background, perhaps either, or object.
+
+    Deep inside of what is likely the object's, it is certain: else a part that has the
+    colour of the ground, a wheel or a bumper of a car, would be taken for it.
+    """
+    import cv2
+
+    likely = (weight >= _LIKELY).astype(np.uint8)
+    labels = np.full(weight.shape, cv2.GC_BGD, np.uint8)
+    labels[weight >= _POSSIBLE] = cv2.GC_PR_BGD
+    labels[likely > 0] = cv2.GC_PR_FGD
+    edge = max(1.0, _EDGE * float(np.sqrt(likely.sum())))
+    depth = cv2.distanceTransform(likely, cv2.DIST_L2, 5)
+    labels[depth > edge] = cv2.GC_FGD
+    return labels
