@@ -15,8 +15,8 @@ import polars as pl
 from attacks.figures.frame import MEASURE, NOTHING, Figures, Labels, Number
 from attacks.figures.rate import Rate, pooled
 from attacks.figures.tables import NONE, Column, Table
-from attacks.observe.rates import REPORTED, Measure, blocks_of, count
-from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
+from attacks.observe.rates import Measure, blocks_of, count, with_thresholds
+from attacks.observe.rows import ATTACKED, CLEAN, NOISE, OPERATING, ROWS
 
 STORY = "bench"
 ONE_VIEW, ALL_VIEWS, CLOAK, TRANSFER = COLUMNS = (
@@ -50,6 +50,7 @@ Entries = Iterator[tuple[Labels, Rate | Number | None]]
 
 def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> Figures:
     """Every figure of a suite, from its rows."""
+    rows = with_thresholds(tables[ROWS])
     columns = []
     for name in COLUMNS:
         attacks = {
@@ -57,7 +58,7 @@ def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> Fi
             for title, attack in record["attacks"].items()
             if attack["column"] == name
         }
-        entries = Figures.of(_column(attacks, tables[ROWS]))
+        entries = Figures.of(_column(attacks, rows))
         columns.append(entries.labelled(part=name))
     every = Figures.together(columns)
     score = [] if record["missing"] else [({MEASURE: "score"}, score_of(every))]
@@ -137,7 +138,7 @@ def _column(attacks: Mapping[str, Any], rows: pl.DataFrame) -> Entries:
 
 
 _DEFENDED = pl.col("condition") == DEFENDED
-_NAMED = Measure(holds=pl.col("original_score") >= REPORTED)
+_NAMED = Measure(holds=pl.col("original_score") >= pl.col(OPERATING))
 
 
 def judged(rows: pl.DataFrame) -> pl.DataFrame:

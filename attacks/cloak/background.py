@@ -44,12 +44,18 @@ HULL = 0.9
 """Share of the photographs that show a Gaussian, in which it has to lie in the object's
 outline to be taken for a part of it.
 """
+_SIDE = 500
+"""Longer side of the images for which lengths in pixels are meant; in larger ones they
+are longer.
+"""
 RING = 6
 """Pixels around what is replaced, whose colours the rendering is matched to."""
 _BLURS = (64.0, 24.0, 8.0, 3.0)
 _ENOUGH = 0.05
+_ALIKE = 0.15
 """Standard deviations in pixels, from wide to narrow; the weight of a ring from which
-on the narrower one counts alone.
+on the narrower one counts alone; the difference of a channel from which on a rendering
+shows something else than the image.
 """
 _FEWEST = 30
 """Gaussians beside an object from which on they are taken for its ground."""
@@ -118,15 +124,17 @@ def spread(difference: Tensor, hole: Tensor) -> Tensor:
     """(H, W, 3) differences outside of a hole (H, W), blurred into it.
 
     Close to the outline it is the mean of what is near; deep inside that of the whole
-    ring, so that noise of single pixels is not drawn into the hole.
+    ring, so that noise of single pixels is not drawn into the hole. Where the two
+    images show different things, nothing is taken from there.
     """
-    around = grown(hole, RING) & ~hole
+    unit = max(1, round(max(hole.shape) / _SIDE))
+    around = grown(hole, RING * unit) & ~hole & (difference.abs().amax(-1) < _ALIKE)
     weight = around.double().numpy()
     values = difference.double().numpy() * weight[..., None]
     result: NDArray[np.float64] | None = None
     for sigma in _BLURS:
-        share = ndimage.gaussian_filter(weight, sigma)
-        mean = ndimage.gaussian_filter(values, sigma, axes=(0, 1))
+        share = ndimage.gaussian_filter(weight, sigma * unit)
+        mean = ndimage.gaussian_filter(values, sigma * unit, axes=(0, 1))
         mean /= np.maximum(share, 1e-12)[..., None]
         near = np.minimum(share / _ENOUGH, 1.0)[..., None]
         result = mean if result is None else near * mean + (1 - near) * result

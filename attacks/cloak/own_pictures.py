@@ -6,8 +6,9 @@ splat. What is shown there in its place comes from the picture around it, or fro
 picture of the attacker's.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from attacks.poisons.base import OnStep, Poisoned
 from mi_splat.cameras.camera import Camera, View
 from mi_splat.cameras.directions import UP, Direction, Point, direction_of
 from mi_splat.cameras.framing import bounds
+from mi_splat.datasets import Dataset
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.images import to_bytes
 from mi_splat.io.picture_files import load_picture
@@ -37,8 +39,11 @@ NAME = "hidden"
 RECORD = "poison.json"
 BACKGROUND = "background"
 """Name of the appearance that is made from a splat without the object."""
+_SIDE = 400
 _ANY = 0.1
-"""Share of a pixel from which on the object is in it, where it must not count."""
+"""Least longer side of the images on which the background is trained, pixels; share of
+a pixel from which on the object is in it, where it must not count.
+"""
 BEFORE_AND_AFTER = "before_and_after.png"
 """What was changed in a set, and how, by which a set that was poisoned is known; a
 sheet of some changed pictures.
@@ -102,7 +107,7 @@ def appearance_of(look: str, reach: int) -> Appearance:
 
 
 def background_of(
-    views: Sequence[View],
+    views: Dataset,
     splat: GaussianScene,
     rows: Tensor,
     *,
@@ -113,19 +118,26 @@ def background_of(
     seed: int = 0,
     on_step: OnStep | None = None,
 ) -> Background:
-    """What other photographs show behind an object, as `hide` takes it."""
+    """What other photographs show behind an object, as `hide` takes it.
+
+    The splat without the object is trained on images with sides of at most twice
+    `_SIDE` pixels, whatever the size of the photographs.
+    """
     render = Renderer(RenderSettings(near=near))
+    side = max(max(camera.lens.size) for camera in views.cameras)
+    smaller = max(1, side // _SIDE)
+    small = replace(views, downscale=views.downscale * smaller)
 
     def outline(camera: Camera) -> Tensor:
         return object_weight(splat, rows, camera, render) >= _ANY
 
     scene = without_object(
-        views,
+        small,
         splat,
         rows,
         outline,
         render=render,
-        reach=reach,
+        reach=math.ceil(reach / smaller),
         up=up,
         steps=steps,
         seed=seed,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,6 +23,7 @@ from torch import Generator
 
 from attacks.dagger.attack import attack_views
 from attacks.dagger.config import DaggerConfig
+from attacks.dagger.problem import counted_from
 from attacks.dagger.report import before_and_after, summary, write_files
 from attacks.dagger.views import DrawnViews, FixedViews
 from attacks.detectors.base import Detector
@@ -257,6 +259,9 @@ class Attack:
     renderer: str = ""  # whose pictures the attacker looks at; "" is the scene's own
     # whose gradient the attacker follows; "" is that of the pictures
     gradient: str = ""
+    # whether cameras are passed over from which a detector does not report the clean
+    # object as what it is, which no rate counts: one step, and no controls
+    only_detected: bool = False
     # the views of a region that it is made for; None is cameras
     transformations: Transformations | None = None
     # the views of a region that judge it, where these are others
@@ -269,23 +274,27 @@ def run(config: Attack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, 
     seed = config.attack.seed
     rows = scene.objects[config.object]
     fixed = config.transformations is None
+    search = config.attack
+    detectors = detectors_of(config.detectors, inputs)
     if config.transformations is None:
         cameras = scene.attacked(
             config.object, inputs, camera=config.camera, count=config.views, seed=seed
         )
         render = attackers_renderer(scene, config.renderer, config.gradient)
         views = FixedViews(scene.scene, rows, cameras, render=render)
+        if config.only_detected and not _is_detected(config, views, detectors):
+            search = dataclasses.replace(search, steps=1, noise_draws=0)
     else:
         views = distribution(scene, config.object, config.transformations)
 
     def follow(step: Step) -> None:
-        out.progress("attacking", step.index, config.attack.steps)
+        out.progress("attacking", step.index, search.steps)
 
     result = attack_views(
         views,
-        detectors_of(config.detectors, inputs),
+        detectors,
         config.objective,
-        config=config.attack,
+        config=search,
         judged=(
             None
             if config.judged is None
@@ -306,6 +315,22 @@ def run(config: Attack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, 
     else:
         write_files(result, out.files)
     return list(result.looked.rows.iter_rows(named=True))
+
+
+def _is_detected(
+    config: Attack, views: FixedViews, detectors: Sequence[Detector]
+) -> bool:
+    """Whether every detector reports the clean object as what it is, in every view."""
+    name = config.object.replace("_", " ")
+    held_out = views.held_out(config.attack)
+    reports = views.clean_reports(detectors, held_out)
+    label_of = views.originals(detectors, config.attack, {})
+    for view, detector in itertools.product(held_out, detectors):
+        reported = reports[view.index, detector.name].confidence(name)
+        least = counted_from(config.objective, detector)
+        if label_of(view, detector.name) != name or reported < least:
+            return False
+    return True
 
 
 @functools.lru_cache(maxsize=4)

@@ -139,6 +139,26 @@ class Camera:
         pose[:3, 3] = turn @ (pose[:3, 3] - middle) + middle
         return replace(self, to_world=pose)
 
+    def downscaled(self, factor: int) -> Camera:
+        """The camera of an image that was made smaller; a rest of its size is cut off.
+
+        Args:
+            factor: Integer by which both sides are divided.
+
+        Returns:
+            The camera with the lens of the smaller image, at the same place.
+        """
+        if factor == 1:
+            return self
+        across, down = self.lens.scale
+        lens = replace(
+            self.lens,
+            focal=(across / factor, down / factor),
+            size=(self.width // factor, self.height // factor),
+            principal=(self.cx / factor, self.cy / factor),
+        )
+        return replace(self, lens=lens)
+
     @property
     def to_camera(self) -> Tensor:
         """(4, 4) float64 transform from world to camera space."""

@@ -94,10 +94,18 @@ class TrainOptions(JsonOptions):
 def defaults(words: Sequence[str]) -> dict[str, Any]:
     """The strategy and its options, which say what further flags there are."""
     name = choice_among(STRATEGIES, words, "--strategy", _STRATEGY)
-    fit = FitConfig(strategy=strategy_config(name), eval_interval=EVAL_INTERVAL)
+    fit = FitConfig(
+        strategy=strategy_config(name),
+        coarse_until=COARSE_UNTIL,
+        eval_interval=EVAL_INTERVAL,
+    )
     return {"strategy": name, "fit": fit}
 
 
+COARSE_UNTIL = 0.5
+"""Share of the steps that look at smaller images: photographs take half the time, and
+end as well (see docs/performance.md).
+"""
 EVAL_INTERVAL = 500
 """Steps between two evaluations, of which the best is kept."""
 FEW_VIEWS = 10

@@ -24,7 +24,6 @@ from mi_splat.datasets.frames import (
     Pixels,
     Split,
     area_mean,
-    downscaled,
     picture_size,
     resized_plane,
     stored_mask,
@@ -94,7 +93,7 @@ class Dataset(ViewSet):
                 "background", "three sRGB values in [0, 1]", self.background, do
             )
         cameras = tuple(
-            downscaled(frame.camera, self.downscale) for frame in self.frames
+            frame.camera.downscaled(self.downscale) for frame in self.frames
         )
         object.__setattr__(self, "cameras", cameras)
 

@@ -317,10 +317,14 @@ def area_mean(values: Pixels, factor: int) -> Pixels:
         return np.ascontiguousarray(values)
     height = values.shape[0] // factor
     width = values.shape[1] // factor
-    squares = values[: height * factor, : width * factor].reshape(
-        height, factor, width, factor, -1
-    )
-    means: Pixels = squares.mean((1, 3), dtype=np.float64).astype(np.float32)
+    rows = values[: height * factor].reshape(height, factor, values.shape[1], -1)
+    # Sums of float32 images are exact in float64, in any order; of whole rows they
+    # take a third of the time.
+    sums = rows[:, 0].astype(np.float64)
+    for row in range(1, factor):
+        sums += rows[:, row]
+    squares = sums[:, : width * factor].reshape(height, width, factor, -1)
+    means: Pixels = (squares.sum(2) / factor**2).astype(np.float32)
     return means
 
 
@@ -348,22 +352,6 @@ def report_frames(frames: Sequence[Frame], source: Path) -> None:
     if small:
         text = f"{source}: no images/, so the smaller ones in {small[0]} are used"
         warnings.warn(text, DatasetWarning, stacklevel=4)
-
-
-def downscaled(camera: Camera, factor: int) -> Camera:
-    """The camera of an image that was made smaller by an integer factor; a rest of the
-    size is cut off.
-    """
-    if factor == 1:
-        return camera
-    across, down = camera.lens.scale
-    lens = replace(
-        camera.lens,
-        focal=(across / factor, down / factor),
-        size=(camera.width // factor, camera.height // factor),
-        principal=(camera.cx / factor, camera.cy / factor),
-    )
-    return replace(camera, lens=lens)
 
 
 def held_out(items: Sequence[Item], split: Split | None, every: int) -> list[Item]:

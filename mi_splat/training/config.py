@@ -7,7 +7,16 @@ from typing import Annotated
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Degree, Fraction, Metavar, Steps, above, at_least, check
+from mi_splat.fields import (
+    Degree,
+    Fraction,
+    Metavar,
+    Share,
+    Steps,
+    above,
+    at_least,
+    check,
+)
 from mi_splat.training.strategies import ClassicConfig, StrategyConfig
 
 Interval = Annotated[int, at_least(0, "steps")]
@@ -25,6 +34,8 @@ class FitConfig:
             of a frozen geometry.
         strategy: How Gaussians are added and removed, and its options. All but the
             fixed one need every attribute trainable.
+        coarse_until: Share of the steps that look at smaller images: the first half of
+            them at a quarter of the size, the others at half.
         sh_degree: SH degree of the result.
         sh_degree_interval: Steps between two raises of the degree that is trained; 0
             trains all of it from the start, and None is a thirtieth of the steps, as
@@ -51,6 +62,7 @@ class FitConfig:
     iterations: Steps = 7000
     trainable: tuple[Attribute, ...] = ATTRIBUTES
     strategy: StrategyConfig = field(default_factory=ClassicConfig)
+    coarse_until: Share = 0.0
     sh_degree: Degree = 3
     sh_degree_interval: Interval | None = None
     lambda_dssim: Annotated[Fraction, Metavar("WEIGHT")] = 0.2
@@ -92,3 +104,17 @@ class FitConfig:
             raise InvalidValueError.of(
                 "lr_sh", expected, self.lr_sh, "1e-9 is next to nothing"
             )
+
+    def coarseness(self, iteration: int) -> int:
+        """By how much the images of a step are smaller.
+
+        Args:
+            iteration: Steps before it.
+
+        Returns:
+            Divisor of both sides: 4, 2 or 1.
+        """
+        done = iteration / self.iterations
+        if done < self.coarse_until / 2:
+            return 4
+        return 2 if done < self.coarse_until else 1

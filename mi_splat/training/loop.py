@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
+import torch.nn.functional as F  # noqa: N812
 from torch import Tensor
 
 from mi_splat.cameras.camera import Camera, RenderFn, View, cameras_of
@@ -55,6 +56,9 @@ __all__ = [
     "fit",
     "scene_extent",
 ]
+
+LEAST_SIDE = 32
+"""Pixels that a coarse image has at least on its shorter side."""
 
 OnStep = Callable[[Progress], None]
 Target = tuple[Camera, Tensor, Tensor | None]
@@ -190,7 +194,9 @@ def _step(
     """One image, its loss, its gradient, and a step of Adam."""
     index = state.next_view(count)
     scene = state.scene()
-    camera, target, mask = target_of(index)
+    camera, target, mask = _smaller(
+        *target_of(index), state.config.coarseness(state.iteration)
+    )
     image = masked(render(scene, camera), mask)
     loss = photometric_loss(
         image, masked(target, mask), lambda_dssim=state.config.lambda_dssim
@@ -200,6 +206,23 @@ def _step(
     state.descend()
     state.iteration += 1
     return value
+
+
+def _smaller(camera: Camera, image: Tensor, mask: Tensor | None, factor: int) -> Target:
+    """What to fit, each side divided by a factor; never below the window of SSIM."""
+    if factor == 1 or min(camera.width, camera.height) < factor * LEAST_SIDE:
+        return camera, image, mask
+    return (
+        camera.downscaled(factor),
+        _area_mean(image, factor),
+        None if mask is None else _area_mean(mask[..., None], factor)[..., 0],
+    )
+
+
+def _area_mean(image: Tensor, factor: int) -> Tensor:
+    """(H // factor, W // factor, C) means over squares of pixels."""
+    means = F.avg_pool2d(image.permute(2, 0, 1)[None], factor)[0]
+    return means.permute(1, 2, 0).contiguous()
 
 
 def differentiate(state: TrainState, loss: Tensor, scene: GaussianScene) -> float:

@@ -4,11 +4,13 @@ import dataclasses
 
 import pytest
 import torch
+from torch import Tensor
 
-from mi_splat.cameras.camera import View
+from mi_splat.cameras.camera import Camera, View
 from mi_splat.errors import InvalidValueError
 from mi_splat.render.renderer import Renderer
-from mi_splat.scene import GaussianScene
+from mi_splat.scene import GaussianScene, scene_hash
+from mi_splat.training import loop
 from mi_splat.training.loop import (
     FitConfig,
     TrainingError,
@@ -214,3 +216,35 @@ def test_adam_has_the_bits_of_torch(fused: bool) -> None:
     assert all(
         torch.equal(mine.state[ours][key], other.state[theirs][key]) for key in MOMENTS
     )
+
+
+def test_the_first_steps_look_at_smaller_images(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, views, start = scene_and_views()
+    monkeypatch.setattr(loop, "LEAST_SIDE", 8)
+    sizes: list[tuple[int, int]] = []
+    plain = Renderer()
+
+    def render(scene: GaussianScene, camera: Camera) -> Tensor:
+        sizes.append((camera.width, camera.height))
+        return plain(scene, camera)
+
+    config = FitConfig(
+        iterations=8, coarse_until=0.5, strategy=FixedConfig(), eval_interval=0
+    )
+    trained = fit(views, start, render=render, config=config)
+    full = (36, 32)
+    assert sizes == [(9, 8)] * 2 + [(18, 16)] * 2 + [full] * 4
+    assert trained.history[-1].iteration == 8
+
+
+def test_images_are_never_made_smaller_than_the_window_of_ssim() -> None:
+    _, views, start = scene_and_views()
+    config = FitConfig(iterations=4, strategy=FixedConfig(), eval_interval=0)
+    coarse = dataclasses.replace(config, coarse_until=0.9)
+    images = [
+        fit(views, start, render=Renderer(), config=each).scene
+        for each in (config, coarse)
+    ]
+    assert scene_hash(images[0]) == scene_hash(images[1])
