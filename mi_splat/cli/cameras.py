@@ -95,14 +95,19 @@ def find_cameras(
     odd = odd_fields_of_view(list(cameras.values()))
     if odd is not None:
         warn(odd)
+    _warn_of_other_worlds(loaded, options)
+    return cameras
+
+
+def _warn_of_other_worlds(loaded: SplatScene, options: CameraOptions) -> None:
+    """Warn of sets whose photographs do not look like the splat."""
     for text in options.cameras:
         folder = Path(text)
-        if (
-            folder.is_dir()
-            and (strange := another_world(loaded, options, folder)) is not None
-        ):
+        if not folder.is_dir():
+            continue
+        strange = another_world(loaded, options, folder)
+        if strange is not None:
             warn(strange)
-    return cameras
 
 
 def _are_placed(loaded: SplatScene, options: CameraOptions) -> bool:
@@ -490,7 +495,7 @@ class Chosen:
         if self.found is not None:
             regions = self.found.regions
             agreed = agreement(loaded.scene, self.mask, regions, render=self.render)
-            texts += disagreements(agreed)
+            texts += [*self.found.doubts, *disagreements(agreed)]
         return texts
 
 
@@ -515,6 +520,7 @@ def choose(
     render = renderer_of(loaded, options, cameras)
     found = None
     if selection.needs_images:
+        _warn_of_other_worlds(loaded, options)
         images = source_images(
             loaded.scene, cameras, options.cameras, render=render, split=split
         )

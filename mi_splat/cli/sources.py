@@ -10,6 +10,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 import torch
@@ -33,6 +34,7 @@ from mi_splat.io.camera_records import OF
 from mi_splat.io.picture_files import load_picture
 from mi_splat.render.scene_files import resized
 from mi_splat.scene import GaussianScene
+from mi_splat.selection.agreement import LEAST_FIT, box_fit
 from mi_splat.selection.boxes import DrawnBox, load_boxes, of_image
 from mi_splat.selection.config import Selection
 from mi_splat.selection.outlines import BoxedImage, outlines_in_boxes
@@ -237,6 +239,7 @@ class Found:
     mask: Tensor  # (N,) bool
     regions: Mapping[str, ImageRegion]
     lines: tuple[str, ...] = ()  # of what was found in how many images
+    doubts: tuple[str, ...] = ()  # reasons to look twice at it
 
 
 def find_in_images(
@@ -260,8 +263,12 @@ def find_in_images(
     for part in found:
         mask &= part.mask
         regions |= part.regions
-    lines = tuple(line for part in found for line in part.lines)
-    return Found(mask=mask, regions=regions, lines=lines)
+    return Found(
+        mask=mask,
+        regions=regions,
+        lines=tuple(line for part in found for line in part.lines),
+        doubts=tuple(text for part in found for text in part.doubts),
+    )
 
 
 def _detected(
@@ -344,7 +351,16 @@ def _cut_out(
         if outline is not None
     }
     line = f"{what}: {len(regions)} of {len(boxed)} in {images} images are one object's"
-    return Found(mask=mask, regions=regions, lines=(line,))
+    fits = [
+        box_fit(region.inside, boxed[name].boxes) for name, region in regions.items()
+    ]
+    doubts = []
+    if median(fits) < LEAST_FIT:
+        doubts.append(
+            f"what is cut out of the {what} fills them poorly: intersection over union"
+            f" of the boxes {median(fits):.2f} in the median; a part may be missing"
+        )
+    return Found(mask=mask, regions=regions, lines=(line,), doubts=tuple(doubts))
 
 
 def _masked(

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from statistics import median
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from mi_splat.cameras.camera import RenderFn
@@ -19,6 +20,10 @@ the selection is doubted.
 """
 MOST_OUTSIDE = 0.03
 """Share of an image that the selection may cover outside the object's outline."""
+LEAST_FIT = 0.7
+"""Intersection over union of the box around an outline and the box that it was cut out
+of; below, the outline is doubted.
+"""
 _HALF = 0.5
 
 
@@ -59,6 +64,30 @@ def agreement(
         outside = float((shown & ~inside).double().mean())
         found[name] = Agreement(iou=both / max(union, 1), outside=outside)
     return found
+
+
+def box_fit(inside: Tensor, boxes: Tensor) -> float:
+    """How well the box around an outline agrees with the one of several boxes that it
+    agrees with best.
+
+    Args:
+        inside: (H, W) in [0, 1], the outline.
+        boxes: (K, 4) boxes x0, y0, x1, y1 in pixels.
+
+    Returns:
+        The largest intersection over union; 0 without an outline.
+    """
+    rows, columns = torch.nonzero(inside >= _HALF, as_tuple=True)
+    if not len(rows):
+        return 0.0
+    corners = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+    own = torch.stack(corners).to(boxes)
+    overlap = torch.minimum(boxes[:, 2:], own[2:]) - torch.maximum(
+        boxes[:, :2], own[:2]
+    )
+    both = overlap.clamp(min=0).prod(1)
+    either = (boxes[:, 2:] - boxes[:, :2]).prod(1) + (own[2:] - own[:2]).prod() - both
+    return float((both / either.clamp(min=1e-6)).max())
 
 
 def disagreements(agreed: Mapping[str, Agreement]) -> list[str]:

@@ -18,6 +18,7 @@ from typing import Any
 from mi_splat.cameras.lens import angle_of
 from mi_splat.errors import InvalidValueError, MiSplatError, install, message
 from mi_splat.render.tile.frozen import PictureInterruptedError, interrupted_by
+from mi_splat.viewer.boxes import dragged
 from mi_splat.viewer.guard import Guard, guarding
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter, Painting
@@ -81,6 +82,7 @@ class Client:
         handle.camera.on_update(self._camera_moved)
         handle.scene.on_click()(self._clicked)
         handle.scene.on_click(modifier="shift")(self._clicked)
+        handle.scene.on_rect_select(modifier="cmd/ctrl")(self._dragged)
 
     def follow(self) -> None:
         """Show what the windows share as it is now."""
@@ -151,6 +153,20 @@ class Client:
                 adds=event.modifier is not None,
             )
             self._shared.later(lambda: self._shared.pick(click))
+            self._wake()
+
+    async def _dragged(self, event: Any) -> None:
+        """Add a box around an object, from the present camera."""
+        state = self._session.state
+        drag = dragged(
+            (event.screen_min, event.screen_max),
+            self._painter.layout(state),
+            state.mode,
+            self._painter.content,
+            state.orbit,
+        )
+        if drag is not None:
+            self._shared.later(lambda: self._shared.drag(drag))
             self._wake()
 
     def _change(self, changed: Callable[[ViewState], ViewState]) -> None:

@@ -14,7 +14,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_json
 from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene
-from mi_splat.selection.agreement import agreement, disagreements
+from mi_splat.selection.agreement import agreement, box_fit, disagreements
 from mi_splat.selection.association import associated
 from mi_splat.selection.boxes import DrawnBox, DrawnBoxes, load_boxes, of_image
 from mi_splat.selection.config import Selection
@@ -190,6 +190,15 @@ def test_doubts_count_pixels_beside_the_outline(bare: Bare) -> None:
     assert "intersection over union" in texts[0]
     assert "outside" in texts[1]
     assert disagreements({}) == []
+
+
+def test_an_outline_fills_its_box() -> None:
+    inside = torch.zeros(20, 30)
+    assert box_fit(inside, torch.tensor([[0.0, 0.0, 9.0, 9.0]])) == 0
+    inside[4:14, 5:25] = 1
+    boxes = torch.tensor([[0.0, 0.0, 2.0, 2.0], [5.0, 4.0, 25.0, 24.0]])
+    assert box_fit(inside, boxes) == pytest.approx(0.5)
+    assert box_fit(inside, torch.tensor([[5.0, 4.0, 25.0, 14.0]])) == 1
 
 
 def test_files_of_boxes_come_back(tmp_path: Path) -> None:

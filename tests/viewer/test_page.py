@@ -208,6 +208,22 @@ def test_a_click_selects_an_object_and_a_button_clears_it() -> None:
         )
 
 
+def test_boxes_are_dragged_with_ctrl_and_can_be_saved() -> None:
+    with visiting(painter(1)) as browser:
+        browser.picture(FULL)
+        ray = {"ray_origin": None, "ray_direction": None}
+        for _ in range(2):
+            browser.say(
+                "ScenePointerMessage",
+                event_type="rect-select",
+                screen_pos=((0.35, 0.2), (0.65, 0.8)),
+                modifier="cmd/ctrl",
+                **ray,
+            )
+        browser.until(lambda message: "in 2 boxes" in str(message.get("updates", {})))
+        assert browser.control("Save boxes.json")
+
+
 def test_a_few_windows_are_served_at_a_time(page: Page) -> None:
     headers = headers_of(page.address)
     with ExitStack() as stack:
