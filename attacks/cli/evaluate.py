@@ -140,7 +140,7 @@ def run(options: EvaluateOptions) -> None:
             place=_placing(options, clean.scene, chosen),
         )
         document = _document(options, chosen, scenes, detectors)
-        document["warnings"] += chosen.doubts(clean, {})
+        document["warnings"] += chosen.doubts({}, chosen.agreement(clean))
         document["min_confidence"] = confidence
         if judges:
             document["judges"] = judges

@@ -75,6 +75,7 @@ def run(options: SelectOptions) -> None:
     from mi_splat.io.folders import check_free_file, check_not_input
     from mi_splat.io.images import is_picture
     from mi_splat.render.scene_files import open_scene
+    from mi_splat.selection.agreement import summary
     from mi_splat.selection.select import SEEN
 
     for path in options.out:
@@ -98,7 +99,8 @@ def run(options: SelectOptions) -> None:
         scene = loaded.scene
         mask = chosen.mask
         weights = chosen.weights(loaded)
-        doubts = chosen.doubts(loaded, weights)
+        agreed = chosen.agreement(loaded)
+        doubts = chosen.doubts(weights, agreed)
         first = next(iter(chosen.cameras.values()))
         for path in options.out:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -118,6 +120,7 @@ def run(options: SelectOptions) -> None:
     document = {
         **{"gaussians": int(mask.sum()), "of": len(mask), "box": box, "views": views},
         "selection": options.selection.as_dict(),
+        "outlines": {name: item._asdict() for name, item in agreed.items()},
         "doubts": doubts,
         "files": [str(path) for path in options.out],
     }
@@ -129,6 +132,7 @@ def run(options: SelectOptions) -> None:
     ]
     if chosen.found is not None:
         lines += chosen.found.lines
+        lines.append(summary(agreed))
     for view in views[:LISTED]:
         seen = "seen" if view["seen"] else "not seen"
         lines.append(f"{seen} by {view['camera']}: {view['share']:.1%} of the pixels")
