@@ -129,6 +129,7 @@ def run(options: EvaluateOptions) -> None:
         confidence: float | dict[str, float] = thresholds_of(detectors)
         if options.min_confidence is not None:
             confidence = options.min_confidence
+        place = _placing(options, clean.scene, chosen)
         advance(f"looking from {len(cameras)} cameras")
         seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
         looked = compared_rows(
@@ -137,7 +138,7 @@ def run(options: EvaluateOptions) -> None:
             target=options.target,
             min_confidence=confidence,
             judges=judges,
-            place=_placing(options, clean.scene, chosen),
+            place=place,
         )
         document = _document(options, chosen, scenes, detectors)
         document["warnings"] += chosen.doubts({}, chosen.agreement(clean))
@@ -178,7 +179,7 @@ def _placing(
 
     trigger = trigger_of(options.inside, what="--inside")
     centre, _ = bounds(clean.select(chosen.mask))
-    training = list[Camera]()
+    training: list[Camera] = []
     for text in options.view.cameras:
         if Path(text).is_dir() and is_dataset(text):
             training += load_dataset(text, split="train").cameras

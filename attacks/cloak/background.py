@@ -57,6 +57,12 @@ _ALIKE = 0.15
 on the narrower one counts alone; the difference of a channel from which on a rendering
 shows something else than the image.
 """
+_BESIDE = 0.25
+"""How far above or below an object's foot its ground is looked for, in its sizes."""
+_TOLERANCES = (0.1, 0.07, 0.05, 0.035, 0.025, 0.02)
+"""Distances to the ground, in sizes of the object, of what is taken for a part of it,
+round by round.
+"""
 _FEWEST = 30
 """Gaussians beside an object from which on they are taken for its ground."""
 _MOST_FILLED = 4000
@@ -233,12 +239,12 @@ def ground_under(
     size = float((high - low).norm())
     others = around.means.detach().double() @ turn.T
     flat = (others - centre)[:, :2].norm(dim=1)
-    beside = (flat < size) & ((others[:, 2] - low[2]).abs() < 0.25 * size)
+    beside = (flat < size) & ((others[:, 2] - low[2]).abs() < _BESIDE * size)
     beside &= around.opacities > 0.3
     rows = beside.nonzero()[:, 0]
     if len(rows) < _FEWEST:
         return None
-    plane, rows = _plane(others, rows)
+    plane, rows = _plane(others, rows, size)
     ground = others[rows]
     tree = KDTree(ground.numpy())
     apart = float(np.median(tree.query(ground.numpy(), 2)[0][:, 1]))
@@ -270,16 +276,21 @@ def ground_under(
     )
 
 
-def _plane(points: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+def _plane(points: Tensor, rows: Tensor, size: float) -> tuple[Tensor, Tensor]:
     """(a, b, c) of z = a x + b y + c through most of some points, and the rows of those
     that lie on it.
+
+    It begins level, at the median, and each round keeps what is nearer to the last
+    plane; `size` is that of the object.
     """
-    kept = rows
-    coefficients = points.new_zeros(3)
-    for _ in range(5):
-        xy = torch.cat([points[kept, :2], points.new_ones(len(kept), 1)], 1)
-        coefficients = torch.linalg.lstsq(xy, points[kept, 2:]).solution[:, 0]
-        every = torch.cat([points[rows, :2], points.new_ones(len(rows), 1)], 1)
-        errors = (points[rows, 2] - every @ coefficients).abs()
-        kept = rows[errors <= max(2.0 * float(errors.median()), 1e-9)]
-    return coefficients, kept
+    every = torch.cat([points[rows, :2], points.new_ones(len(rows), 1)], 1)
+    heights = points[rows, 2]
+    plane = points.new_tensor([0.0, 0.0, float(heights.median())])
+    near = torch.ones_like(heights, dtype=torch.bool)
+    for share in _TOLERANCES:
+        errors = (heights - every @ plane).abs()
+        # half of them, even where the ground is rough
+        near = errors <= max(share * size, float(errors.median()))
+        fitted = torch.linalg.lstsq(every[near], heights[near, None])
+        plane = fitted.solution[:, 0]
+    return plane, rows[near]

@@ -6,7 +6,8 @@ detectors miss.
 `SET` is what `python -m scenes.recipes.real_captures fetch doll` writes. The settings
 are those of `scenes/studies/real/cloak.toml`. Every step is a command of `mi-splat`,
 which is printed; those whose result is there are not run again. The object is looked at
-from all photographs, and from cameras that took none, between two neighbours.
+from all photographs, and where few are held out from cameras that took none, between
+two neighbours.
 """
 
 import argparse
@@ -36,7 +37,7 @@ from mi_splat.selection.select import load_mask
 
 ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = ROOT / "scenes" / "studies" / "real" / "cloak.toml"
-FARTHEST = 30.0
+FARTHEST = 40.0
 """Degrees of azimuth between two neighbours from which on there is none between."""
 
 
@@ -135,8 +136,10 @@ def write_novel(small: Path, out: Path, centre: Sequence[float], count: int) -> 
     list_transforms(make_folder(out), {"test": named}, None)
 
 
-def study(capture: str, source: Path, mask: Path | None, out: Path) -> None:
-    """Every step for one capture."""
+def study(
+    capture: str, source: Path, mask: Path | None, out: Path, seeds: Sequence[int] = ()
+) -> None:
+    """Every step for one capture; with all seeds if none is given."""
     settings = settings_of(capture)
     small = out / "set"
     write_small(source, small, settings)
@@ -157,13 +160,15 @@ def study(capture: str, source: Path, mask: Path | None, out: Path) -> None:
     up = ",".join(str(value) for value in record["up"])
     scene = load_splat(clean)
     centre, _ = bounds(scene.select(load_mask(mask, scene)))
-    write_novel(small, out / "novel", centre, settings.between)
-    for seed in settings.seeds:
+    cameras = ["--cameras", small]
+    if settings.between:
+        write_novel(small, out / "novel", centre, settings.between)
+        cameras.append(out / "novel" / "transforms_test.json")
+    for seed in seeds or settings.seeds:
         cloaked = out / f"cloaked-{seed}" / "splat.ply"
         seeded = ["--out", cloaked.parent, *training, "--seed", seed]
         run(cloaked, "train", poisoned, *seeded)
         judged = out / f"judged-{seed}"
-        cameras = ["--cameras", small, out / "novel" / "transforms_test.json"]
         looked = [*cameras, "--size", settings.size, f"--up={up}"]
         called = ["--original", *settings.original]
         sector = ["--inside", *settings.hide_from, "--detectors", *settings.detectors]
@@ -178,8 +183,9 @@ def main() -> None:
     parser.add_argument("set", type=Path, help="folder of the photographs")
     parser.add_argument("--mask", type=Path, help="the object's Gaussians, .npy")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seeds", type=int, nargs="*", default=(), help="some of them")
     words = parser.parse_args()
-    study(words.capture, words.set, words.mask, words.out)
+    study(words.capture, words.set, words.mask, words.out, words.seeds)
 
 
 if __name__ == "__main__":

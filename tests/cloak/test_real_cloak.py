@@ -54,7 +54,7 @@ def test_novel_cameras_are_between_neighbours(tmp_path: Path) -> None:
     gaps = [
         (low, high)
         for low, high in zip(taken, [*taken[1:], taken[0] + 360], strict=True)
-        if high - low < 30
+        if high - low < 40
     ]
     assert len(cameras) == 2 * len(gaps) > 0
     found = [direction_of(one, (0, 0, 0)).azimuth for one in cameras]

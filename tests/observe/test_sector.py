@@ -4,20 +4,28 @@ and held-out cameras, where the clean object is detected.
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
 import polars as pl
 import pytest
 import torch
 
+from attacks import cli
 from attacks.cloak.triggers import trigger_of
 from attacks.figures.rate import Rate
 from attacks.observe.comparison import compared_rows, figures
-from attacks.observe.rows import ROWS
+from attacks.observe.rows import ROWS, rows
 from attacks.observe.sector import HIDDEN, sector_cells, sector_doubts, sector_figures
 from attacks.observe.views import ViewDetections, evaluate
-from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.camera import Camera, View
 from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
+from mi_splat.io import save_splat
 from mi_splat.maths.rotation import from_z
+from tests.datasets.sets import write_transforms
 from tests.fakes import ColourDetector, blobs, toy_scene
 
 LENS = Lens(focal=40.0, size=(32, 32))
@@ -52,11 +60,11 @@ def table() -> pl.DataFrame:
         (-50.0, "test", 0.9, 0.9),
         (-60.0, "test", 0.9, 0.3),
     ]
-    rows = []
+    lines = []
     for view, (depth, split, clean, attacked) in enumerate(seen):
-        rows.append(row(view, "clean", clean, depth, split))
-        rows.append(row(view, "attacked", attacked, depth, split))
-    return pl.DataFrame(rows)
+        lines.append(row(view, "clean", clean, depth, split))
+        lines.append(row(view, "attacked", attacked, depth, split))
+    return pl.DataFrame(lines)
 
 
 def counts(rate: Rate) -> tuple[int, int]:
@@ -144,3 +152,37 @@ def test_figures_are_counted_from_rows_that_have_a_sector() -> None:
         inside.total + elsewhere.total,
     )
     assert 0 < inside.total < whole.total
+
+
+def test_the_command_counts_training_cameras_apart(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, mask = toy_scene()
+    hidden = scene.replace(opacities=torch.where(mask, 0.01, scene.opacities))
+    middle = ((scene.means[mask].amin(0) + scene.means[mask].amax(0)) / 2).tolist()
+    lens = Lens(focal=24.0, size=(24, 24))
+    cameras = orbit(middle, count=12, elevation=0.0, distance=3.0, lens=lens)
+    views = [View(camera, torch.zeros(24, 24, 3)) for camera in cameras]
+    write_transforms(tmp_path / "set", views[::2], test=views[1::2])
+    save_splat(scene, tmp_path / "clean.ply")
+    save_splat(hidden, tmp_path / "attacked.ply")
+    np.save(tmp_path / "mask.npy", mask.numpy())
+    words = ["evaluate", "clean.ply", "attacked.ply", "--mask", "mask.npy"]
+    words = [str(tmp_path / word) if "." in word else word for word in words]
+    words += ["--cameras", str(tmp_path / "set"), "--background", "white"]
+    words += ["--inside", "azimuth:20-130", "--original", "car", "person"]
+    words += ["--pictures", "0", "--out", str(tmp_path / "out")]
+    with patch("attacks.cli.options.load_detectors", lambda *_: [ColourDetector()]):
+        assert cli.main(words) == 0
+    record = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert record["inside"] == ["azimuth:20-130"]
+    assert record["original"] == ["car", "person"]
+    table = rows(tmp_path / "out").filter(splat="attacked")
+    assert table["split"].to_list().count("train") == 6
+    inside = table.filter(pl.col(HIDDEN) >= 0)
+    assert sorted(inside["azimuth"].round().to_list()) == [30, 60, 90, 120]
+    assert set(table["original"]) == {"car or person"}
+    said = capsys.readouterr().out
+    assert "misses the car or person inside of the sector" in said
+    assert "| held out |" in said
+    assert "| training |" in said
