@@ -17,11 +17,13 @@ from attacks.detectors.registry import DETECTORS, operating_threshold
 from attacks.objectives.base import Target
 from attacks.objectives.relabel import relabel
 from attacks.objectives.suppression import hide
+from attacks.observe.comparison import judge
+from attacks.observe.rates import confidence_words
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, OPERATING
 from attacks.search.budget import Budget
 from mi_splat.errors import InvalidValueError
 from tests.dagger.toy import quick
-from tests.fakes import ColourDetector, blobs, camera, toy_scene
+from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
 
 LIMIT = 9.0
 """dB at which the toy object can become another one: its detector knows only
@@ -187,6 +189,19 @@ def test_success_counts_from_the_threshold_of_each_detector() -> None:
     assert unsure.figures.rate("found_clean", detector="fake_colour").total == len(rows)
     clean = unsure.looked.rows.filter(splat=CLEAN)
     assert (clean["target_score"] < 0.3).all()
+
+
+def test_a_judge_counts_from_the_threshold_of_each_detector() -> None:
+    scene, mask = toy_scene()
+    judged = judge(scene, mask, camera(), [Unsure(), CoarseDetector()], render=blobs)
+    assert judged.confidence == {"fake_colour": 0.3, "fake_coarse": 0.5}
+    stated = judge(scene, mask, camera(), Unsure(), render=blobs, confidence=0.6)
+    assert stated.confidence == 0.6
+    for confidence, words in (
+        ({"a": 0.5, "b": 0.5}, "0.5"),
+        ({"a": 0.3, "b": 0.5}, "0.3 (a), 0.5 (b)"),
+    ):
+        assert confidence_words(confidence) == words
 
 
 def test_detectors_state_their_thresholds() -> None:

@@ -88,6 +88,10 @@ class Unmarked(ColourDetector):
     fingerprint = "new"
 
 
+class Lenient(ColourDetector):
+    threshold = 0.01
+
+
 class Careless(ColourDetector):
     """Takes everything, and clips it in place."""
 
@@ -172,6 +176,13 @@ class Careless(ColourDetector):
             ),
         ),
         (Unmarked(), ("names: expected 16 hex digits as fingerprint, got new",)),
+        (
+            Lenient(),
+            (
+                "names: expected an operating threshold from min_confidence (0.05) to"
+                " 1, got 0.01",
+            ),
+        ),
     ],
     ids=lambda value: value[0].split(":")[0] if isinstance(value, tuple) else "",
 )

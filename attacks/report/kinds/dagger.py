@@ -11,7 +11,7 @@ from attacks.figures.rate import number, percent
 from attacks.figures.result import Result
 from attacks.figures.tables import Column, Group, Table, groups_of, label_at, rate_at
 from attacks.objectives.relabel import Relabel
-from attacks.objectives.suppression import Hide, Untargeted
+from attacks.objectives.suppression import GONE, Hide, Untargeted
 from attacks.observe.rates import REPORTED, confidence_words
 from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, NOISE, ROWS
 from attacks.report.section import (
@@ -166,8 +166,26 @@ def _done(
         f" Gaussians, of which {record['changed_gaussians']:,} changed) were moved"
         f" within {ball}{budget}, in at most {counted(config['steps'], 'step')}. The"
         f" attacker knows the weights. {views} {unseen}judged the saved file in 8-bit"
-        " pictures."
+        f" pictures. Success counts from a confidence of {_least_words(record)}."
     )
+
+
+def _least_words(record: Mapping[str, Any]) -> str:
+    """The confidence that success counts from, for a sentence."""
+    stated = record["config"]["objective"].get("confidence")
+    if stated is not None:
+        return f"{stated:g}"
+    thresholds = _thresholds(record)
+    if record["target"] is None:
+        thresholds = {name: min(GONE, one) for name, one in thresholds.items()}
+    return confidence_words(thresholds)
+
+
+def _thresholds(record: Mapping[str, Any]) -> dict[str, float]:
+    """The confidence from which the detections of each detector count."""
+    return {
+        one["detector"]: one.get("threshold", REPORTED) for one in record["detectors"]
+    }
 
 
 def _first_sentence(result: Result, ball: str, views: str, wish: str) -> str:
@@ -177,11 +195,7 @@ def _first_sentence(result: Result, ball: str, views: str, wish: str) -> str:
     rate = figures.rate("success", splat=ATTACKED)
     detected = figures.rate("success", splat=ATTACKED, scope=DETECTED)
     if not detected.total:
-        thresholds = {
-            one["detector"]: one.get("threshold", REPORTED)
-            for one in result.record["detectors"]
-        }
-        least = confidence_words(thresholds)
+        least = confidence_words(_thresholds(result.record))
         return (
             f"No success is counted: {detectors} did not detect the clean object at"
             f" confidence >= {least} in any of {views}. Within {ball} the attack made"
