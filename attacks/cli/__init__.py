@@ -40,7 +40,7 @@ MISUSED = 2
 
 GROUPS: dict[str, dict[str, str]] = {
     "look at a splat": {
-        "info": "what a splat file or a scene XML contains",
+        "info": "what a splat, a scene XML or a set of photographs contains",
         "view": (
             "interactive viewer: a splat or a result in the browser, clean beside"
             " attacked"

@@ -29,7 +29,7 @@ def write_source(folder: Path) -> None:
     (folder / "transforms_train.json").rename(folder / "transforms.json")
 
 
-@pytest.mark.parametrize("capture", ["doll", "car"])
+@pytest.mark.parametrize("capture", ["doll", "car", "car_front"])
 def test_settings_name_a_sector(capture: str) -> None:
     settings = settings_of(capture)
     assert trigger_of(settings.hide_from).holds(CAMERAS, centre=(0, 0, 0)).any()

@@ -93,8 +93,8 @@ def read_evaluation(result: Result) -> Section:
     least = confidence_words(record["min_confidence"])
     sectors = list(_sectors(figures, list(classes)))
     if sectors:
-        headline, control = _sector_headline(figures, *next(iter(classes.items())))
-        sentences = [f"{headline.label}: {headline.counts}."]
+        headline, control = _sector_headline(figures, classes)
+        sentences = [_sector_sentence(figures, name) for name in classes]
     return Section(
         kind="a clean and an attacked splat, judged",
         title=f"{Path(record['attacked']).name} against {Path(record['clean']).name}",
@@ -163,12 +163,32 @@ def _sectors(figures: Figures, detectors: list[str]) -> Iterator[Table]:
         yield Table.of(caption, columns, lines)
 
 
+def _sector_sentence(figures: Figures, detector: str) -> str:
+    """What one detector makes of an object that is hidden from a sector."""
+    missed = figures.rate("missed", detector=detector, scope=INSIDE)
+    detected = figures.rate("detected", detector=detector, scope=ELSEWHERE)
+    if not missed.total:
+        return f"{detector} does not detect the clean object inside of the sector."
+    return (
+        f"{detector}: missed inside of the sector in {missed.counts}, detected"
+        f" elsewhere in {detected.counts}."
+    )
+
+
 def _sector_headline(
-    figures: Figures, detector: str, classes: tuple[str | None, str | None]
+    figures: Figures, classes: Mapping[str, tuple[str | None, str | None]]
 ) -> tuple[Figure, Figure]:
-    """How often the first detector misses the object inside of a sector."""
+    """How often the object is missed inside of a sector by the detector that detects
+    the clean one there most often.
+    """
+    totals = {
+        name: figures.rate("missed", detector=name, scope=INSIDE).total
+        for name in classes
+    }
+    detector = max(totals, key=lambda name: totals[name])
     inside = figures.where(detector=detector, scope=INSIDE, split=None)
-    what = f"{detector} misses the {classes[0] or 'object'} inside of the sector"
+    thing = classes[detector][0] or "object"
+    what = f"{detector} misses the {thing} inside of the sector"
     note = "of the views in which it is detected in the clean splat"
     clean = inside.rate("found_clean").failures
     return (
