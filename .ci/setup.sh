@@ -4,7 +4,7 @@
 # and needed.
 #   VENV         the environment (.venv); made if it is not there
 #   PYTHON       interpreter to make it from (default: the first Python >= 3.10 on the path)
-#   EXTRAS       extras of pyproject.toml to install too: `dev` for the tests, nothing for the demo
+#   EXTRAS       extras of pyproject.toml to install too: `dev` for the tests, `photos` for the demo on photographs
 #   SYSTEM_SITE  not empty: the environment also sees that interpreter's packages, so an installed torch is kept
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -51,7 +51,7 @@ make_environment() {
 
 install_project() {
     local project=".${EXTRAS:+[$EXTRAS]}"
-    say "setup: installing mi-splat${EXTRAS:+ with all that its tests need} into $venv (PyTorch is several gigabytes; minutes, once)"
+    say "setup: installing mi-splat${EXTRAS:+ with the extras $EXTRAS} into $venv (PyTorch is several gigabytes; minutes, once)"
     # uv does not count the packages of --system-site-packages as installed, pip does.
     if [ -z "${SYSTEM_SITE:-}" ] && have uv; then
         uv pip install ${quiet:+--quiet} --python "$python" -e "$project" && return

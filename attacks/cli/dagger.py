@@ -207,7 +207,7 @@ def run(options: DaggerOptions) -> None:
             loaded.scene, chosen.mask, cameras, render=chosen.render, up=chosen.up
         )
         origin = {"selection": selection.as_dict(), "cameras": list(chosen.cameras)}
-        told = tuple(chosen.doubts(loaded, weights))
+        told = tuple(chosen.doubts(weights, chosen.agreement(loaded)))
         interrupted = _attack(options, loaded, chosen, views, origin, advance, told)
     _end(options, interrupted)
 

@@ -141,7 +141,7 @@ def run(options: EvaluateOptions) -> None:
             place=place,
         )
         document = _document(options, chosen, scenes, detectors)
-        document["warnings"] += chosen.doubts(clean, {})
+        document["warnings"] += chosen.doubts({}, chosen.agreement(clean))
         document["min_confidence"] = confidence
         if judges:
             document["judges"] = judges

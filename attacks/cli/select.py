@@ -4,7 +4,8 @@ splat of its own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,6 +66,8 @@ class SelectOptions(DetectorOptions, JsonOptions):
 
 LISTED = 6
 """Cameras with a line of their own at most."""
+LONGEST_SIDE = 1024
+"""Pixels of the longer side of images in which shares are counted."""
 TINT = (1.0, 0.0, 0.8)
 """sRGB colour of the object in the picture, mixed half and half with its own."""
 
@@ -75,6 +78,7 @@ def run(options: SelectOptions) -> None:
     from mi_splat.io.folders import check_free_file, check_not_input
     from mi_splat.io.images import is_picture
     from mi_splat.render.scene_files import open_scene
+    from mi_splat.selection.agreement import summary
     from mi_splat.selection.select import SEEN
 
     for path in options.out:
@@ -97,14 +101,13 @@ def run(options: SelectOptions) -> None:
         )
         scene = loaded.scene
         mask = chosen.mask
-        weights = chosen.weights(loaded)
-        doubts = chosen.doubts(loaded, weights)
+        weights = replace(chosen, cameras=_smaller(chosen.cameras)).weights(loaded)
+        agreed = chosen.agreement(loaded)
+        doubts = chosen.doubts(weights, agreed)
         first = next(iter(chosen.cameras.values()))
         for path in options.out:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _save(
-                path, loaded, mask, next(iter(weights.values())), first, chosen.render
-            )
+            _save(path, loaded, mask, first, chosen.render)
     views: list[dict[str, Any]] = [
         {
             "camera": name,
@@ -118,6 +121,7 @@ def run(options: SelectOptions) -> None:
     document = {
         **{"gaussians": int(mask.sum()), "of": len(mask), "box": box, "views": views},
         "selection": options.selection.as_dict(),
+        "outlines": {name: item._asdict() for name, item in agreed.items()},
         "doubts": doubts,
         "files": [str(path) for path in options.out],
     }
@@ -129,6 +133,7 @@ def run(options: SelectOptions) -> None:
     ]
     if chosen.found is not None:
         lines += chosen.found.lines
+        lines.append(summary(agreed))
     for view in views[:LISTED]:
         seen = "seen" if view["seen"] else "not seen"
         lines.append(f"{seen} by {view['camera']}: {view['share']:.1%} of the pixels")
@@ -146,13 +151,13 @@ def _save(
     path: Path,
     loaded: SplatScene,
     mask: Tensor,
-    weight: Tensor,
     camera: Camera,
     render: RenderFn,
 ) -> None:
     from mi_splat.io import save_splat
     from mi_splat.io.images import save_picture
     from mi_splat.selection.select import save_mask
+    from mi_splat.selection.visibility import object_weight
 
     if path.suffix.lower() == ".npy":
         save_mask(mask, path)
@@ -161,7 +166,22 @@ def _save(
             loaded.scene.select(mask), path, antialiased=loaded.settings.antialiased
         )
     else:
+        weight = object_weight(loaded.scene, mask, camera, render)
         save_picture(tinted(loaded.scene, weight, camera, render), path)
+
+
+def _smaller(cameras: Mapping[str, Camera]) -> dict[str, Camera]:
+    """The cameras with images of no more pixels than shares of them need: those of
+    photographs may have twelve million.
+    """
+    from mi_splat.render.scene_files import resized
+
+    small = {}
+    for name, camera in cameras.items():
+        factor = min(1.0, LONGEST_SIDE / max(camera.width, camera.height))
+        size = (round(camera.width * factor), round(camera.height * factor))
+        small[name] = resized(camera, size)
+    return small
 
 
 def tinted(

@@ -117,12 +117,9 @@ def objective_of(
             "target", f"what the aim {name} has", label or "none", do
         )
     if strict and name == "relabel":
-        from attacks.objectives.relabel import STRICT_SUPPRESSION, relabel
+        from attacks.objectives.relabel import relabel
 
-        weight = STRICT_SUPPRESSION if quiet else 0.0
-        return relabel(
-            str(label), confidence=confidence, strict=True, suppression=weight
-        )
+        return relabel(str(label), confidence=confidence, strict=True, quiet=quiet)
     package = OBJECTIVES.package(name)
     if not package:
         return spec.make(label, confidence)

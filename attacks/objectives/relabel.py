@@ -164,10 +164,16 @@ STRICT_SPREAD = 1.0
 """
 
 
-STRICT_SUPPRESSION = 3.0
-"""Weight of the suppression of the own class where the object's PSNR is the budget:
-detectors that score each class for itself do not let go of one as they find another.
-Chosen on a captured person, on `centernet_coco` and `ssd_openimages`.
+QUIET_NEAR = 0.5
+
+
+QUIET_SUPPRESSION = 1.0
+"""How a strict search weighs candidates where the object's PSNR is the budget.
+
+Detectors that score each class for itself do not let go of one as they find another, so
+the own class is suppressed, too. A mask may lack a part of the object, so every
+candidate counts that could be reported on it. Chosen on a captured person, on
+`ssd_openimages`, and on the car of the demo.
 """
 
 
@@ -177,7 +183,7 @@ def relabel(
     confidence: float | None = None,
     iou: float = 0.5,
     strict: bool = False,
-    suppression: float = 0.0,
+    quiet: bool = False,
 ) -> Relabel:
     """The object is to be detected as another class.
 
@@ -188,8 +194,8 @@ def relabel(
         iou: Overlap with the object's box that it needs, in [0, 1].
         strict: Whether the original class has to go as well: reported on the object
             with less than the operating threshold, or 0.5 beside a confidence.
-        suppression: Weight of the suppression of the original class in the loss;
-            `mi-splat dagger` takes `STRICT_SUPPRESSION` for `--object-psnr`.
+        quiet: Whether the loss of a strict search is that for a budget of the object's
+            PSNR, as in `mi-splat dagger --object-psnr`.
 
     Returns:
         The objective.
@@ -199,14 +205,13 @@ def relabel(
             label=to,
             confidence=REPORTED if confidence is None else confidence,
             iou=iou,
-            suppression=suppression,
         )
     return Relabel(
         label=to,
         confidence=confidence,
         iou=iou,
         strict=True,
-        near=STRICT_NEAR,
+        near=QUIET_NEAR if quiet else STRICT_NEAR,
         spread=STRICT_SPREAD,
-        suppression=suppression,
+        suppression=QUIET_SUPPRESSION if quiet else 0.0,
     )

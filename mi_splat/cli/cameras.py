@@ -32,7 +32,7 @@ from mi_splat.io.up_axis import Direction, UpAxis, Z, cameras_up
 from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.render.scene_files import SplatScene, open_scene, resized
 from mi_splat.scene import GaussianScene
-from mi_splat.selection.agreement import agreement, disagreements
+from mi_splat.selection.agreement import Agreement, agreement, disagreements
 from mi_splat.selection.config import Selection
 from mi_splat.selection.select import doubts, select
 from mi_splat.selection.visibility import object_weight
@@ -489,14 +489,21 @@ class Chosen:
             for name, camera in self.cameras.items()
         }
 
-    def doubts(self, loaded: SplatScene, weights: Mapping[str, Tensor]) -> list[str]:
+    def agreement(self, loaded: SplatScene) -> dict[str, Agreement]:
+        """How well the object agrees with its outlines in images; empty if none were
+        asked.
+        """
+        if self.found is None:
+            return {}
+        regions = self.found.regions
+        return agreement(loaded.scene, self.mask, regions, render=self.render)
+
+    def doubts(
+        self, weights: Mapping[str, Tensor], agreed: Mapping[str, Agreement]
+    ) -> list[str]:
         """Reasons to look twice at the object, in words."""
-        texts = doubts(self.mask, weights)
-        if self.found is not None:
-            regions = self.found.regions
-            agreed = agreement(loaded.scene, self.mask, regions, render=self.render)
-            texts += [*self.found.doubts, *disagreements(agreed)]
-        return texts
+        found = () if self.found is None else self.found.doubts
+        return [*doubts(self.mask, weights), *found, *disagreements(agreed)]
 
 
 def choose(

@@ -90,6 +90,16 @@ def box_fit(inside: Tensor, boxes: Tensor) -> float:
     return float((both / either.clamp(min=1e-6)).max())
 
 
+def summary(agreed: Mapping[str, Agreement]) -> str:
+    """How well a selection agrees with the object's outlines, in one line."""
+    iou = median(item.iou for item in agreed.values())
+    outside = median(item.outside for item in agreed.values())
+    return (
+        f"agrees with the outlines of {len(agreed)} images: intersection over union"
+        f" {iou:.2f}, {outside:.1%} of the image outside (medians)"
+    )
+
+
 def disagreements(agreed: Mapping[str, Agreement]) -> list[str]:
     """Reasons to look twice at a selection, in words."""
     if not agreed:

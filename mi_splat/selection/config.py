@@ -24,7 +24,8 @@ class Selection:
             with the positions of some.
         click: Pixels x,y of the first camera's picture; the object in front there, with
             all that is connected to it. Only what is near is looked at, by the measure
-            of the picture, so click where the object is large.
+            of the picture, so click where the object is large. Beside --detect, --boxes
+            or --masks it chooses among what these select.
         cluster: Connected component by its size; 1 is the largest.
         detect: Classes of --detectors: the object in their boxes, in the photographs of
             --cameras SET or in renderings from other --cameras. In each image it is the

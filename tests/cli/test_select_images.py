@@ -91,6 +91,7 @@ def test_masks_of_photographs(
     assert iou(mask, captured.is_car) > 0.9
     output = capsys.readouterr()
     assert "masks of 3 of 4 images" in output.out
+    assert "agrees with the outlines of 3 images: intersection over" in output.out
     assert "intersection over union" not in output.err
 
 

@@ -13,6 +13,7 @@ from PIL import Image
 
 from attacks import cli
 from mi_splat.datasets import load_dataset
+from scenes.recipes.real_demo import commands
 from tests.preparation.phone import COUNT, MASKED, SIZE, write_photographs
 from tests.project.documented_commands import lines
 
@@ -66,6 +67,46 @@ def test_the_page_takes_phone_photographs_to_an_audit(
     )
     assert attack["target"] == "person"
     assert "nothing found" in said["audit"]
+
+
+STAND_INS = {
+    "nanodet_coco": "fasterrcnn_small",
+    "centernet_coco": "yolov8n_small",
+    "banana": "car",
+    "teddy bear": "person",
+    "640x426": "256x192",
+    "752x500": "267x200",
+    "3000": "700",
+    "4": "3",
+}
+"""Words of the tutorial, and those for photographs of the car of an example scene."""
+
+
+@pytest.mark.nightly
+def test_the_tutorial_takes_phone_photographs_to_a_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every command of the page that `make demo-real` runs, too, in its order."""
+    pytest.importorskip("pycolmap", reason="the extra photos is not installed")
+    monkeypatch.chdir(tmp_path)
+    photographs = tmp_path / "photographs"
+    write_photographs(photographs)
+    said: dict[str, str] = {}
+    for words in commands(photographs, tmp_path / "out"):
+        if words[:2] == ["detectors", "--get"]:
+            continue  # others' weights, from a registry of packages
+        here = [STAND_INS.get(word, word) for word in words]
+        here = [word.replace("DSC_0424", "IMG_0008") for word in here]
+        status = cli.main(here)
+        captured = capsys.readouterr()
+        assert status in (0, 3), f"{words}: {captured.err}"
+        said[words[0]] = captured.out + captured.err
+    (share,) = re.findall(r"seen by IMG_0008: ([\d.]+)% of the pixels", said["select"])
+    assert 5 < float(share) < 25  # the car
+    attack = json.loads((tmp_path / "out" / "attack" / "result.json").read_text())
+    assert attack["target"] == "person"
+    assert (tmp_path / "out" / "report.html").is_file()
+    assert "fasterrcnn_small: found, clean" in said["evaluate"]
 
 
 def placed(folder: Path) -> None:

@@ -57,19 +57,18 @@ NIGHTLY = {
 on.
 """
 NIGHTLY_PAGES = {
-    *("docs/tutorials/attack-your-own-splat.md", "docs/viewing.md"),
-    *(
-        "docs/report.md",
-        "docs/transfer.md",
-        "docs/how-to/resume-and-extend.md",
-        "docs/rendering-studies.md",
-    ),
+    "docs/viewing.md",
+    "docs/report.md",
+    "docs/transfer.md",
+    "docs/how-to/resume-and-extend.md",
+    "docs/rendering-studies.md",
 }
 """Pages whose lines need what long lines have made, or whose short lines are also on
 other pages.
 """
-WALKED_PAGES = {"docs/how-to/photographs.md"}
-"""Pages that a nightly test of their own runs whole:
+TUTORIAL = "docs/tutorials/attack-your-own-splat.md"
+WALKED_PAGES = {"docs/how-to/photographs.md", TUTORIAL}
+"""Pages that nightly tests of their own run whole:
 tests/preparation/test_photographs_of_a_phone.py.
 """
 ELSEWHERE = {
@@ -270,25 +269,6 @@ TINY: dict[str, dict[str, Change]] = {
 that it runs.
 """
 
-SMALL: dict[str, dict[str, Change]] = {
-    **TINY,
-    "capture": {
-        "--cameras": fewer_cameras(24),
-        "--samples": to("4"),
-        "--test": if_there("2"),
-        "--points": to("8000"),
-    },
-    "train": {"--iterations": of_iterations(0.15), "--eval-interval": to("0")},
-    "dagger": {
-        "--cameras": fewer_cameras(2),
-        "--steps": to("2"),
-        "--noise-draws": to("1"),
-    },
-    "evaluate": {"--cameras": fewer_cameras(2), "--pictures": to("1")},
-}
-"""The same where a page needs a splat on which an object can be seen."""
-SMALL_PAGES = {"docs/tutorials/attack-your-own-splat.md"}
-
 SHIPPED_WEIGHTS: dict[str, Change] = {
     "--detectors": if_there("fasterrcnn_small"),
     "--weights": to(
@@ -306,7 +286,7 @@ BENCHMARKS = {"benchmarks/render.py": ["--rounds", "1"]}
 def shortened(line: Line) -> list[str]:
     """The words after `mi-splat`, with the changes that the tables ask for."""
     words = list(line.words[1:])
-    changes = (SMALL if line.page in SMALL_PAGES else TINY).get(line.command, {})
+    changes = TINY.get(line.command, {})
     if "--weights" in words:
         changes = {**changes, **SHIPPED_WEIGHTS}
     for flag, change in changes.items():
