@@ -1,7 +1,7 @@
 """CLOAK on photographs of others: poisons a set, trains on it, and counts what
 detectors miss.
 
-    python -m scenes.recipes.real_cloak doll SET --mask mask.npy --out out/doll-cloak
+    python -m scenes.recipes.real_cloak doll SET --out out/doll-cloak
 
 `SET` is what `python -m scenes.recipes.real_captures fetch doll` writes. The settings
 are those of `scenes/studies/real/cloak.toml`. Every step is a command of `mi-splat`,
@@ -15,14 +15,15 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import tomllib
 import torch
 
-from mi_splat.cameras.camera import Camera
+from attacks.detectors import load_detector
+from mi_splat.cameras.camera import Camera, project_points
 from mi_splat.cameras.directions import direction_of
 from mi_splat.cameras.framing import bounds
 from mi_splat.cli.console import show
@@ -33,10 +34,19 @@ from mi_splat.io.documents import save_png
 from mi_splat.io.images import to_bytes
 from mi_splat.io.parsing import read_json
 from mi_splat.maths.rotation import from_matrix, to_matrix
-from mi_splat.selection.select import load_mask
+from mi_splat.selection.select import load_mask, save_mask
 
 ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = ROOT / "scenes" / "studies" / "real" / "cloak.toml"
+SURE = 0.6
+IN_BOX = 0.7
+MARGIN = 0.03
+FAR = 2.2
+VOTING_SIDE = 640
+"""Least confidence of a box that votes; share of the images in which a Gaussian has to
+be in it; by how much of its width it is wider; distance from the middle, in medians, of
+a Gaussian that is too far away; sides of the images, pixels.
+"""
 FARTHEST = 40.0
 """Degrees of azimuth between two neighbours from which on there is none between."""
 
@@ -55,6 +65,7 @@ class Settings:
     between: int  # cameras between two neighbouring training cameras
     hide_from: tuple[str, ...]
     original: tuple[str, ...]
+    voting: str  # detector whose boxes vote for the object; "" takes `select --detect`
 
 
 def settings_of(capture: str) -> Settings:
@@ -136,6 +147,47 @@ def write_novel(small: Path, out: Path, centre: Sequence[float], count: int) -> 
     list_transforms(make_folder(out), {"test": named}, None)
 
 
+def vote(source: Path, clean: Path, settings: Settings, file: Path) -> None:
+    """The Gaussians that lie in a detector's box in most photographs, without those far
+    away from the others.
+
+    `select --detect` cuts objects out more tightly. It loses parts of objects of which
+    the splat has few Gaussians, such as the car.
+    """
+    if file.exists():
+        return
+    detector = load_detector(settings.voting)
+    views = load_dataset(source, split=None)
+    side = max(max(camera.lens.size) for camera in views.cameras)
+    views = replace(views, downscale=max(1, side // VOTING_SIDE))
+    scene = load_splat(clean)
+    means = scene.means.double()
+    seen = torch.zeros(len(means))
+    inside = torch.zeros(len(means))
+    for view in views:
+        with torch.no_grad():
+            (report,) = detector.detect(view.image[None])
+        scores = [
+            float(score) if label in settings.original else 0.0
+            for label, score in zip(report.labels, report.scores, strict=True)
+        ]
+        best = max(scores, default=0.0)
+        if best < SURE:
+            continue
+        low, high = report.boxes[scores.index(best)].double().view(2, 2)
+        margin = MARGIN * (high - low)[0]
+        size = means.new_tensor([view.camera.width, view.camera.height])
+        pixels, depth = project_points(means, view.camera)
+        shown = (depth > 0) & ((pixels >= 0) & (pixels < size)).all(1)
+        within = ((pixels >= low - margin) & (pixels <= high + margin)).all(1)
+        seen += shown
+        inside += shown & within
+    mask = (seen >= 2) & (inside >= IN_BOX * seen)
+    distances = (means - means[mask].median(dim=0).values).norm(dim=1)
+    mask &= distances < FAR * distances[mask].median()
+    save_mask(mask, file)
+
+
 def study(
     capture: str, source: Path, mask: Path | None, out: Path, seeds: Sequence[int] = ()
 ) -> None:
@@ -149,9 +201,14 @@ def study(
     training += ["--keep", "last"]
     clean = out / "clean" / "splat.ply"
     run(clean, "train", small, "--out", clean.parent, *training, "--seed", 0)
-    if mask is None:
-        show(f"{clean} is there; select the object, and pass --mask")
-        return
+    if mask is None and settings.voting:
+        mask = out / "mask.npy"
+        vote(source, clean, settings, mask)
+    elif mask is None:
+        mask = out / "mask.npy"
+        seen = ["--detect", *settings.original, "--cameras", small]
+        seen += ["--detectors", *settings.detectors]
+        run(mask, "select", clean, *seen, "--out", mask)
     thing = ["--mask", mask]
     poisoned = out / "poisoned"
     hiding = ["--hide-from", *settings.hide_from, "--look", "background"]
@@ -181,7 +238,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("capture", help="its name in cloak.toml")
     parser.add_argument("set", type=Path, help="folder of the photographs")
-    parser.add_argument("--mask", type=Path, help="the object's Gaussians, .npy")
+    parser.add_argument("--mask", type=Path, help="its Gaussians, .npy, if known")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seeds", type=int, nargs="*", default=(), help="some of them")
     words = parser.parse_args()
