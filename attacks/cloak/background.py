@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import KDTree
 from torch import Tensor
+from torch.nn import functional
 
 from attacks.cloak.appearances import grown
 from attacks.poisons.base import OnStep
@@ -135,17 +136,21 @@ def spread(difference: Tensor, hole: Tensor) -> Tensor:
     """
     unit = max(1, round(max(hole.shape) / _SIDE))
     around = grown(hole, RING * unit) & ~hole & (difference.abs().amax(-1) < _ALIKE)
-    weight = around.double().numpy()
-    values = difference.double().numpy() * weight[..., None]
+    planes = torch.cat([difference, torch.ones_like(difference[..., :1])], -1)
+    planes = (planes.double() * around[..., None]).permute(2, 0, 1)[None]
+    # smooth values do not need the pixels of a large image
+    small = functional.avg_pool2d(planes, unit, ceil_mode=True)[0].numpy()
     result: NDArray[np.float64] | None = None
     for sigma in _BLURS:
-        share = ndimage.gaussian_filter(weight, sigma * unit)
-        mean = ndimage.gaussian_filter(values, sigma * unit, axes=(0, 1))
-        mean /= np.maximum(share, 1e-12)[..., None]
-        near = np.minimum(share / _ENOUGH, 1.0)[..., None]
+        *values, share = ndimage.gaussian_filter(small, sigma, axes=(1, 2))
+        mean = np.stack(values) / np.maximum(share, 1e-12)
+        near = np.minimum(share / _ENOUGH, 1.0)
         result = mean if result is None else near * mean + (1 - near) * result
     assert result is not None
-    return torch.from_numpy(result).to(difference)
+    smooth = functional.interpolate(
+        torch.from_numpy(result)[None], tuple(hole.shape), mode="bilinear"
+    )
+    return smooth[0].permute(1, 2, 0).to(difference)
 
 
 def without_object(
