@@ -84,6 +84,11 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "[DAGGER](../dagger.md#six-pairs-at-cameras-drawn-by-seed)",
         ("dagger_cameras", "dagger_code", "dagger_cameras_random"),
     ),
+    "dagger_captures": (
+        "DAGGER on real captures",
+        "[Real captures](../real-captures.md#dagger)",
+        ("dagger_captures",),
+    ),
     "dagger_eot": (
         "DAGGER from many viewpoints",
         "[DAGGER from many viewpoints](../dagger-eot.md)",
