@@ -79,6 +79,10 @@ ELSEWHERE = {
     ),
     "make nightly": "runs these tests",
     "make commands": "the same",
+    "make demo-real": (
+        "fetches photographs of others; tests/preparation runs its commands on some of"
+        " our own"
+    ),
     "study": (
         "tests/studies/test_shipped.py plans every study that is shipped; one of each"
         " kind is done by night"
