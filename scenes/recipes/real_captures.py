@@ -21,7 +21,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import tomllib
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parents[2]
 LISTED = ROOT / "scenes" / "studies" / "real" / "captures.toml"
@@ -223,10 +227,14 @@ def _list() -> None:
         write(f"{'':8} {capture.author}, {capture.licence}: {capture.repository}")
 
 
-def _fetch(capture: Capture, clone: Path | None, out: Path) -> None:
+def get(capture: Capture, clone: Path | None, out: Path) -> None:
+    """Fetch a capture from a clone, or from its repository, into a new folder."""
     with tempfile.TemporaryDirectory() as folder:
         source = Clone(clone) if clone else download(capture, Path(folder))
         fetch(capture, source, out)
+
+
+def _say(capture: Capture, out: Path) -> None:
     write(f"{out}: {capture.contents}, by {capture.author} ({capture.licence})")
     for command in capture.then:
         write("  " + command.format(folder=out))
@@ -260,7 +268,9 @@ def main() -> None:
         if asked.command == "checksums":
             write("\n".join(_sums(capture, Clone(asked.clone))))
         else:
-            _fetch(capture, asked.clone, asked.out or Path("out/captures") / asked.name)
+            out = asked.out or Path("out/captures") / asked.name
+            get(capture, asked.clone, out)
+            _say(capture, out)
     except FetchError as error:
         sys.exit(f"error: {error}")
 

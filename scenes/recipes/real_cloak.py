@@ -19,7 +19,6 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-import tomllib
 import torch
 
 from attacks.detectors import load_detector
@@ -35,6 +34,11 @@ from mi_splat.io.images import to_bytes
 from mi_splat.io.parsing import read_json
 from mi_splat.maths.rotation import from_matrix, to_matrix
 from mi_splat.selection.select import load_mask, save_mask
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = ROOT / "scenes" / "studies" / "real" / "cloak.toml"

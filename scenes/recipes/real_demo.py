@@ -13,14 +13,7 @@ import sys
 from pathlib import Path
 
 from mi_splat.cli.console import show
-from scenes.recipes.real_captures import (
-    ROOT,
-    Clone,
-    FetchError,
-    captures,
-    download,
-    fetch,
-)
+from scenes.recipes.real_captures import ROOT, FetchError, captures, get
 
 PAGE = ROOT / "docs" / "tutorials" / "attack-your-own-splat.md"
 CAPTURE = "banana"
@@ -61,11 +54,7 @@ def main() -> None:
     folder = asked.out / CAPTURE
     if not folder.exists():
         try:
-            if asked.clone:
-                source = Clone(asked.clone)
-            else:
-                source = download(capture, asked.out / "repository")
-            fetch(capture, source, folder)
+            get(capture, asked.clone, folder)
         except FetchError as error:
             sys.exit(f"error: {error}")
     show(f"{folder}: by {capture.author}, {capture.licence}, {capture.repository}")
