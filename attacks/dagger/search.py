@@ -136,10 +136,7 @@ def fitted(
     farthest = reference
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        point = {
-            name: base + middle * (parameters[name] - base)
-            for name, base in reference.items()
-        }
+        point = _scaled(parameters, reference, middle)
         if error(point) <= limit:
             low = middle
             farthest = point
@@ -158,10 +155,7 @@ def stretched(
     """The farthest point beyond parameters on the line from the reference whose error
     is within the limit.
     """
-    farther = {
-        name: base + _FARTHEST * (parameters[name] - base)
-        for name, base in reference.items()
-    }
+    farther = _scaled(parameters, reference, _FARTHEST)
 
     def inside(point: Parameters) -> float:
         return error(ball.project(point, reference))
@@ -188,12 +182,18 @@ def at_limit(
         if here == 0 or _CLOSE * limit <= here <= limit:
             return point
         factor *= min(3.0, max(0.3, math.sqrt(_AIM * limit / here)))
-        farther = {
-            name: base + factor * (parameters[name] - base)
-            for name, base in reference.items()
-        }
-        point = ball.project(farther, reference)
+        point = ball.project(_scaled(parameters, reference, factor), reference)
     return fitted(point, reference, limit, error)
+
+
+def _scaled(parameters: Parameters, reference: Parameters, factor: float) -> Parameters:
+    """The point whose difference from the reference is that of the parameters times a
+    factor.
+    """
+    return {
+        name: base + factor * (parameters[name] - base)
+        for name, base in reference.items()
+    }
 
 
 OnStep = Callable[[Step], bool | None]
