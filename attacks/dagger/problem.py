@@ -176,7 +176,7 @@ class Problem:
             values = [shown]
             weights = [along]
             if price:
-                error = self._error(rendered, view) / len(views)
+                error = self.image_error(rendered, view) / len(views)
                 squares += float(error.detach())
                 values = [shown, error]
                 weights = [along, torch.full_like(error, price)]
@@ -213,14 +213,20 @@ class Problem:
         random happens to them; of the object, over its pixels of all views.
         """
         errors = torch.stack(
-            [self._error(self.image(parameters, view.camera), view) for view in views]
+            [
+                self.image_error(self.image(parameters, view.camera), view)
+                for view in views
+            ]
         )
         if not self.on_object:
             return float(errors.mean())
         pixels = torch.stack([view.on_object.sum() for view in views])
         return float((errors * pixels).sum() / pixels.sum())
 
-    def _error(self, picture: Tensor, view: View) -> Tensor:
+    def image_error(self, picture: Tensor, view: View) -> Tensor:
+        """Mean squared error of one (H, W, 3) image against the clean one; of the
+        object, if that is limited, and then at least what its worst part allows.
+        """
         squares = (picture - self.clean(view.camera)).square()
         if not self.on_object:
             return squares.mean()
