@@ -5,20 +5,24 @@ detectors make of both.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from attacks.cli.options import ClassName, Confidence, DetectorOptions, Detectors
 from mi_splat import provenance
-from mi_splat.cli.console import progress
+from mi_splat.cli.console import Advance, progress
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions, check_no_input_in
 from mi_splat.fields import Count, Metavar, OutFolder
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from attacks.detectors.base import Detector
+    from attacks.observe.observations import Observations
     from attacks.observe.rows import Cell
     from attacks.observe.views import ViewDetections
     from mi_splat.cameras.camera import Camera
@@ -27,6 +31,10 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = (
+    (
+        "evaluate scenes/car_street.xml out/narrow/attacked.xml --object car --cameras"
+        " rear --target person --conditions standard --out out/survival"
+    ),
     (
         "evaluate YOUR.ply out/desk/attacked.ply --cameras hemisphere:24 --target"
         " person --out out/judged"
@@ -75,6 +83,12 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     it is also counted how often the object is missed inside of them and detected
     elsewhere, of the views in which the clean object is detected. Cameras that took the
     training images of a set in --cameras are counted apart from others.
+    """
+    conditions: tuple[Annotated[str, Metavar("CONDITION")], ...] = ()
+    """Conditions under which both are looked at as well, to see what is left of the
+    attack: "JPEG 75", "0.5 x size", "5 degrees", ".splat", "SH of degree 0", ray,
+    "median of 8 neighbours" and others (see docs/defences.md), or standard for twenty
+    of them.
     """
     judges: Detectors = ()
     """Further detectors that check the others: a view is flagged where one reports a
@@ -132,14 +146,20 @@ def run(options: EvaluateOptions) -> None:
         place = _placing(options, clean.scene, chosen)
         advance(f"looking from {len(cameras)} cameras")
         seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
-        looked = compared_rows(
-            seen,
+        look = partial(
+            compared_rows,
             original=options.original or None,
             target=options.target,
             min_confidence=confidence,
             judges=judges,
             place=place,
         )
+        looked = look(seen)
+        if options.conditions:
+            rows = _under_conditions(
+                options, looked.rows, scenes, chosen, detectors, look, advance
+            )
+            looked = replace(looked, rows=rows)
         document = _document(options, chosen, scenes, detectors)
         document["warnings"] += chosen.doubts({}, chosen.agreement(clean))
         document["min_confidence"] = confidence
@@ -162,8 +182,51 @@ def run(options: EvaluateOptions) -> None:
             write_figures(counted, folder)
     pairs = counted.having("judge").groups("detector", "judge").values()
     flagged = [pair for pair in pairs if pair.pooled("contradicted").successes]
-    tables = len(flagged) + bool(options.inside)
+    tables = len(flagged) + bool(options.inside) + bool(options.conditions)
     show_summary(options.out, as_json=options.json, tables=tables)
+
+
+def _under_conditions(
+    options: EvaluateOptions,
+    plain: pl.DataFrame,
+    scenes: Mapping[str, GaussianScene],
+    chosen: Chosen,
+    detectors: Sequence[Detector],
+    look: Callable[..., Observations],
+    advance: Advance,
+) -> pl.DataFrame:
+    """The plain rows, and those under each condition."""
+    from attacks.observe.conditions import Viewing
+    from attacks.observe.rows import CLEAN
+    from attacks.observe.survival import named_conditions, survived, together
+    from mi_splat.cameras.framing import bounds
+
+    clean = scenes[CLEAN]
+    centre, _ = bounds(clean.select(chosen.mask))
+    viewing = Viewing(
+        settings=chosen.render.settings,
+        centre=centre,
+        alone=lambda scene: scene.select(chosen.mask),
+    )
+    # What each detector calls the object without a condition, it is under all of them.
+    own = dict(plain.select("detector", "original").iter_rows())
+    names = named_conditions(options.conditions)
+    frames = []
+    for number, frame in enumerate(
+        survived(
+            scenes,
+            chosen.mask,
+            list(chosen.cameras.values()),
+            detectors,
+            names,
+            viewing=viewing,
+            render=chosen.render,
+            look=partial(look, original=options.original or own),
+        )
+    ):
+        advance(f"looking under {names[number]}")
+        frames.append(frame)
+    return together(plain, frames, names)
 
 
 def _placing(
