@@ -5,22 +5,20 @@ detectors make of both.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from attacks.cli.options import ClassName, Confidence, DetectorOptions, Detectors
 from mi_splat import provenance
-from mi_splat.cli.console import Advance, progress
+from mi_splat.cli.console import progress
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions, check_no_input_in
 from mi_splat.fields import Count, Metavar, OutFolder
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
-    import polars as pl
-
     from attacks.detectors.base import Detector
     from attacks.observe.observations import Observations
     from attacks.observe.rows import Cell
@@ -113,8 +111,10 @@ def run(options: EvaluateOptions) -> None:
         side_by_side,
         thresholds_of,
     )
+    from attacks.observe.conditions import OWN, check_condition
     from attacks.observe.rows import ATTACKED, CLEAN, ROWS
     from attacks.observe.sector import sector_doubts
+    from attacks.observe.survival import named_conditions, together
     from attacks.observe.views import evaluate
     from mi_splat.cli.cameras import choose, look_at_object
     from mi_splat.io.documents import save_json, save_png
@@ -124,6 +124,9 @@ def run(options: EvaluateOptions) -> None:
     check_no_input_in(options.out, options.clean, options.attacked)
     check_new_folder(options.out, force=options.force)
     check_detectors((*options.detectors, *options.judges))
+    conditions = named_conditions(options.conditions)
+    for name in conditions:
+        check_condition(name, None)
     with progress("loading") as advance:
         clean = open_scene(options.clean)
         attacked = open_scene(options.attacked)
@@ -155,11 +158,16 @@ def run(options: EvaluateOptions) -> None:
             place=place,
         )
         looked = look(seen)
-        if options.conditions:
-            rows = _under_conditions(
-                options, looked.rows, scenes, chosen, detectors, look, advance
-            )
-            looked = replace(looked, rows=rows)
+        if conditions:
+            own = dict(looked.rows.select("detector", "original").iter_rows())
+            # What a detector calls the object here, it is under every condition.
+            look = partial(look, original=options.original or own)
+            parts = _under_conditions(conditions, scenes, chosen, detectors, look)
+            seen_under = {OWN: looked}
+            for name, part in parts:
+                advance(f"looked under {name}")
+                seen_under[name] = part
+            looked = together(seen_under)
         document = _document(options, chosen, scenes, detectors)
         document["warnings"] += chosen.doubts({}, chosen.agreement(clean))
         document["min_confidence"] = confidence
@@ -187,46 +195,35 @@ def run(options: EvaluateOptions) -> None:
 
 
 def _under_conditions(
-    options: EvaluateOptions,
-    plain: pl.DataFrame,
+    names: Sequence[str],
     scenes: Mapping[str, GaussianScene],
     chosen: Chosen,
     detectors: Sequence[Detector],
     look: Callable[..., Observations],
-    advance: Advance,
-) -> pl.DataFrame:
-    """The plain rows, and those under each condition."""
+) -> Iterator[tuple[str, Observations]]:
+    """Each condition, and what was seen under it."""
     from attacks.observe.conditions import Viewing
     from attacks.observe.rows import CLEAN
-    from attacks.observe.survival import named_conditions, survived, together
+    from attacks.observe.survival import survived
     from mi_splat.cameras.framing import bounds
 
-    clean = scenes[CLEAN]
-    centre, _ = bounds(clean.select(chosen.mask))
+    centre, _ = bounds(scenes[CLEAN].select(chosen.mask))
     viewing = Viewing(
         settings=chosen.render.settings,
         centre=centre,
         alone=lambda scene: scene.select(chosen.mask),
     )
-    # What each detector calls the object without a condition, it is under all of them.
-    own = dict(plain.select("detector", "original").iter_rows())
-    names = named_conditions(options.conditions)
-    frames = []
-    for number, frame in enumerate(
-        survived(
-            scenes,
-            chosen.mask,
-            list(chosen.cameras.values()),
-            detectors,
-            names,
-            viewing=viewing,
-            render=chosen.render,
-            look=partial(look, original=options.original or own),
-        )
-    ):
-        advance(f"looking under {names[number]}")
-        frames.append(frame)
-    return together(plain, frames, names)
+    cameras = list(chosen.cameras.values())
+    return survived(
+        scenes,
+        chosen.mask,
+        cameras,
+        detectors,
+        names,
+        viewing=viewing,
+        render=chosen.render,
+        look=look,
+    )
 
 
 def _placing(

@@ -31,8 +31,9 @@ from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.scene import GaussianScene
 
 VOTE = "majority of 3 views"
-"""The condition whose scores are the medians of those from the camera itself and from 5
-degrees to either side: at any threshold the vote of the three.
+"""What scores are called that are the medians of those from the camera itself and from
+5 degrees to either side: at any threshold the vote of the three. No images are made for
+it, and it has no rows.
 """
 _ASIDE = ("5 degrees", "-5 degrees")
 STANDARD = (
@@ -64,7 +65,7 @@ Look = Callable[[Mapping[str, Sequence[ViewDetections]]], Observations]
 
 
 def named_conditions(names: Sequence[str]) -> tuple[str, ...]:
-    """The conditions that a user's names stand for, each once, and those that a vote
+    """The conditions that a user's names stand for, each once; of a vote those that it
     needs.
     """
     every = [
@@ -72,7 +73,7 @@ def named_conditions(names: Sequence[str]) -> tuple[str, ...]:
     ]
     if VOTE in every:
         every = [*_ASIDE, *every]
-    return tuple(dict.fromkeys(every))
+    return tuple(name for name in dict.fromkeys(every) if name != VOTE)
 
 
 def survived(
@@ -85,14 +86,12 @@ def survived(
     viewing: Viewing,
     render: RenderFn,
     look: Look,
-) -> Iterator[pl.DataFrame]:
-    """The rows under each condition, in the order of their names; without a vote.
+) -> Iterator[tuple[str, Observations]]:
+    """Each condition, and what was seen under it.
 
     `render` shows where the object is, and `look` makes rows of what was seen.
     """
     for name in names:
-        if name == VOTE:
-            continue
         condition = condition_of(name, viewing)
         moved = [condition.move(camera) for camera in cameras]
         seen = evaluate(
@@ -103,7 +102,7 @@ def survived(
             render=_unmoved(condition),
             shown_by=render,
         )
-        yield look(seen).rows.with_columns(condition=pl.lit(name))
+        yield name, look(seen)
 
 
 def voted(rows: pl.DataFrame) -> pl.DataFrame:
@@ -128,6 +127,8 @@ def survival_figures(rows: pl.DataFrame, confidence: Confidence) -> Figures:
     of the views in which the clean one is detected; where there is a sector, also
     inside of it and elsewhere.
     """
+    if set(_ASIDE) <= set(rows["condition"]):
+        rows = pl.concat([rows, voted(rows)])
     parts = []
     for seen in rows.partition_by("detector", maintain_order=True):
         targets = seen.filter(splat=ATTACKED)["target"]
@@ -152,14 +153,20 @@ def _unmoved(condition: Condition) -> RenderFn:
     return replace(condition, move=lambda camera: camera)
 
 
-def together(
-    plain: pl.DataFrame, frames: Sequence[pl.DataFrame], names: Sequence[str]
-) -> pl.DataFrame:
-    """All rows with the condition of each, and those of a vote if it is among the
-    names.
+def together(parts: Mapping[str, Observations]) -> Observations:
+    """What was seen under several conditions, as one table of rows and one of
+    detections.
     """
-    own = plain.with_columns(condition=pl.lit(OWN))
-    rows = pl.concat([own, *frames], how="diagonal")
-    if VOTE in names:
-        rows = pl.concat([rows, voted(rows)], how="diagonal")
-    return frame_of(rows.to_dicts())
+    tables = {
+        kind: pl.concat(
+            [
+                getattr(part, kind).with_columns(condition=pl.lit(name))
+                for name, part in parts.items()
+            ],
+            how="diagonal",
+        )
+        for kind in ("rows", "detections")
+    }
+    return Observations(
+        **{kind: frame_of(table.to_dicts()) for kind, table in tables.items()}
+    )
