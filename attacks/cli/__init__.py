@@ -121,7 +121,6 @@ OF_SPLATS = (
     "train",
     "render",
     "info",
-    "audit",
     "conform",
     "convert",
 )

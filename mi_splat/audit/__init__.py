@@ -15,12 +15,14 @@ from mi_splat import _lazy
 
 if TYPE_CHECKING:
     from mi_splat.audit.auditing import audit
+    from mi_splat.audit.held_out import HeldOut, held_out
     from mi_splat.audit.images import ImageAudit, audit_images
     from mi_splat.audit.repair import repaired
     from mi_splat.audit.results import Audit, Look, ObjectAudit, Occluder, Pair, Region
 
 __all__ = [
     "Audit",
+    "HeldOut",
     "ImageAudit",
     "Look",
     "ObjectAudit",
@@ -29,6 +31,7 @@ __all__ = [
     "Region",
     "audit",
     "audit_images",
+    "held_out",
     "repaired",
 ]
 
@@ -36,6 +39,7 @@ __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
         "mi_splat.audit.auditing": ("audit",),
+        "mi_splat.audit.held_out": ("HeldOut", "held_out"),
         "mi_splat.audit.images": ("ImageAudit", "audit_images"),
         "mi_splat.audit.repair": ("repaired",),
         "mi_splat.audit.results": (
