@@ -126,7 +126,7 @@ class GateConfig:
 
     claims: tuple[Claim, ...]
     most_gaussians: int
-    bounded: float | None
+    bounded: float | None = None
     ending: str  # of its name, by which it is read
 
 

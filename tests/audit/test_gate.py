@@ -329,7 +329,7 @@ def test_images_of_a_set_are_judged(
     for name in ("few", "poisoned", "outside", "linked"):
         write_transforms(tmp_path / name, VIEWS)
     listing = tmp_path / "outside" / "transforms_train.json"
-    listing.write_text(listing.read_text().replace('"images/', '"../few/images/'))
+    listing.write_text(listing.read_text().replace("images/", "../few/images/"))
     (tmp_path / "linked" / "link").symlink_to("/etc/hostname")
     lines = [json.dumps(str(tmp_path / "few"))]
     status, told = run(capsys, monkeypatch, tmp_path, lines)
