@@ -119,6 +119,7 @@ def attack_views(
     clock = time.process_time()
     outcome, config, levels = climb(attacked, searched, config, on_step)
     spent = time.process_time() - clock
+    views.release()
     result = _judged(problem, config, outcome, judged or views)
     return dataclasses.replace(
         result,

@@ -7,7 +7,7 @@ studies of both attacks:
     ""                               the renderer of the splat's own scene
     "tile", "ray", "volprim", ...    renderers, as `mi-splat compare` calls them
     ".ply", ".spz", ...              the splat goes through a file (`FORMATS`)
-    "SH in float16", "SH of degree 1"
+    "SH in float16", "SH of degree 1", "median of 8 neighbours"
     "0.5 x distance"                 cameras move towards the object, or away from it
     "5 degrees"                      cameras turn about the object, to the right
     "0.5 x size"                     images with so many times the pixels on each side
@@ -32,6 +32,7 @@ from typing import Annotated
 import torch
 from torch import Tensor
 
+from attacks.observe.repairs import median_of_neighbours
 from attacks.transformations.draws import PictureChange, change_picture
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.cameras.directions import Point, sun_direction
@@ -339,9 +340,13 @@ FORMS: Mapping[str, Callable[[GaussianScene], GaussianScene]] = {
         f"SH of degree {degree}": partial(fewer_bands, degree=degree)
         for degree in range(MAX_DEGREE + 1)
     },
+    **{
+        f"median of {count} neighbours": partial(median_of_neighbours, count=count)
+        for count in (4, 8, 16)
+    },
 }
-"""What becomes of a splat in other formats, with SH in half precision, and with fewer
-SH bands.
+"""What becomes of a splat in other formats, with SH in half precision, with fewer SH
+bands, and smoothed by a defender.
 """
 
 
