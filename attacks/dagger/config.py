@@ -81,8 +81,8 @@ docs/dagger-eot.md).
 NARROW: dict[str, Any] = {
     "eps": (1.0,),
     "norm": "linf",
-    "steps": 60,
-    "step_factor": 2.4,
+    "steps": 100,
+    "step_factor": 6.0,
     "optimiser": "adam",
     "momentum": 0.8,
     "schedule": "linear",
@@ -100,7 +100,7 @@ NARROW: dict[str, Any] = {
 }
 """Defaults around a chosen camera: what one sees of the object is the budget, and
 images are changed during the search. Chosen on one camera of a captured person, on
-`centernet_coco` (see docs/dagger.md).
+`centernet_coco` and `ssd_openimages` (see docs/dagger.md).
 """
 
 NARROW_CHANGES: dict[str, Any] = {

@@ -41,6 +41,11 @@ _PARTS = 6
 """Windows across the longer side of an object's box, in which its error is looked
 at.
 """
+_POWER = 8
+_TINY = 1e-12
+"""Power of the norm over these windows, and what is added where a root has no
+derivative.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -256,8 +261,11 @@ class Problem:
 
 
 def _worst_part(squares: Tensor, view: View) -> Tensor:
-    """The largest mean of (H, W) squares over the object's pixels in a square window of
-    a sixth of its box; windows that hold less than half of these count by their part.
+    """About the largest mean of (H, W) squares over the object's pixels in a window.
+
+    Windows are a sixth of its box; those of which the object is less than half count by
+    their part. A norm in the place of a maximum: its gradient reaches every window that
+    is near the largest one, and it is never smaller.
     """
     left, top, right, bottom = view.box.tolist()
     side = max(1, round(max(right - left, bottom - top) / _PARTS))
@@ -266,8 +274,11 @@ def _worst_part(squares: Tensor, view: View) -> Tensor:
     sums, shares = torch.nn.functional.avg_pool2d(
         planes, min(side, *squares.shape), stride=max(1, side // 2)
     )[0]
-    means: Tensor = sums / shares.clamp(min=0.5)
-    return means.max()
+    means = sums / shares.clamp(min=0.5)
+    largest = means.detach().max().clamp(min=_TINY)
+    powers = (means / largest).pow(_POWER).sum()
+    norm: Tensor = largest * (powers + _TINY).pow(1 / _POWER)
+    return norm
 
 
 def counted_from(objective: Objective, detector: Detector) -> float:

@@ -15,6 +15,7 @@ from mi_splat import _lazy
 
 if TYPE_CHECKING:
     from mi_splat.audit.auditing import audit
+    from mi_splat.audit.bound import Bounded, bounded, colour_bound
     from mi_splat.audit.held_out import HeldOut, held_out
     from mi_splat.audit.images import ImageAudit, audit_images
     from mi_splat.audit.repair import repaired
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Audit",
+    "Bounded",
     "HeldOut",
     "ImageAudit",
     "Look",
@@ -31,6 +33,8 @@ __all__ = [
     "Region",
     "audit",
     "audit_images",
+    "bounded",
+    "colour_bound",
     "held_out",
     "repaired",
 ]
@@ -39,6 +43,7 @@ __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
         "mi_splat.audit.auditing": ("audit",),
+        "mi_splat.audit.bound": ("Bounded", "bounded", "colour_bound"),
         "mi_splat.audit.held_out": ("HeldOut", "held_out"),
         "mi_splat.audit.images": ("ImageAudit", "audit_images"),
         "mi_splat.audit.repair": ("repaired",),
