@@ -390,8 +390,16 @@ def _tuple(
 def _member(parts: tuple[Any, ...], value: Any) -> Any:
     """The one of several types of a field that a value is checked by; None for a value
     that is left alone.
+
+    A table is read as the first of several dataclasses that has all of its keys.
     """
     kinds = [part for part in parts if part is not types.NoneType]
+    tables = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
+    if isinstance(value, Mapping) and tables:
+        for table in tables:
+            if value.keys() <= {field.name for field in dataclasses.fields(table)}:
+                return table
+        return tables[0]
     is_list = isinstance(value, (list, tuple)) or getattr(value, "ndim", 0) > 0
     listed = [
         kind for kind in kinds if typing.get_origin(field_type(kind).kind) is tuple

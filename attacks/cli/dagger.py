@@ -16,14 +16,25 @@ from attacks.cli.options import (
     Confidence,
     DetectorOptions,
 )
-from attacks.dagger.config import DaggerConfig, region_defaults, views_defaults
+from attacks.dagger.config import (
+    NARROW_CHANGES,
+    DaggerConfig,
+    narrow_defaults,
+    region_defaults,
+    views_defaults,
+)
 from attacks.objectives import OBJECTIVES, objective_of
-from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
+from attacks.transformations.config import (
+    CameraCone,
+    CameraRegion,
+    PictureChanges,
+    Transformations,
+)
 from mi_splat.cli.console import Advance, limit_threads, progress, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions, check_no_input_in
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Metavar, OutFolder
+from mi_splat.fields import Metavar, OutFolder, Share, between
 from mi_splat.processes import deferred_interrupt
 from mi_splat.selection.config import Selection
 
@@ -41,6 +52,10 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "dagger scenes/car_street.xml --object car --target person --out out/dagger",
     "dagger scenes/car_street.xml --objective hide --object-psnr 38 --out out/hidden",
+    (
+        "dagger scenes/car_street.xml --object car --cameras rear --around 10 --ladder"
+        " 38 35 32 --out out/narrow"
+    ),
     (
         "dagger YOUR.ply --mask mask.npy --cameras orbit:4@25 --target person --out"
         " out/desk"
@@ -64,6 +79,11 @@ _BUDGET = ("attributes", "eps", "norm", "image_psnr", "object_psnr")
 
 def _budget_in(words: Sequence[str]) -> dict[str, Any]:
     """What the user's words say of the budget, read before all other flags."""
+    return _said(words, _BUDGET)
+
+
+def _said(words: Sequence[str], names: Sequence[str]) -> dict[str, Any]:
+    """The values of some flags among the user's words, but for none."""
     given = dict[str, list[str]]()
     flag = ""
     for word in words:
@@ -73,7 +93,7 @@ def _budget_in(words: Sequence[str]) -> dict[str, Any]:
             given[flag] = [value] if equals else []
         elif flag:
             given[flag].append(word)
-    said = {name: given[name] for name in _BUDGET if name in given}
+    said = {name: given[name] for name in names if name in given}
     return {name: values for name, values in said.items() if values != ["none"]}
 
 
@@ -123,6 +143,9 @@ class DaggerOptions(AttackOptions):
     (the object), cameras.json, the rows and result.json into --out; of a scene XML also
     attacked.xml with its parts, which can be rendered and attacked again. The exit
     status is 0 also when the attack fails: that is a result.
+
+    With --around the attack is made for all cameras near a chosen one and for changed
+    images, and held-out cameras, with plain images, judge it (held_out.png).
     """
 
     view: CameraOptions = field(default_factory=CameraOptions)
@@ -130,6 +153,22 @@ class DaggerOptions(AttackOptions):
 
     Of the folder of a set it is those of the pictures for training that show the
     object, so that the others can judge.
+    """
+    around: Annotated[float, between(0, 60, "degrees"), Metavar("DEGREES")] | None = (
+        None
+    )
+    """Attack from all cameras up to so far around the chosen one, seen from the middle
+    of the object. The defaults are then those of a quiet attack that lasts: 36 dB on
+    the object, at most 6 dB less on a part of it, and a search on images that change
+    (--jpeg, --blur, --resize, --sizes).
+    """
+    around_distance: Share = 0.1
+    """How much nearer or farther than the chosen one these cameras may be, as a
+    fraction.
+    """
+    pictures: PictureChanges = field(default_factory=PictureChanges)
+    """What happens to the images of the search with --around, between renderer and
+    detector.
     """
     config: DaggerConfig = field(default_factory=DaggerConfig.for_views)
     """How to attack. The budget is the PSNR of the object's pixels (--object-psnr);
@@ -139,8 +178,25 @@ class DaggerOptions(AttackOptions):
 
     @staticmethod
     def defaults(words: Sequence[str]) -> dict[str, Any]:
-        """The settings that depend on which budget is asked for."""
-        return {"config": DaggerConfig(**views_defaults(_budget_in(words)))}
+        """The settings that depend on which budget is asked for, and from how many
+        cameras.
+        """
+        budget = _budget_in(words)
+        if _said(words, ["around"]):
+            return {
+                "config": DaggerConfig(**narrow_defaults(budget)),
+                "pictures": PictureChanges(**NARROW_CHANGES),
+            }
+        return {"config": DaggerConfig(**views_defaults(budget))}
+
+    def __post_init__(self) -> None:
+        if self.around is None and self.pictures != PictureChanges():
+            raise InvalidValueError.of(
+                "changes of images (--jpeg, --blur, ...)",
+                "--around beside them",
+                "a chosen camera",
+                "pass --around 10, or leave them out",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,6 +249,9 @@ def run(options: DaggerOptions) -> None:
     from attacks.dagger.views import FixedViews
     from mi_splat.selection.select import require_visible
 
+    if options.around is not None:
+        run_around(options, options.around)
+        return
     config = options.config
     with progress(
         "loading the scene and the detector", total=config.restarts * (config.steps + 1)
@@ -212,19 +271,32 @@ def run(options: DaggerOptions) -> None:
     _end(options, interrupted)
 
 
+def run_around(options: DaggerOptions, angle: float) -> None:
+    """Attack from all cameras around a chosen one."""
+    cone = CameraCone(angle=angle, margin=options.around_distance)
+    drawn = Transformations(cameras=cone, pictures=options.pictures)
+    _run_drawn(options, drawn, drawn.plain)
+
+
 def run_region(options: DaggerRegionOptions) -> None:
-    """Attack from all cameras of a region; Ctrl-C ends the search with the best so
-    far.
-    """
+    """Attack from all cameras of a region."""
+    drawn = Transformations(cameras=options.region, pictures=options.pictures)
+    _run_drawn(options, drawn, drawn)
+
+
+def _run_drawn(
+    options: DaggerOptions | DaggerRegionOptions,
+    drawn: Transformations,
+    judged: Transformations,
+) -> None:
+    """Attack from drawn cameras; Ctrl-C ends the search with the best so far."""
     from attacks.dagger.views import DrawnViews
     from mi_splat.io.camera_records import describe
 
-    with progress(
-        "loading the scene and the detectors", total=options.config.steps + 1
-    ) as advance:
+    steps = sum(level.steps + 1 for level in options.config.levels)
+    with progress("loading the scene and the detectors", total=steps) as advance:
         loaded, selection, chosen = _opened(options)
         name, camera = next(iter(chosen.cameras.items()))
-        drawn = Transformations(cameras=options.region, pictures=options.pictures)
         views = DrawnViews(
             loaded.scene, chosen.mask, camera, drawn, render=chosen.render, up=chosen.up
         )
@@ -233,7 +305,10 @@ def run_region(options: DaggerRegionOptions) -> None:
             "cameras": [name],
             "reference": describe(name, camera),
         }
-        interrupted = _attack(options, loaded, chosen, views, origin, advance)
+        judges = views if judged == drawn else views.drawn_from(judged)
+        interrupted = _attack(
+            options, loaded, chosen, views, origin, advance, judged=judges
+        )
     _end(options, interrupted)
 
 
@@ -304,6 +379,7 @@ def _attack(
     origin: dict[str, Any],
     advance: Advance,
     doubts: tuple[str, ...] = (),
+    judged: FixedViews | None = None,
 ) -> bool:
     """Attack and write the result, the mask, and of a scene file its parts; whether
     Ctrl-C ended the search.
@@ -319,7 +395,12 @@ def _attack(
     with deferred_interrupt() as interrupted:
         on_step = _follow(advance, objective.label, options.config, interrupted)
         result = attack_views(
-            views, detectors, objective, config=options.config, on_step=on_step
+            views,
+            detectors,
+            objective,
+            config=options.config,
+            judged=judged,
+            on_step=on_step,
         )
     origin = {**result.origin, "scene": str(options.scene), **origin}
     result = replace(result, origin=origin, doubts=doubts)

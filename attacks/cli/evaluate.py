@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,6 +20,7 @@ from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
     from attacks.detectors.base import Detector
+    from attacks.observe.observations import Observations
     from attacks.observe.rows import Cell
     from attacks.observe.views import ViewDetections
     from mi_splat.cameras.camera import Camera
@@ -27,6 +29,10 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = (
+    (
+        "evaluate scenes/car_street.xml out/narrow/attacked.xml --object car --cameras"
+        " rear --target person --conditions standard --out out/survival"
+    ),
     (
         "evaluate YOUR.ply out/desk/attacked.ply --cameras hemisphere:24 --target"
         " person --out out/judged"
@@ -76,6 +82,12 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     elsewhere, of the views in which the clean object is detected. Cameras that took the
     training images of a set in --cameras are counted apart from others.
     """
+    conditions: tuple[Annotated[str, Metavar("CONDITION")], ...] = ()
+    """Conditions under which both are looked at as well, to see what is left of the
+    attack: "JPEG 75", "0.5 x size", "5 degrees", ".splat", "SH of degree 0", ray,
+    "median of 8 neighbours" and others (see docs/defences.md), or standard for twenty
+    of them.
+    """
     judges: Detectors = ()
     """Further detectors that check the others: a view is flagged where one reports a
     class that a judge knows and the judge does not, or the other way round. `rapidocr`
@@ -99,8 +111,10 @@ def run(options: EvaluateOptions) -> None:
         side_by_side,
         thresholds_of,
     )
+    from attacks.observe.conditions import OWN, check_condition
     from attacks.observe.rows import ATTACKED, CLEAN, ROWS
     from attacks.observe.sector import sector_doubts
+    from attacks.observe.survival import named_conditions, together
     from attacks.observe.views import evaluate
     from mi_splat.cli.cameras import choose, look_at_object
     from mi_splat.io.documents import save_json, save_png
@@ -110,6 +124,9 @@ def run(options: EvaluateOptions) -> None:
     check_no_input_in(options.out, options.clean, options.attacked)
     check_new_folder(options.out, force=options.force)
     check_detectors((*options.detectors, *options.judges))
+    conditions = named_conditions(options.conditions)
+    for name in conditions:
+        check_condition(name, None)
     with progress("loading") as advance:
         clean = open_scene(options.clean)
         attacked = open_scene(options.attacked)
@@ -132,14 +149,25 @@ def run(options: EvaluateOptions) -> None:
         place = _placing(options, clean.scene, chosen)
         advance(f"looking from {len(cameras)} cameras")
         seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
-        looked = compared_rows(
-            seen,
+        look = partial(
+            compared_rows,
             original=options.original or None,
             target=options.target,
             min_confidence=confidence,
             judges=judges,
             place=place,
         )
+        looked = look(seen)
+        if conditions:
+            own = dict(looked.rows.select("detector", "original").iter_rows())
+            # What a detector calls the object here, it is under every condition.
+            look = partial(look, original=options.original or own)
+            parts = _under_conditions(conditions, scenes, chosen, detectors, look)
+            seen_under = {OWN: looked}
+            for name, part in parts:
+                advance(f"looked under {name}")
+                seen_under[name] = part
+            looked = together(seen_under)
         document = _document(options, chosen, scenes, detectors)
         document["warnings"] += chosen.doubts({}, chosen.agreement(clean))
         document["min_confidence"] = confidence
@@ -162,8 +190,40 @@ def run(options: EvaluateOptions) -> None:
             write_figures(counted, folder)
     pairs = counted.having("judge").groups("detector", "judge").values()
     flagged = [pair for pair in pairs if pair.pooled("contradicted").successes]
-    tables = len(flagged) + bool(options.inside)
+    tables = len(flagged) + bool(options.inside) + bool(options.conditions)
     show_summary(options.out, as_json=options.json, tables=tables)
+
+
+def _under_conditions(
+    names: Sequence[str],
+    scenes: Mapping[str, GaussianScene],
+    chosen: Chosen,
+    detectors: Sequence[Detector],
+    look: Callable[..., Observations],
+) -> Iterator[tuple[str, Observations]]:
+    """Each condition, and what was seen under it."""
+    from attacks.observe.conditions import Viewing
+    from attacks.observe.rows import CLEAN
+    from attacks.observe.survival import survived
+    from mi_splat.cameras.framing import bounds
+
+    centre, _ = bounds(scenes[CLEAN].select(chosen.mask))
+    viewing = Viewing(
+        settings=chosen.render.settings,
+        centre=centre,
+        alone=lambda scene: scene.select(chosen.mask),
+    )
+    cameras = list(chosen.cameras.values())
+    return survived(
+        scenes,
+        chosen.mask,
+        cameras,
+        detectors,
+        names,
+        viewing=viewing,
+        render=chosen.render,
+        look=look,
+    )
 
 
 def _placing(

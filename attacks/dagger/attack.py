@@ -18,7 +18,7 @@ from attacks.dagger.controls import control_scenes
 from attacks.dagger.figures import attack_figures
 from attacks.dagger.problem import Problem, check_detectors, counted_from
 from attacks.dagger.result import Result, judge, observed
-from attacks.dagger.search import OnStep, search
+from attacks.dagger.search import OnStep, climb
 from attacks.dagger.views import DrawnViews, FixedViews, ViewDistribution
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import as_detectors
@@ -117,14 +117,16 @@ def attack_views(
     else:
         attacked = problem
     clock = time.process_time()
-    outcome = search(attacked, searched, config, on_step)
+    outcome, config, levels = climb(attacked, searched, config, on_step)
     spent = time.process_time() - clock
+    views.release()
     result = _judged(problem, config, outcome, judged or views)
     return dataclasses.replace(
         result,
         origin=result.origin | _origin(views, detectors),
         redraws=views.redraws(config) if isinstance(views, DrawnViews) else {},
         transformations=views.transformations,
+        levels=levels,
         seconds=time.perf_counter() - begun,
         cpu_seconds=spent,
     )
@@ -173,6 +175,7 @@ def problem_of(
         render=views.render,
         clean=views.picture,
         on_object=config.object_psnr is not None,
+        local_gap=config.local_gap,
     )
 
 
@@ -214,7 +217,7 @@ def _judged(
     ).parameters(stored)
     names = [detector.name for detector in problem.detectors]
     looked = observed(judged, problem.objective, seed=config.seed)
-    elevations = None if drawn is None else drawn.cameras.elevations
+    elevations = None if drawn is None else drawn.elevations
     return Result(
         scene=attacked,
         views=judged,
@@ -227,6 +230,7 @@ def _judged(
             problem.objective.label,
             config.required_views,
             elevations,
+            drawn=drawn is not None,
         ),
         fingerprints={
             detector.name: detector.fingerprint for detector in problem.detectors

@@ -7,7 +7,7 @@ Light, so that `--help` is fast: torch is imported when the budget is asked for.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 from attacks.observe import Control
@@ -78,6 +78,43 @@ docs/dagger-eot.md).
 """
 
 
+NARROW: dict[str, Any] = {
+    "eps": (1.0,),
+    "norm": "linf",
+    "steps": 100,
+    "step_factor": 6.0,
+    "optimiser": "adam",
+    "momentum": 0.8,
+    "schedule": "linear",
+    "sh_degree": 0,
+    "object_psnr": 36.0,
+    "local_gap": 6.0,
+    "batch": 3,
+    "pool": 32,
+    "validation": 12,
+    "validate_every": 20,
+    "required_views": 0.8,
+    "stop_at": 1.0,
+    "noise_draws": 1,
+    "held_out": 40,
+}
+"""Defaults around a chosen camera: what one sees of the object is the budget, and
+images are changed during the search. Chosen on one camera of a captured person, on
+`centernet_coco` and `ssd_openimages` (see docs/dagger.md).
+"""
+
+NARROW_CHANGES: dict[str, Any] = {
+    "jpeg": 50,
+    "blur": 1.0,
+    "resize": 0.5,
+    "exposure": 0.1,
+    "noise": 0.01,
+    "plain": 0.35,
+    "sizes": (0.4, 2.0),
+}
+"""What happens to images during such a search, as `PictureChanges` has it."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DaggerConfig:
     """How to attack; the defaults of the class are those of the paper's text.
@@ -132,6 +169,13 @@ class DaggerConfig:
         object_psnr: The same over the pixels that are at least half the object's. The
             attack ends at this limit: its change is scaled until the object has this
             PSNR.
+        local_gap: How far a part of the object may be below object_psnr, dB: no window
+            of a sixth of its box may have less. A mean alone lets one part, as an ear,
+            carry the whole change. None sets no limit.
+        ladder: Values of object_psnr that are tried one after the other, each from
+            where the one before has ended: the first at which the attack succeeds in
+            the views that decide is the answer, and the last if there is none. Those
+            after the first take half the steps.
         batch: Views of each step: of the cameras, where 0 is all of them, or of the
             pool that a region has.
         pool: Number of views of a region that they are drawn from; 0 draws new ones at
@@ -178,6 +222,10 @@ class DaggerConfig:
     object_psnr: (
         Annotated[float, above(0, "dB", "34 is seen beside the clean object")] | None
     ) = None
+    local_gap: Annotated[float, above(0, "dB", "6 is four times the error")] | None = (
+        None
+    )
+    ladder: tuple[Annotated[float, above(0, "dB"), Metavar("DB")], ...] = ()
     batch: Annotated[int, at_least(0, "views", "0 is all cameras")] = 0
     pool: Annotated[int, at_least(0, "views", "0 draws new ones at each step")] = 200
     validation: Annotated[int, at_least(1, "views")] = 12
@@ -203,6 +251,14 @@ class DaggerConfig:
         if self.image_psnr is not None and self.object_psnr is not None:
             raise InvalidValueError.of(
                 "image_psnr", "none beside object_psnr", self.image_psnr, "choose one"
+            )
+        if self.ladder and self.object_psnr is None:
+            raise InvalidValueError.of(
+                "ladder", "object_psnr beside it", "none", "state a PSNR"
+            )
+        if self.ladder != tuple(sorted(self.ladder, reverse=True)):
+            raise InvalidValueError.of(
+                "ladder", "the highest PSNR first", self.ladder, "change the order"
             )
         if not self.attributes:
             raise InvalidValueError.of(
@@ -249,6 +305,35 @@ class DaggerConfig:
         """
         return cls(**{**region_defaults(settings), **settings})
 
+    @classmethod
+    def for_narrow(cls, **settings: Any) -> DaggerConfig:
+        """The defaults around a chosen camera (`CameraCone`): the PSNR of the object's
+        pixels is the budget.
+
+        The images of the search should be changed: `NARROW_CHANGES` has the changes of
+        `mi-splat dagger --around`.
+
+        Args:
+            settings: Those that are others than the defaults.
+
+        Returns:
+            The configuration.
+        """
+        return cls(**{**narrow_defaults(settings), **settings})
+
+    @property
+    def levels(self) -> tuple[DaggerConfig, ...]:
+        """The searches of a ladder, one after the other; itself without a ladder."""
+        return tuple(
+            replace(
+                self,
+                object_psnr=level,
+                ladder=(),
+                steps=self.steps if number == 0 else max(1, self.steps // 2),
+            )
+            for number, level in enumerate(self.ladder)
+        ) or (self,)
+
     @property
     def radius(self) -> dict[str, float]:
         """Radius by attribute."""
@@ -285,6 +370,11 @@ def views_defaults(settings: Mapping[str, Any]) -> dict[str, Any]:
     return _with_one_psnr(VIEWS, settings)
 
 
+def narrow_defaults(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The defaults around a chosen camera beside some settings."""
+    return _with_one_psnr(NARROW, settings)
+
+
 def region_defaults(settings: Mapping[str, Any]) -> dict[str, Any]:
     """The defaults for a region of cameras beside some settings."""
     return _with_one_psnr(REGION, settings)
@@ -301,4 +391,5 @@ def _with_one_psnr(
         kept.pop("image_psnr", None)
     if settings.get("image_psnr") is not None:
         kept.pop("object_psnr", None)
+        kept.pop("local_gap", None)
     return kept

@@ -38,13 +38,14 @@ def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> Fi
     settings = record["config"]
     elevations = None
     if record["story"] == DRAWN:
-        elevations = settings["judged"]["cameras"]["elevations"]
+        elevations = settings["judged"]["cameras"].get("elevations")
     return attack_figures(
         tables[ROWS],
         [str(one["detector"]) for one in record["detectors"]],
         record["target"],
         settings["required_views"],
         elevations,
+        drawn=record["story"] == DRAWN,
     )
 
 
@@ -54,9 +55,12 @@ def attack_figures(
     target: str | None,
     required: float,
     elevations: tuple[float, float] | None,
+    *,
+    drawn: bool,
 ) -> Figures:
-    """Every figure of an attack, from its rows; `elevations` are those of a region."""
-    drawn = elevations is not None
+    """Every figure of an attack, from its rows; `elevations` are those of a region,
+    None around a chosen camera.
+    """
     rows = with_thresholds(rows)
     attacked = rows.filter(splat=ATTACKED)
     verdict = verdict_figures(rows, detectors, required, drawn=drawn)

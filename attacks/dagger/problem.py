@@ -37,6 +37,17 @@ if TYPE_CHECKING:
     from mi_splat.render.view_freezing import RecentViews
 
 
+_PARTS = 6
+"""Windows across the longer side of an object's box, in which its error is looked
+at.
+"""
+_POWER = 8
+_TINY = 1e-12
+"""Power of the norm over these windows, and what is added where a root has no
+derivative.
+"""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Problem:
     """Everything about an attack that stays the same while it runs.
@@ -52,6 +63,8 @@ class Problem:
         frozen: The search's pictures from these cameras, while SH alone changes; from
             all others they are `render`'s, as all of which detectors' reports count.
         on_object: Whether errors of images are those of the object's pixels alone.
+        local_gap: How far below the PSNR of the object a part of it may be, dB; None
+            sets no limit.
     """
 
     subset: GaussianSubset
@@ -62,6 +75,7 @@ class Problem:
     clean: Callable[[Camera], Tensor]
     frozen: dict[Camera, FrozenView] | RecentViews = field(default_factory=dict)
     on_object: bool = False
+    local_gap: float | None = None
 
     def target(
         self, view: View, detector: Detector, box: Tensor | None = None
@@ -167,7 +181,7 @@ class Problem:
             values = [shown]
             weights = [along]
             if price:
-                error = self._error(rendered, view) / len(views)
+                error = self.image_error(rendered, view) / len(views)
                 squares += float(error.detach())
                 values = [shown, error]
                 weights = [along, torch.full_like(error, price)]
@@ -204,18 +218,28 @@ class Problem:
         random happens to them; of the object, over its pixels of all views.
         """
         errors = torch.stack(
-            [self._error(self.image(parameters, view.camera), view) for view in views]
+            [
+                self.image_error(self.image(parameters, view.camera), view)
+                for view in views
+            ]
         )
         if not self.on_object:
             return float(errors.mean())
         pixels = torch.stack([view.on_object.sum() for view in views])
         return float((errors * pixels).sum() / pixels.sum())
 
-    def _error(self, picture: Tensor, view: View) -> Tensor:
-        change = picture - self.clean(view.camera)
-        if self.on_object:
-            change = change[view.on_object]
-        return change.square().mean()
+    def image_error(self, picture: Tensor, view: View) -> Tensor:
+        """Mean squared error of one (H, W, 3) image against the clean one; of the
+        object, if that is limited, and then at least what its worst part allows.
+        """
+        squares = (picture - self.clean(view.camera)).square()
+        if not self.on_object:
+            return squares.mean()
+        error = squares[view.on_object].mean()
+        if self.local_gap is None:
+            return error
+        worst = _worst_part(squares.mean(dim=2), view)
+        return torch.maximum(error, worst / 10 ** (self.local_gap / 10))
 
     def verdicts(
         self, parameters: Parameters, views: Sequence[View]
@@ -234,6 +258,27 @@ class Problem:
                     ]
                 )
         return rows
+
+
+def _worst_part(squares: Tensor, view: View) -> Tensor:
+    """About the largest mean of (H, W) squares over the object's pixels in a window.
+
+    Windows are a sixth of its box; those of which the object is less than half count by
+    their part. A norm in the place of a maximum: its gradient reaches every window that
+    is near the largest one, and it is never smaller.
+    """
+    left, top, right, bottom = view.box.tolist()
+    side = max(1, round(max(right - left, bottom - top) / _PARTS))
+    on_object = view.on_object.to(squares)
+    planes = torch.stack([squares * on_object, on_object])[None]
+    sums, shares = torch.nn.functional.avg_pool2d(
+        planes, min(side, *squares.shape), stride=max(1, side // 2)
+    )[0]
+    means = sums / shares.clamp(min=0.5)
+    largest = means.detach().max().clamp(min=_TINY)
+    powers = (means / largest).pow(_POWER).sum()
+    norm: Tensor = largest * (powers + _TINY).pow(1 / _POWER)
+    return norm
 
 
 def counted_from(objective: Objective, detector: Detector) -> float:

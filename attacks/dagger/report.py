@@ -141,6 +141,7 @@ def summary(result: Result) -> dict[str, Any]:
         ],
         "control_psnr": _control_psnr(result),
         "redraws": result.redraws,
+        **_levels(result),
         "warnings": list(result.warnings),
         "detectors": [
             {
@@ -165,6 +166,13 @@ def _control_psnr(result: Result) -> dict[str, list[float | None]]:
     for (name, _), change in result.control_images.items():
         lists.setdefault(name, []).append(change.psnr_object)
     return lists
+
+
+def _levels(result: Result) -> dict[str, Any]:
+    """What each level of a ladder has led to, if there is one."""
+    if not result.levels:
+        return {}
+    return {"levels": [dataclasses.asdict(level) for level in result.levels]}
 
 
 def _settings(result: Result) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from torch import Tensor
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.controls import Draw
 from attacks.dagger.problem import Problem
+from attacks.dagger.search import Level
 from attacks.dagger.views import Reports, View, detected
 from attacks.detectors.base import Detections
 from attacks.figures.frame import Figures
@@ -272,6 +273,8 @@ class Result:
         judged: The distribution that judged it.
         redraws: Cameras drawn in vain, as they did not show the object: held-out,
             validation and attacked views.
+        levels: What each level of a ladder has led to, the quietest first; the last is
+            the answer.
         doubts: Of the choice of the object; the first of the warnings.
         stopped: Whether the search was ended before its time.
     """
@@ -298,6 +301,7 @@ class Result:
     transformations: Transformations | None = None
     judged: Transformations | None = None
     redraws: dict[str, int] = field(default_factory=dict)
+    levels: tuple[Level, ...] = ()
     doubts: tuple[str, ...] = ()
     stopped: bool = False
 

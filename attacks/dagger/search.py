@@ -202,11 +202,72 @@ with the best point so far.
 """
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Level:
+    """What one level of a ladder has led to.
+
+    Attributes:
+        object_psnr: PSNR of the object's pixels, dB.
+        success: Whether the attack succeeds in enough of the views that decide.
+        score: How near it is, in [0, 1].
+        steps: Steps that were taken.
+    """
+
+    object_psnr: float
+    success: bool
+    score: float
+    steps: int
+
+
+def climb(
+    problem: Problem,
+    views: FixedViews,
+    config: DaggerConfig,
+    on_step: OnStep | None = None,
+) -> tuple[Outcome, DaggerConfig, tuple[Level, ...]]:
+    """The best point of the first level of a ladder that succeeds, the configuration of
+    that level, and what each level has led to; without a ladder the best point of all.
+    """
+    levels = list[Level]()
+    outcome: Outcome | None = None
+    for number, at_level in enumerate(config.levels):
+        start = None if outcome is None else outcome.parameters
+        after = search(problem, views, at_level, on_step, start=start)
+        after = _numbered(after, number)
+        trace = after.trace if outcome is None else (*outcome.trace, *after.trace)
+        outcome = dataclasses.replace(after, trace=trace)
+        if config.ladder:
+            assert at_level.object_psnr is not None  # as `DaggerConfig.levels` says
+            level = Level(
+                object_psnr=at_level.object_psnr,
+                success=after.best.success,
+                score=after.best.score,
+                steps=after.trace[-1].index,
+            )
+            levels.append(level)
+        if after.best.success or after.stopped:
+            break
+    assert outcome is not None  # there is at least one level
+    answer = dataclasses.replace(config, object_psnr=at_level.object_psnr)
+    return outcome, answer, tuple(levels)
+
+
+def _numbered(outcome: Outcome, number: int) -> Outcome:
+    """The outcome of a level, whose lines of the trace are of a run of its own."""
+    if number == 0:
+        return outcome
+    trace = tuple(dataclasses.replace(line, restart=number) for line in outcome.trace)
+    best = dataclasses.replace(outcome.best, restart=number)
+    return dataclasses.replace(outcome, trace=trace, best=best)
+
+
 def search(
     problem: Problem,
     views: FixedViews,
     config: DaggerConfig,
     on_step: OnStep | None = None,
+    *,
+    start: Parameters | None = None,
 ) -> Outcome:
     """The best point: where each step takes all views, these decide about it, otherwise
     the validation views do.
@@ -214,7 +275,7 @@ def search(
     if config.attributes == ("sh",):
         problem = dataclasses.replace(problem, frozen=views.frozen(config))
     if not config.in_turn:
-        return _searched(problem, views, config, None, on_step)
+        return _searched(problem, views, config, start, on_step)
     outcome: Outcome | None = None
     for view in views.one_by_one(config):
         start = None if outcome is None else outcome.parameters

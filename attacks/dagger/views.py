@@ -26,13 +26,15 @@ from attacks.observe.views import (
     visible_box,
     visible_weight,
 )
-from attacks.transformations.config import Transformations
+from attacks.transformations.config import CameraCone, Transformations
 from attacks.transformations.draws import (
     PictureChange,
     change_picture,
     changing,
+    draw_around,
     draw_camera,
     draw_change,
+    draw_size,
 )
 from mi_splat.cameras.camera import Camera, RenderFn, as_cameras
 from mi_splat.cameras.directions import UP, Direction, Point, direction_of
@@ -40,7 +42,7 @@ from mi_splat.cameras.framing import bounds
 from mi_splat.errors import InvalidValueError
 from mi_splat.maths.rotation import from_z
 from mi_splat.maths.sh import colour_to_dc
-from mi_splat.render.view_freezing import RecentViews, freeze_views
+from mi_splat.render.view_freezing import RecentViews, affordable_bytes, freeze_views
 from mi_splat.scene import GaussianScene, check_scene
 
 if TYPE_CHECKING:
@@ -59,6 +61,10 @@ _DRAWN_PICTURES = 80
 Of drawn cameras there are many, and a clean picture is made at once where the view is
 frozen.
 """
+
+
+_POOL_BYTES = 2 << 30
+"""What the frozen views around one camera may take, where there is so much memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -351,8 +357,26 @@ class DrawnViews(FixedViews):
             transformations or Transformations(),
         )
         self.centre, self.radius = bounds(scene.select(self.subset.rows))
-        self._frozen = RecentViews(scene, render=render, rows=self.subset.rows)
+        # Around one camera the pool is small, and every step comes back to it.
+        is_narrow = isinstance(self.transformations.cameras, CameraCone)
+        kept_bytes = affordable_bytes(_POOL_BYTES) if is_narrow else None
+        self._frozen = RecentViews(
+            scene, render=render, rows=self.subset.rows, kept_bytes=kept_bytes
+        )
         self._kept: dict[tuple[int, int], View] = {}
+
+    def drawn_from(self, transformations: Transformations) -> DrawnViews:
+        """Views of the same object around the same camera, from another
+        distribution.
+        """
+        return DrawnViews(
+            self.scene,
+            self.mask,
+            self.reference,
+            transformations,
+            render=self.render,
+            up=self.up,
+        )
 
     def check(self, config: DaggerConfig) -> None:
         """Raise unless the views can be attacked with a configuration."""
@@ -464,22 +488,32 @@ class DrawnViews(FixedViews):
         black, white = (frozen(colour_to_dc(zeros + value)) for value in (0.0, 1.0))
         return (white - black)[..., :3].mean(-1).clamp(0, 1)
 
+    def _drawn_camera(self, generator: np.random.Generator) -> Camera:
+        cameras = self.transformations.cameras
+        if isinstance(cameras, CameraCone):
+            return draw_around(
+                cameras, generator, centre=self.centre, reference=self.reference
+            )
+        camera = draw_camera(
+            cameras,
+            generator,
+            centre=self.centre,
+            radius=self.radius,
+            reference=self.reference,
+        )
+        if tuple(self.up) == UP:
+            return camera
+        turn = from_z(torch.tensor(list(self.up)))
+        middle = torch.tensor(list(self.centre), dtype=torch.float64)
+        return camera.turned(turn, middle)
+
     def _draw(self, seed: int, index: int) -> View:
         least = self.transformations.cameras.least_visible
         for attempt in range(_ATTEMPTS):
             generator = np.random.default_rng((seed, index, attempt))
             change = draw_change(self.transformations.pictures, generator)
-            camera = draw_camera(
-                self.transformations.cameras,
-                generator,
-                centre=self.centre,
-                radius=self.radius,
-                reference=self.reference,
-            )
-            if tuple(self.up) != UP:
-                turn = from_z(torch.tensor(list(self.up)))
-                middle = torch.tensor(list(self.centre), dtype=torch.float64)
-                camera = camera.turned(turn, middle)
+            camera = self._drawn_camera(generator)
+            camera = draw_size(self.transformations.pictures, generator, camera)
             weight = self._weight(camera)
             box = visible_box(weight)
             if (

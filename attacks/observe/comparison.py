@@ -19,6 +19,7 @@ from attacks.detectors.registry import as_detectors, operating_threshold
 from attacks.figures.frame import MEASURE, Figures
 from attacks.figures.rate import FEW, Rate
 from attacks.gaussian_subset import Mask
+from attacks.observe.conditions import OWN
 from attacks.observe.drawing import annotated, stacked
 from attacks.observe.observations import Observations, observations_of, report_cells
 from attacks.observe.rates import (
@@ -33,6 +34,7 @@ from attacks.observe.rates import (
 )
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS, Cell
 from attacks.observe.sector import HIDDEN, sector_figures
+from attacks.observe.survival import survival_figures
 from attacks.observe.views import ViewDetections, evaluate
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, listed
@@ -173,14 +175,15 @@ def thresholds_of(detectors: Sequence[Detector]) -> dict[str, float]:
 def compared_rows(
     seen: Mapping[str, Sequence[ViewDetections]],
     *,
-    original: str | Sequence[str] | None = None,
+    original: str | Sequence[str] | Mapping[str, str | None] | None = None,
     target: str | None = None,
     min_confidence: float | Mapping[str, float] = REPORTED,
     judges: Collection[str] = (),
     place: Callable[[ViewDetections], Mapping[str, Cell]] | None = None,
 ) -> Observations:
     """What detectors report on a clean and an attacked splat, row by row; for `judges`
-    neither class is given, and `place` gives further cells.
+    neither class is given, and `place` gives further cells. What the object is may
+    differ from detector to detector.
     """
     clean = {(view.detector, view.view): view for view in seen[CLEAN]}
     shown = {
@@ -191,7 +194,11 @@ def compared_rows(
         ]
         for name, _ in clean
     }
-    own = {name: None if name in judges else original for name in shown}
+    own: dict[str, str | Sequence[str] | None] = {
+        name: original.get(name) if isinstance(original, Mapping) else original
+        for name in shown
+    }
+    own |= dict.fromkeys(judges)
     originals: dict[str, str | Sequence[str] | None] = {
         name: own[name] or usual_label(views, confidence_for(name, min_confidence))
         for name, views in shown.items()
@@ -232,9 +239,17 @@ def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> Fi
     """Every figure of an evaluation, from its rows."""
     rows = tables[ROWS]
     confidence = record["min_confidence"]
+    survived = Figures({})
+    if "condition" in rows.columns:
+        survived = survival_figures(rows, confidence)
+        rows = rows.filter(condition=OWN).drop("condition")
     compared = compare(rows, confidence=confidence)
     judges = record.get("judges", {})
-    parts = [compared, contradictions(rows, judges, confidence=confidence)]
+    parts = [
+        compared,
+        contradictions(rows, judges, confidence=confidence),
+        survived,
+    ]
     if HIDDEN in rows.columns:
         parts.append(sector_figures(rows, confidence))
     return Figures.together(parts)

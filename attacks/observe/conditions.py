@@ -7,14 +7,18 @@ studies of both attacks:
     ""                               the renderer of the splat's own scene
     "tile", "ray", "volprim", ...    renderers, as `mi-splat compare` calls them
     ".ply", ".spz", ...              the splat goes through a file (`FORMATS`)
-    "SH in float16", "SH of degree 1"
+    "SH in float16", "SH of degree 1", "median of 8 neighbours"
     "0.5 x distance"                 cameras move towards the object, or away from it
-    "noise 0.05", "blur 1.5", "JPEG 60"   in the pictures; pixels
+    "5 degrees"                      cameras turn about the object, to the right
+    "0.5 x size"                     images with so many times the pixels on each side
+    "noise 0.05", "blur 1.5", "JPEG 60", "5 bits"   in the images; pixels, bits of each
+                                     colour channel
     "09:30"                          a street of meshes in the sun of an hour
 
 and those of other packages (`CONDITIONS`).
 """
 
+import math
 import re
 import tempfile
 import warnings
@@ -28,6 +32,7 @@ from typing import Annotated
 import torch
 from torch import Tensor
 
+from attacks.observe.repairs import median_of_neighbours
 from attacks.transformations.draws import PictureChange, change_picture
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.cameras.directions import Point, sun_direction
@@ -35,10 +40,11 @@ from mi_splat.comparison.methods import RENDERERS, load_method
 from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.fields import Checked, at_least, between
 from mi_splat.io import SplatLossWarning, load_splat, save_splat
+from mi_splat.maths.rotation import to_matrix
 from mi_splat.maths.sh import MAX_DEGREE, colour_to_dc
 from mi_splat.registry import Registry
 from mi_splat.render.renderer import Renderer, RenderSettings
-from mi_splat.render.scene_files import SAMPLES, MixedScene
+from mi_splat.render.scene_files import SAMPLES, MixedScene, resized
 from mi_splat.scene import GaussianScene
 
 OWN = "own renderer"
@@ -47,6 +53,9 @@ _CHANGE = re.compile(
     r"(?P<kind>noise|blur) (?P<size>[0-9]{1,2}(\.[0-9]{1,4})?)|JPEG"
     r" (?P<jpeg>[1-9][0-9]?)"
 )
+_BITS = re.compile(r"([1-7]) bits")
+_TURN = re.compile(r"(-?[0-9]{1,3}(?:\.[0-9]{1,4})?) degrees?")
+_SIZE = re.compile(r"([0-9]{1,2}(?:\.[0-9]{1,4})?) x size")
 _DISTANCE = re.compile(r"([0-9]{1,3}(?:\.[0-9]{1,4})?) x distance")
 _HOUR = re.compile(r"[0-2]\d:[0-5]\d")
 Shown = tuple[GaussianScene, RenderFn]
@@ -136,10 +145,12 @@ def condition_of(name: str, viewing: Viewing) -> Condition:
     own = renderer_of("", viewing.settings)
     if name in FORMS:
         return rendered(name, own, FORMS[name])
-    moved = _DISTANCE.fullmatch(name)
-    if moved is not None:
-        move = partial(_moved, factor=float(moved[1]), centre=viewing.centre)
+    move = _move_of(name, viewing.centre)
+    if move is not None:
         return replace(rendered(name, own), move=move)
+    bits = _BITS.fullmatch(name)
+    if bits is not None:
+        return rendered(name, _with_bits(own, int(bits[1])))
     change = picture_change(name)
     if change is not None:
         return _changed(name, own, change)
@@ -177,7 +188,8 @@ def check_condition(name: str, sun: SunTable | None) -> None:
     known = (*RENDERERS, *FORMS, *CONDITIONS)
     is_known = (
         name in ("", *known)
-        or _DISTANCE.fullmatch(name)
+        or _move_of(name, (0.0, 0.0, 0.0)) is not None
+        or _BITS.fullmatch(name)
         or picture_change(name) is not None
     )
     if sun is not None and _HOUR.fullmatch(name):
@@ -214,6 +226,51 @@ def _on_background(
         return render(scene, camera) + (1 - covered) * torch.tensor(background).to(
             covered
         )
+
+    return picture
+
+
+def _move_of(name: str, centre: Point) -> Callable[[Camera], Camera] | None:
+    """Where a condition puts a camera, or which size it gives its images; None for one
+    that does neither.
+    """
+    distance = _DISTANCE.fullmatch(name)
+    if distance is not None:
+        return partial(_moved, factor=float(distance[1]), centre=centre)
+    turn = _TURN.fullmatch(name)
+    if turn is not None:
+        return partial(_turned, degrees=float(turn[1]), centre=centre)
+    size = _SIZE.fullmatch(name)
+    if size is not None and float(size[1]) > 0:
+        return partial(_scaled, factor=float(size[1]))
+    return None
+
+
+def _turned(camera: Camera, *, degrees: float, centre: Point) -> Camera:
+    """The camera turned about a point, around the axis that is vertical in its
+    image.
+    """
+    half = math.radians(degrees) / 2
+    down = camera.to_world[:3, 1].double()
+    quaternion = torch.cat([down.new_tensor([math.cos(half)]), -math.sin(half) * down])
+    pivot = torch.tensor(centre, dtype=torch.float64)
+    return camera.turned(to_matrix(quaternion), pivot)
+
+
+def _scaled(camera: Camera, *, factor: float) -> Camera:
+    """The camera with other numbers of pixels."""
+    return resized(
+        camera, (round(camera.width * factor), round(camera.height * factor))
+    )
+
+
+def _with_bits(render: RenderFn, bits: int) -> RenderFn:
+    """A renderer whose images have so many bits for each colour channel."""
+    steps = 2**bits - 1
+
+    def picture(scene: GaussianScene, camera: Camera) -> Tensor:
+        image = render(scene, camera).clamp(0, 1)
+        return image.mul(steps).round().div(steps)
 
     return picture
 
@@ -283,9 +340,13 @@ FORMS: Mapping[str, Callable[[GaussianScene], GaussianScene]] = {
         f"SH of degree {degree}": partial(fewer_bands, degree=degree)
         for degree in range(MAX_DEGREE + 1)
     },
+    **{
+        f"median of {count} neighbours": partial(median_of_neighbours, count=count)
+        for count in (4, 8, 16)
+    },
 }
-"""What becomes of a splat in other formats, with SH in half precision, and with fewer
-SH bands.
+"""What becomes of a splat in other formats, with SH in half precision, with fewer SH
+bands, and smoothed by a defender.
 """
 
 

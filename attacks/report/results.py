@@ -50,6 +50,7 @@ RESULT_KINDS = (
     ),
     ResultKind("poison-study", "poison:read_study", "studies.poison_figures:figures"),
     ResultKind("audit", "audit:read_audit"),
+    ResultKind("image-audit", "image_audit:read_image_audit"),
     ResultKind("evaluate", "detectors:read_evaluation", "observe.comparison:figures"),
     ResultKind("bench", "detectors:read_bench", "bench.row:figures"),
 )

@@ -5,6 +5,8 @@ a file, `study = "dagger-eot"` from all cameras of a region. Seed 0 looks from t
 scene's own cameras and starts at the clean splat; another one turns these cameras about
 the object by up to 6 degrees, moves them by up to 5 %, and starts at a random point of
 the ball. Cameras of a file stay where they are. In a region the seed draws the views.
+With a table `around` (a `CameraCone`), an attack is made for the views around its
+camera and for changed images (`pictures`), and plain held-out images judge it.
 
 Settings are the fields of `Attack`, and in their place `scene`, `aim`, `target` and
 `objective`, `seed`, `cameras` (the path of a file, or a table that is a region), and in
@@ -21,7 +23,7 @@ from typing import Any
 
 import polars as pl
 
-from attacks.dagger.config import REGION
+from attacks.dagger.config import NARROW_CHANGES, REGION, narrow_defaults
 from attacks.detectors.registry import DetectorSpec, detector_spec, load_detector
 from attacks.figures.frame import Figures
 from attacks.figures.tables import Table
@@ -46,6 +48,11 @@ from attacks.studies.result import figures, shared_apart, views_of
 from attacks.studies.running import Attempt, Observed, Work, bisection, check_apart
 from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
 from attacks.studies.tables import tables
+from attacks.transformations.config import (
+    CameraCone,
+    PictureChanges,
+    Transformations,
+)
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import FieldError, check_choice, decode
@@ -65,6 +72,7 @@ alone.
 _ELSEWHERE = ("fingerprints", "packages", "transformations", "judged")
 """Fields of attacks that are no settings."""
 _OF_CAMERAS = ("camera", "views", "renderer", "gradient")
+_AROUND = "around"
 _OF_REGION = (CAMERAS, "pictures", "judged_pictures")
 """Settings of attacks from cameras, and from a region, alone."""
 _UNBOUND = 1e9
@@ -139,7 +147,8 @@ class Judge:
             }
             of |= {
                 "views": min(self.views, attack.held_out),
-                "transformations": config.transformations,
+                "camera": config.camera,
+                "transformations": config.judged or config.transformations,
             }
         splat = SPLAT if config.transformations is None else WHOLE_SPLAT
         renderer = config.renderer
@@ -185,7 +194,7 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
         "target",
         "seed",
         *sorted(names),
-        *(_OF_REGION if region else (CAMERAS,)),
+        *(_OF_REGION if region else (CAMERAS, _AROUND, "pictures")),
     )
     for key in values:
         check_choice(f"key in {where}", key, known)
@@ -205,15 +214,25 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
             attack["seed"],
             "write seed above the tables",
         )
+    around = dict[str, Any]()
     if region:
         views = {name: values.pop(name) for name in _OF_REGION if name in values}
         judged = views.pop("judged_pictures", None)
         values["transformations"], attack = views, {**REGION, **attack}
         values["judged"] = None if judged is None else {**views, "pictures": judged}
+    elif _AROUND in values:
+        cone = decode(CameraCone, values.pop(_AROUND), f"{where}, {_AROUND}")
+        table = {**NARROW_CHANGES, **values.pop("pictures", {})}
+        changes = decode(PictureChanges, table, f"{where}, pictures")
+        drawn_from = Transformations(cameras=cone, pictures=changes)
+        around = {"transformations": drawn_from, "judged": drawn_from.plain}
+        attack = {**narrow_defaults(attack), **attack}
+    elif "pictures" in values:
+        raise FieldError.of(where, "around beside pictures", "none", "add it")
     elif attack["seed"] > 0:
         attack["random_start"] = True
     values |= {"attack": attack, "objective": _objective(values, where)}
-    config = decode(Attack, values, where)
+    config = dataclasses.replace(decode(Attack, values, where), **around)
     for name in config.attack.attributes:
         # what is judged under conditions is looked for where the clean object is
         check_choice(f"{where}, attributes", name, ATTRIBUTES)

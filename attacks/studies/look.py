@@ -28,7 +28,7 @@ from attacks.observe.observations import observe, report_cells, seen_from, verdi
 from attacks.observe.rows import ATTACKED, CLEAN, OPERATING
 from attacks.observe.views import ViewDetections, image_change
 from attacks.optimisers import NormName
-from attacks.studies.attack import AttackScene, attack_scene, detectors_of, distribution
+from attacks.studies.attack import AttackScene, attack_scene, detectors_of, drawn_views
 from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange, changing
 from mi_splat.attributes import ATTRIBUTES
@@ -153,9 +153,8 @@ def _views(
     config: Look, scene: AttackScene, subset: GaussianSubset, inputs: Mapping[str, Path]
 ) -> list[View]:
     if config.transformations is not None:
-        return distribution(scene, config.object, config.transformations).views(
-            config.seed, config.views
-        )
+        views = drawn_views(scene, config, inputs, config.transformations)
+        return views.views(config.seed, config.views)
     cameras = scene.attacked(
         config.object,
         inputs,

@@ -39,6 +39,7 @@ SETTING = "setting"
 ALL_PAIRS = "all pairs"
 SEARCH = "search"
 EVALUATION = "evaluation"
+SURVIVAL = "under a condition"
 WHITE_BOX = "white-box"
 BLACK_BOX = "black-box"
 """Labels of `access`: whether the detector that judges was attacked."""
@@ -104,12 +105,13 @@ class StudiedAttack:
 
 
 def views_of(settings: Mapping[str, Any]) -> Views:
-    """Where the views of an attack come from: the scene's cameras, those of a file,
-    drawn by seed, or a region.
+    """Where the views of an attack come from: the scene's cameras, those of a file or
+    around one of them, drawn by seed, or a region.
     """
-    if settings.get("transformations"):
+    drawn_from = settings.get("transformations")
+    if drawn_from and "angle" not in drawn_from["cameras"]:
         return "region"
-    if CAMERAS in settings:
+    if drawn_from or CAMERAS in settings:
         return "drawn"
     return "scene"
 
@@ -306,9 +308,11 @@ def _over_region(attacks: Attacks, judged: pl.DataFrame) -> Figures:
     return Figures.together([rates, _if_detected(attacks, judged)])
 
 
-def _if_detected(attacks: Attacks, judged: pl.DataFrame) -> Figures:
+def _if_detected(
+    attacks: Attacks, judged: pl.DataFrame, by: Sequence[str] = ()
+) -> Figures:
     """How often attacks, and their controls, succeed in views in which the clean object
-    is detected.
+    is detected, for each value of some columns.
 
     Views of one drawn camera, or of one part of a region, are not independent: they are
     a cluster.
@@ -326,14 +330,18 @@ def _if_detected(attacks: Attacks, judged: pl.DataFrame) -> Figures:
         rows = rows.with_columns(place=pl.col("attack").replace_strict(places))
         clusters = ("place", "seed")
     rows = rows.filter(pl.col("splat") != CLEAN)
-    rates = count(rows, IF_DETECTED, ("splat",), clusters=clusters)
+    labels = (*by, "splat")
+    rates = count(rows, IF_DETECTED, labels, clusters=clusters)
     detected = rows.filter(IF_DETECTED["detected"].holds)
-    medians = detected.group_by("splat", maintain_order=True).agg(
+    medians = detected.group_by(labels, maintain_order=True).agg(
         pl.col("object_psnr").median()
     )
     psnr = Figures.of(
-        ({MEASURE: "psnr_object_if_detected", "splat": splat}, median)
-        for splat, median in medians.iter_rows()
+        (
+            {MEASURE: "psnr_object_if_detected", **dict(zip(labels, key, strict=True))},
+            median,
+        )
+        for *key, median in medians.iter_rows()
     )
     return Figures.together([rates, psnr])
 
@@ -364,6 +372,12 @@ def _evaluations(attacks: Attacks, rows: pl.DataFrame) -> Iterator[Figures]:
         return
     paired = with_control(rows.with_columns(pl.col("target_score").fill_null(0.0)))
     by = ("condition", "detector")
+    drawn = {name: one for name, one in attacks.items() if one.views == "drawn"}
+    for labels, members in _grouped(drawn, (*POOLED, CAMERA)):
+        if not set(rows.columns) >= _OF_REGION:
+            break
+        survived = _if_detected(members, rows, by)
+        yield survived.labelled(scope=SURVIVAL, **labels)
     for labels, members in _grouped(attacks, POOLED):
         mine = paired.filter(pl.col("attack").is_in([*members]))
         first = next(iter(members.values()))

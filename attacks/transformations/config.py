@@ -5,6 +5,8 @@ So "light" means here what a camera makes of it: exposure, white balance and gam
 the picture.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -22,6 +24,14 @@ from mi_splat.fields import (
 )
 
 _LEAST_MOST = Metavar("LEAST MOST")
+
+
+def check_interval(name: str, interval: tuple[float, float]) -> None:
+    """Raise unless an interval's lower end comes first."""
+    if interval[0] > interval[1]:
+        raise InvalidValueError.of(
+            name, "two numbers, the lower one first", interval, "change their order"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,18 +68,34 @@ class CameraRegion:
     def __post_init__(self) -> None:
         check(self)
         for name in ("azimuths", "elevations", "distances"):
-            interval = getattr(self, name)
-            if interval[0] > interval[1]:
-                raise InvalidValueError.of(
-                    name,
-                    "two numbers, the lower one first",
-                    interval,
-                    "change their order",
-                )
+            check_interval(name, getattr(self, name))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PictureChanges(Checked):
+class CameraCone(Checked):
+    """Cameras around a chosen one, which is turned about the middle of the object.
+
+    The object stays where it is in the image. With an angle and a margin of 0, every
+    camera is the chosen one.
+
+    Attributes:
+        angle: Largest angle between the directions in which a camera and the chosen one
+            see the object's middle; directions are drawn evenly from this cone.
+        margin: Largest change of the distance, as a fraction of the chosen camera's.
+        least_visible: Fraction of the image that the object must cover, or another
+            camera is drawn.
+
+    Raises:
+        InvalidValueError: A value is out of its range.
+    """
+
+    angle: Annotated[float, between(0, 180, "degrees")] = 10.0
+    margin: Share = 0.1
+    least_visible: Fraction = 0.005
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureChanges:
     """What may happen to a picture between the renderer and the detector; by default
     nothing.
 
@@ -86,6 +112,12 @@ class PictureChanges(Checked):
         noise: Largest standard deviation of Gaussian noise; the picture's values lie in
             [0, 1].
         jpeg: Lowest JPEG quality, at most 95; the highest is 95. 0 for no JPEG.
+        plain: Share of the images that stay as they are, whatever may happen to the
+            others. An attack on changed images alone finds plain ones at the edge of
+            what it was made for.
+        sizes: Least and most factor of the image's size: the camera has so many times
+            the pixels on each side. Half of the images keep their size; the logarithm
+            of the others' factor is drawn evenly.
 
     Raises:
         InvalidValueError: A value is out of its range.
@@ -98,6 +130,14 @@ class PictureChanges(Checked):
     resize: Annotated[PositiveFraction, Metavar("FACTOR")] = 1.0
     noise: Annotated[float, at_least(0)] = 0.0
     jpeg: Annotated[int, between(0, 95, "quality", "0 is no JPEG")] = 0
+    plain: Fraction = 0.0
+    sizes: Annotated[
+        tuple[float, float], between(0.1, 8, "times the size"), _LEAST_MOST
+    ] = (1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        check(self)
+        check_interval("sizes", self.sizes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,5 +149,19 @@ class Transformations:
         pictures: What happens to the pictures.
     """
 
-    cameras: CameraRegion = field(default_factory=CameraRegion)
+    cameras: CameraRegion | CameraCone = field(default_factory=CameraRegion)
     pictures: PictureChanges = field(default_factory=PictureChanges)
+
+    @property
+    def plain(self) -> Transformations:
+        """The same cameras, with images as they are rendered."""
+        return Transformations(cameras=self.cameras)
+
+    @property
+    def elevations(self) -> tuple[float, float] | None:
+        """Where the cameras of a region are, degrees above the ground; None around a
+        chosen camera.
+        """
+        if isinstance(self.cameras, CameraCone):
+            return None
+        return self.cameras.elevations

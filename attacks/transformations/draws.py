@@ -18,14 +18,18 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from attacks.transformations.config import CameraRegion, PictureChanges
+from attacks.transformations.config import CameraCone, CameraRegion, PictureChanges
 from mi_splat.cameras.camera import Camera, RenderFn, orbit_pose
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
+from mi_splat.maths.rotation import from_z, to_matrix
 from mi_splat.maths.srgb import tensor_to_linear, tensor_to_srgb
+from mi_splat.render.scene_files import resized
 from mi_splat.scene import GaussianScene
 
 _BEST_QUALITY = 95
+_SAME_SIZE = 0.5
+"""Share of the images that keep their size, where others get another one."""
 _DARK = 1e-4
 """Pictures are kept this far from 0 where a power has no derivative."""
 
@@ -58,6 +62,49 @@ def draw_camera(
         distance=unit * _between(region.distances, distance),
     )
     return dataclasses.replace(reference, to_world=pose)
+
+
+def draw_around(
+    cone: CameraCone,
+    generator: np.random.Generator,
+    *,
+    centre: Sequence[float],
+    reference: Camera,
+) -> Camera:
+    """The chosen camera, turned about a point and moved along the line to it."""
+    share, turned_by, distance = generator.uniform(size=3).tolist()
+    # Even in the cosine, as the area of a cap of the sphere is.
+    angle = math.acos(1 - share * (1 - math.cos(math.radians(cone.angle))))
+    middle = torch.tensor(list(centre), dtype=torch.float64)
+    away = reference.position.to("cpu", torch.float64) - middle
+    turned = reference.turned(_tilt(away, 2 * math.pi * turned_by, angle), middle)
+    factor = 1 + cone.margin * (2 * distance - 1)
+    pose = turned.to_world.clone()
+    pose[:3, 3] = middle + factor * (pose[:3, 3] - middle)
+    return dataclasses.replace(turned, to_world=pose)
+
+
+def _tilt(direction: Tensor, towards: float, angle: float) -> Tensor:
+    """(3, 3) float64, the rotation by an angle about an axis across a direction; angles
+    in radians.
+    """
+    along = from_z(direction)
+    axis = math.cos(towards) * along[:, 0] + math.sin(towards) * along[:, 1]
+    real = torch.tensor([math.cos(angle / 2)], dtype=torch.float64)
+    return to_matrix(torch.cat([real, math.sin(angle / 2) * axis]))
+
+
+def draw_size(
+    changes: PictureChanges, generator: np.random.Generator, camera: Camera
+) -> Camera:
+    """The camera with another number of pixels, or as it is."""
+    is_other, share = generator.uniform(size=2).tolist()
+    if changes.sizes == (1.0, 1.0) or is_other < _SAME_SIZE:
+        return camera
+    least, most = (math.log(factor) for factor in changes.sizes)
+    factor = math.exp(least + (most - least) * share)
+    size = (round(camera.width * factor), round(camera.height * factor))
+    return resized(camera, size)
 
 
 def _between(interval: tuple[float, float], share: float) -> float:
@@ -100,6 +147,8 @@ def draw_change(
     exposure, red, blue, gamma, blur, resize, noise, jpeg, seed = generator.uniform(
         size=9
     ).tolist()
+    if changes.plain and generator.uniform() < changes.plain:
+        return PictureChange()
     light = 2.0 ** (changes.exposure * (2 * exposure - 1))
     red, blue = (1 + changes.white_balance * (2 * share - 1) for share in (red, blue))
     return PictureChange(

@@ -15,20 +15,20 @@ from mi_splat import _lazy
 
 if TYPE_CHECKING:
     from mi_splat.audit.auditing import audit
-    from mi_splat.audit.pictures import PictureAudit, audit_pictures
+    from mi_splat.audit.images import ImageAudit, audit_images
     from mi_splat.audit.repair import repaired
     from mi_splat.audit.results import Audit, Look, ObjectAudit, Occluder, Pair, Region
 
 __all__ = [
     "Audit",
+    "ImageAudit",
     "Look",
     "ObjectAudit",
     "Occluder",
     "Pair",
-    "PictureAudit",
     "Region",
     "audit",
-    "audit_pictures",
+    "audit_images",
     "repaired",
 ]
 
@@ -36,7 +36,7 @@ __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
         "mi_splat.audit.auditing": ("audit",),
-        "mi_splat.audit.pictures": ("PictureAudit", "audit_pictures"),
+        "mi_splat.audit.images": ("ImageAudit", "audit_images"),
         "mi_splat.audit.repair": ("repaired",),
         "mi_splat.audit.results": (
             "Audit",

@@ -167,11 +167,9 @@ def _shows(camera: Camera, point: Tensor) -> bool:
 
 
 def cameras_in_frame(
-    frame: Frame, cameras: Sequence[Camera], longer_side: int | None
+    frame: Frame, cameras: Sequence[Camera], longer_side: int
 ) -> tuple[Camera, ...]:
-    """Cameras of the world in the frame, not too many of them, and small unless
-    `longer_side` is None.
-    """
+    """Cameras of the world in the frame, not too many of them, and small."""
     cameras = as_cameras(cameras)
     if len(cameras) < LIMITS.least_cameras:
         do = "pass those of the training pictures, or none"
@@ -188,10 +186,7 @@ def cameras_in_frame(
     world = frame.to_world
     moved = []
     for camera in (cameras[number] for number in numbers):
-        if longer_side is None:
-            factor = 1.0
-        else:
-            factor = longer_side / max(camera.width, camera.height)
+        factor = longer_side / max(camera.width, camera.height)
         size = (
             max(8, round(camera.width * factor)),
             max(8, round(camera.height * factor)),
@@ -209,7 +204,6 @@ def judged_object(
     frame: Frame,
     target: Target,
     cameras: tuple[Camera, ...],
-    pictures: Sequence[Tensor] | None = None,
     *,
     beside: Sequence[Target] = (),
     in_room: bool = False,
@@ -223,13 +217,13 @@ def judged_object(
     """
     rows = in_sight(frame.scene, target, cameras)
     scene = frame.scene.select(rows)
-    view = sight(scene, target, cameras, pictures)
+    view = sight(scene, target, cameras)
     pieces = elements(view, target)
-    full = pictures is None and not target.surrounds
+    full = not target.surrounds
     pieces = own_surface(frame.scene, pieces, target, beside) if full else pieces
     if not bool(pieces.judged.any()):
         return None
-    threshold = LIMITS.net if pictures is None else LIMITS.image_net
+    threshold = LIMITS.net
     surface_looks = looks_of(pieces, view, LIMITS.suspicion * threshold)
     able = pieces.judged & reachable(pieces, view)
     looks = [
@@ -261,11 +255,11 @@ def judged_object(
         and dataclasses.replace(occluder, axis=_turned(frame, occluder.axis)),
         edit=edit_of(frame, target) if full else None,
         in_room=in_room or target.surrounds,
-        plain=pictures is None and not bool(frame.scene.sh[:, 1:].any()),
+        plain=not bool(frame.scene.sh[:, 1:].any()),
         roofed=full and not in_room and is_roofed(frame.scene, target),
     )
     heat = torch.zeros(len(frame.scene))
-    if judged.look.evidence >= LIMITS.suspicion and pictures is None:
+    if judged.look.evidence >= LIMITS.suspicion:
         heat[rows] = heat_of(scene, pieces, view, by_piece, target, judged.looks)
     if judged.covered:
         heat[rows] = torch.maximum(heat[rows], cover_heat(scene, view, covered, target))

@@ -17,7 +17,6 @@ from torch import Tensor
 
 from mi_splat.audit.against import Changes
 from mi_splat.audit.linting import Lint, overdraw_picture
-from mi_splat.audit.pictures import PictureAudit
 from mi_splat.audit.results import (
     Audit,
     Look,
@@ -32,7 +31,6 @@ from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras.camera import Camera
 from mi_splat.cameras.framing import near_plane
 from mi_splat.cameras.rooms import ROOMS
-from mi_splat.datasets import Dataset
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json
@@ -273,67 +271,6 @@ def _address(file: str) -> str:
     if path.is_absolute():
         return path.as_uri()
     return quote(os.fsencode(path.as_posix()))
-
-
-UNNAMED = (
-    "which images of the set were changed is not said: no measure that names them has"
-    " been found reliable"
-)
-
-
-def document_of_pictures(judged: PictureAudit, count: int) -> dict[str, Any]:
-    """An audit of the images of a set as JSON can hold it; `count` is the number of all
-    images.
-    """
-    values = document(judged.audit)
-    compared = len(judged.numbers)
-    summary = [*values["summary"], UNNAMED]
-    if compared < count:
-        summary.append(
-            f"{compared} of the {count} images of the set were compared; nothing is"
-            " said of the others"
-        )
-    return {
-        **values,
-        "summary": summary,
-        "images_in_set": count,
-        "images_compared": compared,
-    }
-
-
-def write_pictures(
-    judged: PictureAudit,
-    views: Dataset,
-    folder: str | os.PathLike[str],
-    *,
-    account: dict[str, Any],
-    source: str,
-    force: bool = False,
-) -> list[Path]:
-    """Write the files of an audit of pictures into a new folder, whole or not at
-    all.
-    """
-    longer = max(max(camera.width, camera.height) for camera in views.cameras)
-    shown = dataclasses.replace(
-        views, downscale=views.downscale * max(1, longer // PICTURE)
-    )
-
-    def show(pair: Pair) -> NDArray[np.uint8]:
-        return side_by_side(
-            [shown[int(judged.numbers[number])].image for number in pair.numbers]
-        )
-
-    target = Path(folder)
-    with new_folder(target, force=force) as temporary:
-        pairs = save_pairs(judged.audit, temporary, show)
-        save_json(
-            {"story": "audit", "file": source, **account, **pairs, **origin()},
-            temporary / RECORD,
-        )
-    return [
-        target / name
-        for name in (RECORD, *(picture["file"] for picture in pairs["pictures"]))
-    ]
 
 
 PAIR = "pair.png"

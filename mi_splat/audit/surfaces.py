@@ -61,7 +61,6 @@ def sight(
     scene: GaussianScene,
     target: Target,
     cameras: Sequence[Camera],
-    pictures: Sequence[Tensor] | None = None,
 ) -> Sight:
     """Look at an object from all cameras."""
     render = Renderer(RenderSettings(background=SKY, near=near_of(target, cameras)))
@@ -79,8 +78,7 @@ def sight(
             clear.append(_clear(outputs, ahead, camera, target))
             points, normals, shown = _surface(outputs, ahead, camera, target)
             pixels = shown.flatten().nonzero()[:, 0]
-            image = outputs.image if pictures is None else pictures[number]
-            colours = image.flatten(0, 1)[pixels].clamp(0, 1)
+            colours = outputs.image.flatten(0, 1)[pixels].clamp(0, 1)
             geometry = torch.cat([points, normals]).flatten(1)[:, pixels].T
             values = torch.cat([geometry, colours], 1)
             keys, seen = torch.unique(_keys(values, target), return_inverse=True)

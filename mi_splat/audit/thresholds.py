@@ -14,8 +14,6 @@ class Thresholds:
     # Drift (sRGB) beyond gloss, times its share, from which a look is hidden; see
     # docs/audit.md.
     net: float = 0.0004
-    # The same for images of a data set, of which a piece of surface has fewer pixels.
-    image_net: float = 0.002
     suspicion: float = 0.15  # Share of that from which a splat is suspicious.
     # Support of an appearance below which it is called fog: suspicious, and never
     # hidden.
@@ -222,13 +220,6 @@ class Thresholds:
     # Radii from the middle to the places that are tried.
     edit_distances: tuple[float, ...] = (2.0, 3.5)
     edit_directions: int = 600  # That are tried.
-
-    # Sets of images
-    longer_side: int = 96  # Pixels of an image at least, where the set has more.
-    surface_steps: int = 600  # Of the training that finds the surface.
-    surface_gaussians: int = 8000
-    piece_pixels: float = 2.5  # Across a piece of surface.
-    least_across: int = 8  # Pieces along the diameter of an object.
 
     # Repair
     # Degrees off the others; the first that leaves,

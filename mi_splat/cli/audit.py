@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cli.console import UsageError, note, progress, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import (
@@ -47,17 +46,17 @@ FOUND = 3
 @dataclass(frozen=True, kw_only=True)
 class AuditOptions(JsonOptions):
     """Say whether a splat shows something from some directions only, which Gaussians
-    carry it, and what is wrong in it.
+    carry it, and what is wrong in it; or whether images of a set contradict others.
 
-    Nothing but the file is used. Exit status: 0 nothing found, 3 a hidden look or an
-    error of lint, 1 it could not be judged. What no file can tell, its page in the
-    documentation says. Many files: `mi-splat gate`.
+    Nothing but the file is used. Exit status: 0 nothing found, 3 a hidden look, two
+    groups of images or an error of lint, 1 it could not be judged. What no file can
+    tell, its page in the documentation says. Many files: `mi-splat gate`.
     """
 
     file: Positional[Path]
     """Splat file of any format that is read, scene XML made of splats, or folder of
-    images with cameras. Images are checked, before any training, for an appearance that
-    others contradict; which of them show it is not said.
+    images with cameras. Images are compared before any training: where they fall into
+    two groups that contradict each other, both are named.
     """
     cameras: Annotated[tuple[str, ...], Metavar("CAMERAS")] = ()
     """Those of the training pictures, in the forms that `mi-splat render` takes, the
@@ -71,9 +70,8 @@ class AuditOptions(JsonOptions):
     the ground that is found.
     """
     downscale: Annotated[int, between(1, 64, "times smaller"), Metavar("FACTOR")] = 1
-    """Read the pictures of a set so many times smaller, from its folder images_2 and so
-    on if it is there. They are compared at 96 pixels anyway, so that this saves time
-    and memory alone.
+    """Read the images of a set so many times smaller. They are compared at 400 to 800
+    pixels anyway, so that this only saves time and memory.
     """
     out: OutFolder | None = None
     """Folder for result.json, the two pictures that prove a look, the splat coloured by
@@ -109,7 +107,7 @@ def run(options: AuditOptions) -> int:
     _check_outputs(options)
     document = _audited(options)
     show_result(document, *_lines(document), as_json=options.json)
-    bad = {"hidden look", "error"} | (
+    bad = {"hidden look", "two groups", "error"} | (
         {"suspicious", "changed"} if options.strict else set()
     )
     if bad & _verdicts(document):
@@ -135,7 +133,7 @@ def _check_flags(options: AuditOptions) -> None:
     from mi_splat.datasets import is_dataset
 
     is_set = is_dataset(options.file)
-    pictures = f"the pictures {options.file}"
+    pictures = f"the images {options.file}"
     only_lint = options.only == "lint"
     looks = "hidden looks to be looked for"
     refused: list[tuple[str, object, str, object, str]] = [
@@ -168,7 +166,7 @@ def _check_flags(options: AuditOptions) -> None:
             "leave it out",
         ),
     ]
-    for name in ("cameras", "only", "repair", "against") if is_set else ():
+    for name in ("cameras", "up", "only", "repair", "against") if is_set else ():
         refused.append(
             (f"--{name}", getattr(options, name), "a splat", pictures, "leave it out")
         )
@@ -241,7 +239,7 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
     path = options.file
     folder = options.out
     if is_dataset(path):
-        return _audited_pictures(path, folder, options)
+        return _audited_images(path, folder, options)
     with progress(f"auditing {path.name}"):
         loaded = open_scene(path) if path.suffix.lower() == ".xml" else None
         stored = None
@@ -286,27 +284,24 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
     return {"file": str(path), **account, "files": [str(file) for file in files]}
 
 
-def _audited_pictures(
+def _audited_images(
     path: Path, folder: Path | None, options: AuditOptions
 ) -> dict[str, Any]:
-    from mi_splat.audit.files import document_of_pictures, write_pictures
-    from mi_splat.audit.pictures import audit_pictures
+    from mi_splat.audit.image_files import (
+        document_of_images,
+        image_names,
+        write_image_audit,
+    )
+    from mi_splat.audit.images import audit_images
     from mi_splat.datasets import load_dataset
 
-    views, rest = (
-        load_dataset(path, split=split, downscale=options.downscale)
-        for split in ("train", None)
-    )
-    with progress(
-        f"finding the surface in {path.name}", total=LIMITS.surface_steps
-    ) as advance:
-        judged = audit_pictures(
-            views, up=options.up, on_step=lambda done, of: advance()
-        )
-    account = document_of_pictures(judged, len(rest))
+    views = load_dataset(path, split=None, downscale=options.downscale)
+    with progress(f"comparing the images of {path.name}", total=None) as advance:
+        judged = audit_images(views, on_step=lambda done, of: advance())
+    account = document_of_images(judged, image_names(views))
     files = list[Path]()
     if folder:
-        files = write_pictures(
+        files = write_image_audit(
             judged,
             views,
             folder,

@@ -10,11 +10,25 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from mi_splat.cli.console import limit_threads, progress, show_result, warn
+from mi_splat.cli.console import (
+    UsageError,
+    limit_threads,
+    progress,
+    show_result,
+    warn,
+)
 from mi_splat.cli.flags import Positional, choice_among
 from mi_splat.cli.options import Colour, JsonOptions
-from mi_splat.errors import InvalidValueError, counted
-from mi_splat.fields import Folder, Length, Metavar, OutFolder, Seed, at_least, between
+from mi_splat.errors import InvalidValueError, counted, nearest
+from mi_splat.fields import (
+    Folder,
+    Length,
+    Metavar,
+    OutFolder,
+    Seed,
+    at_least,
+    between,
+)
 from mi_splat.io.parsing import read_json
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import STRATEGIES, strategy_config, strategy_name
@@ -30,6 +44,7 @@ EXAMPLES = (
     "train out/truck --out out/truck-splat --iterations 7000",
     "train YOUR_SET --out out/desk --downscale 2 --max-gaussians 200000",
     "train out/truck --out out/mcmc --strategy mcmc --max-gaussians 50000",
+    "train RECEIVED --out out/splat --robust",
 )
 
 _STRATEGY = strategy_name(FitConfig().strategy)
@@ -85,6 +100,16 @@ class TrainOptions(JsonOptions):
     """Which step's splat is written: the best evaluation on the held-out images, which
     matters where few photographs overfit, or the last.
     """
+    trust: Literal["A", "B"] | None = None
+    """Audit the images first, and train without the group that is not named here: A is
+    the larger of two groups that contradict each other, B the smaller. Where no groups
+    do, all are used. See `mi-splat audit SET`.
+    """
+    robust: bool = False
+    """As --trust A, but stop with exit status 3 where the two groups are nearly equal.
+    """
+    leave_out: tuple[str, ...] = ()
+    """Names of images that are not used, as `mi-splat audit SET` gives them."""
     checkpoint_every: Annotated[int, at_least(1, "steps", "1000 is usual")] = 1000
     """Steps between two checkpoints."""
     seed: Seed = 0
@@ -108,6 +133,8 @@ end as well (see docs/performance.md).
 """
 EVAL_INTERVAL = 500
 """Steps between two evaluations, of which the best is kept."""
+UNTRUSTED = 3
+"""Exit status where the images fall into two groups of nearly one size."""
 FEW_VIEWS = 10
 """Training views below which a splat is warned of."""
 RANDOM_START = 10_000
@@ -116,18 +143,54 @@ CULLED = 0.001
 """Share of the Gaussians from which it is said that the near plane hides them."""
 
 
-def run(options: TrainOptions) -> None:
+def run(options: TrainOptions) -> int:
     """Train, or go on with a training, and say what came of it."""
     from mi_splat.io.folders import own_folder
     from mi_splat.render.variant import check_device
     from mi_splat.training.resume import CHECKPOINT, CONFIG
 
     check_device(options.device)
+    left_out = _left_out(options)
+    if left_out is None:
+        return UNTRUSTED
     with own_folder(options.out, CONFIG, CHECKPOINT):
-        _train(options)
+        _train(options, left_out)
+    return 0
 
 
-def _train(options: TrainOptions) -> None:
+def _left_out(options: TrainOptions) -> frozenset[Path] | None:
+    """The files of the images that are not used; None where the images fall into groups
+    of which neither can be trusted.
+    """
+    if options.robust and options.trust is not None:
+        raise UsageError.of(
+            "--robust", "no --trust", f"--trust {options.trust}", "leave one out"
+        )
+    if not (options.robust or options.trust or options.leave_out):
+        return frozenset()
+    from mi_splat.audit.image_files import image_names, summary_of
+    from mi_splat.audit.images import audit_images
+    from mi_splat.datasets import load_dataset
+
+    views = load_dataset(options.dataset, split=None)
+    paths = dict(zip(image_names(views), views.paths, strict=True))
+    for name in options.leave_out:
+        if name not in paths:
+            do = nearest(name, tuple(paths), "see the names in `mi-splat audit SET`")
+            raise UsageError.of("--leave-out", "an image of the set", name, do)
+    left_out = {paths[name] for name in options.leave_out}
+    if options.robust or options.trust:
+        with progress("comparing the images"):
+            audit = audit_images(views)
+        warn("; ".join(summary_of(audit, tuple(paths))))
+        if options.robust and audit.is_nearly_equal:
+            return None
+        dropped = audit.left_out(options.trust or "A").nonzero()[:, 0]
+        left_out |= {views.paths[number] for number in dropped.tolist()}
+    return frozenset(left_out)
+
+
+def _train(options: TrainOptions, left_out: frozenset[Path]) -> None:
     from mi_splat.cameras.framing import near_plane
     from mi_splat.datasets import load_dataset
     from mi_splat.training.resume import train
@@ -141,8 +204,13 @@ def _train(options: TrainOptions) -> None:
             downscale=options.downscale,
             background=options.background,
         )
-        views = load(split="train")
-        held_out = load(split="test")
+        views = load(split="train").without(left_out)
+        held_out = load(split="test").without(left_out)
+        if not len(views):
+            do = "trust the other group, or leave fewer images out"
+            raise InvalidValueError.of(
+                str(options.dataset), "images to train on", "none that is left", do
+            )
         _say_of_images(options.dataset, views, held_out)
         start = _start(views, options)
         if options.near is None:
@@ -156,6 +224,8 @@ def _train(options: TrainOptions) -> None:
             "device": options.device,
             "renderer": options.renderer,
         }
+        if left_out:
+            settings["left_out"] = sorted(path.name for path in left_out)
     _warn_of_culled(start, views, near)
     begun = time.monotonic()
     held_out_score = ""

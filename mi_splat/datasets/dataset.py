@@ -7,6 +7,7 @@ import operator
 import os
 import warnings
 from collections import OrderedDict
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, overload
@@ -143,6 +144,12 @@ class Dataset(ViewSet):
         if isinstance(index, slice):
             return dataclasses.replace(self, frames=self.frames[index])
         return View(self.cameras[index], self._read(index).image.unpack())
+
+    def without(self, paths: Collection[Path]) -> Dataset:
+        """The set without the views of some files; those of other sets are ignored."""
+        left = frozenset(paths)
+        frames = tuple(frame for frame in self.frames if frame.path not in left)
+        return dataclasses.replace(self, frames=frames)
 
     def alpha(self, index: int) -> Tensor | None:
         """(H, W) float32 in [0, 1], opacity of the picture; None if it has none."""

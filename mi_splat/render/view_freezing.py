@@ -131,11 +131,11 @@ class RecentViews:
             del self._kept[min(self._kept, key=self._uses.__getitem__)]
 
 
-def affordable_bytes() -> int:
-    """What views may take that are made again where they are dropped: little, and less
+def affordable_bytes(most: int = KEPT_BYTES) -> int:
+    """What views may take that are made again where they are dropped: `most`, and less
     where memory is short.
     """
-    return min(KEPT_BYTES, _available_bytes() // 8)
+    return min(most, _available_bytes() // 8)
 
 
 def _available_bytes() -> int:

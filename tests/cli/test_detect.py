@@ -172,6 +172,27 @@ def test_a_clean_and_an_attacked_splat_are_compared(
     assert "missed attacked, of those found clean" in text
 
 
+def test_what_is_left_of_an_attack_is_shown_for_each_condition(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["evaluate", "clean.ply", "attacked.ply", *VIEW, "--target", "person"]
+    conditions = ["--conditions", "JPEG 75", "2 x distance", "majority of 3 views"]
+    assert cli.main([*words, *conditions, "--out", "judged"]) == 0
+    told = capsys.readouterr().out
+    assert "| JPEG 75 | fake_colour |" in told
+    assert "| majority of 3 views | fake_colour |" in told
+    figures = read_figures(folder / "judged")
+    own = figures.rate("missed", detector="fake_colour")
+    assert own == figures.rate(
+        "missed", detector="fake_colour", condition="own renderer"
+    )
+    assert figures.rate("found_clean", detector="fake_colour").total == 12
+    assert cli.main(["artifact-check", "judged"]) == 0
+    assert cli.main([*words, "--conditions", "JPG 75", "--out", "wrong"]) == 1
+    assert "condition" in capsys.readouterr().err
+    assert not (folder / "wrong").exists()
+
+
 def test_a_judge_s_contradictions_are_shown(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -112,6 +112,7 @@ def of_views(result: Result, *views: JudgedView) -> Result:
         result.objective.label,
         result.config.required_views,
         None,
+        drawn=False,
     )
     return dataclasses.replace(result, views=views, looked=looked, figures=figures)
 

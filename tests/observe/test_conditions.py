@@ -1,5 +1,6 @@
 """The conditions under which splats are judged."""
 
+import math
 from typing import Any
 
 import pytest
@@ -137,6 +138,26 @@ def test_cameras_move_along_the_line_to_the_centre() -> None:
     assert torch.equal(
         far(scene, camera()), Renderer(SETTINGS)(scene, far.move(camera()))
     )
+
+
+def test_cameras_turn_about_the_centre_and_images_get_other_sizes() -> None:
+    turned = named("10 degrees").move(camera())
+    before = camera().position
+    assert float(turned.position.norm()) == pytest.approx(float(before.norm()))
+    cosine = float(turned.position @ before / before.norm() ** 2)
+    assert math.degrees(math.acos(cosine)) == pytest.approx(10.0)
+    # to the right, as the image shows it
+    assert float((turned.position - before) @ camera().to_world[:3, 0].double()) > 0
+    small = named("0.5 x size").move(camera())
+    assert (small.width, small.height) == (camera().width // 2, camera().height // 2)
+    assert small.fx == pytest.approx(camera().fx / 2)
+
+
+def test_an_image_of_few_bits_has_few_values() -> None:
+    scene, _ = toy_scene()
+    image = named("2 bits")(scene, camera())
+    assert {round(3 * value) for value in image.flatten().tolist()} <= {0, 1, 2, 3}
+    assert torch.allclose(image * 3, (image * 3).round(), atol=1e-6)
 
 
 def gaussian(**values: torch.Tensor) -> GaussianScene:

@@ -11,6 +11,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+import torch
 
 from attacks.bench.row import figures as bench_figures
 from attacks.cli import main
@@ -30,11 +31,16 @@ from attacks.observe.conditions import OWN
 from attacks.observe.rows import frame_of, write_rows
 from mi_splat import provenance
 from mi_splat.audit.files import write as write_files
+from mi_splat.audit.image_files import document_of_images, image_names
+from mi_splat.audit.image_files import write_image_audit as write_images
+from mi_splat.audit.images import ImageAudit, Split
+from mi_splat.datasets import load_dataset
 from mi_splat.io import save_splat
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import write_manifest
 from tests.audit.accounts import account, look
 from tests.dagger.toy import quick
+from tests.datasets.sets import VIEWS, write_transforms
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
 from tests.project.documented_commands import ROOT
 
@@ -203,6 +209,33 @@ def write_audit(folder: Path) -> Path:
     return folder
 
 
+def write_image_audit(folder: Path) -> Path:
+    """Two groups of three images, one of which belongs to neither."""
+    images = folder.with_name(f"{folder.name}-set")
+    write_transforms(images, VIEWS)
+    views = load_dataset(images, split=None)
+    decided = torch.tensor([True, True, False, True, True, True])
+    split = Split(
+        smaller=torch.tensor([True, True, False, False, False, False]),
+        decided=decided,
+        scores=torch.linspace(0.6, -0.6, 6),
+        sharpness=0.5,
+        gain=0.05,
+        edge=3.0,
+        difference=0.1,
+        pair=(0, 5),
+    )
+    audit = ImageAudit(count=6, points=1234, split=split)
+    write_images(
+        audit,
+        views,
+        folder,
+        account=document_of_images(audit, image_names(views)),
+        source="set",
+    )
+    return folder
+
+
 def write_bench(folder: Path) -> Path:
     """A row of a suite of which one column is filled: half of twelve views hold."""
     folder.mkdir()
@@ -264,6 +297,7 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "cloak": write_cloak,
     "cloak-study": write_cloak_study,
     "audit": write_audit,
+    "image-audit": write_image_audit,
     "bench": write_bench,
     "poison-study": partial(write_shipped, "m_ifgsm_sparse", most=30),
     "evaluate": write_evaluation,

@@ -52,7 +52,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 LINE = ["mi-splat", "some command", "a b.ply", "--out", "x"]
-UNCONTROLLED = {"audit"}
+UNCONTROLLED = {"audit", "image-audit"}
 """Kinds without a control."""
 
 

@@ -12,7 +12,7 @@ import pytest
 from attacks.figures.frame import read_figures
 from attacks.observe.rows import rows
 from attacks.studies.attack import Attack
-from attacks.studies.result import EVALUATION, SETTING
+from attacks.studies.result import EVALUATION, SETTING, SURVIVAL
 from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.camera_records import describe
@@ -128,6 +128,51 @@ def test_a_splat_is_looked_at_from_further_away_and_the_box_is_where_it_shows(
         distances.append(look.rows[0]["distance"])
     assert distances[1] == pytest.approx(1.5 * distances[0])
     assert widths[1] < widths[0]
+
+
+AROUND: dict[str, Any] = {
+    "around": {"angle": 8.0},
+    "pictures": {"sizes": [1.0, 1.0]},
+    "only_detected": True,
+    "attack": {
+        "steps": 2,
+        "batch": 1,
+        "pool": 2,
+        "validation": 2,
+        "held_out": 3,
+        "validate_every": 2,
+    },
+    "objective": {"strict": True},
+}
+
+
+def test_an_attack_around_a_camera_is_judged_from_there_on_plain_images(
+    attacked: Path, tmp_path: Path
+) -> None:
+    judge = {"matrix": {"condition": ["", "JPEG 75", "1.5 x size"]}, "views": 2}
+    matrix = {"camera": [0, 1], "attack.object_psnr": [20.0]}
+    table = {**settings(attacked), **AROUND, "matrix": matrix, "judge": judge}
+    work = work_of(table)
+    results = done(work, attacked / "store")
+    first, second = (attempt.job.config for attempt in work.attempts)
+    assert first.transformations.pictures.jpeg == 50
+    assert first.judged.pictures.jpeg == 0
+    assert first.camera != second.camera
+    attack = results[work.attempts[0].title]
+    assert isinstance(attack, Done)
+    positions = {(row["x"], row["y"], row["z"]) for row in attack.rows}
+    assert len(positions) == 3
+    work.write(results, tmp_path)
+    figures = read_figures(tmp_path).where(splat="attacked")
+    (over_cameras,) = figures.where(scope=SETTING).rates("detected")
+    assert over_cameras.total == 6
+    survived = figures.where(scope=SURVIVAL, condition="JPEG 75")
+    assert [rate.total for rate in survived.rates("detected")] == [4]
+
+
+def test_changes_of_images_need_views_around_a_camera(attacked: Path) -> None:
+    with pytest.raises(InvalidValueError, match="around beside pictures"):
+        work_of({**settings(attacked), "pictures": {"jpeg": 50}})
 
 
 def test_an_attack_that_two_parts_have_counts_in_both(

@@ -39,7 +39,7 @@ _ELSEWHERE = (
         "cost",
         "against",
     ),
-    *("images_in_set", "images_compared", "thresholds"),
+    "thresholds",
     *("command", "versions", "variant", "commit", "torch"),
 )
 _PLAIN = {
@@ -98,13 +98,12 @@ def read_audit(result: Result) -> Section:
         {"object": number, "look": index, **look}
         for number, index, look in _looks(objects)
     ]
-    of_images = "images_in_set" in record
     carried = f"{record['carrying']:,} of {record['gaussians']:,}"
     net = max(look["net"] for look in looks)
     least = looks[0]["threshold"]
     return Section(
         **shared,
-        kind="audit of images" if of_images else "audit of a splat",
+        kind="audit of a splat",
         done=f"{_done(record)} {_HOW}",
         conclusion=(
             f"{_PLAIN[record['verdict']]}"
@@ -117,7 +116,7 @@ def read_audit(result: Result) -> Section:
         ),
         figures=Figure.each(
             {
-                **({} if of_images else {"Gaussians that carry it": carried}),
+                "Gaussians that carry it": carried,
                 "solid Gaussians near an object that was looked at": (
                     f"{record['near']:.0%}"
                 ),
@@ -160,12 +159,6 @@ def _done(record: Mapping[str, Any]) -> str:
     """What was looked at."""
     objects = record["objects"]
     many = f"{counted(len(objects), 'object')} {'was' if len(objects) == 1 else 'were'}"
-    if "images_in_set" in record:
-        images = counted(record["images_compared"], "image")
-        return (
-            f"A small splat was trained on {images} of {record['file']} to know where"
-            f" the surface is, and {many} judged by the images only."
-        )
     cameras = counted(sum(len(item["seen_from"]) for item in objects), "direction")
     return (
         f"In {record['file']} ({record['gaussians']:,} Gaussians) {many} looked at from"
@@ -206,15 +199,6 @@ def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
                 f"Object {number}: its colours have shades that neither paint nor light"
                 f" explains{camera}. An attack on a detector leaves such; a training by"
                 " photographs does not"
-            )
-    if "images_in_set" in record:
-        compared = record["images_compared"]
-        count = record["images_in_set"]
-        yield "Which images of the set were changed is not said"
-        if compared < count:
-            yield (
-                f"{compared} of the {count} images were compared: nothing is said of"
-                " the others"
             )
     if record["near"] < 0.995:
         yield (

@@ -105,13 +105,15 @@ def read_attack(result: Result) -> Section:
     by_detector = groups_of(figures.where(scope=None), "detector")
     by_detector = [group for group in by_detector if group[0]["detector"] is not None]
     tables = [Table.of("Each detector", _DETECTORS, by_detector)]
+    tables += _levels(record)
     if not drawn:
         tables.append(_table_of_views(views, record))
     level = (config["required_views"], "asked for")
+    where = _where(config) if drawn else "chosen cameras"
     stated = {name: record[name] for name in _CONDITIONS if name in record}
     return Section(
-        kind=f"DAGGER, from {'all cameras of a region' if drawn else 'chosen cameras'}",
-        title=f"{title} {_wish(record, 1)}{', all cameras' if drawn else ''}",
+        kind=f"DAGGER, from {where}",
+        title=f"{title} {_wish(record, 1)}{f', from {where}' if drawn else ''}",
         done=_done(record, title, ball, many, drawn=drawn),
         conclusion=" ".join(conclusion),
         headline=Figure(
@@ -160,7 +162,9 @@ def _done(
     budget = ""
     if config.get("image_psnr") is not None:
         budget = f", while the pictures keep {config['image_psnr']:g} dB"
-    unseen = "that the search has never seen " if drawn else ""
+    unseen = (
+        f"from {_where(config)}, which the search has never seen, " if drawn else ""
+    )
     return (
         f"The Gaussians of one object ({title}: {record['object_gaussians']:,}"
         f" Gaussians, of which {record['changed_gaussians']:,} changed) were moved"
@@ -168,6 +172,31 @@ def _done(
         f" attacker knows the weights. {views} {unseen}judged the saved file in 8-bit"
         f" pictures. Success counts from a confidence of {_least_words(record)}."
     )
+
+
+def _where(config: Mapping[str, Any]) -> str:
+    """Where the cameras of a distribution are."""
+    cameras = config["judged"]["cameras"]
+    if "angle" not in cameras:
+        return "all cameras of a region"
+    return (
+        f"up to {cameras['angle']:g} degrees and {percent(cameras['margin'])} of the"
+        " distance around a chosen camera"
+    )
+
+
+def _levels(record: Mapping[str, Any]) -> Iterator[Table]:
+    """What each level of a ladder has led to, if there is one."""
+    columns: dict[str, Column[Mapping[str, Any]]] = {
+        "PSNR of the object, dB": "object_psnr",
+        "succeeds in the views that decide": lambda level: (
+            "yes" if level["success"] else "no"
+        ),
+        "score there": "score",
+        "steps": "steps",
+    }
+    if "levels" in record:
+        yield Table.of("Levels, the quietest first", columns, record["levels"])
 
 
 def _least_words(record: Mapping[str, Any]) -> str:

@@ -121,7 +121,12 @@ def read_evaluation(result: Result) -> Section:
             for name in classes
         ),
         charts=charts,
-        tables=(*sectors, *_contradicted(result, cameras), *tables),
+        tables=(
+            *sectors,
+            *_survival(figures, bool(sectors)),
+            *_contradicted(result, cameras),
+            *tables,
+        ),
         configuration=settings(
             {**stated, "cameras": cameras, "weights": record["fingerprints"]}
         ),
@@ -161,6 +166,36 @@ def _sectors(figures: Figures, detectors: list[str]) -> Iterator[Table]:
     if lines:
         caption = "Inside of the sector and elsewhere, where the clean one is detected"
         yield Table.of(caption, columns, lines)
+
+
+def _survival(figures: Figures, has_sector: bool) -> Iterator[Table]:
+    """What is left of the attack under each condition."""
+    lines: list[Mapping[str, object]] = []
+    for condition, detector in figures.having("condition").groups(
+        "condition", "detector"
+    ):
+        of_one = figures.where(condition=condition, detector=detector)
+        inside = of_one.where(split=None)
+        line: dict[str, object] = {"condition": condition, "detector": detector}
+        if has_sector:
+            line["missed"] = inside.rate("missed", scope=INSIDE)
+            line["detected"] = inside.rate("detected", scope=ELSEWHERE)
+        else:
+            line["missed"] = of_one.rate("missed")
+            line["replaced"] = of_one.rate("replaced")
+        lines.append(line)
+    if not lines:
+        return
+    caption = "Under each condition, where the clean object is detected"
+    columns: dict[str, Column[Mapping[str, object]]] = {
+        "condition": "condition",
+        "detector": "detector",
+    }
+    if has_sector:
+        columns |= {"missed inside": "missed", "detected elsewhere": "detected"}
+    else:
+        columns |= {"missed": "missed", "target and not its own class": "replaced"}
+    yield Table.of(caption, columns, lines)
 
 
 def _sector_sentence(figures: Figures, detector: str) -> str:
