@@ -191,7 +191,7 @@ def _read_arrays(path: Path, keys: Iterable[str], most: int) -> dict[str, Array]
 def _read_by_pillow(path: Path) -> FoundImage:
     from PIL import Image
 
-    with Image.open(path, formats=("PNG", "JPEG", "WEBP")) as image:
+    with Image.open(path, formats=("JPEG", "WEBP")) as image:
         if image.width * image.height > _MOST_PIXELS:
             raise ValueError(f"{image.width} x {image.height} pixels")
         return as_image(np.asarray(image.convert("RGBA")), str(path))
@@ -279,7 +279,5 @@ def _predicted(line: Array, above: Array, channels: int, *, paeth: bool) -> Arra
 
 
 _READERS: dict[str, Reader] = {".png": read_png, ".npy": read_npy}
-_PILLOW: dict[str, Reader] = dict.fromkeys(
-    (".png", ".jpg", ".jpeg", ".webp"), _read_by_pillow
-)
+_PILLOW: dict[str, Reader] = dict.fromkeys((".jpg", ".jpeg", ".webp"), _read_by_pillow)
 """By the ending of a file: those that need nothing but NumPy, and those of Pillow."""
