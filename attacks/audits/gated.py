@@ -22,9 +22,13 @@ from typing import Any
 
 from mi_splat.audit.against import changes
 from mi_splat.audit.auditing import audit
+from mi_splat.audit.bound import colour_bound
 from mi_splat.audit.files import document, findings
 from mi_splat.audit.gate import FILE, Claim, GateConfig, Row, fingerprint, sampled
+from mi_splat.audit.image_files import image_names, summary_of
+from mi_splat.audit.images import audit_images
 from mi_splat.audit.linting import Lint, lint_file
+from mi_splat.datasets import is_dataset, load_dataset
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.fields import decode
 from mi_splat.io.errors import SplatFileError, from_os_error
@@ -36,7 +40,8 @@ from mi_splat.scene import GaussianScene
 
 _CLAIM_OF: Mapping[str, Claim] = {
     **dict.fromkeys(
-        ("hidden-look", "suspicious-look", "fog", "occluder"), "hidden appearance"
+        ("hidden-look", "suspicious-look", "fog", "occluder"),
+        "hidden appearance",
     ),
     **{"edited": "edits", "overdraw": "cost"},
 }
@@ -48,6 +53,7 @@ _MADE_UP = ("/proc", "/sys")
 them may never end.
 """
 _PART = 1 << 20
+_MOST_FILES = 20_000
 
 Message = dict[str, Any]
 Say = Callable[[Message], None]
@@ -88,7 +94,7 @@ def answer(request: Mapping[str, Any], say: Say, goes_on: Callable[[], bool]) ->
             for message in _found_in(config, links):
                 say(_without(hidden, message))
             for role, link in links.items():
-                if _state(os.stat(link)) != read[role][1]:
+                if _now(link) != read[role][1]:
                     raise _changed(link)
             end: Message = {"state": "done"}
         except (MiSplatError, OSError, ValueError, MemoryError) as error:
@@ -122,7 +128,11 @@ def _without(hidden: Iterable[str], value: Any) -> Any:
 
 
 def _read(path: Path, most: float) -> tuple[str, _State]:
-    """SHA-256 of a regular file of a disk, and the state in which it was read."""
+    """SHA-256 of a regular file of a disk, or of all those of a set of images, and the
+    state in which it was read.
+    """
+    if path.is_dir() and is_dataset(path):
+        return _read_set(path, most)
     try:
         target = os.path.realpath(path, strict=True)
         if not stat.S_ISREG(os.stat(target).st_mode) or target.startswith(
@@ -157,6 +167,47 @@ def _read(path: Path, most: float) -> tuple[str, _State]:
     if size != status.st_size:
         raise _changed(path)
     return total.hexdigest(), _state(status)
+
+
+def _read_set(path: Path, most: float) -> tuple[str, _State]:
+    """The SHA-256 of the names and contents of all files of a set, and its size; links
+    are not followed.
+    """
+    folder = os.path.realpath(path)
+    total = hashlib.sha256()
+    size = 0
+    count = 0
+    for place, folders, names in os.walk(folder):
+        folders.sort()
+        for name in sorted(names):
+            file = Path(place, name)
+            count += 1
+            size += os.lstat(file).st_size
+            if size > most or count > _MOST_FILES:
+                expected = f"a set of at most {most / 1e6:,.0f} MB and {_MOST_FILES:,}"
+                got = f"{size / 1e6:,.0f} MB in {count:,} files or more"
+                do = "raise file_megabytes in --policy if you trust it"
+                raise InvalidValueError.of(str(path), f"{expected} files", got, do)
+            if os.path.islink(file):
+                do = "put the file itself there"
+                raise InvalidValueError.of(str(path), "no links", file.name, do)
+            content, _ = _read(file, most)
+            total.update(f"{file.relative_to(folder).as_posix()}\0{content}".encode())
+    return total.hexdigest(), (0, 0, size, count, 0)
+
+
+def _now(path: Path) -> _State:
+    """The state of what was read as it is now; a set is known by the numbers and sizes
+    of its files.
+    """
+    if not path.is_dir():
+        return _state(os.stat(path))
+    sizes = [
+        os.lstat(Path(place, name)).st_size
+        for place, _, names in os.walk(os.path.realpath(path))
+        for name in names
+    ]
+    return (0, 0, sum(sizes), len(sizes), 0)
 
 
 def _state(status: os.stat_result) -> _State:
@@ -198,6 +249,9 @@ def _rows(config: GateConfig, inputs: Mapping[str, Path]) -> Iterator[Row]:
     account, without a claim.
     """
     path = inputs["splat"]
+    if path.is_dir():
+        yield from _set_rows(path)
+        return
     stored = None
     unread = ""
     try:
@@ -226,8 +280,62 @@ def _rows(config: GateConfig, inputs: Mapping[str, Path]) -> Iterator[Row]:
         return
     yield from ({"claim": claim} for claim in ("numbers", "cost"))
     yield from _appearances(config, stored.scene, lint, account)
+    if config.bounded is not None:
+        yield from _beyond(stored.scene, config.bounded)
     if "clean" in inputs:
         yield from _provenance(stored.scene, inputs["clean"])
+
+
+def _set_rows(path: Path) -> Iterator[Row]:
+    """What is found in a set of images."""
+    folder = path.resolve()
+    try:
+        views = load_dataset(path, split=None)
+        for file in views.paths:
+            if not file.resolve().is_relative_to(folder):
+                do = "put all images into the folder"
+                raise InvalidValueError.of(
+                    str(path), "images in the set", "one elsewhere", do
+                )
+    except MiSplatError as error:
+        reason = " ".join(str(error).split())
+        unread = {"rule": "unreadable", "severity": "error", "reason": reason}
+        yield {"claim": "readable", **unread}
+        yield {"claim": "readable"}
+        return
+    yield {"claim": "readable"}
+    # claims about splats
+    yield from ({"claim": claim} for claim in ("numbers", "cost", "edits"))
+    try:
+        judged = audit_images(views)
+    except MiSplatError as error:
+        reason = " ".join(str(error).split())
+        yield {"claim": "hidden appearance", "judged": False, "reason": reason}
+        return
+    reason = "; ".join(summary_of(judged, image_names(views)))
+    if judged.verdict == "not judged":
+        yield {"claim": "hidden appearance", "judged": False, "reason": reason}
+        return
+    if judged.verdict == "two groups":
+        found = {"rule": "two-groups", "severity": "warning", "reason": reason}
+        yield {"claim": "hidden appearance", **found}
+    yield {"claim": "hidden appearance"}
+
+
+def _beyond(scene: GaussianScene, eps: float) -> Iterator[Row]:
+    """Whether colours depart further than a policy allows."""
+    beyond = int((colour_bound(scene) > eps).sum())
+    if beyond:
+        reason = (
+            f"The colours of {beyond:,} Gaussians may depart by more than {eps:g} in"
+            " some direction; `mi-splat bound` writes a copy that does not."
+        )
+        yield {
+            "claim": "hidden appearance",
+            "rule": "unbounded",
+            "severity": "warning",
+            "reason": reason,
+        }
 
 
 def _found(document: Mapping[str, Any], known: Iterable[str]) -> Iterator[Row]:

@@ -212,6 +212,7 @@ class Judge:
         config = GateConfig(
             claims=self._policy.claims,
             most_gaussians=self._policy.most_gaussians,
+            bounded=self._policy.bounded,
             ending=ending_of(request["file"]),
         )
         files = {"splat": request["file"]}

@@ -81,7 +81,11 @@ GROUPS: dict[str, dict[str, str]] = {
     "audit and measure": {
         "audit": (
             "check a splat for hidden, view-dependent appearances, edits and invalid"
-            " data"
+            " data, or a set of images for poisoned ones"
+        ),
+        "bound": (
+            "a copy of a splat whose colours hardly depend on the direction, with a"
+            " certificate"
         ),
         "gate": (
             "accept, quarantine or refuse many splat files, for uploads and pipelines"
@@ -122,6 +126,7 @@ OF_SPLATS = (
     "render",
     "info",
     "audit",
+    "bound",
     "conform",
     "convert",
 )

@@ -73,11 +73,12 @@ class GateOptions(JsonOptions):
     """
 
     files: Positional[tuple[Path, ...]] = ()
-    """Splat files of any format that is read."""
+    """Splat files of any format that is read, and folders of images with cameras."""
     policy: Path | None = None
     """TOML file: `seconds` and `megabytes` of memory for a file, `file_megabytes` on
     the disk, `most_gaussians` that are looked at for appearances and edits, the
-    `claims` to judge, and under [rules] what follows from a rule or a severity: accept,
+    `claims` to judge, how far colours may depart with the direction (`bounded`, see
+    `mi-splat bound`), and under [rules] what follows from a rule or a severity: accept,
     quarantine or refuse. Without, errors and hidden appearances are refused, suspicious
     ones and edits quarantined.
     """

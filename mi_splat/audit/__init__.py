@@ -15,12 +15,14 @@ from mi_splat import _lazy
 
 if TYPE_CHECKING:
     from mi_splat.audit.auditing import audit
+    from mi_splat.audit.bound import Bounded, bounded, colour_bound
     from mi_splat.audit.images import ImageAudit, audit_images
     from mi_splat.audit.repair import repaired
     from mi_splat.audit.results import Audit, Look, ObjectAudit, Occluder, Pair, Region
 
 __all__ = [
     "Audit",
+    "Bounded",
     "ImageAudit",
     "Look",
     "ObjectAudit",
@@ -29,6 +31,8 @@ __all__ = [
     "Region",
     "audit",
     "audit_images",
+    "bounded",
+    "colour_bound",
     "repaired",
 ]
 
@@ -36,6 +40,7 @@ __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
         "mi_splat.audit.auditing": ("audit",),
+        "mi_splat.audit.bound": ("Bounded", "bounded", "colour_bound"),
         "mi_splat.audit.images": ("ImageAudit", "audit_images"),
         "mi_splat.audit.repair": ("repaired",),
         "mi_splat.audit.results": (

@@ -99,6 +99,16 @@ _RULES: dict[str, tuple[Severity, str, str]] = {
         "The file is damaged, or of another kind than it says.",
         "Export it again; do not use it as it is.",
     ),
+    "two-groups": (
+        "warning",
+        "Two groups of images of a set contradict each other.",
+        "Look at the pair of images that `mi-splat audit --out` writes.",
+    ),
+    "unbounded": (
+        "warning",
+        "Colours may depend on the direction by more than the policy allows.",
+        "Write a copy that does not with `mi-splat bound`.",
+    ),
     "changed": (
         "warning",
         "The file differs from an older copy that is known to be clean.",

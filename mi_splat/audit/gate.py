@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.fields import Checked, at_least
+from mi_splat.fields import Checked, above, at_least
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,7 +30,11 @@ VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 """From the best to the worst; that of a file is the worst of its claims."""
 ACTIONS: Mapping[str, Action] = {
     **{"error": "refuse", "warning": "accept", "note": "accept"},
-    **dict.fromkeys(("suspicious-look", "occluder", "edited", "changed"), "quarantine"),
+    **dict.fromkeys(
+        ("suspicious-look", "occluder", "edited", "changed", "two-groups"),
+        "quarantine",
+    ),
+    "unbounded": "refuse",
     "fog": "accept",
 }
 """What follows from a finding, by its rule or else its severity, where the policy says
@@ -63,6 +67,9 @@ class Policy(Checked):
     file_megabytes: Annotated[float, at_least(1, "MB")] = 2000.0
     # of more, so many are looked at
     most_gaussians: Annotated[int, at_least(1000, "Gaussians")] = 2_000_000
+    # by which a colour may depart from that of band 0 in any direction (`mi-splat
+    # bound`); None is as far as it likes
+    bounded: Annotated[float, above(0, "sRGB")] | None = None
 
     def action(self, rule: str, severity: str) -> Action:
         """What follows from a finding: as its rule says, or else its severity; what
@@ -119,6 +126,7 @@ class GateConfig:
 
     claims: tuple[Claim, ...]
     most_gaussians: int
+    bounded: float | None = None
     ending: str  # of its name, by which it is read
 
 

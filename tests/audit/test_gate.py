@@ -20,8 +20,9 @@ from attacks import cli
 from attacks.audits.gated import answer
 from attacks.audits.judging import Message
 from attacks.cli import gate
-from mi_splat.audit import audit, linting
+from mi_splat.audit import audit, bounded, linting
 from mi_splat.audit.gate import CLAIMS, Policy, fingerprint, sampled
+from mi_splat.audit.images import ImageAudit, Split
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.io import save_splat
 from mi_splat.io.splat_files import load_stored
@@ -29,6 +30,7 @@ from mi_splat.ledger import Store
 from mi_splat.process_group import GroupEndedError
 from tests.audit.scenes import cone, direction, hidden, standing
 from tests.audit.test_lint import broken_ply, cloud, masked
+from tests.datasets.sets import VIEWS, write_transforms
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -308,6 +310,65 @@ def test_appearances_and_provenance_are_judged(
             == verdict
         )
         assert told["hidden.ply"]["claims"]["provenance"]["verdict"] == "quarantine"
+
+
+def test_images_of_a_set_are_judged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    split = Split(
+        smaller=torch.arange(6) < 2,
+        decided=torch.ones(6, dtype=torch.bool),
+        scores=torch.linspace(1, -1, 6),
+        sharpness=0.5,
+        gain=0.1,
+        edge=3.0,
+        difference=0.1,
+        pair=(0, 5),
+    )
+    judged = ImageAudit(count=6, points=100, split=split)
+    for name in ("few", "poisoned", "outside", "linked"):
+        write_transforms(tmp_path / name, VIEWS)
+    listing = tmp_path / "outside" / "transforms_train.json"
+    listing.write_text(listing.read_text().replace("images/", "../few/images/"))
+    (tmp_path / "linked" / "link").symlink_to("/etc/hostname")
+    lines = [json.dumps(str(tmp_path / "few"))]
+    status, told = run(capsys, monkeypatch, tmp_path, lines)
+    assert status == 1
+    (reason,) = told["few"]["claims"]["hidden appearance"]["reasons"]
+    assert "images: expected at least 12, got 6" in reason["reason"]
+    monkeypatch.setattr("attacks.audits.gated.audit_images", lambda views: judged)
+    lines = [
+        json.dumps(str(tmp_path / name)) for name in ("poisoned", "linked", "outside")
+    ]
+    image = next((tmp_path / "poisoned").rglob("*.png"))
+    image.write_bytes(image.read_bytes() + b"0")  # another content than few
+    status, told = run(capsys, monkeypatch, tmp_path, lines)
+    assert status == 3
+    assert told["poisoned"]["verdict"] == "quarantine"
+    (reason,) = told["poisoned"]["claims"]["hidden appearance"]["reasons"]
+    assert reason["rule"] == "two-groups"
+    assert "expected no links" in told["linked"]["error"]
+    assert told["outside"]["verdict"] == "refuse"
+    (reason,) = told["outside"]["claims"]["readable"]["reasons"]
+    assert "expected images in the set" in reason["reason"]
+
+
+def test_a_policy_bounds_how_far_colours_depart(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = standing("suitcase", count=600)
+    looks = hidden(made, cone(direction(90, 0), 50)).scene
+    save_splat(looks, tmp_path / "free.ply")
+    save_splat(bounded(looks, 0.05).scene, tmp_path / "safe.ply")
+    (tmp_path / "p.toml").write_text('bounded = 0.05\nclaims = ["readable"]\n')
+    lines = [json.dumps(str(tmp_path / name)) for name in ("free.ply", "safe.ply")]
+    policy = ("--policy", str(tmp_path / "p.toml"))
+    status, told = run(capsys, monkeypatch, tmp_path, lines, *policy)
+    assert status == 3
+    assert told["safe.ply"]["verdict"] == "accept"
+    assert told["free.ply"]["verdict"] == "refuse"
+    (reason,) = told["free.ply"]["claims"]["hidden appearance"]["reasons"]
+    assert reason["rule"] == "unbounded"
 
 
 def test_a_line_without_an_end_is_one_line(

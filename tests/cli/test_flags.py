@@ -44,6 +44,7 @@ NEEDED = {
     "evaluate": ["a.ply", "b.ply"],
     "info": ["a.ply"],
     "audit": ["a.ply"],
+    "bound": ["a.ply"],
     "cloak": ["study.toml"],
     "view": ["a.ply"],
     "artifact": ["out/study"],

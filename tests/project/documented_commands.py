@@ -29,6 +29,7 @@ FAST = {
         "artifact-check",
         "audit",
         "bench",
+        "bound",
         "capture",
         "compare",
         "convert",

@@ -38,7 +38,7 @@ RENDERERS = (
 RULES = {
     "mi_splat_knows_nothing_of_attacks": (r"mi_splat\b.*", r"attacks\b.*", r""),
     "the_audit_looks_at_the_rest_and_not_the_other_way_round": (
-        r"mi_splat\.(?!audit\b|cli\.(audit|info|train)$).*",
+        r"mi_splat\.(?!audit\b|cli\.(audit|bound|info|train)$).*",
         r"mi_splat\.audit\b.*",
         r"",
     ),
