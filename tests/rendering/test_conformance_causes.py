@@ -157,7 +157,7 @@ def test_of_mistakes_that_are_not_listed_at_most_one_gets_a_wrong_cause() -> Non
 
 FEW = {
     name: SETUPS[name]
-    for name in ("quaternion", "sh_1", "above_1", "order", "largest_alpha", "low_pass")
+    for name in ("quaternion", "sh_1", "sh_3", "above_1", "order", "low_pass")
 }
 
 
@@ -166,7 +166,7 @@ FEW = {
     [
         ("order=distance",),
         ("scales=variances",),
-        ("largest-alpha=1", "quaternions=conjugated"),
+        ("low-pass=1", "quaternions=conjugated"),
         ("clamp=0-1", "low-pass=0", "sh-direction=to-camera"),
         ("channels=bgr", "orientation=mirrored"),
     ],
