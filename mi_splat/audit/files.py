@@ -58,17 +58,6 @@ _RULES: dict[str, tuple[Severity, str, str]] = {
             " use the file unless you know why."
         ),
     ),
-    "contradicted": (
-        "error",
-        (
-            "From some directions an object looks unlike what all other directions"
-            " predict there."
-        ),
-        (
-            "Look at contradicted.png, which `mi-splat audit --out` writes; do not use"
-            " the file unless you know why."
-        ),
-    ),
     "suspicious-look": (
         "warning",
         (
@@ -264,17 +253,6 @@ def findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
                 " leaves them."
             )
             yield "edited", _RULES["edited"][0], text, edit
-    for cone in document.get("held_out", {}).get("cones", ()):
-        if cone["answer"] == "contradicted":
-            text = (
-                f"Object {cone['object'] + 1}: from within {cone['half_width']:.0f}"
-                f" degrees of {_axis(cone['axis'])} it looks unlike what the other"
-                " directions predict."
-            )
-            values = {
-                key: cone[key] for key in ("evidence", "distance", "rise", "gain")
-            }
-            yield "contradicted", _RULES["contradicted"][0], text, values
     for finding in document.get("lint") or ():
         count = f"{finding['count']:,} Gaussians. " if finding["count"] else ""
         text = f"{finding['rule']}: {count}{finding['reason']}"
