@@ -302,6 +302,8 @@ class Consensus:
             for cone in cones_around(self._target.up)
             if (chosen := self._chosen(cone))
         }
+        if not cones:  # in a room, cameras may stand on one side only
+            return [], None
         shown = self.images(self.scene, range(len(self.cameras)))
         features = functional.normalize(recogniser.features(shown), dim=1)
         scored = sorted({index for chosen in cones.values() for index in chosen})

@@ -27,6 +27,8 @@ def held_out_lines(found: HeldOut) -> list[str]:
     contradictions = [_contradiction(view) for view in found.contradicted]
     if contradictions:
         return [*(f"contradicted: {one}" for one in contradictions), *missing]
+    if not found.views:
+        return ["not compared: the cameras stand on too few sides of each object"]
     names = sorted({name for name in found.known_as if name is not None})
     known = f"the detector knows: {', '.join(names) or 'no object'}"
     if found.answer == "consistent":
@@ -35,7 +37,7 @@ def held_out_lines(found: HeldOut) -> list[str]:
     worst = max(found.views, key=lambda view: view.distance)
     where = directions_in_words(worst.region, worst.up)
     line = (
-        f"differs: {where} the file looks unlike what the other directions predict, as"
+        f"differs: {where}, the file looks unlike what the other directions predict, as"
         f" honest gloss and fog do, too ({known})"
     )
     return [line, *missing]
@@ -45,12 +47,12 @@ def _contradiction(view: ConeView) -> str:
     where = directions_in_words(view.region, view.up)
     if view.gain > view.distance:
         return (
-            f"{where} the other directions predict a {view.known_as}"
+            f"{where}, the other directions predict a {view.known_as}"
             f" ({view.file_score + view.gain:.2f}), and the file shows none"
             f" ({view.file_score:.2f})"
         )
     return (
-        f"{where} the file shows something else than the other directions predict:"
+        f"{where}, the file shows something else than the other directions predict:"
         f" features {view.distance:.2f} apart"
     )
 

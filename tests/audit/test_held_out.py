@@ -129,6 +129,13 @@ def test_nothing_is_contradicted_where_the_detector_knows_nothing(above: Made) -
     assert "no object" in held_out_lines(found)[0]
 
 
+def test_without_cameras_on_several_sides_nothing_is_compared(clean: Made) -> None:
+    config = HeldOutConfig(cameras=30, size=64, weighed=48, least_inside=1000)
+    found = held_out(clean.scene, Painted(), config=config)
+    assert not found.views
+    assert held_out_lines(found)[0].startswith("not compared")
+
+
 def test_cones_leave_no_direction_above_the_ground_out() -> None:
     cones = cones_around(torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
     heights = torch.linspace(5, 90, 18)
