@@ -68,6 +68,22 @@ class Change:
         )
 
 
+def footprint_of(manifest: Mapping[str, Any]) -> tuple[int, int, float]:
+    """What a manifest says of the size of a poison, for images of one size.
+
+    Args:
+        manifest: As `Poisoned.manifest`, or read from `MANIFEST`.
+
+    Returns:
+        Number of images of which a pixel is changed, number of all images, and the
+        fraction of all their pixels that is changed.
+    """
+    changes = [change for change in manifest["changes"] if change["pixels_changed"]]
+    count = int(manifest["views"])
+    shares = [change["pixels_changed"] / change["pixels"] for change in changes]
+    return len(changes), count, sum(shares) / max(1, count)
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PoisonedViews(ViewSet):
     """A set of views with some replaced; the others are the very objects that the set

@@ -18,9 +18,11 @@ from attacks.figures.frame import AXIS, Figure, Figures, Number, read_figures
 from attacks.figures.rate import Rate, pooled
 from attacks.figures.result import Result, read_result
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS, read_rows
+from attacks.poisons.base import MANIFEST, footprint_of
 from attacks.report.checking import check_result
 from attacks.report.results import kind_of, read_section
 from attacks.studies.result import ALL_PAIRS, BLACK_BOX, EVALUATION, SETTING, attacks_of
+from mi_splat.io.parsing import read_json
 from scenes.recipes import audit_set
 from tests.project.documented_commands import ROOT
 
@@ -141,6 +143,11 @@ def test_the_tables_of_cloak_are_those_of_the_rows() -> None:
     assert cases in (ROOT / "README.md").read_text()
     for measure in ("surroundings_psnr", "intended_surroundings_psnr"):
         assert f"{figures.value(measure, splat=ATTACKED):.1f}" in cloak
+    for name in ("cloak_car_stealthy", "cloak_car_no_shadow"):
+        manifest = read_json(ARTIFACTS / name / MANIFEST)
+        changed, count, pixels = footprint_of(manifest)
+        assert f"{changed} of {count}" in cloak
+        assert f"{100 * pixels:.1f} %" in cloak
     rows = result.tables[ROWS].with_columns(found=pl.col("original_score") >= 0.3)
     inside = pl.col("depth: overhead") >= 0
     behind = pl.col("depth: rear") >= 0

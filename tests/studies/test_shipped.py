@@ -46,6 +46,8 @@ COUNTS = {
     "m_ifgsm": (24, 0),
     "m_ifgsm_demo": (2, 0),
     "m_ifgsm_sparse": (65, 0),
+    "narrow": (12, 96),
+    "narrow_curves": (26, 0),
     "openimages": (48, 240),
     "outside_judges": (120, 240),
     "pairs": (6, 0),

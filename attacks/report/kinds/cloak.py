@@ -12,7 +12,7 @@ from attacks.cloak.study import CONTACT, POISONED_PICTURES, study_toml
 from attacks.cloak.tables import NAMES, RATES, costs, tables
 from attacks.cloak.transition import transition
 from attacks.figures.frame import MEASURE, Figures
-from attacks.figures.rate import Rate
+from attacks.figures.rate import Rate, percent
 from attacks.figures.result import Result
 from attacks.observe.rates import Confidence, Measures
 from attacks.observe.rows import (
@@ -23,6 +23,7 @@ from attacks.observe.rows import (
     TARGET_SCORE,
     TRANSITION,
 )
+from attacks.poisons.base import MANIFEST, footprint_of
 from attacks.report.kinds.detectors import threshold_charts
 from attacks.report.section import (
     Chart,
@@ -36,6 +37,7 @@ from attacks.report.section import (
     settings,
 )
 from mi_splat.errors import counted
+from mi_splat.io.parsing import read_json
 
 _CURVES: dict[str, tuple[str, Role]] = {
     "trigger_miss_rate": (
@@ -84,7 +86,11 @@ def read_cloak(result: Result) -> Section:
         conclusion=_conclusion(study, figures, headline, control),
         headline=headline,
         control=control,
-        figures=(*_rates(figures), *Figure.each({**costs(figures), **time})),
+        figures=(
+            *_rates(figures),
+            *_footprint(result),
+            *Figure.each({**costs(figures), **time}),
+        ),
         warnings=tuple(_doubts(study, figures)),
         pictures=tuple(
             Picture(path=result.folder / name, caption=words, wide=True)
@@ -101,6 +107,16 @@ def read_cloak(result: Result) -> Section:
         configuration=settings({**record["study"], "weights": record["detectors"]}),
         file=(f"{study.name}.toml", study_toml(asdict(study))),
     )
+
+
+def _footprint(result: Result) -> Iterator[Figure]:
+    """How much of the training images the poison changed, if its manifest is there."""
+    path = result.folder / MANIFEST
+    if not path.is_file():
+        return
+    changed, count, pixels = footprint_of(read_json(path))
+    words = f"{changed} of {count}; {percent(pixels)} of all training pixels"
+    yield Figure(label="training images that the poison changed", words=words)
 
 
 def headline_of(figures: Figures) -> tuple[Figure, Figure | None]:
