@@ -61,7 +61,9 @@ class Convention:
 
     near: float = 0.2  # Gaussians at a smaller depth are left out
     # equal depths keep the order of the file
-    order: Literal["depth", "distance", "file"] = "depth"
+    order: Literal["depth", "distance", "file", "reversed"] = "depth"
+    # of the depth between the nearest and the farthest Gaussian; 0 is all of float32
+    depth_bits: int = 0
     low_pass: float = 0.3  # pixels^2, added to the variances of the projected Gaussian
     # opacity lowered by what the low-pass filter adds to the area (antialiased, "mip")
     compensated: bool = False
@@ -69,6 +71,12 @@ class Convention:
     tangent_limit: float = 1.3
     min_alpha: float = 1 / 255  # smaller ones are left out
     cutoff: float = math.inf  # standard deviations at which a Gaussian ends
+    # exp(-m / 2), exp(-m), or exp(-m / 2) lowered to reach 0 at sqrt(8) deviations
+    falloff: Literal["half", "whole", "to 0 at sqrt(8)"] = "half"
+    min_variance: float = 0.0  # pixels^2; Gaussians with smaller ones only are left out
+    # pixels on each side of a tile; 0 is none. A Gaussian is drawn in the tiles that
+    # touch the square of three times its largest deviation, rounded up.
+    tile: int = 0
     max_alpha: float = 0.99
     stop: float = 1e-4  # transmittance below which a pixel takes no further Gaussian
     pixel_centre: float = 0.5  # where the first pixel is sampled
@@ -183,43 +191,162 @@ def project(splat: Any, camera: Any, convention: Convention = DEFAULT) -> Projec
     return Projected(z, centre, conic, opacity, colour, _norm(offset)[:, 0], basis)
 
 
-def blend(
-    projected: Projected, camera: Any, convention: Convention = DEFAULT
-) -> Iterator[tuple[int, Array, Array, Array]]:
-    """Gaussians front to back: number, alpha (H, W), weight (H, W) and the
-    transmittance behind it (H, W).
+class Layer(NamedTuple):
+    """What one Gaussian does to the pixels of a box; it does nothing to the others."""
+
+    number: int  # of the Gaussian
+    box: tuple[slice, slice]  # rows and columns among the pixels, (h, w) of them
+    alpha: Array  # (h, w)
+    weight: Array  # (h, w)
+    behind: Array  # (h, w) transmittance behind it
+
+
+class Pixels(NamedTuple):
+    """The pixels that are computed: every one of these rows in each of these
+    columns.
     """
-    ys, xs = np.mgrid[0 : camera.height, 0 : camera.width] + convention.pixel_centre
-    left = np.ones(xs.shape)
-    stopped = np.zeros(xs.shape, dtype=bool)
-    # A renderer of float32 splats has float32 depths, so these decide which of two
-    # Gaussians is in front.
-    keys = {
-        "depth": projected.depth,
-        "distance": projected.distance,
-        "file": np.zeros(len(projected.depth)),
-    }
-    for i in np.argsort(keys[convention.order].astype(np.float32), kind="stable"):
+
+    rows: Array  # (H,)
+    columns: Array  # (W,)
+
+
+def every_pixel(camera: Any) -> Pixels:
+    """All pixels of a camera."""
+    return Pixels(np.arange(camera.height), np.arange(camera.width))
+
+
+def blend(
+    projected: Projected,
+    camera: Any,
+    convention: Convention = DEFAULT,
+    pixels: Pixels | None = None,
+) -> Iterator[Layer]:
+    """Gaussians front to back, each in the box outside which its alpha is left out."""
+    seen = every_pixel(camera) if pixels is None else pixels
+    ys = seen.rows + convention.pixel_centre
+    xs = seen.columns + convention.pixel_centre
+    left = np.ones((len(ys), len(xs)))
+    stopped = np.zeros(left.shape, dtype=bool)
+    reach = _reach(projected, convention)
+    deviation = _largest_deviation(projected.conic)
+    for i in _front_to_back(projected, convention):
         if projected.depth[i] < convention.near:
             continue
-        offset = np.stack(
-            [xs - projected.centre[i, 0], ys - projected.centre[i, 1]], axis=-1
+        if deviation[i] ** 2 < convention.min_variance:
+            continue
+        box = _box(xs, ys, projected.centre[i], reach[i])
+        if convention.tile:
+            box = _tiles(seen, projected.centre[i], deviation[i], convention.tile, box)
+        x = xs[box[1]] - projected.centre[i, 0]
+        y = ys[box[0]][:, None] - projected.centre[i, 1]
+        conic = projected.conic[i]
+        squared = (
+            (conic[0, 0] * x) * x + (2 * conic[0, 1] * x) * y + conic[1, 1] * y * y
         )
-        squared = np.einsum("hwi,ij,hwj->hw", offset, projected.conic[i], offset)
         alpha = np.minimum(
-            convention.max_alpha, projected.opacity[i] * np.exp(-0.5 * squared)
+            convention.max_alpha, projected.opacity[i] * _falloff(squared, convention)
         )
-        behind = left * (1 - alpha)
-        drawn = (
-            (alpha >= convention.min_alpha)
-            & (squared <= convention.cutoff**2)
-            & ~stopped
-        )
-        stopped |= drawn & (behind < convention.stop)
-        drawn &= ~stopped
-        weight = np.where(drawn, alpha * left, 0.0)
-        left = np.where(drawn, behind, left)
-        yield int(i), np.where(drawn, alpha, 0.0), weight, left
+        before = left[box]
+        behind = before * (1 - alpha)
+        drawn = (alpha >= convention.min_alpha) & ~stopped[box]
+        if convention.cutoff < math.inf:
+            drawn &= squared <= convention.cutoff**2
+        ended = drawn & (behind < convention.stop)
+        stopped[box] |= ended
+        drawn &= ~ended
+        alpha = np.where(drawn, alpha, 0.0)
+        weight = alpha * before
+        left[box] = np.where(drawn, behind, before)
+        yield Layer(int(i), box, alpha, weight, left[box].copy())
+
+
+def _front_to_back(projected: Projected, convention: Convention) -> Array:
+    # A renderer of float32 splats has float32 depths, so these decide which of two
+    # Gaussians is in front.
+    depth = projected.depth.astype(np.float32)
+    if convention.order == "file":
+        return np.arange(len(depth))
+    if convention.order == "distance":
+        depth = projected.distance.astype(np.float32)
+    if convention.order == "reversed":
+        depth = -depth
+    if convention.depth_bits:
+        # Viewers spread their keys over the Gaussians that they draw.
+        drawn = depth[projected.depth >= convention.near]
+        steps = 2**convention.depth_bits - 1
+        if len(drawn) and np.ptp(drawn) > 0:
+            depth = np.floor((depth - drawn.min()) / np.ptp(drawn) * steps)
+    return np.argsort(depth, kind="stable")
+
+
+def _falloff(squared: Array, convention: Convention) -> Array:
+    if convention.falloff == "whole":
+        return np.exp(-squared)
+    value = np.exp(-0.5 * squared)
+    if convention.falloff == "half":
+        return value
+    end = math.exp(-4.0)
+    return np.maximum(0.0, (value - end) / (1 - end))
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def _reach(projected: Projected, convention: Convention) -> Array:
+    """(N, 2) how far from its centre a Gaussian may be drawn along x and y, pixels;
+    infinite where its covariance is none.
+    """
+    conic = projected.conic
+    least = max(convention.min_alpha, 1e-300)
+    ratio = np.maximum(projected.opacity / least, 1.0)
+    squared = np.minimum(2 * np.log(ratio), convention.cutoff**2)
+    determinant = conic[:, 0, 0] * conic[:, 1, 1] - conic[:, 0, 1] * conic[:, 1, 0]
+    variances = conic[:, [1, 0], [1, 0]] / determinant[:, None]
+    reach = np.sqrt(squared[:, None] * variances) + 1.0
+    proper = (determinant > 0) & (variances > 0).all(axis=1)
+    return np.where(proper[:, None] & np.isfinite(reach), reach, np.inf)
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def _largest_deviation(conic: Array) -> Array:
+    """(N,) largest standard deviation of Gaussians in the image, pixels."""
+    middle = 0.5 * (conic[:, 0, 0] + conic[:, 1, 1])
+    spread = np.hypot(0.5 * (conic[:, 0, 0] - conic[:, 1, 1]), conic[:, 0, 1])
+    deviation = 1 / np.sqrt(middle - spread)
+    return np.where(np.isfinite(deviation), deviation, np.inf)
+
+
+def _box(xs: Array, ys: Array, centre: Array, reach: Array) -> tuple[slice, slice]:
+    columns = _run(np.abs(xs - centre[0]) <= reach[0])
+    return _run(np.abs(ys - centre[1]) <= reach[1]), columns
+
+
+def _run(inside: Array) -> slice:
+    """From the first to the last that is inside."""
+    found = np.flatnonzero(inside)
+    return slice(found[0], found[-1] + 1) if len(found) else slice(0, 0)
+
+
+def _tiles(
+    pixels: Pixels,
+    centre: Array,
+    deviation: float,
+    tile: int,
+    box: tuple[slice, slice],
+) -> tuple[slice, slice]:
+    """The part of a box in the tiles that a Gaussian's square touches."""
+    if not math.isfinite(deviation):
+        return box
+    radius = math.ceil(3 * deviation)
+    parts = []
+    # Its pixels are counted from their centres.
+    middle = centre[::-1] - 0.5
+    for at, run, along in zip(middle, box, pixels, strict=True):
+        first = math.floor((at - radius) / tile) * tile
+        end = math.floor((at + radius + tile - 1) / tile) * tile
+        inside = (along >= first) & (along < end)
+        kept = np.zeros(len(along), dtype=bool)
+        kept[run] = inside[run]
+        parts.append(_run(kept))
+    return parts[0], parts[1]
 
 
 def render(
@@ -228,6 +355,7 @@ def render(
     *,
     background: ArrayLike = (0.0, 0.0, 0.0),
     convention: Convention = DEFAULT,
+    pixels: Pixels | None = None,
 ) -> Image:
     """The rasterised image.
 
@@ -236,21 +364,25 @@ def render(
         camera: Camera, see above.
         background: (3,) colour behind all Gaussians.
         convention: Choices of the renderer.
+        pixels: Those that are computed; all by default.
     """
     projected = project(splat, camera, convention)
-    shape = (camera.height, camera.width)
-    image, left, total, summed, median = (
-        np.zeros((*shape, 3)),
-        np.ones(shape),
-        *np.zeros((3, *shape)),
-    )
-    for i, _, weight, behind in blend(projected, camera, convention):
-        z = projected.depth[i]
-        left = behind
-        image += weight[..., None] * projected.colour[i]
-        total = total + weight
-        summed = summed + z * weight
-        median = np.where((median == 0) & (left <= 0.5), z, median)
+    seen = every_pixel(camera) if pixels is None else pixels
+    shape = (len(seen.rows), len(seen.columns))
+    image = np.zeros((*shape, 3))
+    left = np.ones(shape)
+    total = np.zeros(shape)
+    summed = np.zeros(shape)
+    median = np.zeros(shape)
+    for layer in blend(projected, camera, convention, seen):
+        z = projected.depth[layer.number]
+        box = layer.box
+        left[box] = layer.behind
+        image[box] += layer.weight[..., None] * projected.colour[layer.number]
+        total[box] += layer.weight
+        summed[box] += z * layer.weight
+        half = (median[box] == 0) & (layer.behind <= 0.5)
+        median[box] = np.where(half, z, median[box])
     depth = np.where(total > 0, summed / np.where(total > 0, total, 1), 0)
     return Image(
         image + left[..., None] * np.asarray(background, dtype=np.float64),
@@ -278,42 +410,95 @@ def gradients(
     those of `render`.
     """
     projected = project(splat, camera, convention)
-    values = Splat(*_arrays(splat))
-    depth, centre, conic, opacity, colour = (
-        np.zeros(array.shape) for array in projected[:5]
+    by_projected = projected_gradients(
+        projected,
+        camera,
+        on_image,
+        on_alpha,
+        on_depth,
+        background=background,
+        convention=convention,
     )
-    drawn = list(blend(projected, camera, convention))
-    total, summed = np.zeros((2, *on_image.shape[:2]))
-    for i, _, weight, _ in drawn:
-        total = total + weight
-        summed = summed + weight * projected.depth[i]
+    return attribute_gradients(splat, camera, by_projected, convention)
+
+
+class ProjectedGradients(NamedTuple):
+    """Derivatives by the Gaussians in the image, shaped as those of `Projected`."""
+
+    depth: Array
+    centre: Array
+    conic: Array
+    opacity: Array
+    colour: Array
+
+
+def projected_gradients(
+    projected: Projected,
+    camera: Any,
+    on_image: Array,
+    on_alpha: ArrayLike = 0.0,
+    on_depth: ArrayLike = 0.0,
+    *,
+    background: ArrayLike = (0.0, 0.0, 0.0),
+    convention: Convention = DEFAULT,
+    through_limit: bool = False,
+) -> ProjectedGradients:
+    """Derivatives by the Gaussians in the image, the first half of `gradients`.
+
+    With `through_limit`, alphas at their largest value pass derivatives as if they
+    were not limited, which is a mistake that renderers make. The other arguments are
+    those of `gradients`.
+    """
+    on = ProjectedGradients(*(np.zeros(array.shape) for array in projected[:5]))
+    layers = list(blend(projected, camera, convention))
+    shape = on_image.shape[:2]
+    total = np.zeros(shape)
+    summed = np.zeros(shape)
+    left = np.ones(shape)
+    for layer in layers:
+        total[layer.box] += layer.weight
+        summed[layer.box] += layer.weight * projected.depth[layer.number]
+        left[layer.box] = layer.behind
     total = np.where(total > 0, total, 1.0)
-    on_depth = np.asarray(on_depth) / total
-    left = drawn[-1][3] if drawn else np.ones(on_image.shape[:2])
+    mean_depth = summed / total
+    on_depth = np.broadcast_to(np.asarray(on_depth) / total, shape)
     # what lies behind a Gaussian
     behind = left * (on_image @ np.asarray(background, dtype=np.float64) - on_alpha)
     ys, xs = np.mgrid[0 : camera.height, 0 : camera.width] + convention.pixel_centre
-    for i, alpha, weight, left in reversed(drawn):
-        colour[i], depth[i] = (
-            np.einsum("hw,hwc->c", weight, on_image),
-            (weight * on_depth).sum(),
-        )
-        shown = on_image @ projected.colour[i] + on_depth * (
-            projected.depth[i] - summed / total
-        )
-        on = np.where(alpha > 0, (left * shown - behind) / (1 - alpha), 0.0)
-        behind = behind + weight * shown
-        on = np.where(alpha < convention.max_alpha, on, 0.0) * alpha  # by the exponent
+    for i, box, alpha, weight, left in reversed(layers):
+        on.colour[i] = np.einsum("hw,hwc->c", weight, on_image[box])
+        on.depth[i] = (weight * on_depth[box]).sum()
+        deeper = projected.depth[i] - mean_depth[box]
+        shown = on_image[box] @ projected.colour[i] + on_depth[box] * deeper
+        on_alphas = np.where(alpha > 0, (left * shown - behind[box]) / (1 - alpha), 0.0)
+        behind[box] += weight * shown
+        if not through_limit:
+            on_alphas = np.where(alpha < convention.max_alpha, on_alphas, 0.0)
+        by_exponent = on_alphas * alpha
         offset = np.stack(
-            [xs - projected.centre[i, 0], ys - projected.centre[i, 1]], axis=-1
+            [xs[box] - projected.centre[i, 0], ys[box] - projected.centre[i, 1]],
+            axis=-1,
         )
-        opacity[i] = on.sum() / projected.opacity[i] if projected.opacity[i] else 0.0
-        conic[i] = -0.5 * np.einsum("hw,hwi,hwj->ij", on, offset, offset)
-        centre[i] = projected.conic[i] @ np.einsum("hw,hwi->i", on, offset)
+        if projected.opacity[i]:
+            on.opacity[i] = by_exponent.sum() / projected.opacity[i]
+        on.conic[i] = -0.5 * np.einsum("hw,hwi,hwj->ij", by_exponent, offset, offset)
+        moment = np.einsum("hw,hwi->i", by_exponent, offset)
+        on.centre[i] = projected.conic[i] @ moment
+    return on
+
+
+def attribute_gradients(
+    splat: Any, camera: Any, on: ProjectedGradients, convention: Convention = DEFAULT
+) -> Splat:
+    """Derivatives by every attribute from those by the Gaussians in the image, the
+    second half of `gradients`.
+    """
+    projected = project(splat, camera, convention)
+    values = Splat(*_arrays(splat))
     free = (projected.colour > 0) | (convention.clamp == "none")
     if convention.clamp == "outside 0 to 1":
         free &= projected.colour < 1
-    by_colour = colour * free
+    by_colour = on.colour * free
     by_sh = np.zeros(values.sh.shape)
     by_sh[:, : projected.basis.shape[1]] = (
         projected.basis[..., None] * by_colour[:, None]
@@ -326,11 +511,9 @@ def gradients(
             moved = value.astype(np.complex128)
             moved.reshape(len(value), -1)[:, entry] += 1j * _STEP
             turned = project(values._replace(**{name: moved}), camera, convention)
-            parts = zip(
-                (depth, centre, conic, opacity, colour), turned[:5], strict=True
-            )
             changes = [
-                (on * part.imag).reshape(len(value), -1).sum(1) for on, part in parts
+                (weights * part.imag).reshape(len(value), -1).sum(1)
+                for weights, part in zip(on, turned[:5], strict=True)
             ]
             by.reshape(len(value), -1)[:, entry] = np.sum(changes, axis=0) / _STEP
         found.insert(0, by)
@@ -349,11 +532,12 @@ def densest(splat: Any, origin: Array, directions: Array) -> tuple[Array, Array]
     return t, opacities[:, None] * np.exp(-0.5 * ((h + g * t[..., None]) ** 2).sum(-1))
 
 
-def pixel_rays(camera: Any) -> tuple[Array, Array, Array]:
+def pixel_rays(camera: Any, pixels: Pixels | None = None) -> tuple[Array, Array, Array]:
     """Origin (3,), unit directions (H W, 3) through pixel centres, and their lengths
     for each unit of depth (H W,).
     """
-    ys, xs = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
+    seen = every_pixel(camera) if pixels is None else pixels
+    ys, xs = np.meshgrid(seen.rows + 0.5, seen.columns + 0.5, indexing="ij")
     local = np.stack(
         [(xs - camera.cx) / camera.fx, (ys - camera.cy) / camera.fy, np.ones_like(xs)],
         -1,
@@ -370,6 +554,7 @@ def render_rays(
     background: ArrayLike = (0.0, 0.0, 0.0),
     near: float = 0.2,
     to_mean: bool = False,
+    pixels: Pixels | None = None,
 ) -> tuple[Array, Array]:
     """The image (H, W, 3) of Gaussians evaluated and sorted where each is densest along
     a ray, and its alpha (H, W).
@@ -378,12 +563,17 @@ def render_rays(
     direction of the mean, as when rasterising, and not of the ray. The other arguments
     are those of `render`.
     """
-    origin, directions, lengths = pixel_rays(camera)
+    seen = every_pixel(camera) if pixels is None else pixels
+    origin, directions, lengths = pixel_rays(camera, seen)
     means, *_, sh = _arrays(splat)
     distances, alphas = densest(splat, origin, directions)
     drawn = (alphas >= DEFAULT.min_alpha) & (distances >= near * lengths)
     alphas = np.where(drawn, np.minimum(alphas, DEFAULT.max_alpha), 0.0)
-    offset = means - origin
+    shown = drawn.any(axis=1)
+    alphas = alphas[shown]
+    distances = distances[shown]
+    sh = sh[shown]
+    offset = means[shown] - origin
     towards = offset / _norm(offset) if to_mean else directions
     basis = sh_basis(towards, sh.shape[1])
     colours = np.maximum(
@@ -402,9 +592,8 @@ def render_rays(
         left = left * (1 - alpha)
         left[left < DEFAULT.stop] = 0.0
     image += left[:, None] * np.asarray(background, dtype=np.float64)
-    return image.reshape(camera.height, camera.width, 3), 1 - left.reshape(
-        camera.height, camera.width
-    )
+    shape = (len(seen.rows), len(seen.columns))
+    return image.reshape(*shape, 3), 1 - left.reshape(shape)
 
 
 def _arrays(splat: Any) -> list[Array]:

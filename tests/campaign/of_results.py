@@ -25,8 +25,7 @@ from attacks.report.viewer_content import open_content, recorded_up
 from attacks.studies import study_file
 from mi_splat.capture.record import claim_folder
 from mi_splat.cli import conform
-from mi_splat.cli.conform_gradients import read_gradients
-from mi_splat.conformance_scenes import conformance_scenes
+from mi_splat.conformance.files import read_gradients, read_images
 from mi_splat.errors import MiSplatError
 from mi_splat.io.documents import save_json
 from mi_splat.io.folders import locked_folder, write_manifest
@@ -354,18 +353,17 @@ def documents() -> Iterator[Kind]:
 
 def _exr(folder: Path) -> Path:
     values = np.linspace(0, 1, 12 * 9, dtype=np.float32).reshape(9, 12)
-    path = folder / f"{next(iter(_conformance()))}.exr"
+    path = folder / f"{_SCENE}.exr"
     save_floats({"R": values, "G": values, "B": values}, path)
     return path
 
 
-def _conformance() -> Mapping[str, Any]:
-    return {scene.name: scene for scene in conformance_scenes(12)[:1]}
+_SCENE = "quaternion"
 
 
-def _read_images(path: Path) -> None:
-    for _, (image, _) in conform._images(path.parent, _conformance()):
-        assert image.ndim == 3
+def _read_images(path: Path, readers: Mapping[str, Any] | None = None) -> None:
+    found = read_images(path.parent, [_SCENE], readers)
+    assert found[_SCENE].values.ndim == 3
 
 
 _EXACT = {"means": np.ones((4, 3)), "opacities": np.ones(4)}
@@ -379,21 +377,44 @@ def _npz(folder: Path) -> Path:
 
 
 def _png(folder: Path) -> Path:
-    return picture(f"{next(iter(_conformance()))}.png", folder)
+    return picture(f"{_SCENE}.png", folder)
+
+
+def _npy(folder: Path) -> Path:
+    np.save(folder / f"{_SCENE}.npy", np.linspace(0, 1, 6 * 5 * 3).reshape(6, 5, 3))
+    return folder / f"{_SCENE}.npy"
 
 
 def conform_inputs() -> Iterator[Kind]:
+    files = "mi_splat.conformance.files"
     floats = ("mi_splat.render.renderer:load_floats", "mi_splat.cli.conform")
-    yield Kind(name="conform EXR", make=_exr, read=_read_images, readers=floats)
+    yield Kind(
+        name="conform EXR",
+        make=_exr,
+        read=partial(_read_images, readers={".exr": conform._read_exr}),
+        readers=floats,
+    )
     yield Kind(
         name="conform PNG",
         make=_png,
-        read=_read_images,
+        read=partial(_read_images, readers={".png": conform._read_picture}),
         readers=("mi_splat.cli.conform",),
+    )
+    yield Kind(
+        name="conform PNG by NumPy",
+        make=_png,
+        read=_read_images,
+        readers=(f"{files}:read_images", f"{files}:read_png"),
+    )
+    yield Kind(
+        name="conform NPY",
+        make=_npy,
+        read=_read_images,
+        readers=(f"{files}:read_npy",),
     )
     yield Kind(
         name="conform NPZ",
         make=_npz,
-        read=lambda path: read_gradients(path, _EXACT),
-        readers=("mi_splat.cli.conform_gradients:read_gradients",),
+        read=lambda path: read_gradients(path.parent, {path.stem: _EXACT}),
+        readers=(f"{files}:read_gradients",),
     )

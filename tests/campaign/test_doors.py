@@ -40,6 +40,7 @@ MODULES_WITHOUT = {
             "attacks.cli.doctor",
             "mi_splat.cli.train",
             "mi_splat.cli.capture",
+            "mi_splat.cli.conform_pack",
         ),
         "what the same command has just written",
     ),

@@ -27,7 +27,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "mi_splat.import_closure",
         "mi_splat.oracle",
         "mi_splat.conformance",
-        "mi_splat.conformance_scenes",
         "mi_splat.scene",
         "mi_splat.processes",
         "mi_splat.process_group",

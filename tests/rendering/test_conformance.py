@@ -2,27 +2,35 @@
 is found.
 """
 
-import io
 import json
 import re
 import shutil
-import zipfile
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from attacks import cli
-from mi_splat.cli.conform import DIFFERS, _as_read
-from mi_splat.conformance import DEVIATIONS, Deviation, Setup, error, find_deviations
-from mi_splat.conformance_scenes import conformance_scenes
+from mi_splat.cli.conform import DIFFERS
+from mi_splat.cli.conform_pack import as_read
+from mi_splat.conformance import (
+    DEVIATIONS,
+    PROFILES,
+    Setup,
+    compare,
+    conformance_scenes,
+)
+from mi_splat.conformance.comparison import as_meant
+from mi_splat.conformance.deviations import applied, changes
+from mi_splat.conformance.tolerances import difference, tolerance_of
 from mi_splat.datasets import load_dataset
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.io.camera_records import recorded_cameras
 from mi_splat.io.documents import save_png
-from mi_splat.oracle import Array, render_rays
+from mi_splat.oracle import Array
 from mi_splat.render.renderer import Renderer, RenderSettings, load_floats, save_floats
 from tests.browser import CHROMIUM
 
@@ -30,78 +38,48 @@ pytestmark = pytest.mark.shipped
 
 SCENES = {scene.name: scene for scene in conformance_scenes()}
 SETUPS = {name: scene.setup for name, scene in SCENES.items()}
-RIGHT = {name: setup.render().image for name, setup in SETUPS.items()}
-BY_NAME = {(deviation.switch, deviation.value): deviation for deviation in DEVIATIONS}
+RIGHT = {name: setup.render()[0] for name, setup in SETUPS.items()}
+DEFAULTS = {
+    "clamp=below-0",
+    "order=depth",
+    "low-pass=0.3",
+    "compensation=off",
+    "cut-off=none",
+    "largest-alpha=0.99",
+    "stop=1/10000",
+    "jacobian-limit=1.3",
+    "near=0.2",
+}
+"""What 3DGS does, which other profiles may not do."""
+OTHERS = [name for name in SETUPS if name not in ("order", "quaternion", "needles")]
 
 
-def shown(setup: Setup, *deviations: Deviation) -> Array:
-    """The image of a renderer with deviations, in 8 bits."""
-    for deviation in DEVIATIONS:
-        setup = deviation.change(setup) if deviation in deviations else setup
-    image: Array = np.round(np.clip(setup.render().image, 0, 1) * 255) / 255
-    return image
+def shown(setup: Setup, *keys: str) -> Array:
+    """The image of a renderer with deviations, in bytes."""
+    return in_bytes(applied(setup, keys).render()[0])
 
 
-@pytest.mark.parametrize(
-    "deviation",
-    DEVIATIONS,
-    ids=lambda deviation: f"{deviation.switch}, {deviation.value}",
-)
-def test_every_deviation_shows(deviation: Deviation) -> None:
-    images = (
-        (deviation.change(setup).render().image, RIGHT[name])
-        for name, setup in SETUPS.items()
-    )
+def in_bytes(image: Array) -> Array:
+    found: Array = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    return found
+
+
+@pytest.mark.parametrize("key", [key for key in DEVIATIONS if key not in DEFAULTS])
+def test_every_deviation_shows(key: str) -> None:
     shows = (
-        changed.shape != right.shape or error(changed, right) > 5e-6
-        for changed, right in images
+        not tolerance_of(setup, 8).holds(
+            difference(shown(setup, key) / 255, RIGHT[name])
+        )
+        for name, setup in SETUPS.items()
     )
     assert any(shows), "no scene shows it in 8 bits"
 
 
-@pytest.mark.parametrize(
-    "names",
-    [
-        [("order", "by distance, not by depth")],
-        [("largest alpha", "1"), ("quaternions", "conjugated")],
-        [
-            ("clamp of colours", "to 0 to 1"),
-            ("low-pass filter", "none"),
-            ("direction of SH", "from Gaussian to camera"),
-        ],
-    ],
-    ids=len,
-)
-def test_causes_are_found(names: list[tuple[str, str]]) -> None:
-    few = {
-        name: SETUPS[name]
-        for name in (
-            "quaternion",
-            "sh_1",
-            "above_1",
-            "order",
-            "largest_alpha",
-            "low_pass",
+def test_what_3dgs_does_is_no_deviation_of_it() -> None:
+    for key in DEFAULTS:
+        assert not any(changes(setup, DEVIATIONS[key]) for setup in SETUPS.values()), (
+            key
         )
-    }
-    images = {
-        name: shown(setup, *(BY_NAME[key] for key in names))
-        for name, setup in few.items()
-    }
-    found = find_deviations(images, few)
-    assert {(cause.deviation.switch, cause.deviation.value) for cause in found} == set(
-        names
-    )
-    assert [cause.decibels for cause in found] == sorted(
-        (cause.decibels for cause in found), reverse=True
-    )
-
-
-def test_a_right_renderer_has_no_deviations() -> None:
-    few = {name: SETUPS[name] for name in ("quaternion", "order")}
-    assert (
-        find_deviations({name: shown(setup) for name, setup in few.items()}, few) == []
-    )
 
 
 def test_sizes_in_pixels_stay() -> None:
@@ -136,7 +114,10 @@ def assert_same_text(text: str, expected: str, *, tolerance: float) -> None:
 def pack(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("conformance") / "pack"
     assert (
-        cli.main(["conform", "--export", str(folder), "--formats", ".ply", ".spz"]) == 0
+        cli.main(
+            ["conform", "--export", str(folder), "--formats", ".ply", ".spz", ".glb"]
+        )
+        == 0
     )
     return folder
 
@@ -201,47 +182,19 @@ def test_our_renderer_conforms_from_the_exported_files(
             splat, cameras[name]
         ).numpy()
         exr = load_floats(pack / "images" / f"{name}.exr")
-        error = np.abs(
-            image - np.stack([exr[channel] for channel in "RGB"], axis=2)
-        ).max()
+        exact = np.stack([exr[channel] for channel in "RGB"], axis=2)
+        error = np.abs(image - exact).max() / max(1.0, exact.max())
         assert error < (5e-5 if name == "far_from_origin" else 1e-5), name
         gradients = np.load(pack / "gradients" / f"{name}.npz")
         assert gradients["sh"].shape == tuple(splat.sh.shape)
     capsys.readouterr()
     assert cli.main(["conform", "--read", str(pack / "splats"), "--json"]) == 0
     files = json.loads(capsys.readouterr().out)["files"]
-    assert len(files) == 2 * len(SETUPS) + 2  # two glTF
+    assert len(files) == 3 * len(SETUPS)
     assert max(row["largest_changes"]["opacity"] for row in files) < 0.01
     # also by the node of a glTF
     assert max(row["largest_changes"]["means, world units"] for row in files) < 1e-4
     assert cli.main(["conform", "--gradients", str(pack / "gradients")]) == 0
-
-
-def test_rounding_of_a_gradient_of_zero_conforms_and_an_error_does_not(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Rotations of isotropic Gaussians have no gradient; what rounding leaves of it is
-    no error.
-    """
-    random = np.random.default_rng(0)
-    exact = dict(np.load("scenes/conformance/gradients/sh_1.npz"))
-    rounded = {
-        key: values + 1e-9 * random.normal(size=values.shape)
-        for key, values in exact.items()
-    }
-
-    def judged(gradients: dict[str, Any]) -> tuple[int, dict[str, float]]:
-        np.savez(tmp_path / "sh_1.npz", **gradients)
-        status = cli.main(["conform", "--gradients", str(tmp_path), "--json"])
-        (row,) = json.loads(capsys.readouterr().out)["gradients"]
-        return status, row["relative_errors"]
-
-    assert judged(rounded)[0] == 0
-    wrong_rotations = {**rounded, "rotations": exact["rotations"] + 1e-4}
-    status, errors = judged(wrong_rotations)
-    assert status == 3
-    assert [key for key, error in errors.items() if error > 1e-3] == ["rotations"]
-    assert judged({**rounded, "means": 1.01 * exact["means"]})[0] == 3
 
 
 def test_a_converted_file_that_cannot_be_read_is_one_of_several(
@@ -260,13 +213,10 @@ def test_a_converted_file_that_cannot_be_read_is_one_of_several(
 def test_images_of_a_wrong_viewer_are_explained(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    wrong = BY_NAME["order", "by distance, not by depth"]
     (tmp_path / "images").mkdir()
     for name in ("order", "quaternion"):
-        save_png(
-            (shown(SETUPS[name], wrong) * 255).round().astype(np.uint8),
-            tmp_path / "images" / f"{name}.png",
-        )
+        image = shown(SETUPS[name], "order=distance")
+        save_png(image, tmp_path / "images" / f"{name}.png")
     save_png(np.zeros((8, 64, 3), dtype=np.uint8), tmp_path / "images" / "needles.png")
     words = ["conform", str(tmp_path / "images"), "--out", str(tmp_path / "page")]
     assert cli.main(words) == DIFFERS
@@ -275,31 +225,81 @@ def test_images_of_a_wrong_viewer_are_explained(
     assert "quaternion        conforms" in said.out
     assert "needles           differs   64 x 8 pixels" in said.out
     assert (
-        "likely cause      order: by distance, not by depth (another choice; explains"
-        in said.out
+        "likely cause      order=distance: sorted by distance, not by depth (another"
+        " choice; explains order)" in said.out
     )
-    assert "no image of quaternion_length, quaternion_sign" in said.err
+    assert f"1 of {len(SETUPS)} images conform to 3dgs." in said.out
+    assert "missing           quaternion_length, quaternion_sign" in said.out
+    assert "unexplained       needles" in said.out
     assert (tmp_path / "page" / "order.png").is_file()
     assert not (tmp_path / "page" / "quaternion.png").exists()
     assert "| order | differs |" in (tmp_path / "page" / "conformance.md").read_text()
 
 
+@pytest.fixture
+def no_causes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Causes are not looked for, which takes a while."""
+    where = "mi_splat.conformance.comparison.find_causes"
+    monkeypatch.setattr(where, lambda *_: [])
+
+
+@pytest.mark.usefixtures("no_causes")
 def test_images_of_a_ray_tracer_are_sent_to_its_reference(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in ("needles", "wide_angle"):
-        image, _ = render_rays(SETUPS[name].splat, SETUPS[name].camera)
-        save_png(
-            (np.clip(image, 0, 1) * 255).round().astype(np.uint8),
-            tmp_path / f"{name}.png",
-        )
+    for name, setup in SETUPS.items():
+        image, _ = replace(setup, model="ray").render()
+        save_png(in_bytes(image), tmp_path / f"{name}.png")
     assert cli.main(["conform", str(tmp_path)]) == DIFFERS
-    assert (
-        "2 images conform to the reference of --model ray: compare with that."
-        in capsys.readouterr().out
-    )
-    assert cli.main(["conform", str(tmp_path), "--model", "ray"]) == 0
-    assert "--model" not in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "More images conform to the profile ray: compare with it." in said
+    assert cli.main(["conform", str(tmp_path), "--profile", "ray"]) == 0
+    assert "the profile" not in capsys.readouterr().out
+
+
+def test_images_that_are_missing_are_no_success(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_png(in_bytes(RIGHT["quaternion"]), tmp_path / "quaternion.png")
+    assert cli.main(["conform", str(tmp_path)]) == DIFFERS
+    assert "missing           quaternion_length" in capsys.readouterr().out
+    others = [name for name in SETUPS if name != "quaternion"]
+    assert cli.main(["conform", str(tmp_path), "--accept", *others]) == 0
+    assert "1 of 1 images conform" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("no_causes")
+def test_a_difference_that_is_meant_is_accepted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("order", "quaternion", "needles"):
+        image = shown(SETUPS[name], "order=distance")
+        save_png(image, tmp_path / f"{name}.png")
+    words = ["conform", str(tmp_path), "--accept", *OTHERS]
+    assert cli.main(words) == DIFFERS
+    assert cli.main([*words, "order=distance"]) == 0
+    # a difference that is accepted is asked for
+    assert cli.main([*words, "order=file"]) == DIFFERS
+    capsys.readouterr()
+    assert cli.main([*words, "order=distanse"]) == 1
+    assert "did you mean order=distance?" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("no_causes")
+@pytest.mark.parametrize("profile", PROFILES)
+def test_a_renderer_conforms_to_its_own_profile_only(profile: str) -> None:
+    meant = {name: as_meant(setup, profile) for name, setup in SETUPS.items()}
+    images = {name: in_bytes(setup.render()[0]) for name, setup in meant.items()}
+    assert compare(images, profile=profile).conforms
+    if profile != "3dgs":
+        few = {name: images[name] for name in ("near_plane", "low_pass", "cut_off")}
+        names = [name for name in SETUPS if name not in few]
+        assert not compare(few, accept=names).conforms
+
+
+def test_a_wrong_size_is_refused_at_once() -> None:
+    with pytest.raises(InvalidValueError, match="64, 256, 512 pixels on each side"):
+        compare({"quaternion": np.zeros((100, 100, 3), dtype=np.uint8)})
 
 
 ADAPTER = """
@@ -317,13 +317,12 @@ export async function run(url, camera, canvas, settled) {
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_causes")
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
 def test_a_web_viewer_is_driven_by_its_adapter(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One that draws backgrounds alone, and refuses a file."""
-    # which take a minute here
-    monkeypatch.setattr("mi_splat.conformance.find_deviations", lambda *_: [])
     (tmp_path / "adapter.js").write_text(ADAPTER)
     words = [
         "conform",
@@ -334,22 +333,25 @@ def test_a_web_viewer_is_driven_by_its_adapter(
     ]
     assert cli.main(words) == DIFFERS
     said = capsys.readouterr()
-    assert "no image of needles: " in said.err
-    rows = {row["name"]: row for row in json.loads(said.out)["scenes"]}
-    assert set(rows) == set(SETUPS) - {"needles"}
+    assert "adapter.js, needles: Error: refused" in said.err
+    document = json.loads(said.out)
+    assert document["missing"] == ["needles"]
+    rows = {row["name"] for row in document["scenes"]}
+    assert rows == set(SETUPS) - {"needles"}
     with Image.open(tmp_path / "images" / "background.png") as image:
         assert image.convert("RGB").getpixel((0, 0)) == tuple(
             round(255 * v) for v in SETUPS["background"].background
         )
 
 
+@pytest.mark.usefixtures("no_causes")
 def test_what_a_format_cannot_hold_is_no_error(tmp_path: Path) -> None:
-    kept = _as_read(SCENES["sh_layout"], ".splat").render().image
-    save_png(
-        (np.clip(kept, 0, 1) * 255).round().astype(np.uint8), tmp_path / "sh_layout.png"
-    )
-    assert cli.main(["conform", str(tmp_path)]) == DIFFERS
-    assert cli.main(["conform", str(tmp_path), "--format", ".splat"]) == 0
+    kept, _ = as_read(SCENES["sh_layout"], ".splat").render()
+    save_png(in_bytes(kept), tmp_path / "sh_layout.png")
+    others = [name for name in SETUPS if name != "sh_layout"]
+    words = ["conform", str(tmp_path), "--accept", *others]
+    assert cli.main(words) == DIFFERS
+    assert cli.main([*words, "--format", ".splat"]) == 0
 
 
 @pytest.mark.parametrize(
@@ -366,8 +368,8 @@ def test_what_a_format_cannot_hold_is_no_error(tmp_path: Path) -> None:
         (
             ["EMPTY"],
             (
-                "expected images such as quaternion.png, got none; render what mi-splat"
-                " conform --export writes"
+                "expected images such as quaternion.png, got none; render the splats of"
+                " the pack; .png, .npy, .exr, .jpg, .jpeg are read"
             ),
         ),
         (["--read", "EMPTY"], "expected files such as quaternion.spz, got none"),
@@ -382,61 +384,6 @@ def test_bad_calls_say_what_to_do(
     ) in (1, 2)
     assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
-
-
-def test_gradients_that_are_no_arrays_or_large_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "quaternion.npz"
-    for content, said in (
-        (np.zeros(10**6), "more than"),
-        (np.array(["a", {}], dtype=object), "pickled objects"),
-    ):
-        np.savez_compressed(file, means=content)
-        assert cli.main(["conform", "--gradients", str(tmp_path)]) == 1
-        assert said in capsys.readouterr().err
-    file.write_bytes(b"PK")
-    assert cli.main(["conform", "--gradients", str(tmp_path)]) == 1
-
-
-def damaged(whole: bytes) -> list[bytes]:
-    """A ZIP of an array as it comes: with an unknown method, a broken stream, a
-    password, cut off.
-    """
-    info = zipfile.ZipFile(io.BytesIO(whole)).infolist()[0]
-    start = (
-        info.header_offset
-        + 30
-        + len(info.filename)
-        + int.from_bytes(whole[28:30], "little")
-    )
-    central = whole.index(b"PK\1\2")
-    changes = (
-        {start: 255, start + 1: 255},
-        {central + 10: 97, 8: 97},
-        {central + 8: 1, 6: 1},
-        {central + 10: 12, 8: 12},
-    )
-    made = []
-    for change in changes:
-        data = bytearray(whole)
-        for place, value in change.items():
-            data[place] = value
-        made.append(bytes(data))
-    return [*made, whole[:-30]]
-
-
-def test_damaged_gradients_are_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "quaternion.npz"
-    np.savez_compressed(file, means=np.arange(3.0))
-    for data in damaged(file.read_bytes()):
-        file.write_bytes(data)
-        assert cli.main(["conform", "--gradients", str(tmp_path)]) == 1
-        error = capsys.readouterr().err
-        assert "quaternion.npz: expected arrays shaped as those exported" in error
-        assert len(error.splitlines()) == 1
 
 
 def test_a_damaged_float_image_is_one_line(

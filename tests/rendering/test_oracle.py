@@ -13,7 +13,7 @@ from torch import Tensor
 
 from mi_splat import oracle
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.cli.conform import _camera
+from mi_splat.cli.conform_pack import camera_of
 from mi_splat.conformance import assert_renders_like_3dgs, random_splat
 from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene
@@ -87,7 +87,7 @@ def test_a_right_renderer_passes_and_wrong_ones_are_named() -> None:
     render = Renderer()
 
     def ours(splat: oracle.Splat, view: oracle.PinholeCamera) -> Tensor:
-        return render(GaussianScene(*map(torch.from_numpy, splat)), _camera(view))
+        return render(GaussianScene(*map(torch.from_numpy, splat)), camera_of(view))
 
     assert_renders_like_3dgs(ours, tolerance=1e-5)
     with pytest.raises(

@@ -154,8 +154,11 @@ def test_contributions_are_the_oracles_weights(variant: str) -> None:
         x0, y0, x1, y1 = boxes[number]
         sums = np.zeros(len(SCENE))
         in_box = np.zeros(len(SCENE))
-        for i, _, weights, _ in oracle.blend(oracle.project(SCENE, view), view):
-            sums[i], in_box[i] = weights.sum(), weights[y0:y1, x0:x1].sum()
+        for layer in oracle.blend(oracle.project(SCENE, view), view):
+            weights = np.zeros((view.height, view.width))
+            weights[layer.box] = layer.weight
+            sums[layer.number] = weights.sum()
+            in_box[layer.number] = weights[y0:y1, x0:x1].sum()
         np.testing.assert_allclose(whole[:, number], sums, rtol=1e-5, atol=1e-5)
         np.testing.assert_allclose(parts[:, number], in_box, rtol=1e-5, atol=1e-5)
 

@@ -12,9 +12,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mi_splat.conformance import C0, Setup, look_at
-from mi_splat.oracle import Array, PinholeCamera, Splat
+from mi_splat.conformance.setups import C0, Setup, look_at
+from mi_splat.oracle import Array, PinholeCamera, Splat, sh_basis
 
+SIZES = (64, 256, 512)
+"""Pixels on each side of images, of which references are made."""
 EYE = (2.5, -1.9, 1.0)
 _PADDED = 256
 """Gaussians of a file at least; viewers make textures of larger blocks, and some squash
@@ -157,7 +159,17 @@ def _padded(stored: Splat, camera: PinholeCamera) -> Splat:
 def conformance_scenes(size: int = 64) -> list[ConformanceScene]:
     """All scenes at images of `size` x `size` pixels, but for the one of a portrait."""
     builder = _Builder(size)
-    for group in (_values, _colours, _order, _coverage, _cameras, _shapes, _files):
+    groups = (
+        _values,
+        _colours,
+        _order,
+        _coverage,
+        _cameras,
+        _shapes,
+        _files,
+        _derivatives,
+    )
+    for group in groups:
         group(builder)
     return builder.found
 
@@ -214,18 +226,20 @@ def _colours(b: _Builder) -> None:
     grey = (0.5, 0.5, 0.5)
     for degree in (1, 2, 3):
         count = 2 * degree + 1
+        where = b.grid(4, 0.62)[: 2 * count]
+        coefficient = degree**2 + np.arange(2 * count) % count
+        towards = where - np.array(EYE)
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        # Each term changes its colours about as much, so that a wrong constant shows.
+        terms = sh_basis(towards, 16)[np.arange(2 * count), coefficient]
+        lengths = np.minimum(1.0, 0.45 / np.abs(terms))
+        lengths[count:] *= -0.7
         bands = np.zeros((2 * count, (degree + 1) ** 2 - 1, 3))
-        bands[np.arange(2 * count), degree**2 - 1 + np.arange(2 * count) % count] = (
-            0.45,
-            -0.3,
-            0.2,
-        )
-        bands[count:] *= -0.7
+        bands[np.arange(2 * count), coefficient - 1] = lengths[:, None] * (1, -0.7, 0.4)
         fact = (
             f"sh_{degree}: Gaussians have one coefficient of band {degree} each, seen"
             " from the camera."
         )
-        where = b.grid(4, 0.62)[: 2 * count]
         b.add(fact, _stored(where, 0.22, colours=grey, opacities=0.97, sh=bands))
     three = b.grid(3, 0.8)
     two = b.grid(2, 1.0)
@@ -324,6 +338,42 @@ def _order(b: _Builder) -> None:
         ),
     )
 
+    depths = np.geomspace(1.0, 900.0, 40).repeat(2)
+    depths[1::2] *= 1 + 2e-5
+    across = np.linspace(-0.42, 0.42, 8).repeat(10)
+    along = np.tile(np.linspace(-0.4, 0.4, 5).repeat(2), 8)
+    rays = np.stack([across, np.ones(80), along], axis=1)
+    b.add(
+        "depth_precision: Green is before red by 1/50,000 of the depth, from 1 to 900.",
+        _stored(
+            (rays * depths[:, None])[::-1],
+            0.045 * depths[::-1],
+            colours=[(0.9, 0.1, 0.1), (0.1, 0.8, 0.2)] * 40,
+        ),
+        camera=b.camera((0, 0, 0), (0, 1, 0), focal=1.0),
+        apart=False,
+    )
+    # Three wide layers leave 5 of 10,000 parts of the light; before the last two dots a
+    # narrower one leaves less than 1.
+    wide = np.array([[0.3], [0.25], [0.2]]) * towards
+    dots = b.grid(2, 1.1)
+    b.add(
+        "early_stop: Bright dots behind 5 of 10,000 parts of the light show, and those"
+        " behind less than 1 do not.",
+        _stored(
+            np.concatenate([wide, dots[2:] + 0.1 * towards, dots]),
+            np.concatenate([np.full(3, 6.0), np.full(2, 0.3), np.full(4, 0.12)]),
+            colours=np.concatenate(
+                [
+                    np.tile([0.05, 0.1, 0.2], (5, 1)),
+                    np.tile([1600.0, 1200.0, 800.0], (2, 1)),
+                    np.tile([16000.0, 12000.0, 8000.0], (2, 1)),
+                ]
+            ),
+            opacities=np.array([0.95, 0.9, 0.9, 0.9, 0.9, 0.5, 0.5, 0.5, 0.5]),
+        ),
+    )
+
 
 def _coverage(b: _Builder) -> None:
     three = b.grid(3, 0.8)
@@ -336,6 +386,21 @@ def _coverage(b: _Builder) -> None:
             np.repeat([0.2, 0.21, 0.22, 0.23], 9),
             colours=(1, 0.8, 0.6),
             opacities=np.repeat([0.9, 0.99, 0.03, 0.02], 9),
+        ),
+    )
+    # In the middles of tiles of 16 pixels, three deviations just within them.
+    pixels = 8 + 16 * np.arange(-1, 2) * (b.size // 64)
+    unit = float(np.linalg.norm(EYE)) / (1.2 * b.size)
+    right = b.view.to_world[:3, 0]
+    down = b.view.to_world[:3, 1]
+    b.add(
+        "tails: Gaussians so bright that their last alphas show, beyond three standard"
+        " deviations; tiles may cut them off.",
+        _stored(
+            [unit * (x * right + y * down) for y in pixels for x in pixels],
+            2.55 * unit,
+            colours=(24, 18, 12),
+            opacities=0.99,
         ),
     )
     b.add(
@@ -529,4 +594,36 @@ def _files(b: _Builder) -> None:
         " its SH.",
         splat,
         file="moved by a node",
+    )
+
+
+def _derivatives(b: _Builder) -> None:
+    """Scenes in which the gradient of every attribute has all its terms."""
+    four = b.grid(4, 0.45)
+    unit = b.rng.normal(size=(16, 4))
+    b.add(
+        "anisotropic: Overlapping ellipsoids with SH of degree 3 before a background;"
+        " no gradient is 0.",
+        _stored(
+            four,
+            np.tile([0.3, 0.16, 0.09], (16, 1)),
+            rotations=unit * np.linspace(0.6, 1.7, 16)[:, None],
+            opacities=np.linspace(0.3, 0.9, 16),
+            colours=b.rng.uniform(0.4, 0.8, (16, 3)),
+            sh=b.rng.normal(size=(16, 15, 3)) * 0.06,
+        ),
+        background=(0.2, 0.5, 0.8),
+    )
+    b.add(
+        "limits: Alphas at their limit of 0.99, and colours below 0, before a"
+        " background; neither passes a gradient on.",
+        _stored(
+            np.concatenate([four[::2], four[1::2] * 0.9]),
+            np.tile([0.35, 0.3, 0.25], (16, 1)),
+            opacities=np.concatenate([np.full(8, 0.9999), np.linspace(0.2, 0.7, 8)]),
+            colours=np.concatenate(
+                [b.rng.uniform(0.3, 0.9, (8, 3)), b.rng.uniform(-0.6, 0.6, (8, 3))]
+            ),
+        ),
+        background=(0.9, 0.7, 0.3),
     )

@@ -1,0 +1,207 @@
+"""Which deviations explain the images of a renderer.
+
+A deviation is named only where it holds: under all that are named together images that
+differed lie within their tolerance, and none that conformed leaves it. What stays
+outside is left unexplained, as nothing in the list is the reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from mi_splat.conformance.deviations import (
+    DEVIATIONS,
+    Deviation,
+    applied,
+    changes,
+)
+from mi_splat.conformance.setups import Setup
+from mi_splat.conformance.tolerances import Error, Tolerance, difference
+from mi_splat.oracle import Array, Pixels
+
+_FLOOR = 2e-6
+"""Mean squared error of 8 bits."""
+_SAMPLES = 64
+"""Rows and columns that are looked at while searching."""
+_HARD = 4
+_BREADTH = 6
+"""Images to which combinations are fitted where no deviation alone explains more, and
+combinations that each of these goes on with.
+"""
+
+Keys = frozenset[str]
+
+
+class Cause(NamedTuple):
+    """A deviation that explains images."""
+
+    deviation: Deviation
+    scenes: tuple[str, ...]  # that conform with it and not without it
+
+
+def find_causes(
+    images: Mapping[str, Array],
+    setups: Mapping[str, Setup],
+    tolerances: Mapping[str, Tolerance],
+) -> list[Cause]:
+    """The deviations under which the reference makes the images, the one that explains
+    most first.
+
+    Args:
+        images: (H, W, 3) by the name of their scene.
+        setups: Of every image, what makes its reference.
+        tolerances: Of every image, how far it may be off.
+    """
+    search = _Search(images, setups, tolerances)
+    chosen = search.chosen()
+    causes = []
+    for key in chosen:
+        rest = chosen - {key}
+        by_it = [
+            name
+            for name in search.differing
+            if search.holds(name, chosen) and not search.holds(name, rest)
+        ]
+        causes.append(Cause(DEVIATIONS[key], tuple(by_it)))
+    return sorted(causes, key=lambda cause: -len(cause.scenes))
+
+
+class _Search:
+    """Looks at some rows and columns of each image, so that the size of images does not
+    matter.
+    """
+
+    def __init__(
+        self,
+        images: Mapping[str, Array],
+        setups: Mapping[str, Setup],
+        tolerances: Mapping[str, Tolerance],
+    ) -> None:
+        self.setups = setups
+        self.tolerances = tolerances
+        self.pixels = {name: sampled(image) for name, image in images.items()}
+        self.images = {
+            name: image[np.ix_(*self.pixels[name])] for name, image in images.items()
+        }
+        self.errors = dict[tuple[str, Keys], Error]()
+        self.references = dict[str, Array]()
+        self.shown = set[tuple[str, str]]()
+        nothing = Keys()
+        self.conforming = [name for name in images if self.holds(name, nothing)]
+        self.differing = [name for name in images if name not in self.conforming]
+        self.keys = [
+            key
+            for key, deviation in DEVIATIONS.items()
+            if any(changes(setup, deviation) for setup in setups.values())
+        ]
+
+    def error(self, name: str, chosen: Keys) -> Error:
+        """How far an image is off under deviations."""
+        if len(chosen) > 1:
+            chosen = Keys(key for key in chosen if self.shows(name, key))
+        if (name, chosen) not in self.errors:
+            self.look(name, chosen)
+        return self.errors[name, chosen]
+
+    def shows(self, name: str, key: str) -> bool:
+        """Whether a scene shows a deviation at all."""
+        alone = Keys([key])
+        if (name, alone) not in self.errors:
+            self.look(name, alone)
+        return (name, key) in self.shown
+
+    def look(self, name: str, chosen: Keys) -> None:
+        """Render a scene, and keep how far its image is off."""
+        setup = applied(self.setups[name], chosen)
+        seen, _ = setup.render(self.pixels[name])
+        seen = np.nan_to_num(seen)
+        self.errors[name, chosen] = difference(self.images[name], seen)
+        if not chosen:
+            self.references[name] = seen
+        elif len(chosen) == 1 and not np.array_equal(seen, self.references[name]):
+            self.shown.update((name, key) for key in chosen)
+
+    def holds(self, name: str, chosen: Keys) -> bool:
+        """Whether an image is within its tolerance under deviations."""
+        return self.tolerances[name].holds(self.error(name, chosen))
+
+    def cost(self, names: Iterable[str], chosen: Keys) -> float:
+        """Summed logarithms of the errors."""
+        return sum(
+            math.log(self.error(name, chosen).squared + _FLOOR) for name in names
+        )
+
+    def gain(self, before: Keys, after: Keys) -> int:
+        """How many images more are within their tolerance; 0 where one is no longer."""
+        gained = 0
+        for name in self.differing:
+            now = self.holds(name, after)
+            if self.holds(name, before) and not now:
+                return 0
+            gained += now and not self.holds(name, before)
+        if gained and all(self.holds(name, after) for name in self.conforming):
+            return gained
+        return 0
+
+    def chosen(self) -> Keys:
+        """Deviations that explain most images."""
+        chosen = Keys()
+        while left := [name for name in self.differing if not self.holds(name, chosen)]:
+            found = self.best(chosen, [_with(chosen, key) for key in self.keys])
+            if found == chosen:
+                found = self.best(chosen, self.combinations(chosen, left))
+            if found == chosen:
+                break
+            chosen = found
+        for key in sorted(chosen):
+            rest = chosen - {key}
+            if self.gain(rest, chosen) == 0:
+                chosen = rest
+        return chosen
+
+    def best(self, chosen: Keys, candidates: Iterable[Keys]) -> Keys:
+        """The candidate that explains most images, of those the one that is nearest to
+        all that differ; what was chosen where none explains more.
+        """
+        gains = {candidate: self.gain(chosen, candidate) for candidate in candidates}
+        most = max(gains.values(), default=0)
+        if most == 0:
+            return chosen
+        ties = [candidate for candidate in gains if gains[candidate] == most]
+        return min(ties, key=lambda candidate: self.cost(self.differing, candidate))
+
+    def combinations(self, chosen: Keys, left: list[str]) -> list[Keys]:
+        """Two or three deviations more that explain an image which no single one
+        explains.
+        """
+        nearest = sorted(left, key=lambda name: self.cost([name], chosen))
+        found = []
+        for name in nearest[:_HARD]:
+            ends = [chosen]
+            keys = [key for key in self.keys if self.shows(name, key)]
+            for _ in range(3):
+                longer = {_with(end, key) for end in ends for key in keys}
+                found += [keys for keys in longer if self.holds(name, keys)]
+                ends = sorted(longer, key=lambda keys: self.cost([name], keys))
+                ends = ends[:_BREADTH]
+        return found
+
+
+def _with(chosen: Keys, key: str) -> Keys:
+    """Deviations and one more, in place of one that sets the same."""
+    switch = DEVIATIONS[key].switch
+    return Keys(k for k in chosen if DEVIATIONS[k].switch != switch) | {key}
+
+
+def sampled(image: Array) -> Pixels:
+    """Some rows and columns, spread over an image."""
+    steps = (max(1, round(count / _SAMPLES)) for count in image.shape[:2])
+    along = (
+        np.arange(step // 2, count, step)
+        for step, count in zip(steps, image.shape, strict=False)
+    )
+    return Pixels(*along)
