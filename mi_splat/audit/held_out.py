@@ -37,6 +37,7 @@ Answer = Literal["consistent", "differs", "contradicted"]
 """From the least to the most."""
 ANSWERS: tuple[Answer, ...] = get_args(Answer)
 _CHUNK = 8192
+_LESS = 0.99
 
 
 class Recogniser(Protocol):
@@ -84,10 +85,18 @@ class HeldOutConfig:
     rise: float = 0.01  # by this much at least,
     differs: float = 0.16  # and from which it differs elsewhere
 
-    def evidence(self, *, gain: float, distance: float, rise: float) -> float:
-        """How much a cone contradicts the others; from 1 it is said to."""
+    def evidence(
+        self, *, gain: float, distance: float, rise: float, is_agreed: bool
+    ) -> float:
+        """How much a cone contradicts the others; from 1 it is said to.
+
+        A gain alone is not enough unless half of the views agree on the class.
+        """
         departure = distance / self.departs if rise >= self.rise else 0.0
-        return max(departure, gain / self.gain)
+        recognised = gain / self.gain
+        if not is_agreed:
+            recognised = min(recognised, _LESS)
+        return max(departure, recognised)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -312,6 +321,7 @@ class Consensus:
         usual = scores[scored].quantile(self.config.usual, 0)
         known = int(usual.argmax())
         is_known = float(usual[known]) >= self.config.known
+        is_agreed = float(scores[scored, known].median()) >= self.config.known
         name = recogniser.classes[known] if is_known else None
         views = []
         for cone, chosen in cones.items():
@@ -335,7 +345,9 @@ class Consensus:
                         prediction = candidate
             distance = 1 - float((predicted * own).sum(1).mean())
             rise = float(nearest_predicted - nearest_own)
-            evidence = self.config.evidence(gain=gain, distance=distance, rise=rise)
+            evidence = self.config.evidence(
+                gain=gain, distance=distance, rise=rise, is_agreed=is_agreed
+            )
             views.append(
                 ConeView(
                     object=number,

@@ -91,9 +91,12 @@ def test_a_hidden_object_contradicts_the_other_directions(above: Made) -> None:
     assert float(difference[..., 0].amax()) > 0.2
 
 
-def test_layers_contradict_though_their_colours_do_not_change(clean: Made) -> None:
-    scene = layered(clean).scene
-    assert judged(scene).answer == "contradicted"
+def test_layers_rank_high_though_half_of_the_views_show_them(clean: Made) -> None:
+    found = judged(layered(clean).scene)
+    assert found.evidence > 0.9
+    # which half is true, held-out directions cannot tell
+    assert found.answer != "contradicted"
+    assert judged(clean.scene).evidence < 0.1
 
 
 @pytest.mark.parametrize("kind", ["plain", "glossy"])
@@ -127,6 +130,16 @@ def test_nothing_is_contradicted_where_the_detector_knows_nothing(above: Made) -
     assert found.answer != "contradicted"
     assert found.known_as == (None,)
     assert "no object" in held_out_lines(found)[0]
+
+
+def test_a_class_that_few_views_show_contradicts_nothing() -> None:
+    values = {"gain": 0.9, "distance": 0.0, "rise": 0.0}
+    assert HeldOutConfig().evidence(**values, is_agreed=True) >= 1
+    assert HeldOutConfig().evidence(**values, is_agreed=False) < 1
+    departs = {"gain": 0.0, "distance": 0.3}
+    assert HeldOutConfig().evidence(**departs, rise=0.05, is_agreed=False) >= 1
+    # gloss looks unlike the prediction, and no less like the other views
+    assert HeldOutConfig().evidence(**departs, rise=-0.05, is_agreed=True) < 1
 
 
 def test_without_cameras_on_several_sides_nothing_is_compared(clean: Made) -> None:
