@@ -27,6 +27,16 @@ _FLOOR = 2e-6
 """Mean squared error of 8 bits."""
 _SAMPLES = 64
 """Rows and columns that are looked at while searching."""
+_CLEARLY = 9.0
+_HARDLY = 1.0
+"""dB by which an image comes nearer that is explained, and by which one may be further
+off that is not.
+"""
+_ENOUGH = 3
+_LESS_EXACT = 9.0
+"""Conforming images that show how exact a renderer is; dB by which images under their
+causes may be less exact.
+"""
 _HARD = 3
 _BREADTH = 4
 _NEARER = 0.1
@@ -82,7 +92,7 @@ class _Search:
         tolerances: Mapping[str, Tolerance],
     ) -> None:
         self.setups = setups
-        self.tolerances = tolerances
+        self.tolerances = dict(tolerances)
         self.pixels = {name: sampled(image) for name, image in images.items()}
         self.images = {
             name: image[np.ix_(*self.pixels[name])] for name, image in images.items()
@@ -93,11 +103,27 @@ class _Search:
         nothing = Keys()
         self.conforming = [name for name in images if self.holds(name, nothing)]
         self.differing = [name for name in images if name not in self.conforming]
+        self.expect_as_exact_as_others()
         self.keys = [
             key
             for key, deviation in DEVIATIONS.items()
             if any(changes(setup, deviation) for setup in setups.values())
         ]
+
+    def expect_as_exact_as_others(self) -> None:
+        """Ask of images that differ to be about as exact under their causes as those
+        that conform, where there are some: otherwise a deviation that is merely similar
+        to what a renderer does would be named.
+        """
+        nothing = Keys()
+        others = [self.error(name, nothing).squared for name in self.conforming]
+        if len(others) < _ENOUGH:
+            return
+        usual = Error(max(float(np.median(others)), _FLOOR), 0.0)
+        for name in self.differing:
+            tolerance = self.tolerances[name]
+            least = max(tolerance.psnr, usual.psnr - _LESS_EXACT)
+            self.tolerances[name] = tolerance._replace(psnr=least)
 
     def error(self, name: str, chosen: Keys) -> Error:
         """How far an image is off under deviations."""
@@ -139,21 +165,27 @@ class _Search:
         """How many images more are within their tolerance.
 
         It is 0 if one is no longer, if there are fewer than deviations that were added,
-        since a combination fits some image by chance, or if the images that are still
-        off are further off: what a renderer does, it does in all of them.
+        since a combination fits some image by chance, or if an image that is still off
+        is further off: what a renderer does, it does in all of them. An image whose
+        error hardly changes counts for nothing.
         """
         every = [*self.differing, *self.conforming]
         held = [name for name in every if self.holds(name, before)]
         left = [name for name in every if name not in held]
-        rest = [name for name in left if not self.holds(name, after)]
-        gained = len(left) - len(rest)
+        fitted = [name for name in left if self.holds(name, after)]
+        gained = sum(self.nears(name, before, after) >= _CLEARLY for name in fitted)
         if gained < max(1, len(after - before)):
             return 0
         if not all(self.holds(name, after) for name in held):
             return 0
-        if self.cost(rest, after) > self.cost(rest, before) + _NEARER * len(rest):
+        rest = [name for name in left if name not in fitted]
+        if any(self.nears(name, before, after) < -_HARDLY for name in rest):
             return 0
         return gained
+
+    def nears(self, name: str, before: Keys, after: Keys) -> float:
+        """By how many dB an image comes nearer."""
+        return self.error(name, after).psnr - self.error(name, before).psnr
 
     def chosen(self) -> Keys:
         """Deviations that explain most images."""
