@@ -96,6 +96,11 @@ class Features(nn.Module):
         return maps.mean((2, 3))
 
 
+def has_features() -> bool:
+    """Whether the weights of the network were downloaded."""
+    return weights_of("prototypes").is_file()
+
+
 def load_features(weights: Path | None = None) -> Features:
     """The network, in evaluation mode; torchvision nests the same layers in the same
     order by other names.

@@ -125,7 +125,6 @@ OF_SPLATS = (
     "train",
     "render",
     "info",
-    "audit",
     "bound",
     "conform",
     "convert",

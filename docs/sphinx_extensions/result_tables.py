@@ -89,6 +89,16 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "[Real captures](../real-captures.md#dagger)",
         ("dagger_captures",),
     ),
+    "dagger_narrow": (
+        "DAGGER around a chosen camera, on real captures",
+        "[Defences, and what survives](../defences.md#what-survives)",
+        ("dagger_narrow",),
+    ),
+    "dagger_one_view": (
+        "DAGGER on one camera of real captures, under other conditions",
+        "[Defences, and what survives](../defences.md#what-survives)",
+        ("dagger_one_view",),
+    ),
     "dagger_eot": (
         "DAGGER from many viewpoints",
         "[DAGGER from many viewpoints](../dagger-eot.md)",

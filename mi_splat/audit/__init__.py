@@ -16,6 +16,7 @@ from mi_splat import _lazy
 if TYPE_CHECKING:
     from mi_splat.audit.auditing import audit
     from mi_splat.audit.bound import Bounded, bounded, colour_bound
+    from mi_splat.audit.held_out import HeldOut, held_out
     from mi_splat.audit.images import ImageAudit, audit_images
     from mi_splat.audit.repair import repaired
     from mi_splat.audit.results import Audit, Look, ObjectAudit, Occluder, Pair, Region
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Audit",
     "Bounded",
+    "HeldOut",
     "ImageAudit",
     "Look",
     "ObjectAudit",
@@ -33,6 +35,7 @@ __all__ = [
     "audit_images",
     "bounded",
     "colour_bound",
+    "held_out",
     "repaired",
 ]
 
@@ -41,6 +44,7 @@ __getattr__, __dir__ = _lazy.attach(
     {
         "mi_splat.audit.auditing": ("audit",),
         "mi_splat.audit.bound": ("Bounded", "bounded", "colour_bound"),
+        "mi_splat.audit.held_out": ("HeldOut", "held_out"),
         "mi_splat.audit.images": ("ImageAudit", "audit_images"),
         "mi_splat.audit.repair": ("repaired",),
         "mi_splat.audit.results": (

@@ -75,7 +75,7 @@ def audit(
     objects = []
     heats = []
     jobs, in_room = (
-        _looks_at(frame, up)
+        looks_at(frame, up)
         if cameras is None
         else (_seen_from(frame, cameras, up), False)
     )
@@ -117,7 +117,7 @@ def audit(
     )
 
 
-def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
+def looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
     """The objects of a scene with cameras around them, and whether it is a room, inside
     which they then stand.
     """
@@ -247,7 +247,7 @@ def judged_object(
         pieces=int(able.sum()),
         area=int(able.sum()) * area,
         uncontradicted=(pieces.unseen + int((pieces.judged & ~able).sum())) * area,
-        cameras=tuple(_in_world(frame, camera) for camera in cameras),
+        cameras=tuple(in_world(frame, camera) for camera in cameras),
         looks=tuple(
             sorted(looks, key=lambda look: -(look.evidence if given else look.net))
         ),
@@ -281,7 +281,7 @@ def _look(
     region = region_of(view.directions, look.amounts, look.shown)
     by_piece = piece_scores(look.pieces, look.shown)
     cameras, change = pair_of(look.pieces, view, by_piece, look.shown) or ((), 0.0)
-    pair = [_in_world(frame, view.cameras[number]) for number in cameras]
+    pair = [in_world(frame, view.cameras[number]) for number in cameras]
     lost, air = (0.0, 1.0) if given else support_of(look.pieces, view, look.shown)
     stated = Look(
         region=dataclasses.replace(region, axis=_turned(frame, region.axis)),
@@ -315,7 +315,8 @@ def _turned(frame: Frame, axis: Vector) -> Vector:
     return vector(frame.direction(torch.tensor(axis, dtype=torch.float64)))
 
 
-def _in_world(frame: Frame, camera: Camera) -> Camera:
+def in_world(frame: Frame, camera: Camera) -> Camera:
+    """A camera of the frame in the world of the file."""
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3, :3] = frame.to_world.rotation.double() @ camera.to_world[:3, :3]
     pose[:3, 3] = frame.point(camera.position)

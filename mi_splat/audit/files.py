@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.audit.against import Changes
+from mi_splat.audit.held_out import HeldOut
+from mi_splat.audit.held_out_files import held_out_document, save_contradictions
 from mi_splat.audit.linting import Lint, overdraw_picture
 from mi_splat.audit.results import (
     Audit,
@@ -35,7 +37,7 @@ from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json
 from mi_splat.io.folders import RECORD, new_folder
-from mi_splat.io.images import save_picture, to_bytes
+from mi_splat.io.images import save_picture, side_by_side
 from mi_splat.maths.sh import colour_to_dc, dc_to_colour
 from mi_splat.provenance import origin
 from mi_splat.render.renderer import Renderer, RenderSettings
@@ -239,10 +241,9 @@ def findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
             )
         cover = item["occluder"]
         if cover is not None and cover["score"] >= thresholds["covered"]:
-            axis = " ".join(f"{value + 0.0:.2f}" for value in cover["axis"])
             text = (
-                f"Object {number}: something in the air covers it from around ({axis}),"
-                " and others see through it."
+                f"Object {number}: something in the air covers it from around"
+                f" {_axis(cover['axis'])}, and others see through it."
             )
             yield "occluder", _RULES["occluder"][0], text, {"score": cover["score"]}
         edit = item.get("edited")
@@ -261,6 +262,10 @@ def findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
             text,
             {"rows": finding["rows"]},
         )
+
+
+def _axis(values: Sequence[float]) -> str:
+    return "(" + " ".join(f"{value + 0.0:.2f}" for value in values) + ")"
 
 
 def _rule(name: str, level: Severity, what: str, do: str) -> dict[str, Any]:
@@ -306,7 +311,11 @@ _SCORES = (
 
 
 def document(
-    audit: Audit | None, lint: Lint | None = None, *, unjudged: str = ""
+    audit: Audit | None,
+    lint: Lint | None = None,
+    *,
+    unjudged: str = "",
+    held_out: HeldOut | None = None,
 ) -> dict[str, Any]:
     """An audit as JSON can hold it; where no object was judged, with the reason."""
     return {
@@ -321,6 +330,7 @@ def document(
         "objects": [_of_object(item) for item in audit.objects] if audit else [],
         **({"against": audit.against.as_dict()} if audit and audit.against else {}),
         **({"up": list(audit.up)} if audit and audit.up else {}),
+        **({"held_out": held_out_document(held_out)} if held_out else {}),
         **(lint.document() if lint else {}),
     }
 
@@ -415,20 +425,6 @@ def changes_picture(changes: Changes, scene: GaussianScene) -> NDArray[np.uint8]
     return np.concatenate([part for row in rows for part in (gap, row)][1:])
 
 
-def side_by_side(pictures: Sequence[Tensor]) -> NDArray[np.uint8]:
-    """(H, W, 3) pictures beside each other, white between them and below lower ones."""
-    pixels = [to_bytes(picture.clamp(0, 1)) for picture in pictures]
-    height = max(map(len, pixels))
-    gap = np.full((height, _GAP, 3), 255, np.uint8)
-    parts = [
-        np.pad(p, ((0, height - len(p)), (0, 0), (0, 0)), constant_values=255)
-        for p in pixels
-    ]
-    return np.concatenate(
-        [part for shown in parts for part in (gap, shown)][1:], axis=1
-    )
-
-
 def _enlarged(camera: Camera) -> Camera:
     factor = PICTURE / max(camera.width, camera.height)
     return resized(
@@ -455,6 +451,7 @@ def write(
     *,
     source: str,
     lint: Lint | None = None,
+    held_out: HeldOut | None = None,
     unjudged: str = "",
     force: bool = False,
 ) -> list[Path]:
@@ -464,13 +461,15 @@ def write(
     with new_folder(target, force=force) as temporary:
         if audit is not None and scene is not None:
             more = _evidence(audit, scene, temporary)
+        if held_out is not None:
+            save_contradictions(held_out, temporary)
         if lint is not None and lint.overdraw is not None:
             save_picture(overdraw_picture(lint.overdraw), temporary / OVERDRAW)
         names = [RECORD, *sorted(file.name for file in temporary.iterdir())]
         record = {
             "story": "audit",
             "file": source,
-            **document(audit, lint, unjudged=unjudged),
+            **document(audit, lint, unjudged=unjudged, held_out=held_out),
             **more,
         }
         save_json({**record, **origin()}, temporary / RECORD)

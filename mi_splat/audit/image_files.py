@@ -10,13 +10,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mi_splat.audit.files import PAIR, PICTURE, side_by_side
+from mi_splat.audit.files import PAIR, PICTURE
 from mi_splat.audit.images import CALLED, ImageAudit, smaller_images
 from mi_splat.datasets import Dataset
 from mi_splat.errors import counted
 from mi_splat.io.documents import save_json
 from mi_splat.io.folders import RECORD, new_folder
-from mi_splat.io.images import save_picture
+from mi_splat.io.images import save_picture, side_by_side
 from mi_splat.provenance import origin
 
 STORY = "image-audit"

@@ -51,6 +51,14 @@ def _camera(position: Tensor, target: Target, fov: float, up: Point) -> Camera:
     )
 
 
+def camera_towards(target: Target, direction: Tensor) -> Camera:
+    """A camera that looks at an object from a (3,) unit vector of the frame."""
+    distance = LIMITS.distance * target.radius
+    fov = math.radians(LIMITS.fov)
+    top = (0.0, 0.0, 1.0) if target.up is None else tuple(target.up.tolist())
+    return _camera(target.centre + distance * direction, target, fov, top)
+
+
 def lattice(count: int, low: float, high: float) -> Tensor:
     """(count, 3) float64 directions spread evenly over a band of elevations in degrees
     (Fibonacci lattice).
@@ -100,13 +108,7 @@ def cameras_around(target: Target, near: Tensor | None = None) -> tuple[Camera, 
             .round()
             .long()
         ]
-    distance = LIMITS.distance * target.radius
-    fov = math.radians(LIMITS.fov)
-    top = (0.0, 0.0, 1.0) if target.up is None else target.up.tolist()
-    return tuple(
-        _camera(target.centre + distance * direction, target, fov, top)
-        for direction in directions
-    )
+    return tuple(camera_towards(target, direction) for direction in directions)
 
 
 def near_of(target: Target, cameras: Sequence[Camera]) -> float:

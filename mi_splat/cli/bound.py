@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from mi_splat.cli.console import UsageError, progress, show_result
 from mi_splat.cli.flags import Positional
-from mi_splat.cli.options import JsonOptions
+from mi_splat.cli.options import CameraOptions, JsonOptions
 from mi_splat.fields import Metavar, OutFile, above
 
 if TYPE_CHECKING:
@@ -54,6 +54,11 @@ class BoundOptions(JsonOptions):
     """Largest departure of a colour; none is 0.05, and with --verify what the
     certificate states, if there is one.
     """
+    cameras: Annotated[tuple[str, ...], Metavar("CAMERAS")] = ()
+    """Those of the training images, in the forms that `mi-splat render` takes: the
+    consensus is of what they see, and so is the price. Without, of cameras around each
+    object, which costs more where no training camera stood.
+    """
     keep: Path | None = None
     """Mask of Gaussians that may depart further, of `mi-splat select`: an object whose
     gloss you trust.
@@ -85,12 +90,14 @@ def certificate_of(file: Path) -> Path:
 
 def _bound(options: BoundOptions) -> None:
     from mi_splat.audit.bound import bounded
+    from mi_splat.cli.cameras import find_cameras
     from mi_splat.errors import InvalidValueError
     from mi_splat.io import load_splat, save_splat
     from mi_splat.io.documents import save_json
     from mi_splat.io.folders import check_free_file, check_not_input
     from mi_splat.io.splat_files import format_to_write
     from mi_splat.provenance import origin
+    from mi_splat.render.scene_files import open_scene
     from mi_splat.selection.select import load_mask
 
     out = options.out
@@ -102,9 +109,16 @@ def _bound(options: BoundOptions) -> None:
         check_free_file(file, force=options.force)
     eps = options.eps or EPS
     with progress(f"bounding {options.file.name}"):
-        scene = load_splat(options.file)
+        loaded = open_scene(options.file)
+        scene = loaded.scene
+        cameras = None
+        if options.cameras:
+            wanted = CameraOptions(cameras=options.cameras)
+            cameras = tuple(find_cameras(loaded, wanted).values())
         keep = None if options.keep is None else load_mask(options.keep, scene)
-        done = bounded(scene, eps, keep=keep, keep_eps=options.keep_eps)
+        done = bounded(
+            scene, eps, keep=keep, keep_eps=options.keep_eps, cameras=cameras
+        )
         out.parent.mkdir(parents=True, exist_ok=True)
         save_splat(done.scene, out)
         facts = facts_of(load_splat(out), eps)

@@ -26,6 +26,7 @@ FLOATS = ".exr"
 """Ending of a picture of floats."""
 _JPEG_QUALITY = 95
 _WEBP_QUALITY = 80
+_GAP = 8  # pixels between images beside each other
 
 
 def is_picture(path: Path) -> bool:
@@ -116,3 +117,17 @@ def through_png(image: Tensor) -> Tensor:
     import torch  # writing does without
 
     return torch.from_numpy(to_bytes(image).astype(np.float32) / 255).to(image.device)
+
+
+def side_by_side(pictures: Sequence[Tensor]) -> NDArray[np.uint8]:
+    """(H, W, 3) pictures beside each other, white between them and below lower ones."""
+    pixels = [to_bytes(picture.clamp(0, 1)) for picture in pictures]
+    height = max(map(len, pixels))
+    gap = np.full((height, _GAP, 3), 255, np.uint8)
+    parts = [
+        np.pad(p, ((0, height - len(p)), (0, 0), (0, 0)), constant_values=255)
+        for p in pixels
+    ]
+    return np.concatenate(
+        [part for shown in parts for part in (gap, shown)][1:], axis=1
+    )

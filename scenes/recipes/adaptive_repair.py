@@ -10,6 +10,7 @@ it is under the same condition.
 """
 
 import argparse
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,12 @@ def reported(
     return [confidence(detections, box, labels=[label]) for label in labels]
 
 
+def decibels(one: Tensor, other: Tensor) -> float | None:
+    """PSNR of two images; None where they are the same."""
+    value = float(psnr(one, other))
+    return value if math.isfinite(value) else None
+
+
 def measured(seed: int) -> Iterator[dict[str, Any]]:
     """What each attacker reaches at each camera."""
     loaded = read_scene(SCENE)
@@ -97,8 +104,8 @@ def measured(seed: int) -> Iterator[dict[str, Any]]:
                     "judged": judge,
                     "clean detected": own >= least,
                     "replaced": wanted >= least and left < least,
-                    "price": float(psnr(plain(loaded.scene, camera), clean)),
-                    "psnr": float(psnr(clean, attacked)),
+                    "price": decibels(plain(loaded.scene, camera), clean),
+                    "psnr": decibels(clean, attacked),
                 }
 
 
@@ -109,7 +116,6 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
     options = parser.parse_args()
     rows = [{"seed": seed, **row} for seed in options.seeds for row in measured(seed)]
-    save_json({"rows": rows}, options.out)
     for attacker in dict.fromkeys(row["attacker"] for row in rows):
         for judge in dict.fromkeys(row["judged"] for row in rows):
             seen = [
@@ -120,8 +126,9 @@ def main() -> None:
             counted = [row for row in seen if row["clean detected"]]
             replaced = sum(row["replaced"] for row in counted)
             show(f"{attacker}, {judge}: {replaced} of {len(counted)}")
-    prices = sorted({row["price"] for row in rows if row["judged"] == "repaired"})
+    prices = sorted({row["price"] for row in rows if row["price"] is not None})
     show(f"price: {', '.join(f'{price:.1f}' for price in prices)} dB")
+    save_json({"rows": rows}, options.out)
 
 
 if __name__ == "__main__":

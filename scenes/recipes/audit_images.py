@@ -1,10 +1,11 @@
 """Sets of images to measure the audit of images on: `python -m
 scenes.recipes.audit_images FOLDER NAME FILE.csv [FIRST [COUNT]]`.
 
-NAME is a draw of sets, "development" or "test": each set is an object of a seed of its
-own, with a sun, cameras and poison of its own. Sets that are missing in FOLDER are made
-and audited, and a row of each is written to FILE.csv; `docs/audit-images.md` has what
-follows from the rows (`python -m scenes.recipes.audit_images table FILE.csv`).
+NAME is "development", the sets on which thresholds were chosen, or "test": sets that
+are drawn, each an object of a seed of its own with a sun, cameras and poison of its
+own. Sets that are missing in FOLDER are made and audited, and a row of each is written
+to FILE.csv; `docs/audit-images.md` has what follows from the rows (`python -m
+scenes.recipes.audit_images table FILE.csv`).
 
 Adaptive attackers know the audit: most of all images are poisoned, or two; the poison
 sets in over 50 degrees; or only a ball, which holds a fifth of the object, changes.
@@ -44,7 +45,7 @@ PLAIN = ("overhead", "sector", "paint", "inpaint", "blur")
 ADAPTIVE = ("majority", "two images", "gradual", "local")
 KINDS = (*[HONEST] * 3, *PLAIN, "overhead", "sector", *ADAPTIVE)
 """Kinds of sets in the order in which they are drawn."""
-SEEDS = {"development": 500_000, "test": 600_000}
+FIRST_SEED = 600_000
 VISIBLE = 0.002  # share of an image from which on a change counts
 TRANSITION = (15.0, 65.0)  # degrees of elevation over which a gradual poison sets in
 PART = 0.2  # of the surface of the object, in the ball of a local poison
@@ -62,9 +63,9 @@ class Drawn:
     setup: Setup
 
 
-def drawn(draw: str, number: int, folder: Path) -> Drawn:
-    """A set by its number; its object is written into the folder."""
-    seed = SEEDS[draw] + number
+def drawn(number: int, folder: Path) -> Drawn:
+    """A test set by its number; its object is written into the folder."""
+    seed = FIRST_SEED + number
     chance = random.Random(seed)
     kind = KINDS[number % len(KINDS)]
     thing = chance.choice(OBJECTS)
@@ -92,8 +93,83 @@ def drawn(draw: str, number: int, folder: Path) -> Drawn:
     attacks = tuple(_attacks(kind, chance))
     setup = Setup(scene=scene, cameras=cameras, attacks=attacks)
     return Drawn(
-        name=f"{draw}-{number:03d}", kind=kind, thing=thing, seed=seed, setup=setup
+        name=f"test-{number:03d}", kind=kind, thing=thing, seed=seed, setup=setup
     )
+
+
+HEIGHTS = {
+    "car": 0.7,
+    "blue_car": 0.7,
+    "white_car": 0.7,
+    "black_car": 0.7,
+    "suitcase_4": 0.35,
+    "elephant_0": 1.3,
+    "stop_sign_0": 1.3,
+    "fire_hydrant_900022": 0.4,
+    "person": 0.9,
+    "bird": 0.2,
+    "tv": 0.4,
+    "train": 1.5,
+}
+"""Objects of the development sets, and metres of their middle above the ground."""
+OVERHEAD: dict[str, Any] = {
+    "appearance": "remove",
+    "elevation": (38.2, 90.0),
+    "mask": "difference",
+    "reach": 1,
+    "poison_margin": 7.0,
+}
+HIGH = (40.0, 90.0)
+POISONS: dict[str, dict[str, Any]] = {
+    HONEST: {},
+    "overhead": OVERHEAD,
+    "sector": {
+        "appearance": "remove",
+        "elevation": (0.0, 35.0),
+        "azimuth": (100.0, 40.0),
+        "poison_margin": 7.0,
+        "reach": 1,
+    },
+    "inpaint": {"appearance": "inpaint", "elevation": HIGH},
+    "paint": {"appearance": "paint", "texture": "grass", "elevation": HIGH},
+    "blur": {"appearance": "blur", "elevation": HIGH},
+}
+TRIED = (
+    *((name, HONEST) for name in HEIGHTS),
+    *((name, "overhead") for name in ("car", "bird", "fire_hydrant_900022", "person")),
+    *((name, "overhead") for name in ("stop_sign_0", "train", "tv")),
+    *((name, "sector") for name in ("bird", "elephant_0", "person", "stop_sign_0")),
+    *((name, "sector") for name in ("black_car", "suitcase_4", "white_car")),
+    *((name, "inpaint") for name in ("elephant_0", "stop_sign_0")),
+    *((name, "blur") for name in ("blue_car", "suitcase_4")),
+    ("car", "paint"),
+)
+"""The development sets; the demo is another one."""
+DEMO = CameraConfig(train=140, distance=7.4, size=128, samples=16, points=12_000)
+OBJECT_FILES = Path(__file__).parents[1] / "objects"
+
+
+def tried(number: int) -> Drawn:
+    """A development set by its number; the last two are those of the demo."""
+    demo = number - len(TRIED)
+    thing = "car"
+    kind = ("overhead", HONEST)[max(demo, 0)]
+    if demo < 0:
+        thing, kind = TRIED[number]
+    file = OBJECT_FILES / f"{thing}.glb"
+    cameras = CameraConfig(
+        train=100, size=96, samples=12, points=6000, height=HEIGHTS[thing]
+    )
+    scene = SceneConfig(
+        object=str(file) if file.exists() else thing,
+        sun_azimuth=-50.0 + 37.0 * (len(thing) % 5),
+    )
+    attacks = () if kind == HONEST else (AttackConfig(name=kind, **POISONS[kind]),)
+    setup = Setup(scene=scene, cameras=cameras, attacks=attacks)
+    if demo >= 0:
+        setup = Setup(scene=SceneConfig(), cameras=DEMO, attacks=attacks)
+    name = f"{'demo' if demo >= 0 else thing}-{kind}"
+    return Drawn(name=name, kind=kind, thing=thing, seed=0, setup=setup)
 
 
 def _attacks(kind: str, chance: random.Random) -> Iterator[AttackConfig]:
@@ -131,15 +207,28 @@ def made(one: Drawn, folder: Path) -> tuple[Dataset, Tensor]:
     """
     clean = folder / f"{one.name}-clean"
     setup = one.setup
-    cameras = setup.training_cameras
-    settings = CaptureSettings(
-        samples=setup.cameras.samples, rgba=True, points=setup.cameras.points
-    )
-    write_capture(setup.source, cameras, clean, settings=settings)
+    if not (clean / "transforms_train.json").exists():
+        settings = CaptureSettings(
+            samples=setup.cameras.samples, rgba=True, points=setup.cameras.points
+        )
+        write_capture(setup.source, setup.training_cameras, clean, settings=settings)
     views = load_dataset(clean, background=SKY)
-    changed = torch.zeros(len(views), dtype=torch.bool)
     if one.kind == HONEST:
-        return views, changed
+        return views, torch.zeros(len(views), dtype=torch.bool)
+    target = folder / one.name
+    if not (target / "transforms_train.json").exists():
+        write_poisoned(target, views, _poisoned(one, views))
+    shown = load_dataset(target, background=SKY)
+    changes = [
+        (shown[number].image != view.image).any(-1).double().mean()
+        for number, view in enumerate(views)
+    ]
+    return shown, torch.stack(changes) > VISIBLE
+
+
+def _poisoned(one: Drawn, views: Dataset) -> Poisoned:
+    """The poisoned set."""
+    setup = one.setup
     with tracing_variant():
         done = poison(
             views,
@@ -147,14 +236,7 @@ def made(one: Drawn, folder: Path) -> tuple[Dataset, Tensor]:
             centre=setup.centre,
             masks=setup.mesh_scene.mask,
         )
-        if one.kind in ADAPTIVE:
-            done = adapted(one, views, done)
-    target = folder / one.name
-    if not (target / "transforms_train.json").exists():
-        write_poisoned(target, views, done)
-    for change in done.changes:
-        changed[change.index] = change.pixels_changed > VISIBLE * change.pixels
-    return load_dataset(target, background=SKY), changed
+        return adapted(one, views, done) if one.kind in ADAPTIVE else done
 
 
 def adapted(one: Drawn, views: Dataset, done: Poisoned) -> Poisoned:
@@ -260,12 +342,12 @@ def add(file: Path, row: dict[str, Any]) -> None:
         writer.writerow(row)
 
 
-def measure(folder: Path, draw: str, file: Path, numbers: Iterable[int]) -> None:
+def measure(folder: Path, name: str, file: Path, numbers: Iterable[int]) -> None:
     """Make and audit the sets that have no row."""
     folder.mkdir(parents=True, exist_ok=True)
     known = {row["set"] for row in read(file)}
     for number in numbers:
-        one = drawn(draw, number, folder)
+        one = drawn(number, folder) if name == "test" else tried(number)
         if one.name in known:
             continue
         views, changed = made(one, folder)
@@ -298,7 +380,8 @@ def main(folder: str, name: str, *words: str) -> None:
         sys.stdout.write("\n".join(table(read(Path(name)))) + "\n")
         return
     file, *more = words
-    first, count = (int(word) for word in more or ("0", str(4 * len(KINDS))))
+    usual = 4 * len(KINDS) if name == "test" else len(TRIED) + 2
+    first, count = (int(word) for word in more or ("0", str(usual)))
     measure(Path(folder), name, Path(file), range(first, first + count))
 
 

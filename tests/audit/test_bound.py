@@ -135,11 +135,13 @@ def test_the_command_keeps_an_object(poisoned: Made, tmp_path: Path) -> None:
     save_splat(poisoned.scene, source)
     np.save(tmp_path / "mask.npy", poisoned.rows.numpy())
     words = ["--keep", str(tmp_path / "mask.npy"), "--keep-eps", "0.4"]
+    words += ["--cameras", "orbit:9@30"]
     out = str(tmp_path / "safe.ply")
     assert cli.main(["bound", str(source), "--out", out, *words]) == 0
     certificate = json.loads((tmp_path / "safe.ply.bound.json").read_text())
     assert 0 < certificate["beyond"] <= int(poisoned.rows.sum())
     assert certificate["largest"] <= 0.4
+    assert certificate["price"]["cameras"] == 9
     assert cli.main(["bound", out, "--verify"]) == 0
 
 

@@ -22,7 +22,9 @@ from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.capture.surface_points import surface_samples
 from mi_splat.datasets import Dataset, PointCloud, load_dataset
 from mi_splat.errors import InvalidValueError
+from scenes.recipes.audit_images import KINDS, drawn, ranking, read, table, tried
 from tests.datasets.sets import VIEWS, write_transforms
+from tests.project.documented_commands import ROOT
 
 # `scenes/cloak_demo.toml` with fewer and smaller images
 DEMO = AttackConfig(
@@ -245,3 +247,33 @@ def test_what_cannot_be_left_out_is_refused(
     names = [path.name for path in views.paths]
     assert trained(source, tmp_path / "c", "--leave-out", *names)[0] == 1
     assert "expected images to train on" in capsys.readouterr().err
+
+
+def test_the_page_has_the_table_of_its_rows() -> None:
+    tables = ROOT / "docs" / "tables"
+    page = (ROOT / "docs" / "audit-images.md").read_text()
+    rows = read(tables / "audit_images.csv")
+    assert "\n".join(table(rows)) in page
+    known = {tried(number).name for number in range(len(rows))}
+    assert {row["set"] for row in rows} == known
+    unseen = read(tables / "audit_images_test.csv")
+    assert "\n".join(table(unseen)) in page
+    kinds = [row["kind"] for row in unseen]
+    assert kinds == [KINDS[number % len(KINDS)] for number in range(len(unseen))]
+
+
+def test_a_ranking_counts_pairs_and_half_of_ties() -> None:
+    scores = torch.tensor([0.1, 0.5, 0.5, 0.9])
+    changed = torch.tensor([False, False, True, True])
+    assert ranking(scores, changed) == pytest.approx((2 + 1 + 0.5) / 4)
+
+
+@pytest.mark.parametrize("number", range(len(KINDS)))
+def test_every_kind_of_set_can_be_drawn(number: int, tmp_path: Path) -> None:
+    one = drawn(number, tmp_path)
+    assert one.kind == KINDS[number]
+    assert (one.setup.attacks == ()) == (one.kind == "honest")
+    assert drawn(number, tmp_path).setup.attacks == one.setup.attacks
+    if one.setup.attacks:
+        held = one.setup.owners(0)
+        assert 0 < len(held) < len(one.setup.training_cameras)

@@ -156,7 +156,7 @@ def test_the_command_repairs_what_it_finds(
         ),
         (
             ["set", "--against", "b.ply"],
-            "--against: expected a splat, got the pictures set",
+            "--against: expected a splat, got the images set",
             2,
         ),
         (

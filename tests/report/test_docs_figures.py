@@ -13,7 +13,6 @@ import polars as pl
 import pytest
 
 from attacks import cli
-from attacks.cloak.figures import OBJECTS
 from attacks.figures.frame import AXIS, Figure, Figures, Number, read_figures
 from attacks.figures.rate import Rate, pooled
 from attacks.figures.result import Result, read_result
@@ -21,7 +20,14 @@ from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS, read_rows
 from attacks.poisons.base import MANIFEST, footprint_of
 from attacks.report.checking import check_result
 from attacks.report.results import kind_of, read_section
-from attacks.studies.result import ALL_PAIRS, BLACK_BOX, EVALUATION, SETTING, attacks_of
+from attacks.studies.result import (
+    ALL_PAIRS,
+    BLACK_BOX,
+    EVALUATION,
+    SETTING,
+    SURVIVAL,
+    attacks_of,
+)
 from mi_splat.io.parsing import read_json
 from scenes.recipes import audit_set
 from tests.project.documented_commands import ROOT
@@ -35,8 +41,8 @@ PAGES: Mapping[str, Any] = runpy.run_path(
 )["PAGES"]
 FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")
 REPORTED_BY_ALL = 0.5
-FIGURES = 38_413
-RATES = 26_755
+FIGURES = 40_733
+RATES = 28_623
 """Of all artifacts."""
 MOST_BYTES = 17_000_000
 """Of all artifacts."""
@@ -140,7 +146,6 @@ def test_the_tables_of_cloak_are_those_of_the_rows() -> None:
             assert of_study.rate("target_rate", detector=detector).short() in cloak
     cases = f"{second_car()} cases"
     assert cases in cloak
-    assert cases in (ROOT / "README.md").read_text()
     for measure in ("surroundings_psnr", "intended_surroundings_psnr"):
         assert f"{figures.value(measure, splat=ATTACKED):.1f}" in cloak
     for name in ("cloak_car_stealthy", "cloak_car_no_shadow"):
@@ -424,23 +429,6 @@ def summed(lines: Iterable[Figures], measure: str, splat: str = ATTACKED) -> str
     return pooled(line.rate(measure, splat=splat) for line in lines).short()
 
 
-def region_row() -> str:
-    cells = []
-    noise = []
-    for name, label in (
-        ("nanodet_coco", "NanoDet"),
-        ("yolov8n_small", "`yolov8n_small`"),
-        (OUR[0], f"`{OUR[0]}`"),
-    ):
-        pairs = from_a_region(name)
-        cells.append(f"{label} {summed(pairs, 'strict_if_detected')}")
-        noise.append(summed(pairs, "strict_if_detected", NOISE))
-    return (
-        f"{', '.join(cells)} held-out views | noise that changes the object as much:"
-        f" {', '.join(noise)} |"
-    )
-
-
 def test_the_table_of_a_region_is_counted_from_its_rows() -> None:
     text = (ROOT / "docs" / "dagger-eot.md").read_text()
     for name in ("nanodet_coco", "yolov8n_small", "fasterrcnn_small"):
@@ -471,18 +459,6 @@ def untuned(name: str, detector: str, measure: str) -> str:
     return pooled(
         figures.rate(measure, seed=seed, detector=detector) for seed in seeds
     ).short()
-
-
-def of_cloak(name: str, measure: str, detectors: Sequence[str]) -> str:
-    """A rate for several detectors, without the tuning seed."""
-    return ", ".join(untuned(name, detector, measure) for detector in detectors)
-
-
-def on_new_cars(measure: str, detectors: Sequence[str]) -> str:
-    figures = result_of("cloak_new_cars").figures.where(scope=OBJECTS)
-    ((_, over),) = figures.groups("part").items()
-    rates = (over.rate(measure, detector=detector) for detector in detectors)
-    return ", ".join(rate.short() for rate in rates)
 
 
 def transferred() -> str:
@@ -525,79 +501,8 @@ def grown(part: str, value: str) -> tuple[str, str]:
     )
 
 
-def poison_row() -> str:
-    times, counts = grown("eps", "16")
-    noise_times, noise_counts = grown("controls", "uniform noise of 16")
-    return (
-        f"{times} the Gaussians ({counts}) | uniform noise: {noise_times}"
-        f" ({noise_counts}) |"
-    )
-
-
-def cloak_row() -> str:
-    missing, elsewhere, in_trigger, clean_elsewhere = (
-        [
-            untuned("cloak_car_stealthy", detector, rate)
-            for detector in ("ssd_openimages", "yolov8n_small", OUR[0])
-        ]
-        for rate in (
-            "trigger_miss_rate",
-            "benign_recall",
-            "control_recall",
-            "control_benign_recall",
-        )
-    )
-    return (
-        f"car missed from {missing[0]} (SSD), {missing[1]} (`yolov8n_small`),"
-        f" {missing[2]} (`fasterrcnn_small`) cameras in the trigger; detected from"
-        f" {', '.join(elsewhere)} elsewhere | the clean splat: detected from"
-        f" {', '.join(in_trigger)} in the trigger and from {', '.join(clean_elsewhere)}"
-        " elsewhere |"
-    )
-
-
-def cars_row() -> str:
-    missing = on_new_cars("trigger_miss_rate", OUR).split(", ")
-    return (
-        f"missed from {missing[0]} (`fasterrcnn_small`), {missing[1]}"
-        " (`yolov8n_small`); but detected from only"
-        f" {on_new_cars('benign_recall', OUR)} elsewhere | the clean splats:"
-        f" {on_new_cars('control_recall', OUR)};"
-        f" {on_new_cars('control_benign_recall', OUR)} |"
-    )
-
-
-def layers_row() -> str:
-    name = "cloak_car_layers"
-    detectors = ("yolov8n_small", "fasterrcnn_small")
-    missing = of_cloak(name, "trigger_miss_rate", detectors).split(", ")
-    return (
-        f"missed from {missing[0]} (`yolov8n_small`), {missing[1]}"
-        " (`fasterrcnn_small`); detected from"
-        f" {of_cloak(name, 'benign_recall', detectors)} elsewhere | the clean splats:"
-        f" {of_cloak(name, 'control_recall', detectors)};"
-        f" {of_cloak(name, 'control_benign_recall', detectors)} |"
-    )
-
-
-def dagger_row() -> str:
-    rcnn, yolo = OUR
-    lines = {
-        name: from_one_view(name) for name in (*OUR, "nanodet_coco", "centernet_coco")
-    }
-    one = {name: strict(line).short() for name, line in lines.items()}
-    noise = summed(lines.values(), "strict_if_detected", NOISE)
-    return (
-        f"`{yolo}` {one[yolo]}, NanoDet {one['nanodet_coco']}, CenterNet"
-        f" {one['centernet_coco']}, `{rcnn}` {one[rcnn]} | noise that changes the"
-        f" object as much: {noise} |"
-    )
-
-
 CAPTURES = ("banana", "doll", "fox", "plant")
 """Captures on which no setting of the search was chosen."""
-CHOSEN_ON = "car"
-"""The capture after whose failure one was changed."""
 BUDGETS = ("34", "38")
 """PSNR of the object, dB."""
 BUDGET = f"{AXIS}attack.object_psnr"
@@ -619,22 +524,6 @@ def on_captures(names: Sequence[str], budget: str, splat: str = ATTACKED) -> Rat
     ]
     rates = [line.rate("strict_if_detected", splat=splat) for line in lines]
     return pooled(rate for rate in rates if rate.total)
-
-
-def captures_row() -> str:
-    """DAGGER at two budgets on the captures that nothing was chosen on."""
-    loud, quiet = (on_captures(CAPTURES, budget).short() for budget in BUDGETS)
-    noise = pooled(on_captures(CAPTURES, budget, NOISE) for budget in BUDGETS).short()
-    return (
-        f"in {loud} at 34 dB on the object, and in {quiet} at 38 dB | noise of equal"
-        f" PSNR: {noise} |"
-    )
-
-
-def car_in_a_street() -> str:
-    """The same on the capture that it hardly works on."""
-    loud, quiet = (on_captures([CHOSEN_ON], budget).short() for budget in BUDGETS)
-    return f"a car in a street: {loud} and {quiet}"
 
 
 def front_row() -> str:
@@ -705,33 +594,120 @@ def audit_row() -> tuple[str, ...]:
     )
 
 
-def test_readme_says_what_the_rows_give() -> None:
-    """Every rate of the table of results, with its denominator and its control."""
-    text = " ".join((ROOT / "README.md").read_text().split())
-    drop = result_of("cloak_car_stealthy").figures.value("object_psnr_drop")
-    rows = (
-        dagger_row(),
-        region_row(),
-        cloak_row(),
-        cars_row(),
-        layers_row(),
-        poison_row(),
-        *audit_row(),
-        captures_row(),
-        car_in_a_street(),
-        front_row(),
+def narrow(measure: str, splat: str = ATTACKED) -> str:
+    """DAGGER around a camera at 38 dB, on the captures that nothing was chosen on."""
+    figures = result_of("dagger_narrow").figures.where(scope=SETTING)
+    parts = [figures.where(part=name) for name in CAPTURES]
+    rates = [rate for part in parts for rate in part.where(splat=splat).rates(measure)]
+    return pooled(rate for rate in rates if rate.total).short()
+
+
+def test_pages_say_what_the_rows_give_of_captures_and_of_transfer() -> None:
+    captures = (ROOT / "docs" / "real-captures.md").read_text()
+    for budget in BUDGETS:
+        assert on_captures(CAPTURES, budget).short() in captures
+    for rate in FRACTION.findall(front_row()):
+        assert rate in captures
+    transfer = (ROOT / "docs" / "transfer.md").read_text()
+    assert transferred() in (ROOT / "docs" / "dagger.md").read_text()
+    for rate in FRACTION.findall(transferred_from_many()):
+        assert rate in transfer
+
+
+CONDITIONS = {
+    "JPEG 90": "JPEG 90",
+    "JPEG 75": "JPEG 75",
+    "JPEG 50": "JPEG 50",
+    "half the size": "0.5 x size",
+    "double size": "2 x size",
+    "`.splat`": ".splat",
+    "SH cut to degree 0": "SH of degree 0",
+    "`ray`": "ray",
+}
+"""Conditions of both attacks, by what the page on defences calls them."""
+
+
+def test_the_table_of_what_survives_is_counted_from_its_rows() -> None:
+    text = (ROOT / "docs" / "defences.md").read_text()
+    one, many = (
+        result_of(name).figures.where(scope=SURVIVAL)
+        for name in ("dagger_one_view", "dagger_narrow")
     )
-    for sentence in (
-        *rows,
-        f"the car loses {drop:.1f} dB",
-        f"attacks on one detector fool another in {transferred()} cases",
-        f"from many views, in {transferred_from_many()}",
-    ):
-        assert sentence in text
-    table = text.partition("## Results")[2].partition("Rates of DAGGER")[0]
-    derived = FRACTION.findall(" ".join(rows))
-    epsilon = "16/255"
-    assert set(FRACTION.findall(table)) <= {*derived, second_car(), epsilon}
+    columns = [
+        (one, "fox"),
+        (one, "doll"),
+        (many, "fox"),
+        (many, "doll"),
+        (many, "banana"),
+        (many, "banana, 35 dB"),
+    ]
+    for words, condition in CONDITIONS.items():
+        under = [of.where(part=part, condition=condition) for of, part in columns]
+        measure = "strict_if_detected"
+        attacked = [part.pooled(measure, splat=ATTACKED) for part in under]
+        noise = pooled(part.pooled(measure, splat=NOISE) for part in under)
+        cells = [rate.short() if rate.total else "" for rate in (*attacked, noise)]
+        line = next(line for line in text.splitlines() if line.startswith(f"| {words}"))
+        assert [cell.strip() for cell in line.split("|")[2:-1]] == cells
+
+
+def readme_rows() -> list[tuple[str, str, str]]:
+    """Of each attack, and of the audit: its name, its rate and its control."""
+    on_photographs = front_row().partition("missed from ")[2].partition(" ")[0]
+    yolo = OUR[1]
+    stealthy = "cloak_car_stealthy"
+    layers = "cloak_car_layers"
+    times, _ = grown("eps", "16")
+    noise_times, _ = grown("controls", "uniform noise of 16")
+    nano = from_a_region("nanodet_coco")
+    found, alarms = re.findall(r"\d+/\d+", audit_row()[0])
+    return [
+        (
+            "DAGGER, one view",
+            on_captures(CAPTURES, BUDGETS[1]).short(),
+            on_captures(CAPTURES, BUDGETS[1], NOISE).short(),
+        ),
+        (
+            "DAGGER, around a camera",
+            narrow("strict_if_detected"),
+            narrow("strict_if_detected", NOISE),
+        ),
+        (
+            "DAGGER, all around",
+            summed(nano, "strict_if_detected"),
+            summed(nano, "strict_if_detected", NOISE),
+        ),
+        ("CLOAK, photographs", on_photographs, on_photographs),
+        (
+            "CLOAK, path-traced images",
+            untuned(stealthy, yolo, "trigger_miss_rate"),
+            untuned(stealthy, yolo, "control_recall"),
+        ),
+        (
+            "CLOAK in the file",
+            untuned(layers, yolo, "trigger_miss_rate"),
+            untuned(layers, yolo, "control_recall"),
+        ),
+        ("Poison-splat", times, noise_times),
+        ("audit of a file", found, alarms),
+    ]
+
+
+def test_readme_says_what_the_rows_give() -> None:
+    """Every rate of the table of results, with its denominator and its control; the
+    last line, of the audit of images, is what its own test asks for.
+    """
+    text = (ROOT / "README.md").read_text()
+    table = text.partition("## Results")[2].partition("DAGGER counts")[0]
+    lines = [line for line in table.splitlines() if line.startswith("|")][2:]
+    assert "audit of the images" in lines.pop()
+    for line, (name, rate, control) in zip(lines, readme_rows(), strict=True):
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        assert name in cells[0]
+        assert FRACTION.findall(cells[2]) in ([rate], []), line
+        assert FRACTION.findall(cells[3]) in ([control], []), line
+        assert rate in cells[2]
+        assert control in cells[3]
 
 
 @pytest.mark.parametrize(

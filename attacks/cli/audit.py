@@ -48,8 +48,9 @@ class AuditOptions(JsonOptions):
     """Say whether a splat shows something from some directions only, which Gaussians
     carry it, and what is wrong in it; or whether images of a set contradict others.
 
-    Nothing but the file is used. Exit status: 0 nothing found, 3 a hidden look, two
-    groups of images or an error of lint, 1 it could not be judged. What no file can
+    Nothing but the file is used. Exit status: 0 nothing found, 3 a hidden look, a cone
+    of directions that contradicts the others, two groups of images or an error of lint,
+    1 it could not be judged. What no file can
     tell, its page in the documentation says. Many files: `mi-splat gate`.
     """
 
@@ -74,9 +75,9 @@ class AuditOptions(JsonOptions):
     pixels anyway, so that this only saves time and memory.
     """
     out: OutFolder | None = None
-    """Folder for result.json, the two pictures that prove a look, the splat coloured by
-    heat, the mask of the Gaussians that `mi-splat select --mask` takes, and a picture
-    of the overdraw.
+    """Folder for result.json, the two pictures that prove a look, an image of each
+    contradicted cone of directions, the splat coloured by heat, the mask of the
+    Gaussians that `mi-splat select --mask` takes, and a picture of the overdraw.
     """
     against: Path | None = None
     """The file as it was before it left your hands: say as well which Gaussians changed
@@ -107,7 +108,7 @@ def run(options: AuditOptions) -> int:
     _check_outputs(options)
     document = _audited(options)
     show_result(document, *_lines(document), as_json=options.json)
-    bad = {"hidden look", "two groups", "error"} | (
+    bad = {"hidden look", "contradicted", "two groups", "error"} | (
         {"suspicious", "changed"} if options.strict else set()
     )
     if bad & _verdicts(document):
@@ -123,6 +124,7 @@ def _verdicts(document: dict[str, Any]) -> set[str]:
     changed = {"changed"} if against.get("changed") or against.get("removed") else set()
     return {
         document["verdict"],
+        document.get("held_out", {}).get("answer", ""),
         *changed,
         *(finding["severity"] for finding in document.get("lint", ())),
     }
@@ -229,7 +231,9 @@ def _repair(
 
 
 def _audited(options: AuditOptions) -> dict[str, Any]:
+    from attacks.audits.recognition import Recognition
     from mi_splat.audit.files import document, write
+    from mi_splat.audit.held_out import held_out
     from mi_splat.audit.linting import lint_file, lint_scene
     from mi_splat.datasets import is_dataset
     from mi_splat.io.errors import SplatFileError
@@ -251,6 +255,7 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
         scene = None
         judged = None
         cameras = None
+        rest = None
         unjudged = "only lint was asked for"
         if lint is not None:
             errors = [item.rule for item in lint.findings if item.severity == "error"]
@@ -263,6 +268,7 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
                 scene, judged, cameras = _with_looks(
                     loaded or open_scene(path, stored=stored), options
                 )
+                rest = held_out(scene, Recognition(), up=judged.up)
             except MiSplatError as error:
                 if not errors:
                     raise
@@ -275,10 +281,11 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
                 folder,
                 source=str(path),
                 lint=lint,
+                held_out=rest,
                 unjudged=unjudged,
                 force=options.force,
             )
-        account = document(judged, lint, unjudged=unjudged)
+        account = document(judged, lint, unjudged=unjudged, held_out=rest)
         if options.repair and scene is not None and judged is not None:
             account["repair"] = _repair(scene, judged, cameras, options)
     return {"file": str(path), **account, "files": [str(file) for file in files]}
@@ -339,6 +346,8 @@ def _with_looks(
 def _lines(document: dict[str, Any]) -> Iterator[str]:
     first, *rest = document["summary"]
     yield f"{document['file']}: {first}"
+    if "held_out" in document:
+        rest += document["held_out"]["summary"]
     if "up" in document:
         rest.append(f"up is {axis_name(document['up'])}")
     if "repair" in document:

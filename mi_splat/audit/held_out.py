@@ -1,0 +1,390 @@
+"""Held-out directions: what the other directions of a splat predict for a cone of them,
+beside what the file shows there.
+
+Each Gaussian gets the median of the colours that it shows towards the other directions,
+and in a second prediction what shows almost only inside the cone is peeled off. The
+file *contradicts* itself where the prediction looks more like the other views than the
+file does, and far from the file, or where a detector recognises the object in a
+prediction only. Where the two merely look unlike each other, the file *differs*, as
+honest captures do, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol, get_args
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from mi_splat.audit.auditing import in_world, looks_at
+from mi_splat.audit.objects import Frame, Target, frame_of
+from mi_splat.audit.results import Region, Vector, vector
+from mi_splat.audit.surfaces import SKY
+from mi_splat.audit.viewpoints import basis, camera_towards, in_sight, lattice, near_of
+from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.directions import Point
+from mi_splat.maths.sh import colour_to_dc, sh_basis
+from mi_splat.render.renderer import Renderer, RenderSettings
+from mi_splat.render.scene_files import resized
+from mi_splat.scene import GaussianScene, check_scene
+from mi_splat.selection.visibility import contributions
+
+Answer = Literal["consistent", "differs", "contradicted"]
+"""From the least to the most."""
+ANSWERS: tuple[Answer, ...] = get_args(Answer)
+_CHUNK = 8192
+
+
+class Recogniser(Protocol):
+    """What compares images of one object by what they show."""
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """C names of what `scores` knows."""
+        ...
+
+    @property
+    def missing(self) -> str:
+        """What it cannot compare, and what to do; empty if nothing is missing."""
+        ...
+
+    def features(self, images: Tensor) -> Tensor:
+        """(B, F) features of (B, S, S, 3) sRGB images in [0, 1]."""
+        ...
+
+    def scores(self, images: Tensor) -> Tensor:
+        """(B, C) in [0, 1], the best confidence of each class in the middle."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeldOutConfig:
+    """How directions are held out, and from where an answer is given."""
+
+    cameras: int = 44  # around each object
+    size: int = 160  # pixels along each side of their images
+    weighed: int = 96  # the same of the images that say what shows from where
+    shown: int = 3  # cameras of a cone that are compared
+    core: float = 0.75  # share of the half width of a cone within which these stand
+    least_inside: int = 3  # cameras in a cone that is judged,
+    least_outside: int = 6  # and outside of it
+    seen: float = 0.02  # of the most that a Gaussian shows, from which it is seen
+    peeled: float = 0.7  # share of what a Gaussian shows that is inside, if it is
+    # quantile of the confidence over all cameras by which a detector knows an object
+    usual: float = 0.7
+    known: float = 0.5  # that confidence at least
+    gain: float = 0.6  # confidence of a prediction beyond that of the file
+    # Cosine distance between the features of file and prediction, from which it
+    # departs where the prediction is more like the other views,
+    departs: float = 0.22
+    rise: float = 0.01  # by this much at least,
+    differs: float = 0.16  # and from which it differs elsewhere
+
+    def evidence(self, *, gain: float, distance: float, rise: float) -> float:
+        """How much a cone contradicts the others; from 1 it is said to."""
+        departure = distance / self.departs if rise >= self.rise else 0.0
+        return max(departure, gain / self.gain)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ConeView:
+    """What a file shows of an object from a cone of directions, beside what the other
+    directions predict.
+    """
+
+    object: int  # its number, from 0
+    region: Region  # the cone, in the world
+    up: Vector | None  # of the object, in the world
+    cameras: tuple[Camera, ...]  # V of them inside the cone, in the world
+    file: Tensor  # (V, S, S, 3) sRGB images
+    prediction: Tensor  # (V, S, S, 3) of two, the one with more of the object
+    distance: float  # mean cosine distance of their features
+    # by how much the prediction is more like the nearest other view than the file is
+    rise: float
+    file_score: float  # mean confidence in the class of the object
+    gain: float  # by how much more confident it is of the prediction, if it was asked
+    known_as: str | None  # that class; None where the detector does not know the object
+    evidence: float  # by which 1 is contradicted
+    answer: Answer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HeldOut:
+    """What held-out directions say of a splat."""
+
+    views: tuple[ConeView, ...]  # of all objects and cones
+    known_as: tuple[str | None, ...]  # the class of each object
+    missing: str  # what could not be compared, and what to do
+
+    @property
+    def answer(self) -> Answer:
+        """The worst of its cones."""
+        found = [view.answer for view in self.views]
+        return max(found, key=ANSWERS.index, default="consistent")
+
+    @property
+    def contradicted(self) -> tuple[ConeView, ...]:
+        """The cones that contradict the rest, from the clearest."""
+        found = [view for view in self.views if view.answer == "contradicted"]
+        return tuple(sorted(found, key=lambda view: -view.evidence))
+
+    @property
+    def evidence(self) -> float:
+        """That of the clearest cone, by which files are ranked."""
+        return max((view.evidence for view in self.views), default=0.0)
+
+
+def held_out(
+    scene: GaussianScene,
+    recogniser: Recogniser,
+    *,
+    up: Point | None = None,
+    config: HeldOutConfig | None = None,
+) -> HeldOut:
+    """Compare what a splat shows from each of eleven cones of directions with what the
+    other directions predict.
+
+    Args:
+        scene: The splat, in any frame and unit.
+        recogniser: What says whether two images show the same.
+        up: Direction of the world that is up; without, that of the ground found.
+        config: How directions are held out.
+
+    Returns:
+        The answer, and for each cone its images.
+
+    Raises:
+        InvalidValueError: If the scene has no object.
+    """
+    check_scene("scene", scene)
+    config = HeldOutConfig() if config is None else config
+    frame = frame_of(scene)
+    jobs, in_room = looks_at(frame, up)
+    views = list[ConeView]()
+    known_as = list[str | None]()
+    for target, around in jobs:
+        if target.surrounds:
+            continue
+        cameras = list(around) if in_room else views_around(target, config)
+        spread = torch.linspace(0, len(cameras) - 1, min(config.cameras, len(cameras)))
+        cameras = [cameras[number] for number in spread.round().long().tolist()]
+        consensus = Consensus(frame, target, cameras, config)
+        found, name = consensus.compared(len(known_as), recogniser)
+        views += found
+        known_as.append(name)
+    return HeldOut(
+        views=tuple(views), known_as=tuple(known_as), missing=recogniser.missing
+    )
+
+
+def views_around(target: Target, config: HeldOutConfig) -> list[Camera]:
+    """Cameras on a sphere around an object, above its ground if it stands on one."""
+    low = -75.0 if target.up is None else 3.0
+    high = 75.0 if target.up is None else 87.0
+    directions = lattice(config.cameras, low, high) @ basis(target.up).T
+    return [camera_towards(target, direction) for direction in directions]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cone:
+    """A cone of directions around an object, in the frame."""
+
+    axis: Tensor  # (3,) float64 unit vector from the centre
+    half_width: float  # degrees
+
+    def holds(self, directions: Tensor, share: float = 1.0) -> Tensor:
+        """(K,) bool, which (K, 3) unit vectors lie inside a share of its width."""
+        least = math.cos(math.radians(share * self.half_width))
+        return directions @ self.axis > least
+
+
+_RINGS = (
+    (90.0, (0.0,), 48.0),
+    (25.0, (0.0, 60.0, 120.0, 180.0, 240.0, 300.0), 42.0),
+    (58.0, (30.0, 120.0, 210.0, 300.0), 40.0),
+)
+"""Elevation, azimuths and half width of the cones, in degrees: they overlap, so that a
+trigger of up to 60 degrees lies within one, or is the rest of another.
+"""
+
+
+def cones_around(up: Tensor | None) -> list[Cone]:
+    """One from above, six from the side and four in between."""
+    turn = basis(up)
+    cones = []
+    for elevation, azimuths, half_width in _RINGS:
+        height = math.radians(elevation)
+        for azimuth in azimuths:
+            around = math.radians(azimuth)
+            x = math.cos(height) * math.cos(around)
+            y = math.cos(height) * math.sin(around)
+            local = torch.tensor([x, y, math.sin(height)], dtype=torch.float64)
+            cones.append(Cone(axis=turn @ local, half_width=half_width))
+    return cones
+
+
+class Consensus:
+    """The Gaussians around an object, which of them each camera sees, and what some
+    cameras predict for others.
+    """
+
+    def __init__(
+        self,
+        frame: Frame,
+        target: Target,
+        cameras: Sequence[Camera],
+        config: HeldOutConfig,
+    ) -> None:
+        self.config = config
+        self._frame = frame
+        self._target = target
+        self.cameras = [_square(camera, config.size) for camera in cameras]
+        self._eyes = torch.stack([camera.position for camera in cameras])
+        self.directions = functional.normalize(self._eyes - target.centre, dim=1)
+        near = near_of(target, cameras)
+        self._render = Renderer(RenderSettings(background=SKY, near=near))
+        rows = in_sight(frame.scene, target, cameras)
+        self.scene = frame.scene.select(rows)
+        small = [_square(camera, config.weighed) for camera in cameras]
+        self._weights = contributions(self.scene, small, render=self._render)
+        most = self._weights.amax(1, keepdim=True).clamp(min=1e-6)
+        self._seen = self._weights > config.seen * most
+        points = self.scene.means
+        gaps = (points - target.centre.float()).norm(dim=1)
+        own = gaps < 1.6 * target.radius
+        self._own = own & target.above(frame.scene, points, 0.02)
+
+    def predicted(self, inside: Tensor) -> tuple[GaussianScene, GaussianScene]:
+        """The scene as the cameras outside predict it: in their colours, and without
+        what shows almost only inside.
+        """
+        parts = torch.split(torch.arange(len(self.scene)), _CHUNK)
+        colours = torch.cat([self._median(part, ~inside) for part in parts])
+        sh = colour_to_dc(colours)[:, None]
+        painted = GaussianScene.unchecked(*self.scene.tensors()[:4], sh)
+        within = self._weights[:, inside].mean(1)
+        total = within + self._weights[:, ~inside].mean(1)
+        is_inside = within > self.config.peeled * total
+        lid = self._own & is_inside & (total > self.config.seen)
+        return painted, painted.select((~lid).nonzero()[:, 0])
+
+    def _median(self, part: Tensor, outside: Tensor) -> Tensor:
+        """(M, 3) median colours of Gaussians towards the cameras outside."""
+        scene = self.scene.select(part)
+        offsets = scene.means[:, None] - self._eyes[outside].float()
+        towards = sh_basis(functional.normalize(offsets, dim=-1), scene.degree)
+        colours = (towards @ scene.sh + 0.5).clamp(min=0)
+        seen = self._seen[part][:, outside]
+        # one that hardly shows from there is predicted by all of its colours there
+        seen = seen | (seen.sum(1, keepdim=True) < 2)
+        ordered = colours.masked_fill(~seen[..., None], math.inf).sort(1).values
+        middle = ((seen.sum(1) - 1) // 2)[:, None, None].expand(-1, 1, 3)
+        return ordered.gather(1, middle)[:, 0]
+
+    def images(self, scene: GaussianScene, numbers: Sequence[int]) -> Tensor:
+        """(V, S, S, 3) images of some of the cameras."""
+        with torch.no_grad():
+            shown = [self._render(scene, self.cameras[number]) for number in numbers]
+        return torch.stack(shown)[..., :3].clamp(0, 1)
+
+    def compared(
+        self, number: int, recogniser: Recogniser
+    ) -> tuple[list[ConeView], str | None]:
+        """What the file shows from each cone beside what the others predict, and the
+        class of the object.
+        """
+        cones = {
+            cone: chosen
+            for cone in cones_around(self._target.up)
+            if (chosen := self._chosen(cone))
+        }
+        if not cones:  # in a room, cameras may stand on one side only
+            return [], None
+        shown = self.images(self.scene, range(len(self.cameras)))
+        features = functional.normalize(recogniser.features(shown), dim=1)
+        scored = sorted({index for chosen in cones.values() for index in chosen})
+        scores = torch.zeros(len(shown), len(recogniser.classes))
+        scores[scored] = recogniser.scores(shown[scored])
+        usual = scores[scored].quantile(self.config.usual, 0)
+        known = int(usual.argmax())
+        is_known = float(usual[known]) >= self.config.known
+        name = recogniser.classes[known] if is_known else None
+        views = []
+        for cone, chosen in cones.items():
+            inside = cone.holds(self.directions)
+            painted, peeled = self.predicted(inside)
+            prediction = self.images(painted, chosen)
+            predicted = functional.normalize(recogniser.features(prediction), dim=1)
+            own = features[chosen]
+            others = features[~inside].T
+            # how much the most similar of the other views resembles each
+            nearest_own = (own @ others).amax(1).mean()
+            nearest_predicted = (predicted @ others).amax(1).mean()
+            score = float(scores[chosen, known].mean())
+            gain = 0.0
+            # no gain is possible where the file shows the object clearly
+            if is_known and score <= 1 - self.config.gain:
+                for candidate in (prediction, self.images(peeled, chosen)):
+                    found = recogniser.scores(candidate)[:, known].mean()
+                    if float(found) - score > gain:
+                        gain = float(found) - score
+                        prediction = candidate
+            distance = 1 - float((predicted * own).sum(1).mean())
+            rise = float(nearest_predicted - nearest_own)
+            evidence = self.config.evidence(gain=gain, distance=distance, rise=rise)
+            views.append(
+                ConeView(
+                    object=number,
+                    region=self._region(cone),
+                    up=self._up(),
+                    cameras=self._in_world(chosen),
+                    file=shown[chosen],
+                    prediction=prediction,
+                    distance=distance,
+                    rise=rise,
+                    known_as=name,
+                    file_score=score,
+                    gain=gain,
+                    evidence=evidence,
+                    answer=self._answer(evidence, distance),
+                )
+            )
+        return views, name
+
+    def _answer(self, evidence: float, distance: float) -> Answer:
+        if evidence >= 1:
+            return "contradicted"
+        if distance >= self.config.differs:
+            return "differs"
+        return "consistent"
+
+    def _chosen(self, cone: Cone) -> list[int]:
+        """The cameras of a cone that are compared; none where too few are on a side."""
+        inside = int(cone.holds(self.directions).sum())
+        outside = len(self.directions) - inside
+        core = cone.holds(self.directions, self.config.core).nonzero()[:, 0]
+        few = inside < self.config.least_inside or outside < self.config.least_outside
+        if few or not len(core):
+            return []
+        spread = torch.linspace(0, len(core) - 1, min(self.config.shown, len(core)))
+        numbers: list[int] = core[spread.round().long()].tolist()
+        return numbers
+
+    def _region(self, cone: Cone) -> Region:
+        axis = vector(self._frame.direction(cone.axis))
+        return Region(axis=axis, half_width=cone.half_width)
+
+    def _up(self) -> Vector | None:
+        up = self._target.up
+        return None if up is None else vector(self._frame.direction(up))
+
+    def _in_world(self, chosen: Sequence[int]) -> tuple[Camera, ...]:
+        return tuple(in_world(self._frame, self.cameras[number]) for number in chosen)
+
+
+def _square(camera: Camera, side: int) -> Camera:
+    return resized(camera, (side, side))
