@@ -415,7 +415,7 @@ def test_what_a_format_cannot_hold_is_no_error(tmp_path: Path) -> None:
             ["EMPTY"],
             (
                 "expected images such as quaternion.png, got none; render the splats of"
-                " the pack; .png, .npy, .exr, .jpg, .jpeg are read"
+                " the pack"
             ),
         ),
         (["--read", "EMPTY"], "expected files such as quaternion.spz, got none"),
