@@ -54,7 +54,7 @@ EXAMPLES = (
     "dagger scenes/car_street.xml --objective hide --object-psnr 38 --out out/hidden",
     (
         "dagger scenes/car_street.xml --object car --cameras rear --around 10 --ladder"
-        " 38 35 32 --out out/narrow"
+        " 35 32 29 --out out/narrow"
     ),
     (
         "dagger YOUR.ply --mask mask.npy --cameras orbit:4@25 --target person --out"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import threading
+import time
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -77,7 +78,7 @@ class _Sent:
         self.folder = folder
         self.ended = threading.Event()
         self.errors = dict[str, str]()  # by the scene
-        self.failure: str | None = f"no end within {_PATIENCE:.0f} seconds"
+        self.failure: str | None = f"no end, or none in {_PATIENCE:.0f} seconds"
 
     def take(self, path: str, body: bytes) -> None:
         kind, _, name = path.strip("/").partition("/")
@@ -115,6 +116,10 @@ def _run(browser: str, made: Path, pack: Path, beside: Path, sent: _Sent) -> Non
         address = f"http://127.0.0.1:{server.server_port}/viewer.html?send"
         words = [browser, *_SWITCHES, f"--user-data-dir={made}/user", address]
         with subprocess.Popen(words, stderr=subprocess.DEVNULL) as process:
-            sent.ended.wait(_PATIENCE)
+            end = time.monotonic() + _PATIENCE
+            while not sent.ended.wait(0.5) and time.monotonic() < end:
+                if process.poll() is not None:
+                    sent.ended.wait(1.0)  # what it sent at last
+                    break
             process.terminate()
         server.shutdown()

@@ -27,10 +27,22 @@ _FLOOR = 2e-6
 """Mean squared error of 8 bits."""
 _SAMPLES = 64
 """Rows and columns that are looked at while searching."""
-_HARD = 4
-_BREADTH = 6
-"""Images to which combinations are fitted where no deviation alone explains more, and
-combinations that each of these goes on with.
+_CLEARLY = 9.0
+_HARDLY = 1.0
+"""dB by which an image comes nearer that is explained, and by which one may be further
+off that is not.
+"""
+_ENOUGH = 3
+_LESS_EXACT = 9.0
+"""Conforming images that show how exact a renderer is; dB by which images under their
+causes may be less exact.
+"""
+_HARD = 3
+_BREADTH = 4
+_NEARER = 0.1
+"""Images to which combinations are fitted where no deviation alone explains more;
+combinations that each of these goes on with; by how much each deviation lowers the
+logarithm of the error.
 """
 
 Keys = frozenset[str]
@@ -62,9 +74,7 @@ def find_causes(
     for key in chosen:
         rest = chosen - {key}
         by_it = [
-            name
-            for name in search.differing
-            if search.holds(name, chosen) and not search.holds(name, rest)
+            name for name in search.explained(chosen) if not search.holds(name, rest)
         ]
         causes.append(Cause(DEVIATIONS[key], tuple(by_it)))
     return sorted(causes, key=lambda cause: -len(cause.scenes))
@@ -82,7 +92,7 @@ class _Search:
         tolerances: Mapping[str, Tolerance],
     ) -> None:
         self.setups = setups
-        self.tolerances = tolerances
+        self.tolerances = dict(tolerances)
         self.pixels = {name: sampled(image) for name, image in images.items()}
         self.images = {
             name: image[np.ix_(*self.pixels[name])] for name, image in images.items()
@@ -93,11 +103,27 @@ class _Search:
         nothing = Keys()
         self.conforming = [name for name in images if self.holds(name, nothing)]
         self.differing = [name for name in images if name not in self.conforming]
+        self.expect_as_exact_as_others()
         self.keys = [
             key
             for key, deviation in DEVIATIONS.items()
             if any(changes(setup, deviation) for setup in setups.values())
         ]
+
+    def expect_as_exact_as_others(self) -> None:
+        """Ask of images that differ to be about as exact under their causes as those
+        that conform, where there are some: otherwise a deviation that is merely similar
+        to what a renderer does would be named.
+        """
+        nothing = Keys()
+        others = [self.error(name, nothing).squared for name in self.conforming]
+        if len(others) < _ENOUGH:
+            return
+        usual = Error(max(float(np.median(others)), _FLOOR), 0.0)
+        for name in self.differing:
+            tolerance = self.tolerances[name]
+            least = max(tolerance.psnr, usual.psnr - _LESS_EXACT)
+            self.tolerances[name] = tolerance._replace(psnr=least)
 
     def error(self, name: str, chosen: Keys) -> Error:
         """How far an image is off under deviations."""
@@ -136,16 +162,30 @@ class _Search:
         )
 
     def gain(self, before: Keys, after: Keys) -> int:
-        """How many images more are within their tolerance; 0 where one is no longer."""
-        gained = 0
-        for name in self.differing:
-            now = self.holds(name, after)
-            if self.holds(name, before) and not now:
-                return 0
-            gained += now and not self.holds(name, before)
-        if gained and all(self.holds(name, after) for name in self.conforming):
-            return gained
-        return 0
+        """How many images more are within their tolerance.
+
+        It is 0 if one is no longer, if there are fewer than deviations that were added,
+        since a combination fits some image by chance, or if an image that is still off
+        is further off: what a renderer does, it does in all of them. An image whose
+        error hardly changes counts for nothing.
+        """
+        every = [*self.differing, *self.conforming]
+        held = [name for name in every if self.holds(name, before)]
+        left = [name for name in every if name not in held]
+        fitted = [name for name in left if self.holds(name, after)]
+        gained = sum(self.nears(name, before, after) >= _CLEARLY for name in fitted)
+        if gained < max(1, len(after - before)):
+            return 0
+        if not all(self.holds(name, after) for name in held):
+            return 0
+        rest = [name for name in left if name not in fitted]
+        if any(self.nears(name, before, after) < -_HARDLY for name in rest):
+            return 0
+        return gained
+
+    def nears(self, name: str, before: Keys, after: Keys) -> float:
+        """By how many dB an image comes nearer."""
+        return self.error(name, after).psnr - self.error(name, before).psnr
 
     def chosen(self) -> Keys:
         """Deviations that explain most images."""
@@ -159,9 +199,13 @@ class _Search:
             chosen = found
         for key in sorted(chosen):
             rest = chosen - {key}
-            if self.gain(rest, chosen) == 0:
+            if all(self.holds(name, rest) for name in self.explained(chosen)):
                 chosen = rest
         return chosen
+
+    def explained(self, chosen: Keys) -> list[str]:
+        """The images that differed, and are within their tolerance under deviations."""
+        return [name for name in self.differing if self.holds(name, chosen)]
 
     def best(self, chosen: Keys, candidates: Iterable[Keys]) -> Keys:
         """The candidate that explains most images, of those the one that is nearest to
@@ -181,14 +225,24 @@ class _Search:
         nearest = sorted(left, key=lambda name: self.cost([name], chosen))
         found = []
         for name in nearest[:_HARD]:
-            ends = [chosen]
             keys = [key for key in self.keys if self.shows(name, key)]
+            ends = [chosen]
             for _ in range(3):
-                longer = {_with(end, key) for end in ends for key in keys}
-                found += [keys for keys in longer if self.holds(name, keys)]
-                ends = sorted(longer, key=lambda keys: self.cost([name], keys))
+                longer = {
+                    keys_with
+                    for end in ends
+                    for keys_with in self.nearer(name, end, keys)
+                }
+                found += [each for each in longer if self.holds(name, each)]
+                ends = sorted(longer, key=lambda each: self.cost([name], each))
                 ends = ends[:_BREADTH]
         return found
+
+    def nearer(self, name: str, chosen: Keys, keys: Iterable[str]) -> list[Keys]:
+        """One deviation more, where it brings an image nearer."""
+        before = self.cost([name], chosen)
+        longer = (_with(chosen, key) for key in keys)
+        return [each for each in longer if self.cost([name], each) < before - _NEARER]
 
 
 def _with(chosen: Keys, key: str) -> Keys:

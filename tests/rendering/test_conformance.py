@@ -3,8 +3,10 @@ is found.
 """
 
 import json
+import os
 import re
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -344,6 +346,50 @@ def test_a_web_viewer_is_driven_by_its_adapter(
         )
 
 
+FAKE = """#!{python}
+import sys, urllib.request
+page = sys.argv[-1]
+base = page.rpartition("/")[0]
+def get(path):
+    return urllib.request.urlopen(f"{{base}}/{{path}}").read().decode(errors="replace")
+def put(path, body):
+    request = urllib.request.Request(f"{{base}}/{{path}}", data=body, method="PUT")
+    urllib.request.urlopen(request).read()
+assert '<script type="importmap">{{"imports": {{"three": "./three.js"}}}}</script>' in (
+    get("viewer.html?send")
+)
+assert get("three.js") == "export const three = 3;"
+assert get("splats/order.ply").startswith("ply")
+put("error/needles", b"TypeError: x is undefined")
+put("image/../order", b"elsewhere")
+put("image/order", open({image!r}, "rb").read())
+put("end", b"")
+"""
+
+
+@pytest.mark.usefixtures("no_causes")
+def test_errors_of_an_adapter_are_shown_and_modules_beside_it_are_served(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """To what asks for them as a browser does."""
+    save_png(in_bytes(RIGHT["order"]), tmp_path / "right.png")
+    script = FAKE.format(python=sys.executable, image=str(tmp_path / "right.png"))
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "chromium").write_text(script)
+    (tmp_path / "bin" / "chromium").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"), prepend=os.pathsep)
+    (tmp_path / "adapter.js").write_text('import { three } from "three";')
+    (tmp_path / "three.js").write_text("export const three = 3;")
+    (tmp_path / "importmap.json").write_text('{"imports": {"three": "./three.js"}}')
+    images = tmp_path / "images"
+    words = ["conform", str(images), "--browser", str(tmp_path / "adapter.js")]
+    assert cli.main(words) == DIFFERS
+    said = capsys.readouterr()
+    assert "adapter.js, needles: TypeError: x is undefined" in said.err
+    assert f"1 of {len(SETUPS)} images conform to 3dgs." in said.out
+    assert [path.name for path in images.glob("*.png")] == ["order.png"]
+
+
 @pytest.mark.usefixtures("no_causes")
 def test_what_a_format_cannot_hold_is_no_error(tmp_path: Path) -> None:
     kept, _ = as_read(SCENES["sh_layout"], ".splat").render()
@@ -369,7 +415,7 @@ def test_what_a_format_cannot_hold_is_no_error(tmp_path: Path) -> None:
             ["EMPTY"],
             (
                 "expected images such as quaternion.png, got none; render the splats of"
-                " the pack; .png, .npy, .exr, .jpg, .jpeg are read"
+                " the pack"
             ),
         ),
         (["--read", "EMPTY"], "expected files such as quaternion.spz, got none"),
