@@ -36,7 +36,7 @@ def crop(image: Image.Image, box: list[float]) -> Image.Image:
     across = (left + right) / 2
     down = (top + bottom) / 2
     corners = (across - half, down - half, across + half, down + half)
-    return image.crop(tuple(map(round, corners))).resize((SIDE, SIDE), Image.LANCZOS)  # type: ignore[attr-defined]
+    return image.crop(corners).resize((SIDE, SIDE), Image.Resampling.LANCZOS)
 
 
 def pair(scene: Path, result: Path, view: int) -> list[Image.Image]:

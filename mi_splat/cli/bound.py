@@ -4,6 +4,7 @@ with a certificate.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from mi_splat.cli.console import UsageError, progress, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, JsonOptions
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Metavar, OutFile, above
 
 if TYPE_CHECKING:
@@ -91,7 +93,6 @@ def certificate_of(file: Path) -> Path:
 def _bound(options: BoundOptions) -> None:
     from mi_splat.audit.bound import bounded
     from mi_splat.cli.cameras import find_cameras
-    from mi_splat.errors import InvalidValueError
     from mi_splat.io import load_splat, save_splat
     from mi_splat.io.documents import save_json
     from mi_splat.io.folders import check_free_file, check_not_input
@@ -164,6 +165,23 @@ def facts_of(scene: GaussianScene, eps: float) -> dict[str, Any]:
     }
 
 
+def read_certificate(path: Path) -> dict[str, Any]:
+    """What a certificate states, if it is one: it may be anybody's."""
+    from mi_splat.io.parsing import DocumentReader
+
+    expected = "the certificate of a bounded copy"
+    do = "bound the splat again"
+    reader = DocumentReader(expected=expected, do=do, most=LARGEST)
+    stated = reader.read_json(path)
+    is_table = isinstance(stated, dict)
+    eps = stated.get("eps") if is_table else None
+    beyond = stated.get("beyond", 0) if is_table else None
+    is_known = isinstance(eps, int | float) and math.isfinite(eps) and eps > 0
+    if not is_known or type(beyond) is not int or beyond < 0:
+        raise InvalidValueError.of(str(path), expected, "something else", do)
+    return dict(stated)
+
+
 def _in_words(facts: Mapping[str, Any]) -> str:
     """The bound in a sentence."""
     beyond = ""
@@ -178,17 +196,9 @@ def _in_words(facts: Mapping[str, Any]) -> str:
 def _verify(options: BoundOptions) -> int:
     """Whether a file is what its certificate says, or within --eps without one."""
     from mi_splat.io import load_splat
-    from mi_splat.io.parsing import DocumentReader
 
     certificate = certificate_of(options.file)
-    stated: dict[str, Any] = {}
-    if certificate.exists():
-        reader = DocumentReader(
-            expected="the certificate of a bounded copy",
-            do="bound the splat again",
-            most=LARGEST,
-        )
-        stated = reader.read_json(certificate)
+    stated = read_certificate(certificate) if certificate.exists() else {}
     with progress(f"checking {options.file.name}"):
         eps = options.eps or float(stated.get("eps", EPS))
         facts = facts_of(load_splat(options.file), eps)

@@ -25,6 +25,7 @@ from attacks.report.viewer_content import open_content, recorded_up
 from attacks.studies import study_file
 from mi_splat.capture.record import claim_folder
 from mi_splat.cli import conform
+from mi_splat.cli.bound import read_certificate
 from mi_splat.conformance.files import read_gradients, read_images
 from mi_splat.errors import MiSplatError
 from mi_splat.io.documents import save_json
@@ -254,6 +255,7 @@ def _claim(path: Path) -> None:
 # Documents that are written by hand
 
 
+_CERTIFICATE = {"eps": 0.05, "beyond": 0, "scene_hash": "0" * 64}
 _POLICY = (
     b'seconds = 5\nmegabytes = 900\nclaims = ["readable", "numbers"]\n[rules]\nerror ='
     b' "refuse"\noccluder = "accept"\n'
@@ -338,6 +340,14 @@ def documents() -> Iterator[Kind]:
     policy = written("policy.toml", lambda: _POLICY)
     yield Kind(
         name="policy", make=policy, read=_read_policy, readers=("attacks.cli.gate",)
+    )
+    certificate = written("splat.ply.bound.json", lambda: _CERTIFICATE)
+    yield Kind(
+        name="certificate",
+        make=certificate,
+        read=read_certificate,
+        readers=("mi_splat.cli.bound:read_certificate",),
+        document=PLAIN_JSON,
     )
     lines = written("lines", lambda: _LINES)
     yield Kind(

@@ -204,6 +204,7 @@ LINES = {
     "convert a.ply {}.glb": "a file",
     "audit a.ply --only lint --out {}": "a result",
     "audit a.ply --repair {}.ply": "a file",
+    "bound a.ply --out {}.ply": "a file",
     "gate a.ply --only lint --store store --sarif {}.sarif": "a file",
     "report result --out {}.html": "a file",
     "conform result --out {}": "a result",

@@ -26,6 +26,7 @@ colours.
 """
 QUICK: dict[str, Any] = {
     "eps": (9.0,),
+    "step_factor": 2.4,
     "steps": 30,
     "batch": 2,
     "pool": 4,

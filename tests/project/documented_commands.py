@@ -92,6 +92,9 @@ ELSEWHERE = {
         "tests/detectors/graphs/test_packages.py runs it, with an npm of its own"
     ),
     "detectors --from": "the same",
+    "splat-conformance": (
+        "tests/rendering/test_splat_conformance.py runs what its wheel holds"
+    ),
     "source": "tests/cli/test_set_up.py runs the completion of a shell",
     "pip": (
         "the tests run in what it has installed; the extras that it names are checked"
