@@ -33,6 +33,7 @@ _Message = TypeVar("_Message")
 _LOOK = 0.1  # seconds between two looks at the memory of a group
 # seconds in which a process that has closed its pipe may end by itself
 _LAST_BREATH = 2.0
+_MOMENT = 0.01  # seconds between two looks at processes that were killed
 _SHOWN = 2000  # characters of what a process said last
 # and not TMPDIR: what it names is deleted, and must be ours
 GROUP_FOLDER = "MI_SPLAT_GROUP_FOLDER"
@@ -163,6 +164,12 @@ class ProcessGroup:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_LAST_BREATH)
 
+    def _wait_for_others(self) -> None:
+        """Give processes that were killed time to go: a busy machine takes a while."""
+        deadline = time.monotonic() + _LAST_BREATH
+        while members(self._process.pid) and time.monotonic() < deadline:
+            time.sleep(_MOMENT)
+
     def close(self) -> None:
         """End the group, and remove what it leaves."""
         with self._closing:
@@ -171,6 +178,7 @@ class ProcessGroup:
             self.kill()
             self._is_closed = True
             self._wait()
+            self._wait_for_others()
             self.pipe.close()
             self._output.close()
         shutil.rmtree(self.folder, ignore_errors=True)
