@@ -11,8 +11,7 @@ studies of both attacks:
     "0.5 x distance"                 cameras move towards the object, or away from it
     "5 degrees"                      cameras turn about the object, to the right
     "0.5 x size"                     images with so many times the pixels on each side
-    "noise 0.05", "blur 1.5", "JPEG 60", "5 bits"   in the images; pixels, bits of each
-                                     colour channel
+    "noise 0.05", "blur 1.5", "JPEG 60", "5 bits"   in the images; pixels, bits
     "09:30"                          a street of meshes in the sun of an hour
 
 and those of other packages (`CONDITIONS`).
