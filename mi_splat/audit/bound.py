@@ -1,9 +1,10 @@
 """A copy of a splat whose colours hardly depend on the direction, with a proof.
 
-By the addition theorem of spherical harmonics, a band l with coefficients a_l departs
-from 0 by at most sqrt((2l + 1) / 4 pi) times their norm in any direction. The sum over the bands
-above 0 therefore bounds how far a Gaussian's colour departs from that of band 0, and
-can be computed from a file alone. Nothing is promised of band 0, nor of geometry.
+By the addition theorem of spherical harmonics, the coefficients of a band l depart
+from 0 by at most sqrt((2l + 1) / 4 pi) times their norm in any direction. The sum over
+the bands above 0 therefore bounds how far a Gaussian's colour departs from that of band
+0, and can be computed from a file alone. Nothing is promised of band 0, nor of
+geometry.
 """
 
 import math
