@@ -40,8 +40,7 @@ from mi_splat.scene import GaussianScene
 
 _CLAIM_OF: Mapping[str, Claim] = {
     **dict.fromkeys(
-        ("hidden-look", "suspicious-look", "fog", "occluder"),
-        "hidden appearance",
+        ("hidden-look", "suspicious-look", "fog", "occluder"), "hidden appearance"
     ),
     **{"edited": "edits", "overdraw": "cost"},
 }
@@ -54,6 +53,7 @@ them may never end.
 """
 _PART = 1 << 20
 _MOST_FILES = 20_000
+"""Bytes that are hashed at once; files that a set of images may have."""
 
 Message = dict[str, Any]
 Say = Callable[[Message], None]

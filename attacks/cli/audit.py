@@ -50,8 +50,8 @@ class AuditOptions(JsonOptions):
 
     Nothing but the file is used. Exit status: 0 nothing found, 3 a hidden look, a cone
     of directions that contradicts the others, two groups of images or an error of lint,
-    1 it could not be judged. What no file can
-    tell, its page in the documentation says. Many files: `mi-splat gate`.
+    1 it could not be judged. Its page in the documentation says what no file can tell.
+    Many files: `mi-splat gate`.
     """
 
     file: Positional[Path]

@@ -4,7 +4,7 @@ detectors make of both.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from attacks.cli.options import ClassName, Confidence, DetectorOptions, Detectors
 from mi_splat import provenance
-from mi_splat.cli.console import progress
+from mi_splat.cli.console import Advance, progress
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions, check_no_input_in
 from mi_splat.fields import Count, Metavar, OutFolder
@@ -85,8 +85,8 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     conditions: tuple[Annotated[str, Metavar("CONDITION")], ...] = ()
     """Conditions under which both are looked at as well, to see what is left of the
     attack: "JPEG 75", "0.5 x size", "5 degrees", ".splat", "SH of degree 0", ray,
-    "median of 8 neighbours" and others (see docs/defences.md), or standard for twenty
-    of them.
+    "median of 8 neighbours" and others (see docs/defences.md), or standard for the
+    usual ones.
     """
     judges: Detectors = ()
     """Further detectors that check the others: a view is flagged where one reports a
@@ -105,13 +105,14 @@ def run(options: EvaluateOptions) -> None:
     from attacks.figures.frame import write_figures
     from attacks.observe.comparison import (
         changed_mask,
+        compared_cells,
         compared_rows,
         doubts,
         figures,
         side_by_side,
         thresholds_of,
     )
-    from attacks.observe.conditions import OWN, check_condition
+    from attacks.observe.conditions import check_condition
     from attacks.observe.rows import ATTACKED, CLEAN, ROWS
     from attacks.observe.sector import sector_doubts
     from attacks.observe.survival import named_conditions, together
@@ -149,25 +150,28 @@ def run(options: EvaluateOptions) -> None:
         place = _placing(options, clean.scene, chosen)
         advance(f"looking from {len(cameras)} cameras")
         seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
-        look = partial(
-            compared_rows,
+        looked = compared_rows(
+            seen,
             original=options.original or None,
             target=options.target,
             min_confidence=confidence,
             judges=judges,
             place=place,
         )
-        looked = look(seen)
         if conditions:
-            own = dict(looked.rows.select("detector", "original").iter_rows())
             # What a detector calls the object here, it is under every condition.
-            look = partial(look, original=options.original or own)
-            parts = _under_conditions(conditions, scenes, chosen, detectors, look)
-            seen_under = {OWN: looked}
-            for name, part in parts:
-                advance(f"looked under {name}")
-                seen_under[name] = part
-            looked = together(seen_under)
+            own = dict(looked.rows.select("detector", "original").iter_rows())
+            given = dict.fromkeys(options.detectors, options.original or None)
+            originals = {name: given.get(name) or own[name] for name in own}
+            new_cells = partial(
+                compared_cells,
+                originals,
+                target=options.target,
+                judges=judges,
+                place=place,
+            )
+            under = _under_conditions(conditions, scenes, chosen, detectors, new_cells)
+            looked = together(looked, list(_announced(under, advance)))
         document = _document(options, chosen, scenes, detectors)
         document["warnings"] += chosen.doubts({}, chosen.agreement(clean))
         document["min_confidence"] = confidence
@@ -199,7 +203,7 @@ def _under_conditions(
     scenes: Mapping[str, GaussianScene],
     chosen: Chosen,
     detectors: Sequence[Detector],
-    look: Callable[..., Observations],
+    new_cells: Callable[[], Callable[[ViewDetections], Mapping[str, Cell]]],
 ) -> Iterator[tuple[str, Observations]]:
     """Each condition, and what was seen under it."""
     from attacks.observe.conditions import Viewing
@@ -222,8 +226,16 @@ def _under_conditions(
         names,
         viewing=viewing,
         render=chosen.render,
-        look=look,
+        new_cells=new_cells,
     )
+
+
+def _announced(
+    parts: Iterable[tuple[str, Observations]], advance: Advance
+) -> Iterator[Observations]:
+    for name, part in parts:
+        advance(f"looked under {name}")
+        yield part
 
 
 def _placing(

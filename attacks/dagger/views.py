@@ -31,7 +31,6 @@ from attacks.transformations.draws import (
     PictureChange,
     change_picture,
     changing,
-    draw_around,
     draw_camera,
     draw_change,
     draw_size,
@@ -40,7 +39,6 @@ from mi_splat.cameras.camera import Camera, RenderFn, as_cameras
 from mi_splat.cameras.directions import UP, Direction, Point, direction_of
 from mi_splat.cameras.framing import bounds
 from mi_splat.errors import InvalidValueError
-from mi_splat.maths.rotation import from_z
 from mi_splat.maths.sh import colour_to_dc
 from mi_splat.render.view_freezing import RecentViews, affordable_bytes, freeze_views
 from mi_splat.scene import GaussianScene, check_scene
@@ -488,31 +486,19 @@ class DrawnViews(FixedViews):
         black, white = (frozen(colour_to_dc(zeros + value)) for value in (0.0, 1.0))
         return (white - black)[..., :3].mean(-1).clamp(0, 1)
 
-    def _drawn_camera(self, generator: np.random.Generator) -> Camera:
-        cameras = self.transformations.cameras
-        if isinstance(cameras, CameraCone):
-            return draw_around(
-                cameras, generator, centre=self.centre, reference=self.reference
-            )
-        camera = draw_camera(
-            cameras,
-            generator,
-            centre=self.centre,
-            radius=self.radius,
-            reference=self.reference,
-        )
-        if tuple(self.up) == UP:
-            return camera
-        turn = from_z(torch.tensor(list(self.up)))
-        middle = torch.tensor(list(self.centre), dtype=torch.float64)
-        return camera.turned(turn, middle)
-
     def _draw(self, seed: int, index: int) -> View:
         least = self.transformations.cameras.least_visible
         for attempt in range(_ATTEMPTS):
             generator = np.random.default_rng((seed, index, attempt))
             change = draw_change(self.transformations.pictures, generator)
-            camera = self._drawn_camera(generator)
+            camera = draw_camera(
+                self.transformations.cameras,
+                generator,
+                centre=self.centre,
+                radius=self.radius,
+                reference=self.reference,
+                up=self.up,
+            )
             camera = draw_size(self.transformations.pictures, generator, camera)
             weight = self._weight(camera)
             box = visible_box(weight)

@@ -172,18 +172,21 @@ def thresholds_of(detectors: Sequence[Detector]) -> dict[str, float]:
     return {one.name: operating_threshold(one) for one in detectors}
 
 
+Classes = str | Sequence[str] | None
+"""What an object is: a class, several of which any counts, or any at all."""
+
+
 def compared_rows(
     seen: Mapping[str, Sequence[ViewDetections]],
     *,
-    original: str | Sequence[str] | Mapping[str, str | None] | None = None,
+    original: str | Sequence[str] | None = None,
     target: str | None = None,
     min_confidence: float | Mapping[str, float] = REPORTED,
     judges: Collection[str] = (),
     place: Callable[[ViewDetections], Mapping[str, Cell]] | None = None,
 ) -> Observations:
     """What detectors report on a clean and an attacked splat, row by row; for `judges`
-    neither class is given, and `place` gives further cells. What the object is may
-    differ from detector to detector.
+    neither class is given, and `place` gives further cells.
     """
     clean = {(view.detector, view.view): view for view in seen[CLEAN]}
     shown = {
@@ -194,22 +197,41 @@ def compared_rows(
         ]
         for name, _ in clean
     }
-    own: dict[str, str | Sequence[str] | None] = {
-        name: original.get(name) if isinstance(original, Mapping) else original
-        for name in shown
-    }
-    own |= dict.fromkeys(judges)
-    originals: dict[str, str | Sequence[str] | None] = {
+    own = {name: None if name in judges else original for name in shown}
+    originals: dict[str, Classes] = {
         name: own[name] or usual_label(views, confidence_for(name, min_confidence))
         for name, views in shown.items()
     }
+    cells = compared_cells(
+        originals, target=target, judges=judges, place=place, clean=clean
+    )
+    return observations_of(
+        (({"splat": splat}, view) for splat, views in seen.items() for view in views),
+        cells,
+    )
+
+
+def compared_cells(
+    originals: Mapping[str, Classes],
+    *,
+    target: str | None = None,
+    judges: Collection[str] = (),
+    place: Callable[[ViewDetections], Mapping[str, Cell]] | None = None,
+    clean: Mapping[tuple[str, int], ViewDetections] | None = None,
+) -> Callable[[ViewDetections], dict[str, Cell]]:
+    """The cells of `compared_rows`, given what the object is to each detector.
+
+    Each view is compared with that of the clean splat: the first that is seen where
+    `clean` does not have it.
+    """
+    before = dict(clean or {})
 
     def cells(view: ViewDetections) -> dict[str, Cell]:
-        before = clean[view.detector, view.view]
-        if torch.equal(before.pixels, view.pixels):
+        first = before.setdefault((view.detector, view.view), view)
+        if torch.equal(first.pixels, view.pixels):
             change = None
         else:
-            change = float(psnr(before.image, view.image))
+            change = float(psnr(first.image, view.image))
         wanted = None if view.detector in judges else target
         known = report_cells(
             view.detections, view.box, original=originals[view.detector], target=wanted
@@ -217,10 +239,7 @@ def compared_rows(
         where = {} if place is None else place(view)
         return {**where, **known, "psnr": change}
 
-    return observations_of(
-        (({"splat": splat}, view) for splat, views in seen.items() for view in views),
-        cells,
-    )
+    return cells
 
 
 def compare(rows: pl.DataFrame, *, confidence: Confidence = REPORTED) -> Figures:

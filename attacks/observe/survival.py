@@ -7,15 +7,15 @@ Rates count only views in which the clean object is detected under the same cond
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import polars as pl
+from torch import Tensor
 
 from attacks.detectors.base import Detector
 from attacks.figures.frame import Figures
 from attacks.gaussian_subset import Mask
-from attacks.observe.conditions import OWN, Condition, Viewing, condition_of
-from attacks.observe.observations import Observations
+from attacks.observe.conditions import OWN, Viewing, condition_of
+from attacks.observe.observations import Observations, observe
 from attacks.observe.rates import (
     Confidence,
     Measure,
@@ -24,9 +24,9 @@ from attacks.observe.rates import (
     reported,
     with_control,
 )
-from attacks.observe.rows import ATTACKED, frame_of
+from attacks.observe.rows import ATTACKED, CLEAN, Cell, frame_of
 from attacks.observe.sector import HIDDEN, sector_figures
-from attacks.observe.views import ViewDetections, evaluate
+from attacks.observe.views import ViewDetections, as_saved, object_boxes
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.scene import GaussianScene
 
@@ -60,9 +60,6 @@ STANDARD = (
 )
 """The conditions that `standard` stands for."""
 
-Look = Callable[[Mapping[str, Sequence[ViewDetections]]], Observations]
-"""What was seen of a clean and an attacked splat, as rows."""
-
 
 def named_conditions(names: Sequence[str]) -> tuple[str, ...]:
     """The conditions that a user's names stand for, each once; of a vote those that it
@@ -85,24 +82,25 @@ def survived(
     *,
     viewing: Viewing,
     render: RenderFn,
-    look: Look,
+    new_cells: Callable[[], Callable[[ViewDetections], Mapping[str, Cell]]],
 ) -> Iterator[tuple[str, Observations]]:
-    """Each condition, and what was seen under it.
+    """Each condition, and what was seen under it of scenes as their files hold them.
 
-    `render` shows where the object is, and `look` makes rows of what was seen.
+    `render` shows where the object is. `new_cells` makes, for each condition, what
+    gives the further cells of a row.
     """
+    saved = {name: as_saved(scene) for name, scene in scenes.items()}
+
+    def box_of(camera: Camera) -> Tensor | None:
+        (box,) = object_boxes(scenes[CLEAN], mask, camera, render=render)
+        return box
+
     for name in names:
         condition = condition_of(name, viewing)
-        moved = [condition.move(camera) for camera in cameras]
-        seen = evaluate(
-            scenes,
-            mask,
-            moved,
-            detectors,
-            render=_unmoved(condition),
-            shown_by=render,
+        seen = observe(
+            condition, saved, cameras, detectors, boxes=box_of, cells=new_cells()
         )
-        yield name, look(seen)
+        yield name, seen
 
 
 def voted(rows: pl.DataFrame) -> pl.DataFrame:
@@ -148,25 +146,14 @@ def survival_figures(rows: pl.DataFrame, confidence: Confidence) -> Figures:
     return Figures.together(parts)
 
 
-def _unmoved(condition: Condition) -> RenderFn:
-    """The condition of cameras that have been moved."""
-    return replace(condition, move=lambda camera: camera)
-
-
-def together(parts: Mapping[str, Observations]) -> Observations:
-    """What was seen under several conditions, as one table of rows and one of
-    detections.
+def together(plain: Observations, under: Sequence[Observations]) -> Observations:
+    """What was seen without a condition and under several, as one table of rows and one
+    of detections.
     """
-    tables = {
-        kind: pl.concat(
-            [
-                getattr(part, kind).with_columns(condition=pl.lit(name))
-                for name, part in parts.items()
-            ],
-            how="diagonal",
-        )
-        for kind in ("rows", "detections")
-    }
-    return Observations(
-        **{kind: frame_of(table.to_dicts()) for kind, table in tables.items()}
-    )
+    tables = {}
+    for kind in ("rows", "detections"):
+        own = getattr(plain, kind).with_columns(condition=pl.lit(OWN))
+        others = [getattr(part, kind) for part in under]
+        table = pl.concat([own, *others], how="diagonal")
+        tables[kind] = frame_of(table.to_dicts())
+    return Observations(**tables)

@@ -165,12 +165,9 @@ def evaluate(
     detectors: Detector | str | Sequence[Detector | str],
     *,
     render: RenderFn,
-    shown_by: RenderFn | None = None,
 ) -> dict[str, list[ViewDetections]]:
     """Look at every scene, as its file holds it, from every camera with every
     detector.
-
-    `shown_by` renders where the object is, if `render` does something to its images.
     """
     if CLEAN not in scenes:
         raise InvalidValueError.of(
@@ -180,7 +177,7 @@ def evaluate(
             "add the unattacked scene",
         )
     detectors = as_detectors(detectors)
-    boxes = object_boxes(scenes[CLEAN], mask, cameras, render=shown_by or render)
+    boxes = object_boxes(scenes[CLEAN], mask, cameras, render=render)
     return {
         name: list(
             detect_views(

@@ -221,11 +221,7 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
         values["transformations"], attack = views, {**REGION, **attack}
         values["judged"] = None if judged is None else {**views, "pictures": judged}
     elif _AROUND in values:
-        cone = decode(CameraCone, values.pop(_AROUND), f"{where}, {_AROUND}")
-        table = {**NARROW_CHANGES, **values.pop("pictures", {})}
-        changes = decode(PictureChanges, table, f"{where}, pictures")
-        drawn_from = Transformations(cameras=cone, pictures=changes)
-        around = {"transformations": drawn_from, "judged": drawn_from.plain}
+        around = _around(values, where)
         attack = {**narrow_defaults(attack), **attack}
     elif "pictures" in values:
         raise FieldError.of(where, "around beside pictures", "none", "add it")
@@ -262,6 +258,17 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
         **({} if cameras is None else {CAMERAS: cameras}),
     }
     return path, Job(kind=ATTACK, config=config, inputs=inputs)
+
+
+def _around(values: dict[str, Any], where: str) -> dict[str, Any]:
+    """Where the views around a camera are drawn from, for the search and for the judge;
+    takes its settings out of the tables.
+    """
+    cone = decode(CameraCone, values.pop(_AROUND), f"{where}, {_AROUND}")
+    table = {**NARROW_CHANGES, **values.pop("pictures", {})}
+    changes = decode(PictureChanges, table, f"{where}, pictures")
+    drawn = Transformations(cameras=cone, pictures=changes)
+    return {"transformations": drawn, "judged": drawn.plain}
 
 
 def _objective(

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from attacks.transformations.config import CameraCone, CameraRegion, PictureChanges
 from mi_splat.cameras.camera import Camera, RenderFn, orbit_pose
+from mi_splat.cameras.directions import UP, Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
 from mi_splat.maths.rotation import from_z, to_matrix
@@ -35,6 +36,29 @@ _DARK = 1e-4
 
 
 def draw_camera(
+    cameras: CameraRegion | CameraCone,
+    generator: np.random.Generator,
+    *,
+    centre: Sequence[float],
+    radius: float,
+    reference: Camera,
+    up: Point = UP,
+) -> Camera:
+    """A camera of a region, with the reference's lens, whose rows are level; or the
+    reference itself, turned about the centre.
+    """
+    if isinstance(cameras, CameraCone):
+        return _around(cameras, generator, centre=centre, reference=reference)
+    camera = _level(
+        cameras, generator, centre=centre, radius=radius, reference=reference
+    )
+    if tuple(up) == UP:
+        return camera
+    middle = torch.tensor(list(centre), dtype=torch.float64)
+    return camera.turned(from_z(torch.tensor(list(up))), middle)
+
+
+def _level(
     region: CameraRegion,
     generator: np.random.Generator,
     *,
@@ -42,7 +66,7 @@ def draw_camera(
     radius: float,
     reference: Camera,
 ) -> Camera:
-    """A camera of the region, with the reference's lens; its rows are level."""
+    """A camera of the region in a world whose up is z."""
     unit = math.dist(reference.position.tolist(), [float(x) for x in centre])
     if not unit > 0:
         do = "choose one that looks at it"
@@ -64,7 +88,7 @@ def draw_camera(
     return dataclasses.replace(reference, to_world=pose)
 
 
-def draw_around(
+def _around(
     cone: CameraCone,
     generator: np.random.Generator,
     *,

@@ -15,12 +15,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from mi_splat.audit.auditing import in_world
 from mi_splat.audit.objects import frame_of, targets
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.audit.viewpoints import cameras_around
 from mi_splat.cameras.camera import Camera, as_cameras
 from mi_splat.cameras.framing import near_plane
 from mi_splat.errors import InvalidValueError
+from mi_splat.maths.metrics import psnr
 from mi_splat.maths.sh import colour_to_dc, even_directions, sh_basis
 from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.render.scene_files import resized
@@ -121,18 +123,11 @@ def bounded(
 def around_objects(scene: GaussianScene) -> tuple[Camera, ...]:
     """Cameras around the objects of a splat, in the world."""
     frame = frame_of(scene)
-    world = frame.to_world
-    rotation = world.rotation.double()
-    cameras = []
+    cameras = list[Camera]()
     for target in targets(frame.scene):
         around = cameras_around(target)
         step = max(1, len(around) // CAMERAS)
-        for camera in around[::step]:
-            pose = camera.to_world.clone()
-            pose[:3, :3] = rotation @ pose[:3, :3]
-            place = rotation @ camera.position * world.scale
-            pose[:3, 3] = place + world.translation.double()
-            cameras.append(Camera(to_world=pose, lens=camera.lens))
+        cameras += [in_world(frame, camera) for camera in around[::step]]
     return tuple(cameras)
 
 
@@ -191,7 +186,7 @@ def _prices(
     prices = []
     with torch.no_grad():
         for camera in cameras:
-            change = (render(scene, camera) - render(copy, camera)).clamp(-1, 1)
-            error = float(change.square().mean())
-            prices.append(-10 * math.log10(error) if error > 0 else math.inf)
+            before = render(scene, camera).clamp(0, 1)
+            after = render(copy, camera).clamp(0, 1)
+            prices.append(float(psnr(before, after)))
     return tuple(prices)

@@ -141,9 +141,9 @@ class ImageAudit:
 def audit_images(views: Dataset, *, on_step: OnStep | None = None) -> ImageAudit:
     """Find the two groups of images that contradict each other most.
 
-    What the images show of the same points is compared, those of the set, or where it
-    has none, of a small splat that is trained on it. Nobody but the set is asked, so
-    that which group is true is not known.
+    What the images show of the same points is compared: the points of the set, or where
+    it has none, those of a small splat that is trained on it. Nothing but the set is
+    used, so it stays unknown which group is true.
 
     Args:
         views: The set; every image is compared.

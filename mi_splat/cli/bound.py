@@ -200,12 +200,12 @@ def _verify(options: BoundOptions) -> int:
     certificate = certificate_of(options.file)
     stated = read_certificate(certificate) if certificate.exists() else {}
     with progress(f"checking {options.file.name}"):
-        eps = options.eps or float(stated.get("eps", EPS))
+        eps = options.eps or stated.get("eps", EPS)
         facts = facts_of(load_splat(options.file), eps)
     faults = []
     if stated and stated.get("scene_hash") != facts["scene_hash"]:
         faults.append("the file is not the one that its certificate is of")
-    if facts["beyond"] > int(stated.get("beyond", 0)):
+    if facts["beyond"] > stated.get("beyond", 0):
         faults.append(f"{facts['beyond']:,} Gaussians depart by more than {eps:g}")
     document = {
         "file": str(options.file),

@@ -2,11 +2,10 @@
 
     python -m scenes.recipes.adaptive_repair --out out/repair.json
 
-Three attackers at each camera of the synthetic car: one who does not know of the
-repair, one who differentiates through it, and one whose file is judged before the
-repair although it was made for after it. Each is judged in the file as it is delivered
-and in the repaired one, and counts where the detector reports the clean object as what
-it is under the same condition.
+Two attackers at each camera of the synthetic car: one who does not know of the repair,
+and one who differentiates through it. Each file is judged as it is delivered and as it
+is repaired, and counts where the detector reports the clean object as what it is under
+the same condition.
 """
 
 import argparse

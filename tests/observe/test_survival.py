@@ -8,8 +8,8 @@ import polars as pl
 import pytest
 import torch
 
-from attacks.observe.comparison import compared_rows, figures
-from attacks.observe.conditions import OWN, Viewing, check_condition
+from attacks.observe.comparison import compared_cells, compared_rows, figures
+from attacks.observe.conditions import FORMS, OWN, Viewing, check_condition
 from attacks.observe.repairs import median_of_neighbours
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS
 from attacks.observe.survival import (
@@ -57,8 +57,12 @@ def person_from_the_front() -> GaussianScene:
 def rows_under(attacked: GaussianScene, *names: str) -> pl.DataFrame:
     scenes = {CLEAN: SCENE, ATTACKED: attacked}
     detectors = [ColourDetector()]
-    look = partial(compared_rows, original="car", target="person", min_confidence=0.5)
-    plain = look(evaluate(scenes, MASK, CAMERAS, detectors, render=RENDER))
+    plain = compared_rows(
+        evaluate(scenes, MASK, CAMERAS, detectors, render=RENDER),
+        original="car",
+        target="person",
+        min_confidence=0.5,
+    )
     seen = survived(
         scenes,
         MASK,
@@ -67,9 +71,9 @@ def rows_under(attacked: GaussianScene, *names: str) -> pl.DataFrame:
         named_conditions(names),
         viewing=VIEWING,
         render=RENDER,
-        look=look,
+        new_cells=partial(compared_cells, {"fake_colour": "car"}, target="person"),
     )
-    return together({OWN: plain, **dict(seen)}).rows
+    return together(plain, [part for _, part in seen]).rows
 
 
 def test_an_attack_by_view_dependent_colours_does_not_survive_a_cut() -> None:
@@ -98,6 +102,20 @@ def test_boxes_follow_cameras_and_sizes() -> None:
     }
     assert widths["2 x size"] == pytest.approx(2 * widths[OWN], rel=0.15)
     assert widths["1.5 x distance"] < widths[OWN]
+
+
+def test_a_splat_goes_through_a_condition_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many cameras look at it: a format is a file that is written and read."""
+    made = list[str]()
+
+    def counting(scene: GaussianScene) -> GaussianScene:
+        made.append("once")
+        return scene
+
+    monkeypatch.setitem(FORMS, ".splat", counting)
+    rows = rows_under(person(), ".splat")
+    assert len(rows.filter(condition=".splat")) == 2 * len(CAMERAS)
+    assert len(made) == 2
 
 
 def test_a_vote_has_the_medians_of_three_views() -> None:

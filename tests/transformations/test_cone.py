@@ -12,7 +12,7 @@ import torch
 from attacks.transformations.config import CameraCone, PictureChanges
 from attacks.transformations.draws import (
     PictureChange,
-    draw_around,
+    draw_camera,
     draw_change,
     draw_size,
 )
@@ -30,7 +30,13 @@ CHOSEN = Camera(
 
 def draws(cone: CameraCone, count: int = 300) -> list[Camera]:
     return [
-        draw_around(cone, np.random.default_rng(index), centre=CENTRE, reference=CHOSEN)
+        draw_camera(
+            cone,
+            np.random.default_rng(index),
+            centre=CENTRE,
+            radius=0.5,
+            reference=CHOSEN,
+        )
         for index in range(count)
     ]
 
