@@ -144,8 +144,8 @@ class DaggerOptions(AttackOptions):
     attacked.xml with its parts, which can be rendered and attacked again. The exit
     status is 0 also when the attack fails: that is a result.
 
-    With --around the attack is made for all cameras near a chosen one and for changed
-    images, and held-out cameras, with plain images, judge it (held_out.png).
+    With --around the attack covers all cameras near a chosen one, and changed images.
+    Held-out cameras with unchanged images judge it (held_out.png).
     """
 
     view: CameraOptions = field(default_factory=CameraOptions)
@@ -157,14 +157,14 @@ class DaggerOptions(AttackOptions):
     around: Annotated[float, between(0, 60, "degrees"), Metavar("DEGREES")] | None = (
         None
     )
-    """Attack from all cameras up to so far around the chosen one, seen from the middle
+    """Attack all cameras within this angle of the chosen one, as seen from the middle
     of the object. The defaults are then those of a quiet attack that lasts: 36 dB on
-    the object, at most 6 dB less on a part of it, and a search on images that change
+    the object, at most 6 dB less on any part of it, and a search on images that change
     (--jpeg, --blur, --resize, --sizes).
     """
     around_distance: Share = 0.1
-    """How much nearer or farther than the chosen one these cameras may be, as a
-    fraction.
+    """How much nearer or farther these cameras may be, as a fraction of the distance of
+    the chosen one.
     """
     pictures: PictureChanges = field(default_factory=PictureChanges)
     """What happens to the images of the search with --around, between renderer and
@@ -178,8 +178,8 @@ class DaggerOptions(AttackOptions):
 
     @staticmethod
     def defaults(words: Sequence[str]) -> dict[str, Any]:
-        """The settings that depend on which budget is asked for, and from how many
-        cameras.
+        """The settings that depend on the budget, and on whether one camera is attacked
+        or all around it.
         """
         budget = _budget_in(words)
         if _said(words, ["around"]):

@@ -169,13 +169,14 @@ class DaggerConfig:
         object_psnr: The same over the pixels that are at least half the object's. The
             attack ends at this limit: its change is scaled until the object has this
             PSNR.
-        local_gap: How far a part of the object may be below object_psnr, dB: no window
-            of a sixth of its box may have less. A mean alone lets one part, as an ear,
-            carry the whole change. None sets no limit.
-        ladder: Values of object_psnr that are tried one after the other, each from
-            where the one before has ended: the first at which the attack succeeds in
-            the views that decide is the answer, and the last if there is none. Those
-            after the first take half the steps.
+        local_gap: How far the PSNR of any part of the object may be below object_psnr,
+            dB; a part is a square window, a sixth of the object's box wide. A mean
+            alone lets one part, such as an ear, carry the whole change. None sets no
+            limit.
+        ladder: Values of object_psnr to try in turn, the highest first, each from where
+            the one before ended. The answer is the first at which the attack succeeds
+            in the views that decide, or the last. Levels after the first take half the
+            steps.
         batch: Views of each step: of the cameras, where 0 is all of them, or of the
             pool that a region has.
         pool: Number of views of a region that they are drawn from; 0 draws new ones at

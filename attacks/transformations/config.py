@@ -73,7 +73,8 @@ class CameraRegion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraCone(Checked):
-    """Cameras around a chosen one, which is turned about the middle of the object.
+    """Cameras around a chosen one: the chosen camera, turned about the middle of the
+    object.
 
     The object stays where it is in the image. With an angle and a margin of 0, every
     camera is the chosen one.
@@ -112,12 +113,11 @@ class PictureChanges:
         noise: Largest standard deviation of Gaussian noise; the picture's values lie in
             [0, 1].
         jpeg: Lowest JPEG quality, at most 95; the highest is 95. 0 for no JPEG.
-        plain: Share of the images that stay as they are, whatever may happen to the
-            others. An attack on changed images alone finds plain ones at the edge of
-            what it was made for.
-        sizes: Least and most factor of the image's size: the camera has so many times
-            the pixels on each side. Half of the images keep their size; the logarithm
-            of the others' factor is drawn evenly.
+        plain: Share of the images that are not changed. Without any, unchanged images
+            lie at the edge of what the attack was made for.
+        sizes: Smallest and largest factor by which the camera's number of pixels on
+            each side is multiplied. Half of the images keep their size; the factor of
+            the others is drawn log-uniformly.
 
     Raises:
         InvalidValueError: A value is out of its range.
