@@ -6,15 +6,13 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
+from attacks.classifiers.frozen import Preparation
 from attacks.classifiers.prototypes import has_features, load_features
 from attacks.detectors.registry import load_detector
 
 _CUT = 0.7  # share of an image's side that is the object, and what features see
-_SIDE = 128
-_MEAN = (0.485, 0.456, 0.406)
-_DEVIATION = (0.229, 0.224, 0.225)
+_PREPARE = Preparation(size=128)
 _NEAR = 0.35  # sides from the middle within which a box is the object's
 _LEAST = 0.25  # sides of the longer side of its box
 _BATCH = 8
@@ -42,15 +40,9 @@ class Recognition:
             return torch.ones(len(images), 1)
         side = images.shape[1]
         edge = round(side * (1 - _CUT) / 2)
-        middle = images[:, edge : side - edge, edge : side - edge].permute(0, 3, 1, 2)
-        scaled = functional.interpolate(
-            middle, size=(_SIDE, _SIDE), mode="bilinear", align_corners=False
-        )
-        mean = torch.tensor(_MEAN).view(1, 3, 1, 1)
-        deviation = torch.tensor(_DEVIATION).view(1, 3, 1, 1)
-        normed = (scaled - mean) / deviation
+        middle = _PREPARE(images[:, edge : side - edge, edge : side - edge])
         with torch.no_grad():
-            parts = [self._network(part) for part in torch.split(normed, _BATCH)]
+            parts = [self._network(part) for part in torch.split(middle, _BATCH)]
         return torch.cat(parts)
 
     def scores(self, images: Tensor) -> Tensor:

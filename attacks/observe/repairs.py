@@ -1,10 +1,10 @@
 """Changes that a defender makes to a splat before looking at it."""
 
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError
+from mi_splat.maths.neighbours import nearest_neighbours
 from mi_splat.scene import GaussianScene
 
 
@@ -26,11 +26,11 @@ def median_of_neighbours(scene: GaussianScene, count: int) -> GaussianScene:
     Raises:
         InvalidValueError: There are not as many Gaussians.
     """
-    return with_medians(scene, nearest(scene.means, count))
+    return with_medians(scene, with_itself(scene.means, count))
 
 
-def nearest(means: Tensor, count: int) -> Tensor:
-    """(N, count + 1) rows of each Gaussian's nearest ones, itself the first.
+def with_itself(means: Tensor, count: int) -> Tensor:
+    """(N, count + 1) rows of each Gaussian and its nearest neighbours.
 
     Args:
         means: (N, 3) world units.
@@ -45,9 +45,8 @@ def nearest(means: Tensor, count: int) -> Tensor:
     if not 1 <= count < len(means):
         do = "ask for fewer neighbours"
         raise InvalidValueError.of("count", f"1 to {len(means) - 1}", count, do)
-    places = means.detach().cpu().double().numpy()
-    _, rows = cKDTree(places).query(places, k=count + 1)
-    return torch.from_numpy(rows)
+    _, others = nearest_neighbours(means, count)
+    return torch.cat([torch.arange(len(means))[:, None], others], dim=1)
 
 
 def with_medians(scene: GaussianScene, rows: Tensor) -> GaussianScene:
@@ -55,7 +54,7 @@ def with_medians(scene: GaussianScene, rows: Tensor) -> GaussianScene:
 
     Args:
         scene: N Gaussians.
-        rows: (N, K) Gaussians over which each median is taken, as of `nearest`.
+        rows: (N, K) Gaussians over which each median is taken, as of `with_itself`.
 
     Returns:
         The splat; all other attributes are what they were.

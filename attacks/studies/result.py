@@ -372,10 +372,12 @@ def _evaluations(attacks: Attacks, rows: pl.DataFrame) -> Iterator[Figures]:
         return
     paired = with_control(rows.with_columns(pl.col("target_score").fill_null(0.0)))
     by = ("condition", "detector")
-    drawn = {name: one for name, one in attacks.items() if one.views == "drawn"}
+    drawn = {
+        name: one
+        for name, one in attacks.items()
+        if one.views == "drawn" and set(rows.columns) >= _OF_REGION
+    }
     for labels, members in _grouped(drawn, (*POOLED, CAMERA)):
-        if not set(rows.columns) >= _OF_REGION:
-            break
         survived = _if_detected(members, rows, by)
         yield survived.labelled(scope=SURVIVAL, **labels)
     for labels, members in _grouped(attacks, POOLED):

@@ -21,7 +21,7 @@ from attacks import DaggerConfig, attack, load_detector, relabel
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import operating_threshold
 from attacks.objectives.base import confidence
-from attacks.observe.repairs import nearest, with_medians
+from attacks.observe.repairs import with_itself, with_medians
 from attacks.observe.views import as_saved, object_boxes
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.cli.console import show
@@ -42,7 +42,7 @@ OBJECT_PSNR = 32.0
 
 def repairing(clean: GaussianScene, render: RenderFn) -> RenderFn:
     """A renderer of repaired splats; neighbours are those of the clean one."""
-    rows = nearest(clean.means, NEIGHBOURS)
+    rows = with_itself(clean.means, NEIGHBOURS)
 
     def repaired(scene: GaussianScene, camera: Camera) -> Tensor:
         return render(with_medians(scene, rows), camera)
