@@ -108,7 +108,7 @@ def _enlarged(image: Tensor) -> Tensor:
 
 def _dome(view: ConeView) -> Tensor:
     """(S, S, 3) the directions around an object seen from above, the horizon as the
-    rim: the cone red, its cameras black.
+    rim: the cone is red.
     """
     up = None if view.up is None else torch.tensor(view.up, dtype=torch.float64)
     axis = torch.tensor(view.region.axis, dtype=torch.float64) @ basis(up)
