@@ -86,6 +86,10 @@ class ConformOptions(JsonOptions):
     """What is meant besides, as --list names it (order=distance), and scenes to leave
     out.
     """
+    cannot: tuple[str, ...] = ()
+    """What the renderer lacks, as --list names it (off-centre): scenes that need it are
+    not applicable.
+    """
     out: OutFolder | None = None
     """Folder for a page with the images that differ, a table and result.json; nothing
     is written without it.
@@ -185,6 +189,7 @@ def _compare_images(options: ConformOptions, folder: Path) -> int:
             setups,
             profile=options.profile,
             accept=options.accept,
+            cannot=options.cannot,
             advance=advance,
         )
     document = {
@@ -258,6 +263,8 @@ def _save_page(
         lines.append(f"- unexplained: {', '.join(report.unexplained)}")
     if report.missing:
         lines.append(f"- missing: {', '.join(report.missing)}")
+    for name, needed in report.not_applicable.items():
+        lines.append(f"- not applicable: {name}, which needs {', '.join(needed)}")
     with new_folder(out, force=options.force) as folder:
         for row in report.scenes:
             if row.conforms or row.error is None:
