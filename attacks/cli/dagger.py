@@ -129,9 +129,9 @@ class AttackOptions(DetectorOptions, ResultOptions):
     """
     strict: bool = True
     """Whether a relabelled object counts only if its original class falls below the
-    operating threshold, or below 0.5 with --confidence. --no-strict: count it even if
-    its original class is still reported. --no-strict --eps 5 --step-factor 2 --momentum
-    0 --schedule constant is the search of the paper.
+    operating threshold, or below 0.5 with --confidence. --no-strict: count a relabelled
+    object even if its original class is still reported. --no-strict --eps 5
+    --step-factor 2 --momentum 0 --schedule constant is the search of the paper.
     """
 
 
