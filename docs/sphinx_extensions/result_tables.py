@@ -64,7 +64,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "cloak_variations": (
         "CLOAK on other cars, objects and viewpoints",
-        "[CLOAK on other cars, objects and viewpoints](../cloak-variations.md)",
+        "[CLOAK on other cars, objects and viewpoints](../cloak.md#other-cars-objects-and-viewpoints)",
         (
             "cloak_new_cars",
             "cloak_second_car",
