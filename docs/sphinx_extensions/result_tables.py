@@ -113,7 +113,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "DAGGER on a detector of Open Images",
         (
             "[DAGGER on third-party"
-            " detectors](../dagger-coco.md#a-detector-trained-on-open-images)"
+            " detectors](../dagger.md#a-detector-trained-on-open-images)"
         ),
         ("dagger_openimages",),
     ),
