@@ -75,7 +75,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "attack_zoo": (
         "Comparing attack algorithms",
-        "[Comparing attack algorithms](../attack-zoo.md)",
+        "[Comparing attack algorithms](../transfer.md#comparing-attack-algorithms-pgd-apgd-cw-square)",
         ("attack_zoo",),
     ),
     "dagger": ("DAGGER", "[DAGGER](../dagger.md)", ("dagger",)),
