@@ -122,7 +122,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "[Detectors](../detectors.md#judges-of-another-kind)",
         ("outside_judges",),
     ),
-    "m_ifgsm": ("M-IFGSM", "[M-IFGSM](../m-ifgsm.md)", ("m_ifgsm", "m_ifgsm_sparse")),
+    "m_ifgsm": ("M-IFGSM", "[M-IFGSM](../poison-splat.md#m-ifgsm-training-images-that-fool-a-classifier)", ("m_ifgsm", "m_ifgsm_sparse")),
     "poison_splat": (
         "Poison-splat",
         "[Poison-splat](../poison-splat.md)",
