@@ -20,11 +20,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from attacks.audits.recognition import Recognition
 from mi_splat.audit.against import changes
 from mi_splat.audit.auditing import audit
 from mi_splat.audit.bound import colour_bound
 from mi_splat.audit.files import document, findings
 from mi_splat.audit.gate import FILE, Claim, GateConfig, Row, fingerprint, sampled
+from mi_splat.audit.held_out import held_out
 from mi_splat.audit.image_files import image_names, summary_of
 from mi_splat.audit.images import audit_images
 from mi_splat.audit.linting import Lint, lint_file
@@ -40,7 +42,8 @@ from mi_splat.scene import GaussianScene
 
 _CLAIM_OF: Mapping[str, Claim] = {
     **dict.fromkeys(
-        ("hidden-look", "suspicious-look", "fog", "occluder"), "hidden appearance"
+        ("contradicted", "hidden-look", "suspicious-look", "fog", "occluder"),
+        "hidden appearance",
     ),
     **{"edited": "edits", "overdraw": "cost"},
 }
@@ -356,16 +359,20 @@ def _appearances(
     """What the audit finds in a splat that can be rendered."""
     unjudged = ""
     judged = None
+    rest = None
     errors = [item.rule for item in lint.findings if item.severity == "error"]
     if errors:
         unjudged = f"the file has errors: {', '.join(errors)}"
     elif {"hidden appearance", "edits"} & {*config.claims}:
         try:
-            judged = audit(sampled(scene, config.most_gaussians))
+            part = sampled(scene, config.most_gaussians)
+            judged = audit(part)
+            if "hidden appearance" in config.claims:
+                rest = held_out(part, Recognition(), up=judged.up)
         except MiSplatError as error:
             unjudged = " ".join(str(error).split())
     if judged or unjudged:
-        account = document(judged, lint, unjudged=unjudged)
+        account = document(judged, lint, unjudged=unjudged, held_out=rest)
     yield account
     if judged is None:
         yield from (

@@ -45,13 +45,14 @@ FOUND = 3
 
 @dataclass(frozen=True, kw_only=True)
 class AuditOptions(JsonOptions):
-    """Say whether a splat shows something from some directions only, which Gaussians
-    carry it, and what is wrong in it; or whether images of a set contradict others.
+    """Detect hidden, view-dependent content and invalid data in a splat file, or
+    inconsistent (poisoned) images in a data set.
 
-    Nothing but the file is used. Exit status: 0 nothing found, 3 a hidden look, a cone
-    of directions that contradicts the others, two groups of images or an error of lint,
-    1 it could not be judged. Its page in the documentation says what no file can tell.
-    Many files: `mi-splat gate`.
+    Each cone of directions is compared with what the other directions predict for it:
+    contradicted, differs (information, no alarm) or consistent. Only the file is used.
+    Exit status: 0 consistent or differs, 3 contradicted, two groups of images or an
+    error of lint, 1 it could not be judged. For limitations see docs/audit.md. Many
+    files: `mi-splat gate`.
     """
 
     file: Positional[Path]
@@ -60,45 +61,42 @@ class AuditOptions(JsonOptions):
     two groups that contradict each other, both are named.
     """
     cameras: Annotated[tuple[str, ...], Metavar("CAMERAS")] = ()
-    """Those of the training pictures, in the forms that `mi-splat render` takes, the
-    cameras.json beside a splat, for instance: look at each object from near their
-    directions alone, and from themselves in a room. Without, from a sphere around each
-    object.
+    """Training cameras (formats as in `mi-splat render`, the cameras.json beside a
+    splat, for instance): only directions near theirs are compared, because elsewhere an
+    honest splat shows fog. Without, directions all around each object.
     """
     up: Direction | None = None
-    """Direction that is up for objects that stand on a ground, and for orbits of
-    --cameras: an axis, or three numbers. Without, each object is looked at from above
-    the ground that is found.
+    """Up direction of objects that stand on a ground, and of orbits in --cameras: an
+    axis, or three numbers. Without, it is estimated from the ground.
     """
     downscale: Annotated[int, between(1, 64, "times smaller"), Metavar("FACTOR")] = 1
     """Read the images of a set so many times smaller. They are compared at 400 to 800
     pixels anyway, so that this only saves time and memory.
     """
     out: OutFolder | None = None
-    """Folder for result.json, the two pictures that prove a look, an image of each
-    contradicted cone of directions, the splat coloured by heat, the mask of the
-    Gaussians that `mi-splat select --mask` takes, and a picture of the overdraw.
+    """Folder for result.json, an image of each contradicted cone of directions, the
+    image pair that shows each change of colours, the splat coloured by heat, the mask
+    of the Gaussians for `mi-splat select --mask`, and an image of the overdraw.
     """
     against: Path | None = None
-    """The file as it was before it left your hands: say as well which Gaussians changed
-    since, in what and by how much; rows may be shuffled. --out then has the two worst
-    pictures of both (against.png) and the mask of what changed (changed.npy).
+    """Trusted original to compare with: which Gaussians changed, in which attributes
+    and by how much; rows may be shuffled. --out then has the two views of both that
+    changed most (against.png) and the mask of what changed (changed.npy).
     """
     only: Literal["looks", "lint"] | None = None
-    """Look for hidden looks only, or only check the numbers, which is much faster."""
+    """looks: skip lint; lint: only check the numbers, which is much faster."""
     repair: OutFile | None = None
     """Write the splat without what was found, in the format that this name ends with,
     and audit it again. Where nothing was found nothing is written.
     """
     keep: Literal["outside", "inside"] = "outside"
-    """Directions of a look whose colours --repair believes: which are true, no file can
-    tell.
+    """Directions whose colours --repair keeps as genuine; no file can say which are.
     """
     force: bool = False
     """Replace an older result in --out, and the file of --repair."""
     strict: bool = False
-    """Let the exit status be 3 for what is suspicious and for any change --against,
-    too; warnings of lint are listed and never change it.
+    """Exit with 3 on "differs" and on any change since --against, too. Warnings of lint
+    never change the exit status.
     """
 
 
@@ -108,9 +106,9 @@ def run(options: AuditOptions) -> int:
     _check_outputs(options)
     document = _audited(options)
     show_result(document, *_lines(document), as_json=options.json)
-    bad = {"hidden look", "contradicted", "two groups", "error"} | (
-        {"suspicious", "changed"} if options.strict else set()
-    )
+    bad = {"contradicted", "two groups", "error"}
+    if options.strict:
+        bad |= {"differs", "changed"}
     if bad & _verdicts(document):
         return FOUND
     return 0
@@ -124,7 +122,6 @@ def _verdicts(document: dict[str, Any]) -> set[str]:
     changed = {"changed"} if against.get("changed") or against.get("removed") else set()
     return {
         document["verdict"],
-        document.get("held_out", {}).get("answer", ""),
         *changed,
         *(finding["severity"] for finding in document.get("lint", ())),
     }
@@ -137,7 +134,7 @@ def _check_flags(options: AuditOptions) -> None:
     is_set = is_dataset(options.file)
     pictures = f"the images {options.file}"
     only_lint = options.only == "lint"
-    looks = "hidden looks to be looked for"
+    looks = "appearance to be judged"
     refused: list[tuple[str, object, str, object, str]] = [
         (
             "--against",
@@ -205,6 +202,7 @@ def _repair(
     nothing was found.
     """
     from mi_splat.audit.auditing import audit
+    from mi_splat.audit.held_out import answer_of
     from mi_splat.audit.repair import repair
     from mi_splat.io import save_splat
 
@@ -226,7 +224,7 @@ def _repair(
         "file": str(options.repair),
         "keep": options.keep,
         **counts,
-        "verdict": after.verdict,
+        "verdict": answer_of(after),
     }
 
 
@@ -268,7 +266,7 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
                 scene, judged, cameras = _with_looks(
                     loaded or open_scene(path, stored=stored), options
                 )
-                rest = held_out(scene, Recognition(), up=judged.up)
+                rest = held_out(scene, Recognition(), cameras=cameras, up=judged.up)
             except MiSplatError as error:
                 if not errors:
                     raise
@@ -346,8 +344,6 @@ def _with_looks(
 def _lines(document: dict[str, Any]) -> Iterator[str]:
     first, *rest = document["summary"]
     yield f"{document['file']}: {first}"
-    if "held_out" in document:
-        rest += document["held_out"]["summary"]
     if "up" in document:
         rest.append(f"up is {axis_name(document['up'])}")
     if "repair" in document:
@@ -379,5 +375,5 @@ def _repair_line(repair: dict[str, Any] | None) -> str:
     return (
         f"{repair['file']}: {repair['coloured_anew']:,} Gaussians have the colours that"
         f" directions {repair['keep']} of the look show, {repair['left_out']:,} are"
-        f" left out; audited again: {repair['verdict']}"
+        f" left out; colours audited again: {repair['verdict']}"
     )

@@ -288,7 +288,6 @@ def _policy(options: GateOptions) -> Policy:
     policy = decode(Policy, table, str(options.policy))
     known = [
         *ACTIONS,
-        "hidden-look",
         "overdraw",
         "render-mode",
         "unreadable",

@@ -77,7 +77,7 @@ def audit(
     jobs, in_room = (
         looks_at(frame, up)
         if cameras is None
-        else (_seen_from(frame, cameras, up), False)
+        else (seen_from(frame, cameras, up), False)
     )
     for target, around in jobs:
         beside = [
@@ -139,7 +139,7 @@ def looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
     return jobs, True
 
 
-def _seen_from(frame: Frame, cameras: Sequence[Camera], up: Point | None) -> list[Job]:
+def seen_from(frame: Frame, cameras: Sequence[Camera], up: Point | None) -> list[Job]:
     """The objects that cameras see, with others at one distance near their directions;
     the whole scene in a room.
     """

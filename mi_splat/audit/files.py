@@ -16,8 +16,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.audit.against import Changes
-from mi_splat.audit.held_out import HeldOut
-from mi_splat.audit.held_out_files import held_out_document, save_contradictions
+from mi_splat.audit.held_out import HeldOut, answer_of
+from mi_splat.audit.held_out_files import (
+    held_out_document,
+    held_out_lines,
+    save_contradictions,
+)
 from mi_splat.audit.linting import Lint, overdraw_picture
 from mi_splat.audit.results import (
     Audit,
@@ -25,6 +29,7 @@ from mi_splat.audit.results import (
     ObjectAudit,
     Pair,
     directions_in_words,
+    headline,
     summary,
 )
 from mi_splat.audit.rules import Severity
@@ -47,27 +52,38 @@ from mi_splat.selection.select import save_mask
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 _RULES: dict[str, tuple[Severity, str, str]] = {
-    "hidden-look": (
+    "contradicted": (
         "error",
+        (
+            "What an object shows from a cone of directions contradicts what all other"
+            " directions predict."
+        ),
+        (
+            "Look at contradicted.png, which `mi-splat audit --out` writes; do not use"
+            " the file unless you know why."
+        ),
+    ),
+    "hidden-look": (
+        "warning",
         (
             "An object has other colours from some directions than from others, and"
             " gloss does not explain it."
         ),
         (
-            "Look at the pair of pictures that `mi-splat audit --out` writes; do not"
-            " use the file unless you know why."
+            "Look at the pair of images that `mi-splat audit --out` writes, and ask who"
+            " made the file."
         ),
     ),
     "suspicious-look": (
-        "warning",
+        "note",
         (
             "Colours of an object change with the direction of view more than gloss"
             " quite explains."
         ),
-        "Look at the pair of pictures that `mi-splat audit --out` writes.",
+        "Look at the pair of images that `mi-splat audit --out` writes.",
     ),
     "fog": (
-        "warning",
+        "note",
         (
             "From one side of an object fog is seen: no training camera stood there, or"
             " something hides what it would see."
@@ -75,7 +91,7 @@ _RULES: dict[str, tuple[Severity, str, str]] = {
         "Pass the training cameras with `--cameras`.",
     ),
     "occluder": (
-        "warning",
+        "note",
         (
             "Something in the air covers an object from some directions, and cameras"
             " elsewhere look through it."
@@ -86,7 +102,7 @@ _RULES: dict[str, tuple[Severity, str, str]] = {
         ),
     ),
     "edited": (
-        "warning",
+        "note",
         (
             "Colours of an object have shades that neither paint nor light explains; an"
             " attack on a detector leaves them."
@@ -209,6 +225,9 @@ def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 def findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
     """What was found in a file."""
     thresholds = document["thresholds"]
+    held_out = document.get("held_out") or {"contradictions": ()}
+    for text in held_out["contradictions"]:
+        yield "contradicted", _RULES["contradicted"][0], f"{text}.", {}
     for number, item in enumerate(document["objects"], 1):
         for index, look in enumerate(item["looks"], 1):
             evidence = look["net"] / look["threshold"]
@@ -318,11 +337,13 @@ def document(
     held_out: HeldOut | None = None,
 ) -> dict[str, Any]:
     """An audit as JSON can hold it; where no object was judged, with the reason."""
+    if audit is None:
+        lines = [f"hidden appearance was not judged: {unjudged}"]
+    else:
+        lines = _account(audit, held_out)
     return {
-        "verdict": audit and audit.verdict,
-        "summary": (
-            summary(audit) if audit else [f"not looked at for hidden looks: {unjudged}"]
-        ),
+        "verdict": audit and answer_of(audit, held_out),
+        "summary": lines,
         "gaussians": len(audit.mask) if audit else lint and lint.gaussians,
         "carrying": int(audit.mask.sum()) if audit else 0,
         "near": audit.near if audit else 0.0,
@@ -333,6 +354,20 @@ def document(
         **({"held_out": held_out_document(held_out)} if held_out else {}),
         **(lint.document() if lint else {}),
     }
+
+
+def _account(audit: Audit, held_out: HeldOut | None) -> list[str]:
+    """The answer with its first reason, and then all others."""
+    answer = answer_of(audit, held_out)
+    compared = [] if held_out is None else held_out_lines(held_out)
+    colours = headline(audit)
+    if held_out is None or (held_out.answer != answer):
+        # only colours differ, or nothing else was compared
+        first = f"{answer}: {colours}"
+    else:
+        first, *compared = compared
+        compared = [*compared, colours]
+    return [first, *compared, *summary(audit)]
 
 
 def _values(item: object, *names: str) -> dict[str, Any]:

@@ -30,12 +30,11 @@ VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 """From the best to the worst; that of a file is the worst of its claims."""
 ACTIONS: Mapping[str, Action] = {
     **{"error": "refuse", "warning": "accept", "note": "accept"},
-    **dict.fromkeys(
-        ("suspicious-look", "occluder", "edited", "changed", "two-groups"),
-        "quarantine",
-    ),
+    **dict.fromkeys(("hidden-look", "changed", "two-groups"), "quarantine"),
+    # true of most honest files, too: reasons, and no alarm
+    **dict.fromkeys(("suspicious-look", "occluder", "edited", "fog"), "accept"),
+    "contradicted": "refuse",
     "unbounded": "refuse",
-    "fog": "accept",
 }
 """What follows from a finding, by its rule or else its severity, where the policy says
 nothing.

@@ -20,9 +20,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.audit.auditing import in_world, looks_at
+from mi_splat.audit.auditing import in_world, looks_at, seen_from
 from mi_splat.audit.objects import Frame, Target, frame_of
-from mi_splat.audit.results import Region, Vector, vector
+from mi_splat.audit.results import Audit, Region, Vector, vector
 from mi_splat.audit.surfaces import SKY
 from mi_splat.audit.viewpoints import basis, camera_towards, in_sight, lattice, near_of
 from mi_splat.cameras.camera import Camera
@@ -147,10 +147,21 @@ class HeldOut:
         return max((view.evidence for view in self.views), default=0.0)
 
 
+def answer_of(audit: Audit, found: HeldOut | None = None) -> Answer:
+    """The answer of an audit: that of held-out directions, and "differs" at least where
+    directions explain how colours change much better than gloss does.
+    """
+    answer: Answer = "consistent" if found is None else found.answer
+    if answer == "consistent" and audit.verdict == "hidden look":
+        return "differs"
+    return answer
+
+
 def held_out(
     scene: GaussianScene,
     recogniser: Recogniser,
     *,
+    cameras: Sequence[Camera] | None = None,
     up: Point | None = None,
     config: HeldOutConfig | None = None,
 ) -> HeldOut:
@@ -160,6 +171,8 @@ def held_out(
     Args:
         scene: The splat, in any frame and unit.
         recogniser: What says whether two images show the same.
+        cameras: Training cameras in the world: only directions near theirs are
+            compared, as elsewhere an honest splat shows fog.
         up: Direction of the world that is up; without, that of the ground found.
         config: How directions are held out.
 
@@ -172,16 +185,23 @@ def held_out(
     check_scene("scene", scene)
     config = HeldOutConfig() if config is None else config
     frame = frame_of(scene)
-    jobs, in_room = looks_at(frame, up)
+    if cameras is None:
+        jobs, in_room = looks_at(frame, up)
+    else:
+        jobs = seen_from(frame, cameras, up)
+        in_room = False
     views = list[ConeView]()
     known_as = list[str | None]()
     for target, around in jobs:
         if target.surrounds:
             continue
-        cameras = list(around) if in_room else views_around(target, config)
-        spread = torch.linspace(0, len(cameras) - 1, min(config.cameras, len(cameras)))
-        cameras = [cameras[number] for number in spread.round().long().tolist()]
-        consensus = Consensus(frame, target, cameras, config)
+        if in_room or cameras is not None:
+            stands = list(around)
+        else:
+            stands = views_around(target, config)
+        spread = torch.linspace(0, len(stands) - 1, min(config.cameras, len(stands)))
+        chosen = [stands[number] for number in spread.round().long().tolist()]
+        consensus = Consensus(frame, target, chosen, config)
         found, name = consensus.compared(len(known_as), recogniser)
         views += found
         known_as.append(name)

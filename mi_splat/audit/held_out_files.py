@@ -28,7 +28,8 @@ def held_out_lines(found: HeldOut) -> list[str]:
     if contradictions:
         return [*(f"contradicted: {one}" for one in contradictions), *missing]
     if not found.views:
-        return ["not compared: the cameras stand on too few sides of each object"]
+        line = "consistent: nothing was compared, as cameras are on too few sides"
+        return [f"{line} of each object"]
     names = sorted({name for name in found.known_as if name is not None})
     known = f"the detector knows: {', '.join(names) or 'no object'}"
     if found.answer == "consistent":
@@ -63,6 +64,7 @@ def held_out_document(found: HeldOut) -> dict[str, Any]:
         "answer": found.answer,
         "evidence": found.evidence,
         "summary": held_out_lines(found),
+        "contradictions": [_contradiction(view) for view in found.contradicted],
         "known_as": list(found.known_as),
         "cones": [_cone_document(view) for view in found.views],
     }
@@ -86,14 +88,19 @@ def _cone_document(view: ConeView) -> dict[str, Any]:
     }
 
 
+def contradiction_file(number: int) -> str:
+    """Name of the image of a contradiction, counted from 0, the clearest first."""
+    ending = f"-{number + 1}" if number else ""
+    return f"contradicted{ending}.png"
+
+
 def save_contradictions(found: HeldOut, folder: Path) -> list[str]:
     """Save an image of each contradiction, and return their names: the file, the
     prediction, and from where.
     """
     names = []
-    for number, view in enumerate(found.contradicted, 1):
-        ending = f"-{number}" if number > 1 else ""
-        names.append(f"contradicted{ending}.png")
+    for number, view in enumerate(found.contradicted):
+        names.append(contradiction_file(number))
         images = [_enlarged(view.file[0]), _enlarged(view.prediction[0]), _dome(view)]
         save_picture(side_by_side(images), folder / names[-1])
     return names

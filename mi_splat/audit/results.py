@@ -41,36 +41,36 @@ def _height(axis: Vector, up: Vector | None) -> str:
 
 
 def headline(audit: Audit) -> str:
-    """The verdict and where it is from, in one sentence."""
+    """What changes most with the direction of view, in one sentence."""
     item = audit.strongest
     quiet = item.look.evidence < LIMITS.suspicion
     if audit.verdict == "nothing found":
-        seen = f" in the {audit.near:.0%} of its solid Gaussians that were looked at"
+        seen = f"in the {audit.near:.0%} of its solid Gaussians that were examined, "
         part = "" if audit.near >= LIMITS.all_near else seen
         return (
-            f"nothing found{part}: no set of directions explains how colours change"
-            " better than honest gloss does"
+            f"{part}no set of directions explains how colours change better than honest"
+            " gloss does"
         )
     if quiet and item.edit is not None and item.edited:
         return (
-            f"{audit.verdict}: colours of an object look"
-            f" edited{_attacked_camera(item.edit)}"
+            "the colours of an object have shades that neither paint nor light"
+            f" explains{_attacked_camera(item.edit)}"
         )
     if quiet and item.roofed:
         return (
-            f"{audit.verdict}: something far above covers an object, and only cameras"
-            " below it see the object"
+            "something far above covers an object, and only cameras below it see the"
+            " object"
         )
     if item.fogged:
         share = float(item.look.shown.double().mean())
         return (
-            f"{audit.verdict}: from {share:.0%} of directions an object shows fog: no"
-            " training camera stood there, or something covers it; pass --cameras"
+            f"from {share:.0%} of directions an object shows fog: no training camera"
+            " stood there, or something covers it; pass --cameras"
         )
     if quiet and item.occluder is not None:
         axis = " ".join(f"{value + 0.0:.2f}" for value in item.occluder.axis)
         return (
-            f"{audit.verdict}: something in the air covers an object from around"
+            "something in the air covers an object from around"
             f" ({axis}), and others see through it"
         )
     where = directions_in_words(item.look.region, item.up)
@@ -80,7 +80,7 @@ def headline(audit: Audit) -> str:
         which = f"object {audit.objects.index(item) + 1}, {_where(item)},"
     doubt = "; honest splats can look so, too: see the two pictures, or pass --cameras"
     unsure = doubt if item.in_room or item.plain else ""
-    return f"{audit.verdict}: {which} has other colours {where}{unsure}"
+    return f"{which} has other colours {where}{unsure}"
 
 
 def _attacked_camera(edit: Edit) -> str:
@@ -93,8 +93,8 @@ def _attacked_camera(edit: Edit) -> str:
 
 
 def summary(audit: Audit) -> list[str]:
-    """The whole account, sentence by sentence."""
-    lines = [headline(audit)]
+    """The reasons after the headline, sentence by sentence."""
+    lines = []
     for number, item in enumerate(audit.objects, 1):
         lines.append(f"object {number}, {_where(item)}: {'; '.join(_of_object(item))}")
     if audit.against is not None:
@@ -115,7 +115,7 @@ def _where(item: ObjectAudit) -> str:
 
 
 def _of_object(item: ObjectAudit) -> list[str]:
-    lines: list[str] = [item.verdict]
+    lines: list[str] = []
     for number, look in enumerate(item.looks, 1):
         if look.incidence > look.mirror:
             rival = "the angle of incidence"

@@ -173,7 +173,7 @@ def test_an_honest_neighbour_of_what_hides_something_is_not_called_so(
     assert honest.verdict != "hidden look"
     assert hides.verdict == "hidden look"
     assert headline(judged).startswith(
-        f"hidden look: object {1 + judged.objects.index(judged.strongest)}, "
+        f"object {1 + judged.objects.index(judged.strongest)}, "
     )
 
 
@@ -404,20 +404,19 @@ def test_the_command_writes_what_it_found(
         tmp_path / "clear.ply",
     )
     out = tmp_path / "out"
-    assert (
-        cli.main(["audit", str(tmp_path / "bad.ply"), "--out", str(out), "--up", "z"])
-        == 3
-    )
+    command = ["audit", str(tmp_path / "bad.ply"), "--up", "z"]
+    assert cli.main([*command, "--only", "looks"]) == 0  # information, no alarm
+    assert cli.main([*command, "--out", str(out), "--strict"]) == 3
     text = capsys.readouterr().out
-    assert "bad.ply: hidden look: an object has other colours within" in text
+    assert "bad.ply: differs: an object has other colours within" in text
     assert ", from above" in text
     record = json.loads((out / "result.json").read_text())
     assert record["story"] == "audit"
-    assert record["verdict"] == "hidden look"
+    assert record["verdict"] == "differs"
     assert "up is z" in text
     assert record["up"] == [0, 0, 1]
     assert record["objects"][0]["up"] == pytest.approx([0, 0, 1], abs=1e-6)
-    assert record["summary"][0].startswith("hidden look")
+    assert record["summary"][0].startswith("differs: an object has other colours")
     assert {camera["name"] for camera in record["cameras"]} >= {"inside", "outside"}
     with Image.open(out / "pair.png") as picture:
         pixels = np.asarray(picture.convert("RGB")).astype(int)

@@ -68,7 +68,10 @@ PASSED = [row(claim) for claim in CLAIMS[:-1]]
         ({"giant": "refuse"}, row("numbers", "giant", "warning"), "refuse"),
         ({"warning": "quarantine"}, row("numbers", "giant", "warning"), "quarantine"),
         ({"error": "quarantine"}, row("cost", "overdraw", "error"), "quarantine"),
-        ({}, row("hidden appearance", "suspicious-look", "warning"), "quarantine"),
+        ({}, row("hidden appearance", "contradicted", "error"), "refuse"),
+        ({}, row("hidden appearance", "hidden-look", "warning"), "quarantine"),
+        ({}, row("hidden appearance", "suspicious-look", "note"), "accept"),
+        ({}, row("edits", "edited", "note"), "accept"),
         ({}, row("hidden appearance", "occluder", "error"), "refuse"),
         ({}, row("edits", judged=False, reason="too few"), "not judged"),
     ],
@@ -292,9 +295,9 @@ def test_appearances_and_provenance_are_judged(
         {"file": clean, "against": clean},
         {"file": str(tmp_path / "hidden.ply"), "against": clean},
     ]
-    (tmp_path / "policy.toml").write_text('[rules]\nhidden-look = "quarantine"\n')
+    (tmp_path / "policy.toml").write_text('[rules]\nhidden-look = "refuse"\n')
     words = ["--policy", str(tmp_path / "policy.toml")]
-    for verdict, more in (("refuse", []), ("quarantine", words)):
+    for verdict, more in (("refuse", words), ("quarantine", [])):
         status, told = run(
             capsys, monkeypatch, tmp_path, list(map(json.dumps, lines)), *more
         )

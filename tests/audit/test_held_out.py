@@ -15,6 +15,8 @@ from attacks import cli
 from attacks.audits import recognition
 from mi_splat.audit.held_out import HeldOut, HeldOutConfig, cones_around, held_out
 from mi_splat.audit.held_out_files import held_out_document, held_out_lines
+from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.lens import Lens
 from mi_splat.io import save_splat
 from mi_splat.scene import GaussianScene, Similarity
 from tests.audit.scenes import (
@@ -146,7 +148,7 @@ def test_without_cameras_on_several_sides_nothing_is_compared(clean: Made) -> No
     config = HeldOutConfig(cameras=30, size=64, weighed=48, least_inside=1000)
     found = held_out(clean.scene, Painted(), config=config)
     assert not found.views
-    assert held_out_lines(found)[0].startswith("not compared")
+    assert held_out_lines(found)[0].startswith("consistent: nothing was compared")
 
 
 def test_cones_leave_no_direction_above_the_ground_out() -> None:
@@ -183,3 +185,34 @@ def test_the_command_shows_the_contradiction(
     assert record["held_out"]["answer"] == "contradicted"
     with Image.open(out / "contradicted.png") as image:
         assert image.size == (3 * 384 + 2 * 8, 384)
+
+
+def test_only_directions_near_training_cameras_are_compared(above: Made) -> None:
+    """Cameras at the side say nothing of the view from above."""
+    reach = 3.5 * float(above.scene.means[above.rows].norm(dim=1).max())
+    cameras = [
+        Camera(
+            to_world=look_at((reach * direction(height, turn)).tolist(), (0, 0, 0.1)),
+            lens=Lens(focal=100.0, size=(128, 128)),
+        )
+        for height in (15.0, 30.0)
+        for turn in range(0, 360, 12)
+    ]
+    found = held_out(above.scene, Painted(), cameras=cameras, config=CONFIG)
+    assert found.answer != "contradicted"
+    assert found.views
+    assert all(
+        direction(90, 0).float() @ torch.tensor(view.region.axis) < 0.9
+        for view in found.views
+    )
+    # with cameras above as well, the view from there contradicts the others
+    high = [
+        Camera(
+            to_world=look_at((reach * direction(height, turn)).tolist(), (0, 0, 0.1)),
+            lens=Lens(focal=100.0, size=(128, 128)),
+        )
+        for height in (55.0, 70.0, 85.0)
+        for turn in range(0, 360, 24)
+    ]
+    more = held_out(above.scene, Painted(), cameras=cameras + high, config=CONFIG)
+    assert more.answer == "contradicted"

@@ -199,7 +199,7 @@ def test_an_audit_says_what_was_not_judged_and_from_where_its_looks_are_seen(
     folders: dict[str, Path],
 ) -> None:
     section = read_section(folders["audit"])
-    assert section.headline.words == "hidden look"
+    assert section.headline.words == "differs"
     assert [picture.path.name for picture in section.pictures] == [
         "pair.png",
         "pair-2.png",

@@ -21,6 +21,7 @@ from attacks.report.section import (
     settings,
 )
 from mi_splat.audit.files import AGAINST
+from mi_splat.audit.held_out_files import contradiction_file
 from mi_splat.audit.results import Vector
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.errors import counted
@@ -38,11 +39,25 @@ _ELSEWHERE = (
         "lint",
         "cost",
         "against",
+        "held_out",
     ),
     "thresholds",
     *("command", "versions", "variant", "commit", "torch"),
 )
 _PLAIN = {
+    "contradicted": (
+        "From some directions this file shows something else than all other directions"
+        " predict. Look at the images: the file, the prediction, and from where."
+    ),
+    "differs": (
+        "Colours or features change with the direction of view, as they do in honest"
+        " files with gloss or fog, too: information, no alarm. Look at the images."
+    ),
+    "consistent": (
+        "No cone of directions contradicts the others. This does not say that the file"
+        " is safe: see what was not judged."
+    ),
+    # of results that an earlier version wrote
     "hidden look": (
         "This file hides something: an object has other colours from some directions"
         " than from all others, and no gloss explains it. Look at the two pictures."
@@ -81,11 +96,10 @@ def read_audit(result: Result) -> Section:
             **shared,
             kind="audit of a splat",
             done=(
-                f"The numbers of {record['file']} were checked; it was"
-                f" {record['summary'][0]}."
+                f"The numbers of {record['file']} were checked; {record['summary'][0]}."
             ),
             conclusion=(
-                "Whether the file hides a look was not looked at. The rules found"
+                "Hidden appearance was not judged. The rules found"
                 f" {counted(len(errors), 'error')} and"
                 f" {counted(len(findings) - len(errors), 'lesser thing')}."
             ),
@@ -220,8 +234,18 @@ def _is_covered(record: Mapping[str, Any], item: Mapping[str, Any]) -> bool:
 
 
 def _pictures(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
-    """The pairs that prove looks, the heat, and what changed since a clean file."""
+    """Contradicted cones, the pairs that show appearances, the heat, and what changed
+    since a clean file.
+    """
     thresholds = record["thresholds"]
+    contradictions = record.get("held_out", {}).get("contradictions", ())
+    for number, text in enumerate(contradictions):
+        caption = (
+            f"{sentence(text)} Left the file, in the middle what the other directions"
+            " predict, right the cone of directions (red)."
+        )
+        shown_in = folder / contradiction_file(number)
+        yield Picture(path=shown_in, caption=caption, large=True)
     for shown in record["pictures"]:
         looks = record["objects"][shown["object"]]["looks"]
         name = f"Object {shown['object'] + 1}" + (
