@@ -130,7 +130,7 @@ OF_SPLATS = (
     "convert",
 )
 """Commands whose modules are in `mi_splat.cli`; those of the others are here."""
-WITHOUT_TORCH = ("detectors", "doctor", "gate", "info", "rows", "study")
+WITHOUT_TORCH = ("conform", "detectors", "doctor", "gate", "info", "rows", "study")
 """Commands that do without torch, or with most of what they are asked."""
 
 

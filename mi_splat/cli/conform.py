@@ -9,7 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from mi_splat.cli.console import UsageError, progress, show_result
+from mi_splat.cli.console import (
+    UsageError,
+    import_at_once,
+    progress,
+    show_result,
+)
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError
@@ -81,6 +86,10 @@ class ConformOptions(JsonOptions):
     """What is meant besides, as --list names it (order=distance), and scenes to leave
     out.
     """
+    cannot: tuple[str, ...] = ()
+    """What the renderer lacks, as --list names it (off-centre): scenes that need it are
+    not applicable.
+    """
     out: OutFolder | None = None
     """Folder for a page with the images that differ, a table and result.json; nothing
     is written without it.
@@ -91,9 +100,6 @@ class ConformOptions(JsonOptions):
 
 def run(options: ConformOptions) -> int:
     """List, export or compare."""
-    from mi_splat.conformance.scenes import conformance_scenes
-    from mi_splat.io.folders import check_new_folder
-
     given = options.images, options.export, options.read, options.gradients
     tasks = [options.list, *(path is not None for path in given)]
     if sum(tasks) != 1:
@@ -101,17 +107,25 @@ def run(options: ConformOptions) -> int:
             "expected one of a folder of images, --list, --export, --read and"
             " --gradients; pass only one"
         )
-    if options.out is not None:
-        check_new_folder(options.out, force=options.force)
-    scenes = {scene.name: scene for scene in conformance_scenes(options.size)}
+    # These need NumPy only, so that they answer at once.
     if options.list:
         return _list(options)
+    if options.gradients is not None:
+        return _compare_gradients(options, options.gradients)
+
+    from mi_splat.conformance.scenes import conformance_scenes
+
+    if options.out is not None:
+        from mi_splat.io.folders import check_new_folder
+
+        check_new_folder(options.out, force=options.force)
+    scenes = {scene.name: scene for scene in conformance_scenes(options.size)}
+    if options.export is not None or options.read is not None:
+        import_at_once("torch")
     if options.export is not None:
         return _export(options, options.export, scenes)
     if options.read is not None:
         return _compare_files(options, options.read, scenes)
-    if options.gradients is not None:
-        return _compare_gradients(options, options.gradients)
     assert options.images is not None
     if options.browser is not None:
         from mi_splat.cli.conform_browser import draw_in_browser
@@ -175,6 +189,7 @@ def _compare_images(options: ConformOptions, folder: Path) -> int:
             setups,
             profile=options.profile,
             accept=options.accept,
+            cannot=options.cannot,
             advance=advance,
         )
     document = {
@@ -248,6 +263,8 @@ def _save_page(
         lines.append(f"- unexplained: {', '.join(report.unexplained)}")
     if report.missing:
         lines.append(f"- missing: {', '.join(report.missing)}")
+    for name, needed in report.not_applicable.items():
+        lines.append(f"- not applicable: {name}, which needs {', '.join(needed)}")
     with new_folder(out, force=options.force) as folder:
         for row in report.scenes:
             if row.conforms or row.error is None:

@@ -9,6 +9,7 @@ deviations that explain them, `compare_gradients` does so with gradients, and
 too, for renderers that do not want the rest of mi-splat.
 """
 
+from mi_splat.conformance.capabilities import CAPABILITIES, Capability
 from mi_splat.conformance.causes import Cause, find_causes
 from mi_splat.conformance.comparison import Report, SceneResult, compare
 from mi_splat.conformance.deviations import DEVIATIONS, PROFILES, Deviation
@@ -19,9 +20,11 @@ from mi_splat.conformance.testing import assert_renders_like_3dgs, random_splat
 from mi_splat.conformance.tolerances import Error, Tolerance
 
 __all__ = [
+    "CAPABILITIES",
     "DEVIATIONS",
     "PROFILES",
     "SIZES",
+    "Capability",
     "Cause",
     "ConformanceScene",
     "Deviation",

@@ -59,6 +59,13 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help="deviations that are meant, and scenes to leave out; see list",
     )
+    images.add_argument(
+        "--cannot",
+        nargs="+",
+        default=(),
+        metavar="NAME",
+        help="what the renderer lacks, so that scenes are not applicable; see list",
+    )
     images.set_defaults(run=_compare)
     gradients = commands.add_parser("gradients", help="compare a folder of gradients")
     gradients.add_argument("folder", type=Path, help="NAME.npz of each splat")
@@ -89,7 +96,7 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    report = compare(options.folder, options.profile, options.accept)
+    report = compare(options.folder, options.profile, options.accept, options.cannot)
     return _show(report, as_json=options.json)
 
 

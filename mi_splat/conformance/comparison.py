@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any, NamedTuple
@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mi_splat.conformance.capabilities import not_applicable
 from mi_splat.conformance.causes import Cause, find_causes, sampled
 from mi_splat.conformance.deviations import DEVIATIONS, PROFILES, applied, of_profile
 from mi_splat.conformance.files import FoundImage, as_image, read_images
@@ -53,12 +54,17 @@ class Report:
     causes: tuple[Cause, ...]
     unexplained: tuple[str, ...]  # scenes that differ, and that no cause brings back
     missing: tuple[str, ...]  # scenes without an image
+    # scenes that need what the renderer cannot do, with what they need
+    not_applicable: Mapping[str, Sequence[str]]
     nearer: str | None  # another profile to which more images conform
 
     @property
     def conforms(self) -> bool:
-        """Whether there is an image of every scene and each is within its tolerance."""
-        return not self.missing and all(row.conforms for row in self.scenes)
+        """Whether there is an image of every scene that applies, at least one, and each
+        is within its tolerance.
+        """
+        complete = bool(self.scenes) and not self.missing
+        return complete and all(row.conforms for row in self.scenes)
 
     def __str__(self) -> str:
         return "\n".join(self.lines())
@@ -74,6 +80,8 @@ class Report:
         lines.append(f"{count} of {total} images conform to {self.profile}.")
         if self.missing:
             lines.append(f"missing           {', '.join(self.missing)}")
+        for name, needed in self.not_applicable.items():
+            lines.append(f"not applicable    {name}: needs {', '.join(needed)}")
         for cause in self.causes:
             deviation = cause.deviation
             lines.append(
@@ -116,6 +124,9 @@ class Report:
             ],
             "unexplained": list(self.unexplained),
             "missing": list(self.missing),
+            "not_applicable": {
+                name: list(needed) for name, needed in self.not_applicable.items()
+            },
             "nearer": self.nearer,
         }
 
@@ -124,6 +135,7 @@ def compare(
     images: Mapping[str, ArrayLike] | str | PathLike[str],
     profile: str = "3dgs",
     accept: Iterable[str] = (),
+    cannot: Iterable[str] = (),
 ) -> Report:
     """Compare the images of a renderer with the reference.
 
@@ -133,14 +145,17 @@ def compare(
             folder that has them as NAME.png or NAME.npy.
         profile: What the renderer is meant to be, one of `PROFILES`.
         accept: What it is meant to do otherwise, keys of `DEVIATIONS`, which the
-            reference then does too; and names of scenes that it cannot show.
+            reference then does too; and names of scenes to leave out.
+        cannot: What it is not able to do, keys of `CAPABILITIES` such as "off-centre".
+            Scenes that need it are not applicable: neither missing nor conforming.
 
     Returns:
         The verdict, the errors, and what explains them.
 
     Raises:
         InvalidValueError: There is no image of a scene, a file is none, images have a
-            size that no reference has, or a profile or a deviation is not known.
+            size that no reference has, or a profile, a deviation or a capability is not
+            known.
     """
     names = [scene.name for scene in conformance_scenes(SIZES[0])]
     if isinstance(images, (str, PathLike)):
@@ -153,7 +168,7 @@ def compare(
         }
     scenes = {scene.name: scene for scene in scenes_for(given)}
     setups = {name: scene.setup for name, scene in scenes.items()}
-    return compare_setups(given, setups, profile=profile, accept=accept)
+    return compare_setups(given, setups, profile=profile, accept=accept, cannot=cannot)
 
 
 def scenes_for(images: Mapping[str, FoundImage]) -> list[ConformanceScene]:
@@ -181,6 +196,7 @@ def compare_setups(
     *,
     profile: str = "3dgs",
     accept: Iterable[str] = (),
+    cannot: Iterable[str] = (),
     advance: Callable[[str], None] = lambda _: None,
 ) -> Report:
     """Compare images with the references of setups, see `compare`.
@@ -190,6 +206,7 @@ def compare_setups(
         setups: Of every scene, before the profile.
         profile: See `compare`.
         accept: See `compare`.
+        cannot: See `compare`.
         advance: Called with what is done next.
     """
     accepted = tuple(accept)
@@ -199,7 +216,9 @@ def compare_setups(
             raise InvalidValueError.of(
                 "accept", "a deviation such as order=distance, or a scene", key, do
             )
-    expected = {name: setup for name, setup in setups.items() if name not in accepted}
+    kept = {name: setup for name, setup in setups.items() if name not in accepted}
+    inapplicable = not_applicable(kept, cannot)
+    expected = {name: setup for name, setup in kept.items() if name not in inapplicable}
     meant = {
         name: as_meant(setup, profile, accepted) for name, setup in expected.items()
     }
@@ -234,6 +253,7 @@ def compare_setups(
         causes=tuple(causes),
         unexplained=tuple(unexplained),
         missing=tuple(name for name in expected if name not in images),
+        not_applicable=inapplicable,
         nearer=_nearer(profile, rows, images, expected) if differing else None,
     )
 

@@ -18,12 +18,14 @@ from attacks import cli
 from mi_splat.cli.conform import DIFFERS
 from mi_splat.cli.conform_pack import as_read
 from mi_splat.conformance import (
+    CAPABILITIES,
     DEVIATIONS,
     PROFILES,
     Setup,
     compare,
     conformance_scenes,
 )
+from mi_splat.conformance.capabilities import not_applicable
 from mi_splat.conformance.comparison import as_meant
 from mi_splat.conformance.deviations import applied, changes
 from mi_splat.conformance.tolerances import difference, tolerance_of
@@ -75,6 +77,25 @@ def test_every_deviation_shows(key: str) -> None:
         for name, setup in SETUPS.items()
     )
     assert any(shows), "no scene shows it in 8 bits"
+
+
+@pytest.mark.parametrize("factor", [-1.0, 0.5, 0.75, 0.9, 1.1, 1.25, 1.5])
+@pytest.mark.parametrize("coefficient", range(1, 16))
+def test_a_wrong_constant_of_sh_does_not_conform_in_8_bits(
+    coefficient: int, factor: float
+) -> None:
+    if coefficient in (2, 5) and 0.75 < factor <= 1.25:
+        pytest.skip("these terms are short where the camera is, and 25 % hardly show")
+    holds = []
+    for name in ("sh_1", "sh_2", "sh_3", "sh_layout"):
+        setup = SETUPS[name]
+        sh = setup.stored.sh.astype(np.float64)
+        if sh.shape[1] > coefficient:
+            sh[:, coefficient] *= factor
+            wrong = replace(setup, stored=setup.stored._replace(sh=sh))
+            error = difference(shown(wrong) / 255, RIGHT[name])
+            holds.append(tolerance_of(setup, 8).holds(error))
+    assert not all(holds)
 
 
 def test_what_3dgs_does_is_no_deviation_of_it() -> None:
@@ -268,6 +289,40 @@ def test_images_that_are_missing_are_no_success(
     others = [name for name in SETUPS if name != "quaternion"]
     assert cli.main(["conform", str(tmp_path), "--accept", *others]) == 0
     assert "1 of 1 images conform" in capsys.readouterr().out
+
+
+def test_scenes_that_need_what_a_renderer_lacks_are_not_applicable(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    needed = {
+        "off-centre": {"principal_point"},
+        "non-square-pixels": {"focal_lengths"},
+        "non-square-images": {"portrait"},
+        "roll": {"rolled", "from_below"},
+        "vertical": {"from_above"},
+        "wide-angle": {"wide_angle"},
+        "near": {"near_plane", "near_and_large"},
+        "background": {"background", "anisotropic", "limits"},
+    }
+    assert {key: {*not_applicable(SETUPS, [key])} for key in CAPABILITIES} == needed
+    lacking = {*needed["off-centre"], *needed["near"]}
+    for name in SETUPS:
+        if name not in lacking:
+            save_png(in_bytes(RIGHT[name]), tmp_path / f"{name}.png")
+    assert cli.main(["conform", str(tmp_path)]) == DIFFERS
+    assert "not applicable" not in capsys.readouterr().out
+    words = ["conform", str(tmp_path), "--cannot", "off-centre", "near"]
+    assert cli.main(words) == 0
+    said = capsys.readouterr().out
+    assert f"{len(SETUPS) - 3} of {len(SETUPS) - 3} images conform" in said
+    assert "not applicable    principal_point: needs off-centre" in said
+    assert "missing" not in said
+    # an image of it is not counted, even a wrong one
+    save_png(in_bytes(1 - RIGHT["near_plane"]), tmp_path / "near_plane.png")
+    assert cli.main(words) == 0
+    capsys.readouterr()
+    assert cli.main([*words, "off-center"]) == 1
+    assert "did you mean off-centre?" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("no_causes")

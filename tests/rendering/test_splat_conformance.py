@@ -63,6 +63,28 @@ def test_conformance_imports_only_what_its_wheel_holds() -> None:
                 assert inside or not other.startswith(("mi_splat", "attacks")), other
 
 
+@pytest.mark.parametrize(
+    ("words", "without"),
+    [
+        (["--list"], ["torch", "PIL", "scipy", "mitsuba"]),
+        (["--gradients", "scenes/conformance/gradients"], ["torch", "PIL", "scipy"]),
+        (["scenes/conformance/images"], ["torch", "mitsuba"]),
+    ],
+)
+def test_the_command_of_mi_splat_needs_no_torch(
+    words: list[str], without: list[str]
+) -> None:
+    code = (
+        "import sys; from attacks.cli import main;"
+        f" sys.modules.update(dict.fromkeys({without!r}));"
+        " sys.exit(main(['conform', *sys.argv[1:]]))"
+    )
+    command = [sys.executable, "-c", code, *words]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "quaternion" in done.stdout
+
+
 def test_the_pack_is_compared_with_nothing_but_numpy(
     site: Path, tmp_path: Path
 ) -> None:
