@@ -30,16 +30,16 @@ class ArtifactOptions(ResultOptions):
     """Copy a finished result into a folder that others can check: its record, raw rows,
     cameras, and manifest.
 
-    Splats and pictures are left out unless --whole is given. Nothing is packed whose
-    files were changed, or whose rows do not give its figures. The manifest is copied as
-    it is, so that the copy has the same name: the SHA-256 of it.
+    Splats and images are left out unless --whole is given. A result is refused if its
+    files were changed, or if its rows do not reproduce its figures. The manifest is
+    copied as it is, so that the copy has the same name: the SHA-256 of it.
     """
 
     result: Positional[Annotated[Path, Metavar("RESULT")]]
     """Folder of the finished result."""
     out: OutFolder = Path("out/artifact")
     whole: bool = False
-    """Copy splats and pictures, too, so that others can score the splats again."""
+    """Also copy splats and images, so that others can evaluate the splats again."""
 
 
 def check_inputs(options: ArtifactOptions) -> None:
@@ -94,7 +94,7 @@ class ArtifactCheckOptions(JsonOptions):
     folders: Positional[tuple[Folder, ...]] = ()
     """Folders of results or of their copies; at least one."""
     manifest: Annotated[tuple[str, ...], Metavar("SHA256")] = ()
-    """SHA-256 that the manifest of each folder has to have; none asks for none."""
+    """Expected SHA-256 of each folder's manifest. Default: not checked."""
 
 
 def run_check(options: ArtifactCheckOptions) -> int:

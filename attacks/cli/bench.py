@@ -36,19 +36,17 @@ class BenchOptions(JobOptions):
     suite: str = "v1"
     """Name of the suite, or its folder."""
     weights: Path | None = None
-    """File with weights of the detector; None takes the shipped or published ones."""
+    """File with weights of the detector. Default: the shipped or published ones."""
     defence: Annotated[str, Metavar("CONDITION")] | None = None
     """What comes before the detector: a condition, as "SH of degree 1", "JPEG 60" or
     that of a plug-in.
     """
     columns: tuple[str, ...] = ()
-    """Columns to do now; none does all. The row has those that are done."""
+    """Columns to run; the row has those that are finished. Default: all."""
     store: OutFolder = Path("out/store")
-    """Folder of finished jobs; what no detector has a part in is made there once for
-    all.
-    """
+    """Folder of finished jobs; detector-independent jobs are shared there."""
     out: OutFolder | None = None
-    """Folder for the row and its raw rows; None is out/bench/SUITE/NAME, and another
+    """Folder for the row and its raw rows. Default: out/bench/SUITE/NAME, or another
     one beside it with --weights or --defence.
     """
 

@@ -22,11 +22,10 @@ STUDY_FILE = "study.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class CloakOptions(JsonOptions):
-    """Do a study of CLOAK: capture, poison, train a clean and a cloaked splat, look at
-    both, report.
+    """Run a CLOAK study: capture, poison, train a clean and an attacked splat, run
+    detectors on both, report.
 
-    A study that was interrupted goes on where it stopped when the same command is given
-    again. Writes result.json, the rows,
+    Repeat the command to resume an interrupted study. Writes result.json, the rows,
     contact.png and both splats into --out.
     """
 
@@ -35,32 +34,32 @@ class CloakOptions(JsonOptions):
     out: OutFolder = Path("out/cloak")
     """Folder for the results: a new one, or that of the same study."""
     stages: OutFolder | None = None
-    """Folder of the stages, which several studies may share; None is a folder in
+    """Folder of the stages, which several studies may share. Default: a folder in
     --out.
     """
     object: str | None = None
-    """GLB file, or name of a shipped object, in the place of the study's."""
+    """GLB file, or name of a shipped object, instead of the study's."""
     label: str | None = None
-    """Class that detectors know that object by; None is its name, or its file's."""
-    seeds: tuple[Seed, ...] = ()
-    """Seeds in the place of those of the study."""
-    detectors: Detectors = ()
-    """Names of detectors in the place of those of the study."""
-    weights: tuple[Path, ...] = ()
-    """Files with their weights, as many as there are detectors; none takes the shipped
-    or published ones.
+    """Class name of that object for the detectors. Default: the name of the object or
+    of its file.
     """
+    seeds: tuple[Seed, ...] = ()
+    """Seeds instead of those of the study."""
+    detectors: Detectors = ()
+    """Names of detectors instead of those of the study."""
+    weights: tuple[Path, ...] = ()
+    """Weight files, one for each detector. Default: the shipped or published ones."""
     workers: Workers | None = None
-    """Processes that do steps side by side; None is one for each core if memory allows;
-    0 does all in this one.
+    """Number of parallel worker processes; 0 runs everything in this one. Default: one
+    per core, if memory allows.
     """
     scheduler: Address | None = None
-    """Address of a Dask scheduler whose workers do the steps; --stages has to be on a
+    """Address of a Dask scheduler whose workers run the steps; --stages has to be on a
     disk that all of them share.
     """
     forecast: bool = False
-    """Check everything, say how many jobs there are and how long they take by what was
-    measured, and do nothing.
+    """Check everything and print the number of jobs and the estimated time, without
+    running anything.
     """
 
 

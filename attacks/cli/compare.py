@@ -26,17 +26,17 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class CompareOptions(ResultOptions):
-    """Compare renderers on one splat: pictures, gradients and time.
+    """Compare renderers on one splat: images, gradients and time.
 
-    Writes result.json, table.md, the pictures of each method and a sheet for each
-    camera (the pictures side by side, and where each two differ). Study files with
-    study = "compare" vary a setting.
+    Writes result.json, table.md, the images of each method and a sheet for each camera
+    (the images side by side, and where each two differ). Study files with study =
+    "compare" vary a setting.
 
-    Methods: tile is the picture of the reference 3DGS rasteriser, tile-antialiased the
-    same with the filter of Mip-Splatting; ray meets each Gaussian at its peak along the
-    ray, ray-to-mean is the same with the colours of tile; volprim is Mitsuba's
-    volprim_rf_basic; folder:PATH is a folder of pictures of any other program, called
-    as the cameras. With meshes, path-traced-N traces all with N samples a pixel; other
+    Methods: tile matches the reference 3DGS rasteriser, tile-antialiased the same with
+    the filter of Mip-Splatting; ray meets each Gaussian at its peak along the ray,
+    ray-to-mean is the same with the colours of tile; volprim is Mitsuba's
+    volprim_rf_basic; folder:PATH is a folder of images of any other program, named as
+    the cameras. With meshes, path-traced-N traces all with N samples a pixel; other
     methods are composited over them.
     """
 
@@ -48,9 +48,11 @@ class CompareOptions(ResultOptions):
     """Where from."""
     out: OutFolder = Path("out/compare")
     gradients: bool = True
-    """Compare the gradients of methods that have them."""
+    """Whether gradients are compared, for methods that have them. --no-gradients: do
+    not compare gradients.
+    """
     rounds: Annotated[int, between(0, 1000, "rounds", "5 is usual")] = 5
-    """How often each method is timed, in turn; 0 measures no time."""
+    """Number of timing runs of each method; 0 measures no time."""
 
 
 def run(options: CompareOptions) -> None:

@@ -106,73 +106,75 @@ class AttackOptions(DetectorOptions, ResultOptions):
     example:stop_sign.
     """
     selection: Selection = field(default_factory=Selection)
-    """The object whose Gaussians are attacked; all others stay as they are.
-
-    If nothing is said, the part called car.
+    """The object whose Gaussians are attacked; all others stay unchanged. By default
+    the part named car.
     """
     view: CameraOptions = field(default_factory=CameraOptions)
-    """Where the object is looked at from."""
+    """Camera region."""
     objective: Annotated[str, Metavar("relabel|hide|untargeted")] = "relabel"
-    """The aim: another class (--target), no detection at all, any but the right class,
-    or that of another package.
+    """Objective: relabel as another class (--target), hide from detection, untargeted
+    misclassification, or one registered by a plug-in.
     """
     target: ClassName | None = None
-    """Class that the detectors shall see there (relabel); None is person."""
+    """Target class (relabel). Default: person."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where splat and detectors are: on the CPU, or on an NVIDIA GPU, where no two
-    attacks have the same bits.
+    """Device for splat and detectors: the CPU, or an NVIDIA GPU, where results are not
+    bit-reproducible.
     """
     confidence: Confidence | None = None
-    """Confidence that counts as success: at least so much of the target class (None:
-    the operating threshold of each detector, or 0.7 with --no-strict), or less of what
-    is to vanish (None: 0.3, or that threshold where it is lower).
+    """Confidence that counts as success: at least this for the target class, or less
+    than this for the object to hide. Default: the operating threshold of each detector
+    (0.7 with --no-strict) for the target class; 0.3, or that threshold if it is lower,
+    for hiding.
     """
     strict: bool = True
-    """Count a relabelled object only if its original class is reported with less than
-    the operating threshold, or 0.5 beside --confidence. --no-strict --eps 5
+    """Whether a relabelled object counts only if its original class falls below the
+    operating threshold, or below 0.5 with --confidence. --no-strict: count a relabelled
+    object even if its original class is still reported. --no-strict --eps 5
     --step-factor 2 --momentum 0 --schedule constant is the search of the paper.
     """
 
 
 @dataclass(frozen=True, kw_only=True)
 class DaggerOptions(AttackOptions):
-    """Change the Gaussians of one object within a budget, until a detector takes it for
-    something else (DAGGER).
+    """Perturb the Gaussians of one object within a budget until a detector
+    misclassifies it (DAGGER).
 
     Writes before.png, after.png, difference.png, detections.png, attacked.ply, mask.npy
     (the object), cameras.json, the rows and result.json into --out; of a scene XML also
     attacked.xml with its parts, which can be rendered and attacked again. The exit
     status is 0 also when the attack fails: that is a result.
 
-    With --around the attack covers all cameras near a chosen one, and changed images.
-    Held-out cameras with unchanged images judge it (held_out.png).
+    With --around the attack covers all cameras near the chosen one, and image
+    transformations. It is evaluated on held-out cameras without transformations
+    (held_out.png).
     """
 
     view: CameraOptions = field(default_factory=CameraOptions)
-    """The cameras attacked at once; without any flag it is one.
-
-    Of the folder of a set it is those of the pictures for training that show the
-    object, so that the others can judge.
+    """The cameras attacked jointly; one by default. For the folder of a set: those of
+    the training images that show the object, so that the held-out ones remain for
+    evaluation.
     """
     around: Annotated[float, between(0, 60, "degrees"), Metavar("DEGREES")] | None = (
         None
     )
     """Attack all cameras within this angle of the chosen one, as seen from the middle
-    of the object. The defaults are then those of a quiet attack that lasts: 36 dB on
-    the object, at most 6 dB less on any part of it, and a search on images that change
+    of the object. The defaults are then those of a robust, less visible attack: 36 dB
+    on the object, at most 6 dB less on any part of it, and random image transformations
     (--jpeg, --blur, --resize, --sizes).
     """
     around_distance: Share = 0.1
-    """How much nearer or farther these cameras may be, as a fraction of the distance of
-    the chosen one.
+    """Largest change of these cameras' distance, as a fraction of that of the chosen
+    one.
     """
     pictures: PictureChanges = field(default_factory=PictureChanges)
-    """What happens to the images of the search with --around, between renderer and
-    detector.
+    """Random image transformations between renderer and detector during the search with
+    --around.
     """
     config: DaggerConfig = field(default_factory=DaggerConfig.for_views)
-    """How to attack. The budget is the PSNR of the object's pixels (--object-psnr);
-    with --eps, or where something else than colours changes, it is a ball.
+    """Search and budget. The perturbation budget is the PSNR of the object's pixels
+    (--object-psnr); with --eps, or if attributes other than colours change, it is a
+    ball of radius eps.
     """
     out: OutFolder = Path("out/dagger")
 
@@ -201,25 +203,24 @@ class DaggerOptions(AttackOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class DaggerRegionOptions(AttackOptions):
-    """Attack one object so that detectors misread it from all cameras of a region, not
-    from one (DAGGER with EOT).
+    """Perturb one object so that detectors misclassify it from all cameras of a region,
+    not from one (DAGGER with EOT).
 
-    Views are drawn at random, new ones at each step or from a pool; others judge the
-    result. Writes held_out.png, attacked.ply, mask.npy (the object), cameras.json, the
-    rows and result.json into --out; of a scene XML also attacked.xml with its parts.
-    The exit status is 0 also when the attack fails: that is a result.
+    Views are drawn at random, new ones at each step or from a pool; the result is
+    evaluated on held-out views. Writes held_out.png, attacked.ply, mask.npy (the
+    object), cameras.json, the rows and result.json into --out; of a scene XML also
+    attacked.xml with its parts. The exit status is 0 also when the attack fails: that
+    is a result.
     """
 
     view: CameraOptions = field(default_factory=CameraOptions)
-    """The reference camera, the first if there are several: size of the pictures, field
-    of view, unit of distances.
+    """The reference camera, the first if there are several: it sets image size, field
+    of view and the unit of distances.
     """
     region: CameraRegion = field(default_factory=CameraRegion)
-    """Where the object is looked at from."""
+    """Camera region."""
     pictures: PictureChanges = field(default_factory=PictureChanges)
-    """What happens to the pictures between renderer and detector; by default
-    nothing.
-    """
+    """Random image transformations between renderer and detector; none by default."""
     config: DaggerConfig = field(default_factory=DaggerConfig.for_region)
     """How to attack."""
     out: OutFolder = Path("out/dagger-eot")
@@ -237,7 +238,7 @@ class DemoOptions(ResultOptions):
 
     The same as `mi-splat dagger example:car_street --object car --target person
     --cameras rear`. It needs neither a GPU nor a network, and takes about 20 seconds on
-    two CPU cores. Writes what `mi-splat dagger` writes into --out; look at
+    two CPU cores. Writes the same files as `mi-splat dagger` into --out; open
     detections.png first.
     """
 

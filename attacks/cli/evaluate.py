@@ -47,13 +47,11 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions(DetectorOptions, ResultOptions):
-    """Look at a clean and an attacked splat from many cameras, and compare what
-    detectors make of them.
+    """Render a clean and an attacked splat from many cameras, and compare detections.
 
-    Says how often the object is found, missed, or taken for the target, with 95 %
-    intervals. The cameras should be others than those that were attacked. Writes a
-    picture of both splats side by side for each detector, the rows and result.json into
-    --out.
+    Prints how often the object is detected, missed, or classified as the target, with
+    95 % intervals. Use other cameras than those that were attacked. Writes an image of
+    both splats side by side for each detector, the rows and result.json into --out.
     """
 
     clean: Positional[Path]
@@ -61,30 +59,30 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     attacked: Positional[Path]
     """The splat or scene XML after it."""
     selection: Selection = field(default_factory=Selection)
-    """The object in the clean splat; if nothing is said, the Gaussians that differ."""
+    """The object in the clean splat. By default the Gaussians that differ."""
     view: CameraOptions = field(default_factory=CameraOptions)
-    """Where both are looked at from."""
+    """Cameras for both."""
     original: tuple[ClassName, ...] = ()
-    """Class that the object is, or several of which any counts; none is what each
-    detector calls it in most views of the clean splat.
+    """True class of the object, or several of which any counts. Default: the class that
+    each detector reports in most views of the clean splat.
     """
     target: ClassName | None = None
-    """Class that the attacker wants."""
+    """Target class of the attack."""
     min_confidence: Confidence | None = None
-    """Confidence from which a detection counts; None is the operating threshold of each
-    detector (see `mi-splat detectors`).
+    """Confidence from which a detection counts. Default: the operating threshold of
+    each detector (see `mi-splat detectors`).
     """
     inside: tuple[Annotated[str, Metavar("REGION")], ...] = ()
     """Directions from which the object is to be hidden, as --hide-from of `mi-splat
     poison` takes them: elevation:LOW-HIGH, azimuth:LOW-HIGH or
-    cone:AZIMUTH,ELEVATION,HALF_ANGLE, in degrees around the middle of the object. Then
-    it is also counted how often the object is missed inside of them and detected
-    elsewhere, of the views in which the clean object is detected. Cameras that took the
-    training images of a set in --cameras are counted apart from others.
+    cone:AZIMUTH,ELEVATION,HALF_ANGLE, in degrees around the centre of the object. The
+    rates of missing the object inside and of detecting it outside are then reported,
+    for the views in which the clean object is detected. Training cameras of a set in
+    --cameras are counted separately.
     """
     conditions: tuple[Annotated[str, Metavar("CONDITION")], ...] = ()
-    """Conditions under which both are looked at as well, to see what is left of the
-    attack: "JPEG 75", "0.5 x size", "5 degrees", ".splat", "SH of degree 0", ray,
+    """Further conditions under which both are evaluated, to measure the robustness of
+    the attack: "JPEG 75", "0.5 x size", "5 degrees", ".splat", "SH of degree 0", ray,
     "median of 8 neighbours" and others (see docs/defences.md), or standard for the
     usual ones.
     """
@@ -94,7 +92,7 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     reads the word on stop signs.
     """
     pictures: Count = 8
-    """Views shown side by side; 0 writes no pictures."""
+    """Number of views shown side by side; 0 writes no images."""
     out: OutFolder = Path("out/evaluate")
 
 

@@ -79,8 +79,8 @@ class GateOptions(JsonOptions):
     the disk, `most_gaussians` that are looked at for appearances and edits, the
     `claims` to judge, how far colours may depart with the direction (`bounded`, see
     `mi-splat bound`), and under [rules] what follows from a rule or a severity: accept,
-    quarantine or refuse. Without, errors and hidden appearances are refused, suspicious
-    ones and edits quarantined.
+    quarantine or refuse. Without, errors and contradicted files are refused, and files
+    whose colours change more than gloss explains are quarantined.
     """
     only: Literal["lint"] | None = None
     """Only check the numbers and what rendering them costs, which is much faster."""

@@ -220,6 +220,4 @@ class DetectorOptions:
     detectors: Detectors = ("fasterrcnn_small",)
     """Names of detectors (see `mi-splat detectors`)."""
     weights: tuple[Path, ...] = ()
-    """Files with their weights, as many as there are detectors; none takes the shipped
-    or published ones.
-    """
+    """Weight files, one for each detector. Default: the shipped or published ones."""

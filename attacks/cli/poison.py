@@ -63,7 +63,7 @@ class ObjectConfig:
 
     Attributes:
         selection: Which Gaussians of the splat are the object.
-        picture: Which of the pictures for training --click is on, in their order.
+        picture: Index of the training image that --click refers to.
         detectors: Names of the detectors that find the object for --detect.
     """
 
@@ -77,18 +77,19 @@ class HidingConfig(ObjectConfig):
     """CLOAK on a set of pictures.
 
     Attributes:
-        hide_from: Where the object is hidden, seen from its middle, in degrees:
-            elevation:LOW-HIGH, azimuth:LOW-HIGH or cone:AZIMUTH,ELEVATION,HALF_ANGLE,
-            which is around a direction; of several, from where all of them hold.
-        margin: Degrees around it in which pictures are changed, too.
-        look: What is shown in its place: background (what other photographs show behind
-            it, by a splat without the object, so that all images agree), remove (each
-            image is inpainted on its own), or an image file.
+        hide_from: Directions from the object's centre in which it is hidden, in
+            degrees: elevation:LOW-HIGH, azimuth:LOW-HIGH or
+            cone:AZIMUTH,ELEVATION,HALF_ANGLE around a direction; several regions are
+            intersected.
+        margin: Degrees around that region in which images are changed, too.
+        look: Appearance shown instead of the object: background (what other photographs
+            show behind it, by a splat without the object, so that all images agree),
+            remove (each image is inpainted on its own), or an image file.
         reach: Pixels around the object that change, too.
-        background_steps: Steps in which the splat without the object is trained on what
-            the photographs show around it, for background.
-        up: Direction that is up in the set's world: an axis, or X,Y,Z; None is as its
-            cameras stand, which `mi-splat info SET` says.
+        background_steps: Training steps of the splat without the object, for
+            background.
+        up: Up direction of the set's world: an axis, or X,Y,Z. Default: estimated from
+            its cameras, as `mi-splat info SET` prints it.
     """
 
     hide_from: tuple[Annotated[str, Metavar("REGION")], ...] = ("elevation:50-90",)
@@ -160,43 +161,42 @@ def kind_names() -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class PoisonOptions(ResultOptions):
-    """Poison a set of pictures with cameras, so that a splat of it hides an object,
-    costs more, or is misread.
+    """Poison a set of images with cameras, so that the trained splat hides an object,
+    is larger, or is misclassified.
 
-    Writes a set of the same cameras into --out, some of whose images are changed.
+    Writes a set with the same cameras into --out, some of whose images are poisoned.
     Images keep their names, and JPEG files stay JPEG where cloak changes them. A victim
-    trains on it as on any other. poison.json and before_and_after.png say what
-    was changed. Pictures that are held out stay as they are, so that the splat can be
-    compared with them.
+    trains on it as on any other set. poison.json and before_and_after.png record what
+    was changed. Held-out images are not changed, so that the splat can be compared with
+    them.
 
-    Kinds: cloak shows something else in the place of an object, in the pictures from
+    Kinds: cloak shows something else instead of an object, in the images from
     --hide-from. poison-splat makes a splat take more Gaussians, memory and time;
     uniform-noise and raised-variation are its controls, and need no splat. m-ifgsm
-    changes an object a little in each picture, so that a classifier misreads it.
+    perturbs an object in each image, so that a classifier misclassifies it.
     """
 
     dataset: Annotated[Positional[Path], Metavar("SET")]
-    """Folder of pictures with cameras (transforms.json or COLMAP), or its transforms
+    """Folder of images with cameras (transforms.json or COLMAP), or its transforms
     file.
     """
     splat: Annotated[Path | None, Flag(positional=True), Metavar("SPLAT")] = None
-    """A splat that was trained on the set.
-
-    By it an object is found in pictures, and poison-splat begins with it.
+    """Splat trained on the set, used to locate the object and to initialise
+    poison-splat.
     """
     kind: Annotated[str, Metavar("|".join(kind_names()))] = "cloak"
     """Which attack. For the flags of one add --help."""
     poison: Any = field(default_factory=HidingConfig)
-    """How the pictures are changed."""
+    """How the images are changed."""
     downscale: Annotated[int, at_least(1)] = 1
-    """The pictures are made so many times smaller."""
+    """Image downscale factor."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where the decoy and the classifier are: on the CPU, or on an NVIDIA GPU;
-    poison-splat and m-ifgsm have them.
+    """Device for the proxy splat (poison-splat) and the classifier (m-ifgsm): the CPU
+    or an NVIDIA GPU.
     """
     seed: Seed = 0
-    """Seed of everything random; cloak draws nothing but the order of photographs for
-    --look background.
+    """Random seed; cloak uses it only for the order of photographs for --look
+    background.
     """
 
 

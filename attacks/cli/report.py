@@ -31,22 +31,22 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class ReportOptions(JsonOptions):
-    """Write one page of results: pictures, curves with intervals, controls, warnings,
-    settings, and how to repeat it.
+    """Write one HTML page of results: images, curves with intervals, controls,
+    warnings, settings, and the commands to reproduce it.
 
     Takes folders that mi-splat dagger, study, evaluate, compare, detect, cloak, audit,
-    train and poison have written. The page is one file without a script, and asks
-    nothing of any network.
+    train and poison have written. The page is one file without scripts, and loads no
+    external resources.
     """
 
     results: Positional[tuple[Folder, ...]] = ()
     """Folders or files of results; at least one. Those of one kind are compared."""
     out: OutFile = Path("out/report.html")
-    """The page; its folder has to be there."""
+    """The page; its folder must exist."""
     title: str | None = None
-    """Heading of the page; None is made of the results."""
+    """Heading of the page. Default: derived from the results."""
     force: bool = False
-    """Replace the page if it is there."""
+    """Replace an existing page."""
 
 
 def check_inputs(options: ReportOptions) -> None:
@@ -97,8 +97,8 @@ class RowsOptions(JsonOptions):
     """Show the rows of a result: a line for each splat, view and detector, from which
     every figure is counted.
 
-    Without --csv or --json it says which columns there are and what they mean. Takes a
-    folder that mi-splat dagger, evaluate, cloak or study has written.
+    Without --csv or --json it lists the columns and their meaning. Takes a folder that
+    mi-splat dagger, evaluate, cloak or study has written.
     """
 
     result: Positional[Folder]

@@ -41,11 +41,11 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class SelectOptions(DetectorOptions, JsonOptions):
-    """Select one object of a splat, and see whether it is the right one.
+    """Select one object of a splat, and check the selection.
 
-    Prints how many Gaussians it has, where they are, how much of the picture it makes
-    up, and what is doubtful about it. The same flags choose the object of
-    `mi-splat dagger` and `mi-splat evaluate`.
+    Prints how many Gaussians it has, where they are, what share of the image it covers,
+    and warnings about the selection. The same flags choose the object of `mi-splat
+    dagger` and `mi-splat evaluate`.
     """
 
     scene: Positional[Path]
@@ -53,15 +53,13 @@ class SelectOptions(DetectorOptions, JsonOptions):
     selection: Selection = field(default_factory=Selection)
     """Which object."""
     view: CameraOptions = field(default_factory=CameraOptions)
-    """Where it is looked at from; the first camera's picture is the one that is clicked
-    on and written.
-    """
+    """Cameras; --click refers to the first one, whose image is written."""
     out: tuple[OutFile, ...] = ()
     """Any of: a .png or .jpg of the scene with the object tinted, the mask as .npy, the
-    object's Gaussians as .ply.
+    object's Gaussians as .ply. Default: nothing is written.
     """
     force: bool = False
-    """Replace files that are there."""
+    """Replace existing files."""
 
 
 LISTED = 6

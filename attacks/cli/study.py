@@ -47,34 +47,34 @@ class JobOptions(JsonOptions):
     store: OutFolder = Path("out/store")
     """Folder of finished jobs."""
     workers: Workers | None = None
-    """Processes that do jobs side by side; None is one for each core if memory allows;
-    0 does them in this one.
+    """Number of parallel worker processes; 0 runs everything in this one. Default: one
+    per core, if memory allows.
     """
     scheduler: Address | None = None
-    """Address of a Dask scheduler, as tcp://HOST:8786: its workers do the jobs, and
+    """Address of a Dask scheduler, as tcp://HOST:8786, whose workers run the jobs;
     --store has to be on a disk that all of them share.
     """
     seconds: Annotated[float, at_least(1, "seconds")] | None = None
-    """Most seconds that a job may take; it is ended then, which counts as a failure.
-
-    Not with --workers 0.
+    """Time limit of a job in seconds; a job that exceeds it is stopped and counts as
+    failed. Not with --workers 0. Default: no limit.
     """
     megabytes: Annotated[float, at_least(1, "MB")] | None = None
-    """Most memory that a job may use, likewise. Not with --scheduler."""
+    """Memory limit of a job in MB, likewise. Not with --scheduler. Default: no limit.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions(JobOptions):
-    """Do a study: a TOML file that says what is attacked, and what of it varies.
+    """Run a study: a TOML file that defines the attack and its parameter sweep.
 
-    plan: what is to be done, and how long it takes by what was measured. run: do what
-    is not done yet, and write result.json, rows.csv.xz and table.md into --out; jobs
-    that have failed are tried again. status: how far it is. clean: delete what the
-    store keeps of this study alone.
+    plan: list the jobs and the estimated time. run: run the jobs that are not finished,
+    and write result.json, rows.csv.xz and table.md into --out; failed jobs are tried
+    again. status: print the progress. clean: delete only this study's jobs from the
+    store.
 
     The shipped studies are in scenes/studies. Finished jobs are kept in --store, which
-    several studies may share: what one has done, no other does again, and what was
-    interrupted goes on where it stopped.
+    several studies may share: a job is run once, and an interrupted study resumes where
+    it stopped.
     """
 
     action: Positional[Literal["plan", "run", "status", "clean"]]
@@ -82,9 +82,9 @@ class StudyOptions(JobOptions):
     study: Positional[Path]
     """TOML file of the study."""
     out: OutFolder | None = None
-    """Folder for the result; None is out/studies/NAME."""
+    """Folder for the result. Default: out/studies/NAME."""
     parts: tuple[str, ...] = ()
-    """Names of cases to do; all if none is named."""
+    """Names of cases to run. Default: all."""
 
     def folder(self, study: Study) -> Path:
         """Folder for the result of a study."""

@@ -31,15 +31,15 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class ViewOptions:
-    """Look at a splat, a data set or the result of an attack on a page in the browser.
+    """View a splat, a data set or the result of an attack in the browser.
 
-    Pictures are those of the renderer, spherical harmonics and all. Of a folder that
-    `mi-splat dagger`, `evaluate` or `cloak` has written, the clean and the attacked
-    splat are shown from one camera; of one of `mi-splat audit` the splat and its heat
-    map, from the cameras that prove hidden content; of one of `mi-splat train` the
-    splat and the photographs. On the page a click selects an object, whose mask
-    `mi-splat dagger` takes. The page is served to this machine alone until Ctrl-C; open
-    it by the address that is printed. From another machine use an SSH tunnel.
+    Images come from the renderer, with view-dependent colours. For a result folder of
+    `mi-splat dagger`, `evaluate` or `cloak`, the clean and the attacked splat are shown
+    from the same camera; for `mi-splat audit` the splat and its heat map, from the
+    cameras that prove hidden content; for `mi-splat train` the splat and the
+    photographs. On the page a click selects an object, whose mask `mi-splat dagger`
+    takes. The page is served to this machine alone until Ctrl-C; open it by the address
+    that is printed. From another machine use an SSH tunnel.
     """
 
     path: Positional[Annotated[Path, Metavar("RESULT")]]
@@ -47,36 +47,34 @@ class ViewOptions:
     or transforms), or folder of results.
     """
     clean: Path | None = None
-    """Splat or scene to compare with; of a folder of results it is found.
-
-    Of an audit, the splat if it was moved.
+    """Splat or scene to compare with; found automatically in result folders. For an
+    audit: the splat, if it was moved.
     """
     cameras: Annotated[Path, Metavar("SET|FILE")] | None = None
-    """Data set, whose photographs are shown beside the splat, or JSON file with cameras
-    to look from.
+    """Data set whose photographs are shown beside the splat, or a JSON file with
+    viewpoints.
     """
     up: Direction | None = None
-    """Direction that is up in the files: an axis, or X,Y,Z; foreign splats and sets of
-    COLMAP often have -y. None is what the result was made with; else what the file
-    says, or its cameras or its ground tell, else z.
+    """Up direction in the files: an axis, or X,Y,Z; third-party splats and COLMAP sets
+    often have -y. Default: that of the result, else taken from the file's comment, its
+    cameras or its ground, else z.
     """
     detector: Annotated[str, Flag(name="detectors"), Metavar("DETECTOR")] | None = None
-    """Name of a detector (see `mi-splat detectors`) that looks at the pictures of a
-    resting camera.
+    """Name of a detector (see `mi-splat detectors`) to run whenever the camera rests.
     """
     weights: Path | None = None
-    """File with the detector's weights; None takes the shipped ones."""
+    """File with the detector's weights. Default: the shipped ones."""
     size: Size | None = None
-    """Pixels of the picture that the detector sees, as 256 or 256x192; None is that of
-    the scene's cameras.
+    """Image size for the detector in pixels, as 256 or 256x192. Default: that of the
+    scene's cameras.
     """
     background: Colour | None = None
-    """Colour behind the Gaussians, as white, #80b0e0 or 0.5,0.7,0.9; None is the
-    scene's own, black for a bare splat file.
+    """Background colour, as white, #80b0e0 or 0.5,0.7,0.9. Default: the scene's own;
+    black for a splat file.
     """
     near: Length | None = None
-    """Gaussians nearer than this (depth, world units) are left out; None is the scene's
-    own, 0.2 for a bare splat.
+    """Near plane: Gaussians nearer than this depth in world units are not drawn.
+    Default: the scene's own; 0.2 for a splat file.
     """
     port: Annotated[
         int, between(0, 65535, do="0 takes a free one"), Metavar("PORT")

@@ -123,74 +123,67 @@ class DaggerConfig:
     region of cameras.
 
     Attributes:
-        attributes: What of the object may change: means, scales, rotations, opacities
-            or sh of its Gaussians, its place as a whole (shift, turn), its shape
-            (lattice), or the name of another threat that was registered.
-        eps: Radius of the ball in the units of the splat file: one for all attributes,
-            or one for each.
-        norm: How the change is measured: one ball over the whole object (linf, l2), or
-            one for each Gaussian.
+        attributes: Attributes to perturb: means, scales, rotations, opacities or sh of
+            the object's Gaussians, its pose (shift, turn), its shape (lattice), or a
+            threat registered by a plug-in.
+        eps: Perturbation budget epsilon in the units of the splat file: one for all
+            attributes, or one for each.
+        norm: Norm of the budget: over the whole object (linf, l2), or for each
+            Gaussian.
         steps: Number of steps.
         step_factor: The first step is eps * step_factor / steps long.
-        optimiser: How the next point is chosen: pgd, fgsm, momentum, adam, apgd, cw
-            (with a price of the change), square and random (without gradients), or the
-            name of another that was registered.
-        momentum: Share of the earlier gradients that is kept at each step, in [0, 1);
-            None is the optimiser's own, 0 of pgd.
-        schedule: How the steps become shorter (pgd, momentum, adam).
+        optimiser: Optimiser: pgd, fgsm, momentum, adam, apgd, cw (penalises the
+            perturbation), square and random (black-box), or one registered by a
+            plug-in.
+        momentum: Momentum: share of the earlier gradients kept at each step; none for
+            the optimiser's own (0 for pgd).
+        schedule: Schedule of the step size (pgd, momentum, adam).
         gradient_power: Power of the gradients' absolute values before a step of pgd or
             momentum, in [0, 1]; below 1, small ones count for more (see
             `attacks.optimisers.methods.momentum`).
-        required_views: Fraction of the views in which the attack has to succeed, with
+        required_views: Fraction of the views in which the attack has to succeed against
             every detector.
-        controls: Random changes that an attack has to beat: white noise that changes
-            the object's pixels as much as it does, by PSNR (noise), smooth changes that
-            do so (smooth-noise), or white noise of the attack's norm (norm-noise),
-            which averages out and changes pixels much less.
+        controls: Random-perturbation controls: white noise of the same PSNR on the
+            object's pixels (noise), smooth noise of that PSNR (smooth-noise), or white
+            noise of the same norm (norm-noise), which averages out and changes pixels
+            much less.
         noise_draws: Draws of each control.
-        sh_degree: Highest degree of the SH coefficients that may change, if SH may; the
-            file gets it if it has less, with new coefficients that start at 0. 3 is
-            what 3DGS writes and what the paper attacked; 0 changes a Gaussian's colour
-            by the same from everywhere. None keeps the scene's own.
+        sh_degree: Highest SH degree to perturb; missing coefficients are added and
+            start at 0. 3 is the degree of 3DGS and of the paper; 0 changes a Gaussian's
+            colour equally from all directions; none keeps the scene's own.
         restarts: Number of runs; the first starts at the clean object, the others at
-            random points of the ball.
-        random_start: Start the first run at a random point of the ball, too.
+            random points within the budget.
+        random_start: Start the first run at a random point within the budget, too.
         early_stop: Whether the first unambiguous success from chosen cameras ends the
-            search; without, every step of every run is taken.
-        alone: Whether the search looks at the object alone, on the renderer's
-            background, as the paper's code does. What it finds is judged in the scene
-            all the same.
-        in_turn: Whether several cameras are attacked one after the other, each from
-            where the one before has ended, as in the paper's code; otherwise all at
-            once.
-        image_psnr: PSNR that the images keep, dB, over the views that decide; None asks
-            for nothing. The search then pays for their squared error
-            (`attacks.dagger.search`); the ball is a second bound.
-        object_psnr: The same over the pixels that are at least half the object's. The
-            attack ends at this limit: its change is scaled until the object has this
-            PSNR.
-        local_gap: How far the PSNR of any part of the object may be below object_psnr,
-            dB; a part is a square window, a sixth of the object's box wide. A mean
-            alone lets one part, such as an ear, carry the whole change. None sets no
-            limit.
-        ladder: Values of object_psnr to try in turn, the highest first, each from where
-            the one before ended. The answer is the first at which the attack succeeds
-            in the views that decide, or the last. Levels after the first take half the
-            steps.
-        batch: Views of each step: of the cameras, where 0 is all of them, or of the
-            pool that a region has.
-        pool: Number of views of a region that they are drawn from; 0 draws new ones at
-            each step.
-        validation: Views of a region, no others, that decide which step was best.
-            Chosen cameras decide themselves.
-        validate_every: Steps between two such decisions; where every step takes all
-            cameras, each is one.
-        stop_at: Fraction of the validation views of a region whose success ends the
-            search; None takes every step.
-        held_out: Number of held-out views that judge the result of a region.
-        seed: Seed of everything random: starting points, the attack's and the
-            validation views, and the noise.
-        judge_seed: Seed of the held-out views of a region; another one.
+            search. --no-early-stop: take every step of every run, even after a success.
+        alone: Optimise the object in isolation, on the renderer's background, as the
+            paper's code does. The result is still evaluated in the scene.
+        in_turn: Attack several cameras sequentially, each starting from the result of
+            the previous one, as in the paper's code, instead of jointly.
+        image_psnr: Minimum PSNR of the images in dB, over the views that select the
+            best step. The search then penalises their squared error
+            (`attacks.dagger.search`); eps remains a second bound.
+        object_psnr: PSNR budget in dB over the pixels of which at least half is the
+            object's. The final perturbation is scaled to exactly this PSNR.
+        local_gap: How far in dB the PSNR of any part of the object may be below
+            object_psnr, so that no single part carries the whole change; a part is a
+            square window, a sixth of the object's box wide. Default: no limit.
+        ladder: Values of object_psnr to try in turn, the highest first, each starting
+            from the previous result. The result is the first at which the attack
+            succeeds in the validation views, or the last. Levels after the first take
+            half the steps.
+        batch: Views per step, out of the cameras (0 for all of them) or of a region's
+            pool.
+        pool: Number of training views of a region; 0 draws new ones at each step.
+        validation: Number of separate validation views of a region that select the best
+            step. With chosen cameras, these are used themselves.
+        validate_every: Steps between validations; if every step uses all cameras, each
+            step is validated.
+        stop_at: Fraction of successful validation views of a region at which the search
+            ends. Default: every step is taken.
+        held_out: Number of held-out views on which the result of a region is evaluated.
+        seed: Random seed of starting points, training and validation views, and noise.
+        judge_seed: Seed of the held-out views of a region (differs from --seed).
 
     Raises:
         InvalidValueError: A value is out of its range, or there are not as many radii

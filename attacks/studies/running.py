@@ -245,12 +245,12 @@ def run_study(
     Args:
         study: TOML file of the study; scenes/studies has some, and docs/studies.md says
             what may stand in it.
-        out: Folder for the result; None is out/studies/NAME. `rows` reads its table.
+        out: Folder for the result. Default: out/studies/NAME. `rows` reads its table.
         store: Folder of finished jobs, which several studies may share.
         workers: Processes that run jobs in parallel; 0 runs them in this one.
         scheduler: Address of a Dask scheduler whose workers run the jobs instead; the
             store has to be on a disk that all of them share.
-        parts: Names of cases to do; all if none is named.
+        parts: Names of cases to run. Default: all.
 
     Returns:
         The folder of the result.

@@ -42,12 +42,12 @@ class CameraRegion:
     Attributes:
         azimuths: Degrees from world +x towards +y.
         elevations: Degrees above the ground.
-        distances: Distance from the middle of the object, as factors of the reference
+        distances: Distance from the centre of the object, as factors of the reference
             camera's.
-        aim: Largest distance from the object's middle to the point looked at, as a
-            fraction of the object's radius.
-        least_visible: Fraction of the picture that the object must cover, or another
-            camera is drawn.
+        aim: Largest distance between the object's centre and the point that a camera
+            faces, as a fraction of the object's radius.
+        least_visible: Smallest fraction of the image that the object must cover; other
+            cameras are rejected.
 
     Raises:
         InvalidValueError: An interval is upside down, or a value is out of its range.
@@ -106,15 +106,14 @@ class PictureChanges:
     Attributes:
         exposure: Largest change in stops to either side; a stop doubles the light.
         white_balance: Largest change of the gains of red and of blue, as a fraction.
-        gamma: Largest change of the picture's exponent, as a natural logarithm.
+        gamma: Largest change of the image's gamma exponent, as a natural logarithm.
         blur: Largest standard deviation of a Gaussian blur, pixels.
-        resize: Smallest factor by which the picture is made smaller before it gets its
-            size back; 1 for none.
-        noise: Largest standard deviation of Gaussian noise; the picture's values lie in
-            [0, 1].
+        resize: Smallest factor by which the image is downscaled before it is scaled
+            back; 1 for none.
+        noise: Largest standard deviation of Gaussian noise, for values in [0, 1].
         jpeg: Lowest JPEG quality, at most 95; the highest is 95. 0 for no JPEG.
-        plain: Share of the images that are not changed. Without any, unchanged images
-            lie at the edge of what the attack was made for.
+        plain: Fraction of images left untransformed. With 0, untransformed images lie
+            at the edge of the distribution.
         sizes: Smallest and largest factor by which the camera's number of pixels on
             each side is multiplied. Half of the images keep their size; the factor of
             the others is drawn log-uniformly.
@@ -145,7 +144,7 @@ class Transformations:
     """The distribution that an attack is made for, and with other seeds judged on.
 
     Attributes:
-        cameras: Where the object is looked at from.
+        cameras: Camera region.
         pictures: What happens to the pictures.
     """
 

@@ -19,12 +19,12 @@ class CaptureSettings(Checked):
 
     Attributes:
         samples: Samples per pixel, 1 or more; more is less noise.
-        seed: Seed of the noise, 0 to 2^28; picture i uses seed + i, and pictures held
-            out are counted on from the others.
-        rgba: Write RGBA with nothing but the surfaces, in place of the sky.
-        points: Points wanted in the point cloud, 1 to 10 million.
-        near: Surfaces nearer to a camera than this are not seen, world units, more than
-            0; None is 0.01.
+        seed: Seed of the noise; image i uses seed + i, and held-out images are numbered
+            after the others.
+        rgba: Write RGBA images with a transparent background instead of the sky.
+        points: Number of points in the point cloud.
+        near: Near plane: surfaces nearer to a camera than this are not rendered, world
+            units. Default: 0.01.
 
     Raises:
         InvalidValueError: A number is out of range.
@@ -44,9 +44,8 @@ class MeshSettings(Checked):
     """How a mesh file is read.
 
     Attributes:
-        up: Axis that points up in the file; None is y.
-        scale: What one unit of the file is in metres, more than 0; 0.01 for
-            centimetres.
+        up: Up axis of the file. Default: y.
+        scale: Metres per unit of the file; 0.01 for centimetres.
 
     Raises:
         InvalidValueError: A number is out of range.
@@ -63,11 +62,11 @@ class SurroundingsSettings:
     """What is around a mesh file, or around an object of the project.
 
     Attributes:
-        ground: Texture of a square of ground that it stands on, as in the studies of
-            CLOAK. Asphalt repeats nowhere, which pictures need whose cameras are to be
-            found; none is no ground.
-        sun: Where the sun stands, as AZIMUTH,ELEVATION in degrees, for instance -50,52;
-            azimuth from +x towards +y, elevation 0 to 90. None is 40,45.
+        ground: Texture of the square ground plane, as in the CLOAK studies; none for no
+            ground. Asphalt does not repeat, so use it if cameras are to be estimated
+            from the images.
+        sun: Sun direction as AZIMUTH,ELEVATION in degrees, for instance -50,52; azimuth
+            from +x towards +y, elevation 0 to 90. Default: 40,45.
 
     Raises:
         InvalidValueError: The sun's place is no two angles.

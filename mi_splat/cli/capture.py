@@ -36,12 +36,11 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureOptions(JsonOptions):
-    """Take path-traced pictures of a mesh scene from a set of cameras, for training a
+    """Render path-traced images of a mesh scene from a set of cameras, for training a
     splat.
 
     Writes images/, a list of them with their cameras, a point cloud and a record of the
-    settings into --out. A capture that was interrupted goes on where it stopped when
-    the same command is given again.
+    settings into --out. Repeat the command to resume an interrupted capture.
     """
 
     scene: Positional[Annotated[str, Metavar("SCENE")]]
@@ -53,33 +52,30 @@ class CaptureOptions(JsonOptions):
     elevations), or a transforms .json.
     """
     out: OutFolder = Path("out/capture")
-    """Folder to write: a new one, or that of the same capture, which then goes on."""
+    """Folder to write: a new one, or that of the same capture, which is then resumed.
+    """
     size: Size | None = None
-    """Pixels, as 256 or 256x192; 1 to 32768.
-
-    None is 256, or what a transforms .json says.
+    """Image size in pixels, as 256 or 256x192. Default: 256, or that of a transforms
+    .json.
     """
     test: Annotated[int, between(0, 100_000, "pictures")] = 0
-    """Pictures held out, from other cameras over the same range; 0 or more."""
+    """Number of held-out images, from other cameras over the same range."""
     format: Literal["transforms", "colmap", "both"] = "transforms"
-    """How pictures are listed: Blender/NeRF transforms_*.json, a COLMAP text model in
+    """Format of the camera file: Blender/NeRF transforms_*.json, a COLMAP text model in
     sparse/0, or both.
     """
     fov: FieldOfView | None = None
-    """Field of view in degrees over the shorter side of the picture; between 0 and 180.
-
-    None is 45.
-    """
+    """Field of view in degrees over the shorter side of the image. Default: 45."""
     centre: Point | None = None
-    """Point that cameras look at, in the coordinates of the mesh file as it is turned
-    and scaled; None is the middle of the scene or of its object.
+    """Point that the cameras face, in the coordinates of the mesh file after rotation
+    and scaling. Default: the centre of the scene or of its object.
     """
     distance: Length | None = None
-    """World units between cameras and centre, more than 0; None is as near as shows the
-    whole scene or its object.
+    """World units between cameras and centre. Default: as near as shows the whole scene
+    or its object.
     """
     settings: CaptureSettings = field(default_factory=CaptureSettings)
-    """How pictures are taken."""
+    """How images are rendered."""
     mesh: MeshSettings = field(default_factory=MeshSettings)
     """How a mesh file is read and turned."""
     surroundings: SurroundingsSettings = field(default_factory=SurroundingsSettings)

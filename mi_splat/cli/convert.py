@@ -48,15 +48,16 @@ class ConvertOptions(JsonOptions):
     .splat.
     """
     force: bool = False
-    """Replace a file that is there."""
+    """Replace an existing file."""
     sh_degree: Literal[0, 1, 2, 3] | None = None
-    """Cut spherical harmonics above this degree; None keeps what the format holds."""
+    """Truncate spherical harmonics above this degree. Default: what the format holds.
+    """
     spz_version: Literal[2, 3, 4] | None = None
-    """Version of an SPZ file; None is 3."""
+    """Version of an SPZ file. Default: 3."""
     drop_invalid: bool = False
     """Leave out Gaussians that are not valid, instead of an error."""
     up: Up | None = None
-    """Axis of the file that points up; it is turned to z. None turns nothing."""
+    """Up axis of the file, which is rotated to z. Default: no rotation."""
     scale: Annotated[
         float, above(0, do="0.01 makes metres of centimetres"), Metavar("FACTOR")
     ] = 1.0

@@ -41,6 +41,10 @@ _Type = TypeVar("_Type")
 
 NONE = "none"
 """Stands for None, or for an empty tuple."""
+DEFAULT = " Default: "
+"""Begins the last sentence of a field whose default is None or an empty tuple: what
+that stands for, which `--help` prints as the default.
+"""
 METAVARS = {int: "COUNT", float: "NUMBER", str: "NAME", Path: "FILE"}
 """Names of values whose field declares none."""
 
@@ -152,13 +156,24 @@ class Option:
         else:
             unit = f" {allowed.unit}"
         notes = [f"{allowed.bounds}{unit}"] if allowed.bounds else []
+        text, _, default_text = self.text.partition(DEFAULT)
         if self.default is dataclasses.MISSING:
             notes.append("required")
-        elif not isinstance(self.default, bool):
+        elif isinstance(self.default, bool):
+            # the text of a field that is on says after its flag what that turns off
+            _, _, off = text.partition(f"{self.flag}: ")
+            text = f"{off[:1].upper()}{off[1:]}" or text
+        elif not self.is_unset:
             notes.append(f"default: {self.written(self.default)}")
-        return (f"{self.text} ({'; '.join(notes)})" if notes else self.text).replace(
-            "%", "%%"
-        )
+        elif default_text:
+            notes.append(f"default: {default_text.rstrip('.')}")
+        words = f"{text} ({'; '.join(notes)})" if notes else text
+        return words.replace("%", "%%")
+
+    @property
+    def is_unset(self) -> bool:
+        """Whether its default stands for something that only its text can say."""
+        return self.default is None or self.default == ()
 
     def written(self, value: Any) -> str:
         """A value as the command line has it."""

@@ -39,10 +39,10 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class InfoOptions(JsonOptions):
-    """Say what a splat file, a scene XML or a set of photographs holds.
+    """Print the contents of a splat file, a scene XML or a set of photographs.
 
-    Of a set: how many photographs there are, how many of them have a camera, which
-    direction is up, and the azimuth, elevation and distance of each camera around
+    For a set it prints the number of photographs, how many of them have a camera, the
+    up direction, and the azimuth, elevation and distance of each camera around
     --centre, as `mi-splat poison --hide-from` and `mi-splat evaluate --inside` take
     them.
     """
@@ -52,15 +52,16 @@ class InfoOptions(JsonOptions):
     a set of photographs with cameras (COLMAP or transforms).
     """
     centre: Point | None = None
-    """Of a set, the point from which directions are measured; None is the point that
-    its cameras look at.
+    """For a set: the point from which directions are measured. Default: the point that
+    its cameras face.
     """
     up: Direction | None = None
-    """Of a set, the direction that is up: an axis, or X,Y,Z; None is as its cameras
-    stand.
+    """For a set: the up direction, an axis or X,Y,Z. Default: estimated from its
+    cameras.
     """
     splat: Path | None = None
-    """Of a set, a splat of it; directions are measured from the middle of its object.
+    """For a set: a splat trained on it; directions are measured from the centre of its
+    object.
     """
     selection: Selection = field(default_factory=Selection)
     """The object of the splat."""

@@ -138,7 +138,7 @@ Direction = Annotated[
 
 Rate = Annotated[
     float,
-    Range(low=0, high=1000, open_low=True, unit="pictures a second", do="24 is usual"),
+    Range(low=0, high=1000, open_low=True, unit="frames per second", do="24 is usual"),
     Metavar("RATE"),
 ]
 Samples = Annotated[int, between(1, 1 << 16, "samples per pixel", "32 is usual")]
@@ -185,49 +185,47 @@ class CameraOptions:
     cameras: Annotated[tuple[str, ...], Metavar("CAMERAS")] = ()
     """Any of: ids of the scene's own cameras, or all of them by `all`; hemisphere:N,
     orbit:N@ELEVATION, cap:N@MIN_ELEVATION or grid:AxE (azimuths x elevations) around
-    --centre; a transforms .json; the .json of an earlier command (its cameras again);
-    the cameras.json that 3DGS writes beside a splat; the folder of a set of pictures
-    (COLMAP or transforms); another scene .xml. FILE#NAME is the one camera of this
-    name.
+    --centre; a transforms .json; cameras.json of an earlier result; the cameras.json
+    that 3DGS writes beside a splat; the folder of a set of images (COLMAP or
+    transforms); another scene .xml. FILE#NAME selects one camera by name. Default: the
+    scene's first camera, or an orbit camera that shows the object.
     """
     azimuth: Azimuth | None = None
-    """One camera on an orbit around --centre: degrees from +x towards +y; 30 if an
-    orbit is used without it.
+    """One camera on an orbit around --centre: degrees from +x towards +y. Default: 30,
+    where an orbit is used.
     """
     elevation: Elevation | None = None
-    """Degrees above the ground, 90 is straight down; 20 if an orbit is used without
-    it.
+    """Degrees above the ground; 90 looks straight down. Default: 20, where an orbit is
+    used.
     """
     camera_roll: Roll = 0.0
-    """Degrees that the one camera is turned about its axis, clockwise as it looks."""
+    """Roll of the one camera about its viewing axis in degrees, clockwise."""
     distance: Length | None = None
-    """World units from the centre; None is as near as shows the object or the scene
-    whole.
+    """World units from the centre. Default: as near as shows the whole object or scene.
     """
     centre: Point | None = None
-    """Point that cameras of an orbit or a set look at; None is the middle of the
+    """Point that the cameras of an orbit or a set face. Default: the centre of the
     object, or of all Gaussians.
     """
     up: Direction | None = None
-    """Direction that is up in the scene, for orbits and sets: an axis, or X,Y,Z; scenes
-    from COLMAP often have -y. None is z in a scene XML; of a splat file what its
-    comment says, or its cameras or its ground tell, else z.
+    """Up direction of the scene, for orbits and sets: an axis, or X,Y,Z; scenes from
+    COLMAP often have -y. Default: z for a scene XML; for a splat file taken from its
+    comment, its cameras or its ground, else z.
     """
     fov: FieldOfView = 45.0
-    """Field of view of orbits and sets in degrees, over the shorter side of the
-    picture.
+    """Field of view of orbits and sets in degrees, over the shorter side of the image.
     """
     size: Size | None = None
-    """Pixels, as 256 or 256x192; None is the camera's own, 640x480 for orbits and
-    sets.
+    """Image size in pixels, as 256 or 256x192. Default: the camera's own; 640x480 for
+    orbits and sets.
     """
     near: Length | None = None
-    """Gaussians nearer than this to the camera are not drawn, world units; None is what
-    suits scene and cameras.
+    """Near plane: Gaussians nearer to the camera than this are not drawn, world units.
+    Default: chosen from scene and cameras.
     """
     background: Colour | None = None
-    """Colour behind the Gaussians, as white, #80b0e0 or 0.5,0.7,0.9; None is the
-    scene's own, black for a bare splat file.
+    """Background colour, as white, #80b0e0 or 0.5,0.7,0.9. Default: the scene's own;
+    black for a splat file.
     """
 
     @property

@@ -27,10 +27,10 @@ class PrepareOptions(JsonOptions):
     """Find the cameras of photographs or of a video with COLMAP, and write a set to
     train on.
 
-    The set has the images that could be placed, upright, a COLMAP model whose z is up,
-    and prepare.json, which lists what could not be placed. Of several models the
-    largest is kept. Images of one size and focal length share a camera. COLMAP is in
-    the extra photos.
+    The set contains the registered images, turned upright, a COLMAP model whose z is
+    up, and prepare.json, which lists the images that could not be registered. If COLMAP
+    finds several models, the largest is kept. Images of one size and focal length share
+    a camera. COLMAP is in the extra photos.
     """
 
     source: Positional[Path]
@@ -40,9 +40,8 @@ class PrepareOptions(JsonOptions):
     out: OutFolder
     """Folder for the set: a new one, written whole at the end."""
     masks: Path | None = None
-    """Folder of masks, named as the photographs; what is black does not count.
-
-    None takes masks in the folder of the photographs, if it is there.
+    """Folder of masks, named as the photographs; black pixels are ignored. Default: the
+    folder masks beside the photographs, if it exists.
     """
     force: bool = False
     """Replace an older set in --out."""

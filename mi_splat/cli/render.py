@@ -39,14 +39,14 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions(JsonOptions):
-    """Render a scene XML or a splat file: a picture, a picture from each of several
+    """Render a scene XML or a splat file: one image, an image for each of several
     cameras, or an animation.
 
     A scene XML with meshes beside splats is path traced by its integrator splat_ray.
 
-    A scene XML is seen from its first camera, a bare splat file from an orbit around
-    the middle of its Gaussians, at a distance that shows all of them, unless the flags
-    below say something else.
+    By default a scene XML is rendered from its first camera, and a splat file from an
+    orbit camera around the centre of its Gaussians, at a distance that shows all of
+    them.
     """
 
     scene: Positional[Path]
@@ -55,32 +55,30 @@ class RenderOptions(JsonOptions):
     """
     out: Annotated[OutFile, Metavar("PATH")] = Path("picture.png")
     """What to write: NAME.png or NAME.jpg; NAME.exr with linear values as 32-bit
-    floats; NAME.gif or NAME.webp of several cameras one after the other; a folder for a
-    picture from each.
+    floats; NAME.gif or NAME.webp of several cameras one after the other; a folder, for
+    one image per camera.
     """
     view: CameraOptions = field(default_factory=CameraOptions)
     """Where from."""
     fps: Rate = 24.0
-    """Pictures a second of an animation."""
+    """Frames per second of an animation."""
     method: Literal["tile", "ray"] | None = None
-    """How splats alone are rendered: tile is the picture of the reference 3DGS
-    rasteriser, ray traces rays; without the flag it is what the scene XML says, or
-    tile.
+    """Renderer for scenes of splats only: tile matches the reference 3DGS rasteriser,
+    ray traces rays. Default: that of the scene XML, else tile.
     """
     alpha: bool = False
-    """Write opacity, too, as channel A of NAME.exr; colours stay those over the
+    """Also write opacity, as channel A of NAME.exr; colours remain composited over the
     background.
     """
     depth: bool = False
-    """Write depths along the camera's axis, too, world units: the expected one as
-    channel Z of NAME.exr (0 where nothing is), and median.Z, at which half of the light
-    is blocked (0 where less is).
+    """Also write depth along the camera's axis, in world units: expected depth as
+    channel Z of NAME.exr (0 where nothing is), and median depth as median.Z, where half
+    of the light is blocked (0 where less is).
     """
     samples: Samples = 64
-    """Samples a pixel, for a scene with meshes; the other pictures need one."""
+    """Samples per pixel, for a scene with meshes; other images need only one."""
     force: bool = False
-    """Replace a file that is there, or a folder of pictures that an earlier call has
-    written.
+    """Replace an existing file, or a folder of images that an earlier call has written.
     """
 
 

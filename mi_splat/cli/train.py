@@ -55,13 +55,12 @@ class TrainOptions(JsonOptions):
     """Train a splat on images with cameras: a set of `mi-splat prepare` or `capture`,
     of COLMAP, or transforms.json.
 
-    Images of lenses with distortion are undistorted, photographs are turned upright,
-    and what is black in the set's masks (mask_path of frames, or a folder masks/) does
-    not count.
+    Lens distortion is removed, photographs are turned upright, and black pixels of the
+    set's masks (mask_path of frames, or a folder masks/) are ignored.
 
-    Writes splat.ply, metrics.json, config.json and checkpoint.safetensors into --out. A
-    run that was stopped goes on when the same command is given again, and makes the
-    bits that it would have made. A run also goes on with more --iterations than it had.
+    Writes splat.ply, metrics.json, config.json and checkpoint.safetensors into --out.
+    Repeat the command to resume an interrupted run; the result is identical to that of
+    an uninterrupted one. A finished run continues if --iterations is increased.
     """
 
     dataset: Positional[Folder]
@@ -75,27 +74,26 @@ class TrainOptions(JsonOptions):
     fit: FitConfig = field(default_factory=FitConfig)
     """How the splat is trained."""
     renderer: Literal["tile", "ray"] = "tile"
-    """Whose images are fitted: tile rasterises, ray traces rays; that has no strategy
-    classic.
-    """
+    """Renderer: tile rasterises, ray traces rays (without the strategy classic)."""
     start: Path | None = None
-    """Splat to begin with; None takes the points of the set, or Gaussians anywhere if
-    it has none.
+    """Initial splat. Default: the point cloud of the set, or random Gaussians if it has
+    none.
     """
     random: Annotated[int, between(1, 100_000_000, "Gaussians")] | None = None
-    """Begin with so many Gaussians anywhere instead."""
+    """Number of random Gaussians to initialise with instead."""
     downscale: Annotated[int, between(1, 64, "times smaller"), Metavar("FACTOR")] = 1
-    """Integer factor by which the pictures shrink."""
+    """Integer factor by which the images are downscaled."""
     background: Colour = (0.0, 0.0, 0.0)
     """Colour behind the splat and transparent pixels, as white, #80b0e0 or
     0.5,0.7,0.9.
     """
     near: Length | None = None
-    """Gaussians nearer to a camera than this are not drawn, world units; none takes the
-    0.2 of 3DGS, or less where the scene or the distance of its cameras is small.
+    """Near plane: Gaussians nearer to a camera than this are not drawn, world units.
+    Default: 0.2 as in 3DGS, or less if the scene or the distance of its cameras is
+    small.
     """
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where it is trained: on the CPU, or on an NVIDIA GPU."""
+    """Device for training: the CPU or an NVIDIA GPU."""
     keep: Literal["best", "last"] = "best"
     """Which step's splat is written: the best evaluation on the held-out images, which
     matters where few photographs overfit, or the last.
@@ -111,7 +109,7 @@ class TrainOptions(JsonOptions):
     leave_out: tuple[str, ...] = ()
     """Names of images that are not used, as `mi-splat audit SET` gives them."""
     checkpoint_every: Annotated[int, at_least(1, "steps", "1000 is usual")] = 1000
-    """Steps between two checkpoints."""
+    """Steps between checkpoints."""
     seed: Seed = 0
     """Seed of everything random."""
 

@@ -230,7 +230,9 @@ class CompareConfig(Checked):
     """
 
     gradients: bool = True
-    """Compare the gradients of methods that have them."""
+    """Whether gradients are compared, for methods that have them. --no-gradients: do
+    not compare gradients.
+    """
     rounds: Count = 5
     """How often each method is timed; 0 measures no time."""
     seed: Seed = 0

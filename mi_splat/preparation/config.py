@@ -19,11 +19,13 @@ class PrepareConfig:
     """How a set is prepared.
 
     Attributes:
-        longest_side: Pixels; larger images are made smaller.
-        interval: Of each so many seconds of a video, the sharpest frame is taken.
-        max_images: Of a folder, more are refused; of a video, the interval grows.
-        features: Points of an image, at most, by which it is matched with others; twice
-            as many take four times as long.
+        longest_side: Longest side in pixels; larger images are downscaled.
+        interval: Seconds of video per frame; the sharpest frame of each interval is
+            kept.
+        max_images: Maximum number of images: a folder with more is refused, and for a
+            video the interval is increased.
+        features: Maximum number of feature points per image; twice as many take four
+            times as long to match.
 
     Raises:
         FieldError: A number is out of range.

@@ -20,13 +20,13 @@ class Selection:
     Attributes:
         object: Part of a scene XML, by its id.
         box: Gaussians whose means lie in this box: x0 y0 z0 x1 y1 z1, world units.
-        mask: File that says which: .npy (one bool a Gaussian, or row numbers), or a PLY
-            with the positions of some.
-        click: Pixels x,y of the first camera's picture; the object in front there, with
-            all that is connected to it. Only what is near is looked at, by the measure
-            of the picture, so click where the object is large. Beside --detect, --boxes
-            or --masks it chooses among what these select.
-        cluster: Connected component by its size; 1 is the largest.
+        mask: Mask file: .npy (one bool per Gaussian, or row numbers), or a PLY with the
+            positions of the selected Gaussians.
+        click: Pixels x,y in the first camera's image; selects the object in front there
+            and all Gaussians connected to it. Only Gaussians near the click, relative
+            to the image size, are searched, so click where the object is large. With
+            --detect, --boxes or --masks it chooses among what these select.
+        cluster: Connected component by rank of size; 1 is the largest.
         detect: Classes of --detectors: the object in their boxes, in the photographs of
             --cameras SET or in renderings from other --cameras. In each image it is the
             most confident box of any of these classes. The object is cut out of the
@@ -37,14 +37,13 @@ class Selection:
             with the name of its image in --cameras SET and the ending .png. The images
             vote for the Gaussians that make up the masks.
         link_distance: Two Gaussians are connected if each is within this multiple of
-            the distance to the eighth neighbour of the other (click, cluster).
-        link_colour: Largest difference in a channel of sRGB of connected Gaussians, in
-            [0, 1]; None if colour does not count (click, cluster). Set it where two
-            objects touch.
-        planes: Objects stand on a floor, a desk or a street, which would connect them:
-            so many of the largest planes are components of their own (click, cluster).
-            More may help where too much is selected, and cut flat objects where they
-            are too many.
+            the other's distance to its eighth neighbour (click, cluster).
+        link_colour: Largest difference in any sRGB channel between connected Gaussians
+            (click, cluster). Set it where two objects touch. Default: colour is
+            ignored.
+        planes: Number of dominant planes (floor, desk, street) to separate first,
+            because they would connect the objects on them (click, cluster). Increase it
+            if too much is selected; too many planes cut flat objects.
 
     Raises:
         InvalidValueError: A value is out of its range.

@@ -29,30 +29,30 @@ class FitConfig:
     """How a splat is trained; the defaults are the published recipe, shortened.
 
     Attributes:
-        iterations: Number of steps; each looks at one picture.
-        trainable: What is trained; sh alone with the fixed strategy trains the texture
-            of a frozen geometry.
+        iterations: Number of steps, with one image each.
+        trainable: Attributes to train; only sh with the fixed strategy trains the
+            texture of a frozen geometry.
         strategy: How Gaussians are added and removed, and its options. All but the
             fixed one need every attribute trainable.
-        coarse_until: Share of the steps that look at smaller images: the first half of
+        coarse_until: Share of the steps that use downscaled images: the first half of
             them at a quarter of the size, the others at half.
         sh_degree: SH degree of the result.
-        sh_degree_interval: Steps between two raises of the degree that is trained; 0
-            trains all of it from the start, and None is a thirtieth of the steps, as
-            1,000 of 30,000 in the paper.
+        sh_degree_interval: Interval for increasing the trained SH degree, in steps; 0
+            trains all degrees from the start. Default: a thirtieth of the steps, as
+            1,000 of 30,000 in 3DGS.
         lambda_dssim: Weight of D-SSIM in the loss; the rest is L1.
-        lr_means: First learning rate of the means, in units of the scene's extent.
-        lr_means_final: Last one; between them it decays exponentially.
+        lr_means: Initial learning rate of the means, in units of the scene's extent.
+        lr_means_final: Final learning rate of the means, with exponential decay.
         lr_scales: Learning rate of the log-scales.
         lr_rotations: Learning rate of the quaternions.
         lr_opacities: Learning rate of the logit opacities.
         lr_sh: Learning rate of the first SH coefficient.
-        lr_sh_divisor: By how much that of the other coefficients is smaller; 20 in the
+        lr_sh_divisor: Divisor of that rate for the other SH coefficients; 20 in the
             published recipe.
-        lr_sh_final: Last one; between them it decays exponentially. None is as at
-            first.
-        eval_interval: Steps between two evaluations on the held-out pictures; 0
-            evaluates at the end only.
+        lr_sh_final: Final learning rate of SH, with exponential decay. Default: no
+            decay.
+        eval_interval: Steps between evaluations on the held-out images; 0 evaluates
+            only at the end.
 
     Raises:
         InvalidValueError: A value is of the wrong kind or out of its range, or the

@@ -59,7 +59,6 @@ on.
 """
 NIGHTLY_PAGES = {
     "docs/viewing.md",
-    "docs/report.md",
     "docs/transfer.md",
     "docs/how-to/resume-and-extend.md",
     "docs/rendering-studies.md",

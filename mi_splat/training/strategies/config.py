@@ -33,7 +33,7 @@ class StrategyConfig(Checked):
     checkpoint holds: numbers, strings, booleans, or None.
 
     Attributes:
-        max_gaussians: No Gaussians are added beyond this number; None sets no limit.
+        max_gaussians: Maximum number of Gaussians; none for no limit.
 
     Raises:
         InvalidValueError: A number is not finite, or not whole where it is an int; of
@@ -63,18 +63,18 @@ class ClassicConfig(StrategyConfig):
 
     Attributes:
         densify_from: First iteration at which Gaussians may be added.
-        densify_until: Last iteration at which Gaussians are added or opacities reset;
-            None is half of the training, as 15,000 of 30,000 in the paper.
-        densify_interval: Iterations between two rounds.
-        densify_grad_threshold: Mean gradient of the centre, in half pictures
-            (normalised device coordinates), from which a Gaussian is cloned or split.
+        densify_until: Last iteration at which Gaussians are added or opacities reset.
+            Default: half of the iterations, as 15,000 of 30,000 in 3DGS.
+        densify_interval: Iterations between densification rounds.
+        densify_grad_threshold: Threshold of the mean gradient of the projected centre
+            (normalised device coordinates) above which a Gaussian is cloned or split.
         percent_dense: Gaussians larger than this share of the scene's extent are split,
             smaller ones cloned.
-        prune_opacity: Gaussians below it are removed.
+        prune_opacity: Gaussians with lower opacity are removed.
         prune_scale: Gaussians larger than this share of the extent are removed once
             opacities have been reset.
-        opacity_reset_interval: Iterations between two resets of the opacities to at
-            most 0.01; 0 never does it.
+        opacity_reset_interval: Iterations between resets of the opacities to at most
+            0.01; 0 disables them.
     """
 
     needs_screen_gradients: ClassVar[bool] = True
@@ -106,7 +106,7 @@ class MCMCConfig(StrategyConfig):
     Attributes:
         densify_from: First iteration at which Gaussians are moved and added.
         densify_until: No more after this one.
-        densify_interval: Iterations between two rounds.
+        densify_interval: Iterations between densification rounds.
         growth: Share by which their number grows each round until the limit.
         dead_opacity: Opacity up to which a Gaussian is dead.
         noise_lr: Size of the noise on the means, in units of their learning rate.
