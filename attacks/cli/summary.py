@@ -1,5 +1,5 @@
-"""What a command says of the result that it has written: the figures of its page, or
-its record with --json.
+"""What a command prints of the result that it has written: the figures of its page,
+the most important ones if the page names them, or its record with --json.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def show_summary(result: Path, *, as_json: bool, tables: int = 0) -> None:
     for text in section.warnings:
         warn(f"warning: {plain(text)}")
     if section.pictures:
-        show(f"Look at {section.pictures[0].path} first.")
+        show(f"Open {section.pictures[0].path} first.")
     show(
         f"{result}: every figure is in figures.csv; mi-splat report {result} makes a"
         " page."
@@ -47,10 +47,13 @@ def show_summary(result: Path, *, as_json: bool, tables: int = 0) -> None:
 
 
 def figure_rows(section: Section) -> list[tuple[str, str]]:
-    """The label of each figure, and its value with its note."""
+    """The label of each figure that a terminal shows, and its value with its note."""
+    first = (section.headline.label, section.control and section.control.label)
+    shown = (*first, *section.brief)
     texts = (
         (figure.label, "; ".join(filter(None, (figure.cell, figure.note))))
         for figure in section.all_figures
+        if not section.brief or figure.label in shown
     )
     return [(plain(label), plain(text)) for label, text in texts]
 

@@ -322,6 +322,9 @@ class Section:
     # there is none
     manifest: str = ""
     file: tuple[str, str] | None = None  # name and text of the file of a study
+    # labels of the figures that a terminal shows below the headline and its control;
+    # all of them if it names none
+    brief: tuple[str, ...] = ()
 
     @property
     def all_figures(self) -> tuple[Figure, ...]:

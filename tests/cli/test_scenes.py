@@ -193,9 +193,9 @@ def test_dagger_writes_its_report(
         " report person on the object in 1 of 1"
     )
     assert lines[0].startswith(printed)
-    assert lines[1].startswith("views with the aim reached: report person  ")
+    assert lines[1].startswith("attack success rate (ASR): report person  ")
     assert "1 of 1 = 100 % (20.7 to 100 %); confidence " in lines[1]
-    assert lines[-2] == f"Look at {out / 'detections.png'} first."
+    assert lines[-2] == f"Open {out / 'detections.png'} first."
     names = {
         "before.png",
         "after.png",

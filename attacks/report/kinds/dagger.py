@@ -74,6 +74,8 @@ _PICTURES = (
     ),
 )
 """Files, their captions, and whether they are wide."""
+IMAGE_PSNR = "PSNR of the images, attacked vs. clean"
+OBJECT_PSNR = "PSNR on the object"
 FEW_DRAWS = 5
 """Draws of noise from which on they say something."""
 
@@ -92,6 +94,7 @@ def read_attack(result: Result) -> Section:
     title = _object_name(record, views)
     ball = _budget(record)
     many = counted(rate.total, "held-out view" if drawn else "view")
+    held_out = ", held-out views" if drawn else ""
     control = control_of(config)
     conclusion = [_first_sentence(result, ball, many, wish)]
     if noise.total:
@@ -117,12 +120,13 @@ def read_attack(result: Result) -> Section:
         done=_done(record, title, ball, many, drawn=drawn),
         conclusion=" ".join(conclusion),
         headline=Figure(
-            label=f"{'held-out ' if drawn else ''}views with the aim reached: {wish}",
+            label=f"attack success rate (ASR{held_out}): {wish}",
             rate=rate,
             note=_score(record, figures),
         ),
         control=Figure(label=f"{control}, on the same views", rate=noise),
         figures=tuple(_attack_figures(record, figures)),
+        brief=(IMAGE_PSNR, OBJECT_PSNR),
         warnings=warnings,
         pictures=tuple(
             Picture(path=result.folder / name, caption=caption, wide=wide)
@@ -161,7 +165,7 @@ def _done(
     config = record["config"]
     budget = ""
     if config.get("image_psnr") is not None:
-        budget = f", while the pictures keep {config['image_psnr']:g} dB"
+        budget = f"; PSNR of the images at least {config['image_psnr']:g} dB"
     unseen = (
         f"from {_where(config)}, which the search has never seen, " if drawn else ""
     )
@@ -302,46 +306,46 @@ def _before(view: Mapping[str, Any], between: str = " ") -> str:
 
 
 def _attack_figures(record: Mapping[str, Any], figures: Figures) -> Iterator[Figure]:
-    """Other rates, what the pictures lost, the size of the change, steps and time."""
+    """Other rates, PSNR, the norm of the perturbation, steps and time."""
     detectors = list(_weights(record))
     for name in detectors if len(detectors) > 1 else ():
         rate = figures.rate("success", splat=ATTACKED, detector=name)
         yield Figure(label=name, rate=rate)
     clean = figures.rate("success", splat=CLEAN)
-    yield Figure(label="no attack, on the same views", rate=clean)
+    yield Figure(label="clean object (no attack), on the same views", rate=clean)
     for name in CONTROLS:
         rate = figures.rate("success", splat=name)
         if name != NOISE and rate.total:
             yield Figure(label=f"{name}, on the same views", rate=rate)
     yield Figure(
-        label="success without another class of more confidence",
+        label="ASR, only where no other class is more confident",
         rate=figures.rate("unambiguous", splat=ATTACKED),
     )
     image = record["image"]
-    note = "PSNR of the mean squared error over all views; 26 is easily seen, 40 hardly"
+    note = "over all views (26 dB: visible; 40 dB: barely)"
     yield Figure(
-        label="pictures, attacked against clean",
+        label=IMAGE_PSNR,
         words=number(record["image_psnr"], unit="dB"),
         note=note,
     )
     best = figures.value("best_score", splat=NOISE) or 0.0
     yield from Figure.each(
         {
-            "the same on the object": number(image["psnr_object"], unit="dB"),
+            OBJECT_PSNR: number(image["psnr_object"], unit="dB"),
             **{
-                f"the same with {name}": _least(values)
+                f"{OBJECT_PSNR}, with {name}": _least(values)
                 for name, values in record.get("control_psnr", {}).items()
             },
-            "largest change beside the object (1 is all)": f"{image['outside']:.3f}",
-            "Gaussians changed, of the object's": (
+            "largest change outside the object, in [0, 1]": f"{image['outside']:.3f}",
+            "Gaussians of the object that changed": (
                 f"{record['changed_gaussians']:,} of {record['object_gaussians']:,}"
             ),
             **{
-                f"size of the change, {name}": f"{used:.3g}"
+                f"norm of the perturbation, {name}": f"{used:.3g}"
                 for name, used in record["used_in_file"].items()
             },
             "steps taken": f"{record['steps']} of {record['config']['steps']}",
-            "best score of the noise": percent(best),
+            "best score of the control": percent(best),
             "time": number(record["seconds"], ".0f", "s"),
         }
     )

@@ -147,7 +147,7 @@ def _figures(figures: Figures) -> Iterator[Figure]:
     if "strict_if_detected" not in known or "success" in known:
         reached = pooled(one.rate("reached", splat=ATTACKED) for one in attacks)
         if reached.total:
-            yield Figure(label="attacks with the aim reached", rate=reached)
+            yield Figure(label="attack success rate (ASR)", rate=reached)
     strict = {
         "strict": "views with the object's own class gone, too",
         "reached_strictly": "attacks with the object's own class gone, too",
