@@ -21,6 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from attacks.audits.recognition import Recognition
+from attacks.classifiers.prototypes import has_features
 from mi_splat.audit.against import changes
 from mi_splat.audit.auditing import audit
 from mi_splat.audit.bound import colour_bound
@@ -90,6 +91,7 @@ def answer(request: Mapping[str, Any], say: Say, goes_on: Callable[[], bool]) ->
                 {
                     "state": "read",
                     "contents": {role: content for role, (content, _) in read.items()},
+                    "features": has_features(),
                 }
             )
             if not goes_on():

@@ -231,6 +231,9 @@ class Judge:
                 judged.contents = {
                     role: str(message["contents"][role]) for role in files
                 }
+                # the process that compares directions knows what it has
+                has_features = bool(message.get("features"))
+                config = dataclasses.replace(config, features=has_features)
                 is_known = self._find(config, judged)
                 self._reader.go_on(not is_known)
                 if is_known:

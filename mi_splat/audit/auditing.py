@@ -77,7 +77,7 @@ def audit(
     jobs, in_room = (
         looks_at(frame, up)
         if cameras is None
-        else (seen_from(frame, cameras, up), False)
+        else (_seen_from(frame, cameras, up), False)
     )
     for target, around in jobs:
         beside = [
@@ -139,14 +139,21 @@ def looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
     return jobs, True
 
 
-def seen_from(frame: Frame, cameras: Sequence[Camera], up: Point | None) -> list[Job]:
-    """The objects that cameras see, with others at one distance near their directions;
-    the whole scene in a room.
+def _seen_from(frame: Frame, cameras: Sequence[Camera], up: Point | None) -> list[Job]:
+    """The objects that cameras see; the whole scene, from themselves, if there is none
+    or in a room.
     """
     given = cameras_in_frame(frame, cameras, LIMITS.given_size)
-    jobs = []
+    return seen_objects(frame, given, up) or [(whole(frame.scene), given)]
+
+
+def seen_objects(frame: Frame, given: Sequence[Camera], up: Point | None) -> list[Job]:
+    """The objects that cameras of the frame see, with others at one distance near their
+    directions; none in a room.
+    """
+    jobs = list[Job]()
     if free_positions(frame.scene) is not None:
-        return [(whole(frame.scene), given)]
+        return jobs
     for target in targets(frame.scene, None if up is None else frame.own(up)):
         ways = [
             camera.position - target.centre
@@ -156,7 +163,7 @@ def seen_from(frame: Frame, cameras: Sequence[Camera], up: Point | None) -> list
         around = cameras_around(target, torch.stack(ways)) if ways else ()
         if len(around) >= LIMITS.least_cameras:
             jobs.append((target, around))
-    return jobs or [(whole(frame.scene), given)]
+    return jobs
 
 
 def _shows(camera: Camera, point: Tensor) -> bool:

@@ -225,9 +225,10 @@ def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 def findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
     """What was found in a file."""
     thresholds = document["thresholds"]
-    held_out = document.get("held_out") or {"contradictions": ()}
-    for text in held_out["contradictions"]:
-        yield "contradicted", _RULES["contradicted"][0], f"{text}.", {}
+    held_out = document.get("held_out", {})
+    for text in held_out.get("contradictions", ()):
+        sentence = f"{text[0].upper()}{text[1:]}."
+        yield "contradicted", _RULES["contradicted"][0], sentence, {}
     for number, item in enumerate(document["objects"], 1):
         for index, look in enumerate(item["looks"], 1):
             evidence = look["net"] / look["threshold"]
@@ -359,15 +360,15 @@ def document(
 def _account(audit: Audit, held_out: HeldOut | None) -> list[str]:
     """The answer with its first reason, and then all others."""
     answer = answer_of(audit, held_out)
-    compared = [] if held_out is None else held_out_lines(held_out)
     colours = headline(audit)
-    if held_out is None or (held_out.answer != answer):
-        # only colours differ, or nothing else was compared
-        first = f"{answer}: {colours}"
-    else:
-        first, *compared = compared
-        compared = [*compared, colours]
-    return [first, *compared, *summary(audit)]
+    if held_out is None:
+        return [f"{answer}: {colours}", *summary(audit)]
+    compared = held_out_lines(held_out)
+    if held_out.views and held_out.answer == answer:
+        first, *others = compared
+        return [first, *others, colours, *summary(audit)]
+    # only colours differ, or nothing else was compared
+    return [f"{answer}: {colours}", *compared, *summary(audit)]
 
 
 def _values(item: object, *names: str) -> dict[str, Any]:

@@ -126,6 +126,8 @@ class GateConfig:
     claims: tuple[Claim, ...]
     most_gaussians: int
     bounded: float | None = None
+    # whether downloaded features compare directions, or a detector only
+    features: bool = False
     ending: str  # of its name, by which it is read
 
 

@@ -20,7 +20,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.audit.auditing import in_world, looks_at, seen_from
+from mi_splat.audit.auditing import (
+    cameras_in_frame,
+    in_world,
+    looks_at,
+    seen_objects,
+)
 from mi_splat.audit.objects import Frame, Target, frame_of
 from mi_splat.audit.results import Audit, Region, Vector, vector
 from mi_splat.audit.surfaces import SKY
@@ -172,7 +177,8 @@ def held_out(
         scene: The splat, in any frame and unit.
         recogniser: What says whether two images show the same.
         cameras: Training cameras in the world: only directions near theirs are
-            compared, as elsewhere an honest splat shows fog.
+            compared, as elsewhere an honest splat shows fog. In a room nothing is
+            compared then.
         up: Direction of the world that is up; without, that of the ground found.
         config: How directions are held out.
 
@@ -188,7 +194,8 @@ def held_out(
     if cameras is None:
         jobs, in_room = looks_at(frame, up)
     else:
-        jobs = seen_from(frame, cameras, up)
+        given = cameras_in_frame(frame, cameras, config.size)
+        jobs = seen_objects(frame, given, up)
         in_room = False
     views = list[ConeView]()
     known_as = list[str | None]()

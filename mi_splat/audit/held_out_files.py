@@ -28,8 +28,7 @@ def held_out_lines(found: HeldOut) -> list[str]:
     if contradictions:
         return [*(f"contradicted: {one}" for one in contradictions), *missing]
     if not found.views:
-        line = "consistent: nothing was compared, as cameras are on too few sides"
-        return [f"{line} of each object"]
+        return ["not compared: the cameras stand on too few sides of each object"]
     names = sorted({name for name in found.known_as if name is not None})
     known = f"the detector knows: {', '.join(names) or 'no object'}"
     if found.answer == "consistent":

@@ -17,6 +17,7 @@ import pytest
 import torch
 
 from attacks import cli
+from attacks.audits import gated
 from attacks.audits.gated import answer
 from attacks.audits.judging import Message
 from attacks.cli import gate
@@ -397,3 +398,16 @@ def test_a_policy_that_cannot_be_is_refused(
         (tmp_path / "p.toml").write_text(f"[rules]\n{rule}\n")
         assert cli.main(["gate", "a.ply", "--policy", str(tmp_path / "p.toml")]) == 1
         assert says in capsys.readouterr().err
+
+
+def test_a_verdict_without_features_is_not_taken_for_one_with_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without downloaded features less is found, so that the file is judged anew."""
+    save_splat(standing("suitcase", count=900).scene, tmp_path / "s.ply")
+    lines = [json.dumps({"file": str(tmp_path / "s.ply")})]
+    store = Store(tmp_path / "store")
+    for has_features, kept in ((False, 1), (False, 1), (True, 2)):
+        monkeypatch.setattr(gated, "has_features", lambda found=has_features: found)
+        run(capsys, monkeypatch, tmp_path, lines)
+        assert len(store.keys()) == kept
