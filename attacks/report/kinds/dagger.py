@@ -126,7 +126,8 @@ def read_attack(result: Result) -> Section:
         ),
         control=Figure(label=f"{control}, on the same views", rate=noise),
         figures=tuple(_attack_figures(record, figures)),
-        brief=(IMAGE_PSNR, OBJECT_PSNR),
+        # of an ensemble, each detector has its own rate
+        brief=(*_weights(record), IMAGE_PSNR, OBJECT_PSNR),
         warnings=warnings,
         pictures=tuple(
             Picture(path=result.folder / name, caption=caption, wide=wide)
