@@ -31,6 +31,7 @@ extensions = [
     *("myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"),
     *(
         "command_pages",
+        "example_pages",
         "forge_links",
         "layer_diagram",
         "narrow_windows",
