@@ -14,15 +14,15 @@ from torchvision.utils import save_image
 
 from attacks.audits.recognition import Recognition
 from mi_splat import load_splat, read_scene
-from mi_splat.audit.held_out import held_out
+from mi_splat.audit import audit
 
 # A small detector of cars and signs says whether two images show the same. It is part
 # of the library; with `mi-splat detectors --get prototypes`, the features of a network
 # that was trained on photographs are compared as well.
 recogniser = Recognition("fasterrcnn_small")
 
-clean = held_out(read_scene("scenes/car_street.xml").scene, recogniser)
-report = held_out(load_splat("out/06_cloaked.ply"), recogniser)
+clean = audit(read_scene("scenes/car_street.xml").scene, recogniser)
+report = audit(load_splat("out/06_cloaked.ply"), recogniser)
 print(f"clean: {clean.answer}")
 print(f"cloaked: {report.answer}")
 
