@@ -36,6 +36,7 @@ extensions = [
         "layer_diagram",
         "narrow_windows",
         "plain_types",
+        "plugin_sections",
         "public_names",
         "result_tables",
     ),
