@@ -302,9 +302,7 @@ def card_of(figures: Mapping[str, Any], conditions: Iterable[str] = UNITS) -> st
 
 
 def table_page(path: Path) -> str:
-    """The page of docs/tables/detectors for a file of figures, which is written when
-    the site is built.
-    """
+    """The text of docs/tables/detectors for a file of figures."""
     figures = read_figures(path)
     return (
         f"# {figures['detector']}, from a confidence of"
@@ -313,7 +311,7 @@ def table_page(path: Path) -> str:
 
 
 def compared_page() -> str:
-    """The page of docs/tables/detectors with all detectors beside each other."""
+    """The text of docs/tables/detectors with all detectors beside each other."""
     tables = in_markdown(compared([read_figures(path) for path in kept_figures()]))
     head = (
         "# Detectors side by side\n\nWhat is counted, and on which pictures:"
