@@ -60,7 +60,7 @@ on.
 NIGHTLY_PAGES = {
     "docs/viewing.md",
     "docs/transfer.md",
-    "docs/how-to/resume-and-extend.md",
+    "docs/how-to/run-on-a-cluster.md",
     "docs/rendering-studies.md",
 }
 """Pages whose lines need what long lines have made, or whose short lines are also on
