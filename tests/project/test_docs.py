@@ -35,6 +35,7 @@ else:
     import tomli as tomllib
 
 LINES = list(lines())
+MOST_PAGES = 60
 OURS = [line for line in LINES if line.program == "mi-splat"]
 
 
@@ -241,6 +242,15 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert done.returncode == 0, done.stderr
     return folder
+
+
+def test_the_site_has_few_pages() -> None:
+    """Beside the reference; a result table is a download."""
+    docs = ROOT / "docs"
+    written = (docs / "examples").glob("*.py")
+    names = [path.relative_to(docs).as_posix() for path in pages()[1:]]
+    read = [name for name in names if not name.startswith(("reference/", "tables/"))]
+    assert len(read) + len(list(written)) <= MOST_PAGES
 
 
 @pytest.mark.nightly
