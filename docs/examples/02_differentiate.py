@@ -2,8 +2,8 @@
 
 `mi.traverse` shows the Gaussians of every splat as three arrays: `data` (centre, size,
 rotation), `opacities` and `sh_coeffs` (colours). `mi.render` is differentiable in all
-of them. Here Mitsuba's own Adam finds the colours with which a car has the red and blue
-of a target image exchanged. Left: the splat. Middle: after 15 steps. Right: the target.
+of them. Here Mitsuba's Adam recovers a target image in which red and blue are
+exchanged. Left: the splat. Middle: after 15 steps. Right: the target.
 """
 
 from pathlib import Path

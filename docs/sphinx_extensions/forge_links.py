@@ -82,6 +82,8 @@ def relinked(text: str, file: str, page: str) -> str:
         path = posixpath.normpath(posixpath.join(posixpath.dirname(file), target))
         path = INSTEAD.get(path, _EXAMPLE.sub(r"\1.md", path))
         relative = posixpath.relpath(path, posixpath.dirname(page))
+        if path.startswith("docs/tables/"):
+            relative = f"path:{relative}"  # a download: the site has no page of it
         return f"{opening}{relative}{anchor or ''}{closing}"
 
     return _LINK.sub(replaced, text)
