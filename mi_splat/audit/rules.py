@@ -290,7 +290,7 @@ RULES = (
         threshold=2.0,
         reason=(
             "A standard deviation is larger than the whole splat, twice its radius: it"
-            " covers every picture."
+            " covers every image."
         ),
         find=_giant,
     ),

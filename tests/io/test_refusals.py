@@ -80,7 +80,7 @@ BAD = {
     "no_meta.sog": (sog_with(meta_json=None), "a member meta.json"),
     "png.sog": (
         sog_with(scales_webp=b"\x89PNG" + bytes(99)),
-        "a lossless WebP picture",
+        "a lossless WebP image",
     ),
     "small.sog": (
         sog_with(scales_webp=picture_bytes(PIXELS)),
