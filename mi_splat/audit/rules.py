@@ -289,7 +289,7 @@ RULES = (
         severity="warning",
         threshold=2.0,
         reason=(
-            "A standard deviation is larger than the whole splat, twice its radius: it"
+            "A standard deviation is larger than the diameter of the whole splat: it"
             " covers every image."
         ),
         find=_giant,

@@ -122,7 +122,7 @@ def photo_of(path: Path, claimed: Size | None) -> Photo:
     if _are_alike(stored, claimed, path):
         return Photo(path=path, stored=stored, size=claimed, turns_after=turns)
     got = f"{stored[0]} x {stored[1]}"
-    do = "use the images from which the cameras were made"
+    do = "use the images from which the cameras were estimated"
     raise DatasetError.of(str(path), f"{claimed[0]} x {claimed[1]} pixels", got, do)
 
 
@@ -226,7 +226,7 @@ def picture_size(path: Path, claimed: Size | None = None) -> Size:
         )
     if claimed is not None and size != claimed:
         got = f"{size[0]} x {size[1]}"
-        do = "use the images from which the cameras were made"
+        do = "use the images from which the cameras were estimated"
         raise DatasetError.of(str(path), f"{claimed[0]} x {claimed[1]} pixels", got, do)
     return size
 
