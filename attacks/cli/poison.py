@@ -63,7 +63,7 @@ class ObjectConfig:
 
     Attributes:
         selection: Which Gaussians of the splat are the object.
-        image: Index of the training image that --click refers to.
+        picture: Index of the training image that --click refers to.
         detectors: Names of the detectors that find the object for --detect.
     """
 

@@ -388,7 +388,7 @@ class CameraConfig(Checked):
         points: Points of the cloud that trainings start from.
     """
 
-    train: Annotated[int, at_least(1, "pictures")] = 210
+    train: Annotated[int, at_least(1, "images")] = 210
     distance: Annotated[float, above(0, "metres")] | None = None
     distances: Annotated[
         tuple[float, float], between(0.1, 10, "multiples of the distance")

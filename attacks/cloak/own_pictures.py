@@ -169,9 +169,7 @@ def hide(
     if not any(change.pixels_changed for change in done.changes):
         got = f"none of {len(done.changes)} from where it is to be hidden"
         do = "select all of the object, or choose other directions"
-        raise InvalidValueError(
-            message("pictures", "some that show the object", got, do)
-        )
+        raise InvalidValueError(message("images", "some that show the object", got, do))
     return done
 
 

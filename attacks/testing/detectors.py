@@ -285,7 +285,7 @@ def check_detector(
             do,
             atol=1e-5,
         )
-    with contract.promise("pictures"):
+    with contract.promise("images"):
         kept = pictures.clone()
         detector.candidates(kept)
         detector.detect(kept)

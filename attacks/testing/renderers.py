@@ -153,7 +153,7 @@ def check_renderer(renderer: Any, *, differentiable: bool = True) -> None:
         contract.settle()
     camera = _camera()
     scene = cloud(24, 1, size=2.5)
-    with contract.promise("pictures"):
+    with contract.promise("images"):
         _picture(render(scene, camera), camera)
         _picture(
             render(scene, _camera(offset=1.0, size=_SIZE[::-1])),
@@ -257,7 +257,7 @@ def check_condition(condition: Any, *, name: str = "condition") -> None:
             made.holds(camera),
             "return a bool",
         )
-    with contract.promise("pictures"):
+    with contract.promise("images"):
         _picture(made(scene, camera), made.move(camera))
     _is_repeatable(
         contract,

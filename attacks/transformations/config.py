@@ -145,7 +145,7 @@ class Transformations:
 
     Attributes:
         cameras: Camera region.
-        images: What happens to the images.
+        pictures: What happens to the images.
     """
 
     cameras: CameraRegion | CameraCone = field(default_factory=CameraRegion)

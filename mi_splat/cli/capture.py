@@ -58,7 +58,7 @@ class CaptureOptions(JsonOptions):
     """Image size in pixels, as 256 or 256x192. Default: 256, or that of a transforms
     .json.
     """
-    test: Annotated[int, between(0, 100_000, "pictures")] = 0
+    test: Annotated[int, between(0, 100_000, "images")] = 0
     """Number of held-out images, from other cameras over the same range."""
     format: Literal["transforms", "colmap", "both"] = "transforms"
     """Format of the camera file: Blender/NeRF transforms_*.json, a COLMAP text model in

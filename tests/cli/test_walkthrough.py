@@ -1,7 +1,7 @@
 """Foreign files through every command, as somebody would who has seen none of them
 before.
 
-A set as phones and COLMAP leave one, with images that are missing and y down.
+A set as phones and COLMAP leave one, with pictures that are missing and y down.
 """
 
 import importlib.util
@@ -50,7 +50,7 @@ class Walk:
 
 
 def spread(path: str) -> float:
-    """How much an image varies: a black one not at all."""
+    """How much a picture varies: a black one not at all."""
     with Image.open(path) as picture:
         return float(np.asarray(picture.convert("RGB"), np.float64).std())
 
@@ -64,7 +64,7 @@ def walk(
 
 
 def write_photographs(folder: Path) -> GaussianScene:
-    """A COLMAP model with y down, of which two images are missing; returns what it
+    """A COLMAP model with y down, of which two pictures are missing; returns what it
     shows.
     """
     back = torch.from_numpy(turn_of("-y")).T
@@ -100,7 +100,7 @@ def test_a_set_of_photographs_through_every_command(
 
     trained = walk.json(TRAINED)
     assert trained["psnr"] > 22
-    walk("render run --cameras set --out images")
+    walk("render run --cameras set --out pictures")
     assert len(list(Path("pictures").glob("*.png"))) == 24
     walk("render run --up -y --elevation 30 --size 48 --out look.png")
     assert spread("look.png") > 10

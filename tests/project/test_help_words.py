@@ -10,7 +10,7 @@ from mi_splat.cli.flags import options_of
 
 # words that no sense of is right in help: others say the same as the field does
 BANNED = (
-    r"images? (?:of|from|that|is|are)\b",
+    r"(?<![-{,.:])\bpictures?\b(?!\.png| options| NUMBER| COUNT)",
     r"\bNone (?:is|takes|sets|keeps|asks)\b",
     r"\(default: none\)",
     r"\blooked at from\b",

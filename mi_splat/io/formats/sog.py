@@ -347,7 +347,9 @@ def archive_files(data: bytes, path: str) -> Files:
                 return _bounded(file.read(most + 1), most, f"{path}: {name}")
         except KeyError:
             got = ", ".join(archive.namelist())[:100] or "an empty archive"
-            raise SplatFileError.of(path, f"{name} in the archive", got, _AGAIN) from None
+            raise SplatFileError.of(
+                path, f"{name} in the archive", got, _AGAIN
+            ) from None
         except ZIP_ERRORS as error:
             raise SplatFileError.of(
                 f"{path}: {name}", "an intact member", str(error)[:100], _AGAIN

@@ -78,9 +78,7 @@ def rasterize(
         return _nothing_visible(buffers, layout, arrays)
     if number > MAX_PAIRS:
         do = "render it smaller or shrink the Gaussians"
-        raise MiSplatError.of(
-            "picture", f"at most {MAX_PAIRS} tile touches", number, do
-        )
+        raise MiSplatError.of("image", f"at most {MAX_PAIRS} tile touches", number, do)
     pairs = buffer(2 * number, mi.UInt32, NO_TILE)
     used = run(
         stages.write_pairs, records[0], depth_order, first, last, buffers.size, pairs
