@@ -7,6 +7,7 @@ above, clean, attacked and repaired.
 """
 
 import csv
+import math
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -96,7 +97,7 @@ def main(cloaked: str, file: str, image: str) -> None:
         "repaired": done.scene,
     }
     stands = cameras()
-    least = torch.tensor(ABOVE).deg2rad().sin()
+    least = math.sin(math.radians(ABOVE))
     heights = [float(camera.position[2] - CENTRE[2]) / DISTANCE for camera in stands]
     is_above = [height > least for height in heights]
     highest = heights.index(max(heights))
