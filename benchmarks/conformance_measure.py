@@ -1,7 +1,7 @@
 """What web viewers draw of the conformance pack, and whether their adapters are right.
 
     cd benchmarks/conformance/spark && npm install
-    python benchmarks/conformance/measure.py benchmarks/conformance/spark/adapter.js
+    python benchmarks/conformance_measure.py benchmarks/conformance/spark/adapter.js
 
 Writes result.json, or result-precise.json of adapter-precise.js, beside the adapter.
 """
@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import probes
+import conformance_probes as probes
 
 from mi_splat.cli.conform_browser import draw_in_browser
 from mi_splat.conformance import Report, compare, conformance_scenes

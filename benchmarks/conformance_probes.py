@@ -163,6 +163,8 @@ def _centroid_error(image: Array, centre: tuple[float, float]) -> float:
     """How far the middle of what is near a point is off it, pixels."""
     near = _squared(centre) <= 8.0**2
     weights = np.where(near, image.sum(axis=2), 0.0)
+    if not weights.any():
+        return math.inf
     at = np.arange(SIZE) + 0.5 - SIZE / 2
     across = float((weights.sum(axis=0) * at).sum() / weights.sum())
     along = float((weights.sum(axis=1) * at).sum() / weights.sum())
