@@ -56,7 +56,8 @@ CAMERA = _camera()
 def _at(right: float, down: float, depth: float = DISTANCE) -> Array:
     """Where a camera sees a point that many pixels off its axis."""
     local = np.array([right * depth / FOCAL, down * depth / FOCAL, depth])
-    return CAMERA.to_world[:3, :3] @ local + CAMERA.to_world[:3, 3]
+    point: Array = CAMERA.to_world[:3, :3] @ local + CAMERA.to_world[:3, 3]
+    return point
 
 
 def _scene(

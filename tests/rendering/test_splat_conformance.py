@@ -65,6 +65,7 @@ def test_conformance_imports_only_what_its_wheel_holds() -> None:
                 assert inside or not other.startswith(("mi_splat", "attacks")), other
 
 
+@pytest.mark.shipped
 @pytest.mark.parametrize(
     ("words", "without"),
     [
@@ -87,6 +88,7 @@ def test_the_command_of_mi_splat_needs_no_torch(
     assert "quaternion" in done.stdout
 
 
+@pytest.mark.shipped
 def test_the_pack_is_compared_with_nothing_but_numpy(
     site: Path, tmp_path: Path
 ) -> None:
