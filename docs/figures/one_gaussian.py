@@ -80,9 +80,9 @@ def draw(
     from matplotlib import pyplot
 
     pyplot.style.use(Path(__file__).with_name("page.mplstyle"))
-    figure = pyplot.figure(figsize=(7.2, 5.0))
+    figure = pyplot.figure(figsize=(7.2, 6.0))
     rows = figure.add_gridspec(
-        4, 5, height_ratios=(4, 4, 0.8, 2.6), hspace=0.55, wspace=0.05
+        4, 5, height_ratios=(4, 4, 0.8, 2.6), hspace=0.7, wspace=0.05
     )
     for column, view in enumerate(cameras):
         picture = render(scene, view).clamp(0, 1)
