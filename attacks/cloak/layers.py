@@ -367,6 +367,10 @@ def layered(
     """
     config = config or LayerConfig()
     check_scene("scene", scene)
+    if not isinstance(rows, Tensor):
+        expected = "a tensor, (M,) numbers or (N,) bool"
+        do = "pass torch.arange of the numbers, or a mask"
+        raise InvalidValueError.of("rows", expected, type(rows).__name__, do)
     chosen = torch.nonzero(rows).flatten() if rows.dtype == torch.bool else rows
     count = 1 + len(triggers)
     if (

@@ -299,6 +299,10 @@ def test_colours_are_those_of_the_pixels_that_points_lie_in() -> None:
 
 def test_what_makes_no_layers_is_refused() -> None:
     scene = ball()
+    every: Any = slice(None)
+    around: dict[str, Any] = {"cameras": all_around(), "centre": CENTRE}
+    with pytest.raises(InvalidValueError, match="rows: expected a tensor.* got slice"):
+        layered(scene, every, [OVERHEAD], [GREY], **around)
     with pytest.raises(InvalidValueError, match="looks"):
         layered(
             scene,
