@@ -51,7 +51,7 @@ def chosen(scene: GaussianScene, cameras: list[Camera], render: Renderer) -> int
     """
     shares = []
     for view in cameras:
-        # a picture without colour has no clamps
+        # an image without colour has no clamps
         white = torch.zeros_like(scene.sh[:, :1]).requires_grad_(True)
         (share,) = torch.autograd.grad(
             render(scene.replace(sh=white), view).sum(), white
@@ -80,9 +80,9 @@ def draw(
     from matplotlib import pyplot
 
     pyplot.style.use(Path(__file__).with_name("page.mplstyle"))
-    figure = pyplot.figure(figsize=(7.2, 5.0))
+    figure = pyplot.figure(figsize=(7.2, 6.0))
     rows = figure.add_gridspec(
-        4, 5, height_ratios=(4, 4, 0.8, 2.6), hspace=0.55, wspace=0.05
+        4, 5, height_ratios=(4, 4, 0.8, 2.6), hspace=0.7, wspace=0.05
     )
     for column, view in enumerate(cameras):
         picture = render(scene, view).clamp(0, 1)

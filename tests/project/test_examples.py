@@ -105,6 +105,7 @@ def test_every_example_is_run() -> None:
     assert numbers == [script.stem[:2] for script in SCRIPTS]
 
 
+@pytest.mark.shipped
 @pytest.mark.parametrize("chain", CHAINS, ids="-".join)
 def test_an_example_makes_the_image_of_its_page(
     chain: tuple[str, ...],
