@@ -16,7 +16,8 @@ from attacks.cloak.poisoning import poison
 from attacks.cloak.setup import Setup
 from attacks.report.results import read_section
 from mi_splat.audit import audit_images
-from mi_splat.audit.images import UNDECIDED, ImageAudit, surface_points
+from mi_splat.audit.image_splits import UNDECIDED
+from mi_splat.audit.images import ImageAudit, surface_points
 from mi_splat.cameras.camera import View
 from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.capture.surface_points import surface_samples
