@@ -502,6 +502,8 @@ class StudyConfig:
         training: How splats are trained.
         layers: How the finished file is changed; None: only the training pictures are.
         evaluation: How they are looked at.
+        robust: Whether the victim audits the images and leaves out those that are
+            named, as `mi-splat train --robust` does.
     """
 
     name: str
@@ -512,6 +514,7 @@ class StudyConfig:
     training: TrainingConfig = field(default_factory=TrainingConfig)
     layers: LayersConfig | None = None
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    robust: bool = False
 
     def __post_init__(self) -> None:
         check(self)

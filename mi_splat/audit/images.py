@@ -151,7 +151,7 @@ def called_groups(observed: Observations) -> Split | None:
 
 
 def _joined(found: Split, rest: Tensor, further: Split) -> Split:
-    """A split with the smaller group of another one of the rest in its smaller group."""
+    """A split whose smaller group also holds that of a split of the rest."""
     named = found.smaller.clone()
     named[rest] = further.smaller
     more = named & rest
