@@ -522,6 +522,13 @@ class StudyConfig:
         check_once("seeds", self.seeds, "add one")
         if names:  # poisons of other kinds have a scene without one
             check_once("names of attacks", names, "give each a name of its own")
+        if self.robust and self.layers is not None:
+            raise InvalidValueError.of(
+                "robust",
+                "no layers, which change the finished file",
+                "both",
+                "omit one",
+            )
         if self.layers is not None and not (
             self.layers.attacks and set(self.layers.attacks) <= set(names)
         ):
