@@ -391,18 +391,24 @@ def measure_photographs(
 
 def table(rows: Sequence[dict[str, str]]) -> Iterator[str]:
     """The table of the page."""
-    yield "| sets | called | AUROC of images, mean (lowest) | named, right of them |"
-    yield "|---|---|---|---|"
+    yield (
+        "| sets | called | AUROC of images, mean (lowest) | poisoned | named | right |"
+    )
+    yield "|---|---|---|---|---|---|"
     for kind in dict.fromkeys(row["kind"] for row in rows):
         own = [row for row in rows if row["kind"] == kind]
         called = [row for row in own if row["verdict"] == "two groups"]
         ranks = [float(row["auroc"]) for row in own if row["auroc"]]
         named = sum(int(row["named"]) for row in called)
         right = sum(int(row["right"]) for row in called)
+        poisoned_images = sum(int(row["poisoned"]) for row in own)
         rank = "-"
         if ranks:
             rank = f"{sum(ranks) / len(ranks):.2f} ({min(ranks):.2f})"
-        yield (f"| {kind} | {len(called)} of {len(own)} | {rank} | {named}, {right} |")
+        yield (
+            f"| {kind} | {len(called)} of {len(own)} | {rank} | {poisoned_images}"
+            f" | {named} | {right} |"
+        )
 
 
 def main(folder: str, name: str, *words: str) -> None:
