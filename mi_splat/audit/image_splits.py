@@ -40,6 +40,7 @@ SHARED = 0.3  # of what an image sees, that another has to see to be compared wi
 AGREEING = 6  # nearest images with which an image should agree
 AGREEMENT = 0.1  # what this counts, next to what the images show
 ALIGNMENTS = 5  # rounds
+RIVAL = 0.6  # share of the strength from which another split disputes a group
 LITTLE = 0.05  # of the usual evidence, that an image without any has
 
 
@@ -61,6 +62,13 @@ class Split:
     edge: float
     difference: float  # sRGB of the former less that of the latter
     pair: tuple[int, int] | None  # images side by side, of the smaller and the larger
+    agreement: float = 1.0  # share of the smaller group that no similar split disputes
+
+    @property
+    def sides(self) -> Tensor:
+        """(V,) 1 for images of the smaller group, -1 for the larger, 0 for neither."""
+        larger = self.decided & ~self.smaller
+        return self.smaller.float() - larger.float()
 
     @property
     def strength(self) -> float:
@@ -86,7 +94,27 @@ def split_images(observed: Observations) -> Split | None:
     found = _distinct(_aligned(observed, start, noise, near) for start in found)
     splits = [_measured(observed, smaller, noise) for smaller in found]
     judged = [split for split in splits if split is not None]
-    return max(judged, key=lambda split: split.strength, default=None)
+    if not judged:
+        return None
+    best = max(judged, key=lambda split: split.strength)
+    return _undisputed(best, judged)
+
+
+def _undisputed(best: Split, others: list[Split]) -> Split:
+    """A split in whose smaller group are only images that all others that are nearly as
+    strong have there, too.
+    """
+    agreed = best.smaller.clone()
+    for other in others:
+        if other.strength < RIVAL * best.strength:
+            continue
+        sides = other.sides
+        if float(sides @ best.sides) < 0:
+            sides = -sides
+        agreed &= sides >= 0
+    share = int(agreed.sum()) / int(best.smaller.sum())
+    decided = best.decided & (agreed | ~best.smaller)
+    return dataclasses.replace(best, smaller=agreed, decided=decided, agreement=share)
 
 
 def _starts(observed: Observations) -> Iterator[Tensor]:

@@ -40,7 +40,10 @@ SURFACE_GAUSSIANS = 8000
 SURFACE_SIDE = 96  # pixels
 SOLID = 0.3  # opacity of a Gaussian on a surface
 CALLED = 0.006  # strength from which two groups contradict each other
+AGREED = 0.75
+"""Share of a group that similar splits have to agree on, below which none is named."""
 FURTHER = 4  # images of a group that is found after others were left out
+FURTHER_CALLED = 0.018  # strength from which such a group is named, too
 EQUAL = 0.95  # share of the larger group from which the smaller is as large
 
 
@@ -68,6 +71,8 @@ class ImageAudit:
             return "not judged"
         if self.split.strength < CALLED:
             return "nothing found"
+        if self.split.agreement < AGREED:
+            return "not judged"
         return "two groups"
 
     @property
@@ -134,20 +139,23 @@ def called_groups(observed: Observations) -> Split | None:
     poisoned on one side are then found first, and those of the other side next.
     """
     found = split_images(observed)
-    if found is None:
-        return None
-    latest = found.strength
-    while latest >= CALLED:
-        rest = ~found.smaller
-        if int(rest.sum()) < LEAST_IMAGES:
-            break
+    if found is None or not _is_clear(found, CALLED):
+        return found
+    rest = ~found.smaller
+    while int(rest.sum()) >= LEAST_IMAGES:
         further = split_images(observed.of(rest))
         if further is None or int(further.smaller.sum()) < FURTHER:
             break
-        latest = further.strength
-        if latest >= CALLED:
-            found = _joined(found, rest, further)
+        if not _is_clear(further, FURTHER_CALLED):
+            break
+        found = _joined(found, rest, further)
+        rest = ~found.smaller
     return found
+
+
+def _is_clear(split: Split, least: float) -> bool:
+    """Whether a split is strong, and no other one as strong disputes it."""
+    return split.strength >= least and split.agreement >= AGREED
 
 
 def _joined(found: Split, rest: Tensor, further: Split) -> Split:
