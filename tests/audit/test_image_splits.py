@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from mi_splat.audit import image_splits, images
+from mi_splat.audit.image_files import summary_of
 from mi_splat.audit.image_splits import Split, split_images
-from mi_splat.audit.images import CALLED, called_groups
+from mi_splat.audit.images import CALLED, ImageAudit, called_groups
 from mi_splat.audit.observations import Observations
 from mi_splat.cameras.directions import unit_vector
 
@@ -99,3 +100,22 @@ def test_a_weak_further_group_joins_nothing() -> None:
     assert joined is not None
     assert joined.strength > CALLED
     assert torch.equal(joined.smaller, upper)
+
+
+def test_a_group_that_similar_splits_dispute_is_not_named() -> None:
+    directions, upper = rings()
+    part = upper & (directions[:, 0] > 0)
+    best = split_images(observed(directions, BRIGHTER * upper.float()))
+    assert best is not None
+    disputed = image_splits._undisputed(
+        best, [best, replace(best, smaller=part, decided=torch.ones_like(part))]
+    )
+    assert torch.equal(disputed.smaller, part)
+    assert disputed.agreement == pytest.approx(0.5)
+    judged = ImageAudit(count=len(upper), points=POINTS, split=disputed)
+    assert judged.verdict == "not judged"
+    assert not bool(judged.left_out("A").any())
+    (said,) = summary_of(judged, [])
+    assert "no image is named" in said
+    weak = replace(best, smaller=part, edge=1.1)
+    assert torch.equal(image_splits._undisputed(best, [best, weak]).smaller, upper)
