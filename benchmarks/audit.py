@@ -59,10 +59,13 @@ import json, resource, sys, time
 from pathlib import Path
 import drjit
 drjit.set_thread_count(1)  # as a worker that has one core
+from attacks.audits.recognition import Recognition
 from mi_splat.audit import audit
 from mi_splat.audit.linting import lint_file
 from mi_splat.io import load_splat
-judge = {"lint": lint_file, "audit": lambda path: audit(load_splat(path))}[sys.argv[1]]
+recogniser = Recognition()
+judges = {"lint": lint_file, "audit": lambda path: audit(load_splat(path), recogniser)}
+judge = judges[sys.argv[1]]
 taken = []
 for _ in range(int(sys.argv[3]) + 1):
     begun = time.process_time()

@@ -185,10 +185,12 @@ def _lint(count: int) -> Callable[[], object]:
 
 
 def _audit(count: int) -> Callable[[], object]:
+    from attacks.audits.recognition import Recognition
     from mi_splat.audit import audit
 
     scene = scene_of(count)
-    return lambda: audit(scene)
+    recogniser = Recognition()
+    return lambda: audit(scene, recogniser)
 
 
 def _up(count: int) -> Callable[[], object]:

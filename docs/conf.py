@@ -31,10 +31,12 @@ extensions = [
     *("myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"),
     *(
         "command_pages",
+        "example_pages",
         "forge_links",
         "layer_diagram",
         "narrow_windows",
         "plain_types",
+        "plugin_sections",
         "public_names",
         "result_tables",
     ),
@@ -42,11 +44,12 @@ extensions = [
 source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
 root_doc = "index"
 # README.md is what a forge shows for this folder; the site has index.md.
-exclude_patterns = ["README.md", "artifacts/*/*", "bench/*/*"]
+# A link to a table is a download.
+exclude_patterns = ["README.md", "artifacts/*/*", "bench/*/*", "tables"]
 # Several modules have a class `Step`; a link to it leads to one of them.
 suppress_warnings = ["ref.python"]
 
-myst_enable_extensions = ["colon_fence", "deflist"]
+myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist"]
 myst_heading_anchors = 3
 myst_fence_as_directive = ["mermaid"]
 

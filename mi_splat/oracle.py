@@ -74,6 +74,10 @@ class Convention:
     # exp(-m / 2), exp(-m), or exp(-m / 2) lowered to reach 0 at sqrt(8) deviations
     falloff: Literal["half", "whole", "to 0 at sqrt(8)"] = "half"
     min_variance: float = 0.0  # pixels^2; Gaussians with smaller ones only are left out
+    # pixels^2 by which the variances along the axes of an ellipse differ at least
+    min_spread: float = 0.0
+    # of the shorter side of the image, for sqrt(8) standard deviations of a Gaussian
+    max_reach: float = math.inf
     # pixels on each side of a tile; 0 is none. A Gaussian is drawn in the tiles that
     # touch the square of three times its largest deviation, rounded up.
     tile: int = 0
@@ -175,6 +179,8 @@ def project(splat: Any, camera: Any, convention: Convention = DEFAULT) -> Projec
     factor = jacobian @ turned * scales[:, None, :]
     covariance = factor @ factor.transpose(0, 2, 1)
     blurred = covariance + convention.low_pass * np.eye(2)
+    if convention.min_spread or convention.max_reach < math.inf:
+        blurred = _along_axes(blurred, camera, convention)
     (a, b), (_, c) = blurred.transpose(1, 2, 0)
     area = a * c - b * b
     conic = np.moveaxis(np.array([[c, -b], [-b, a]]) / area, 2, 0)
@@ -189,6 +195,25 @@ def project(splat: Any, camera: Any, convention: Convention = DEFAULT) -> Projec
     basis = sh_basis(_sh_directions(offset, camera, convention), count)
     colour = _clamped(0.5 + np.einsum("nk,nkc->nc", basis, sh[:, :count]), convention)
     return Projected(z, centre, conic, opacity, colour, _norm(offset)[:, 0], basis)
+
+
+@np.errstate(divide="ignore", invalid="ignore")
+def _along_axes(covariance: Array, camera: Any, convention: Convention) -> Array:
+    """Covariances (N, 2, 2) as viewers make them that draw an ellipse by its axes."""
+    (a, b), (_, c) = covariance.transpose(1, 2, 0)
+    middle = 0.5 * (a + c)
+    half = np.sqrt(np.maximum(middle**2 - (a * c - b * b), 0.0))
+    spread = np.maximum(half, 0.5 * convention.min_spread)
+    longest = convention.max_reach * min(camera.width, camera.height)
+    largest = longest**2 / 8
+    variances = np.minimum([middle + spread, middle - spread], largest)
+    variances[variances <= 0] = np.nan  # not drawn
+    first = np.stack([b, middle + spread - a])
+    length = np.linalg.norm(first, axis=0)
+    x, y = np.where(length > 1e-6 * middle, first / length, [[1.0], [0.0]])
+    axes = np.array([[x, y], [y, -x]])  # rows are axes
+    whole: Array = np.einsum("in,ijn,ikn->njk", variances, axes, axes)
+    return whole
 
 
 class Layer(NamedTuple):

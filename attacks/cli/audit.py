@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -23,10 +24,9 @@ from mi_splat.errors import MiSplatError
 from mi_splat.fields import Metavar, OutFile, OutFolder, between
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from mi_splat.audit.results import Audit
-    from mi_splat.cameras.camera import Camera
     from mi_splat.render.scene_files import SplatScene
     from mi_splat.scene import GaussianScene
 
@@ -74,9 +74,9 @@ class AuditOptions(JsonOptions):
     pixels anyway, so that this only saves time and memory.
     """
     out: OutFolder | None = None
-    """Folder for result.json, an image of each contradicted cone of directions, the
-    image pair that shows each change of colours, the splat coloured by heat, the mask
-    of the Gaussians for `mi-splat select --mask`, and an image of the overdraw.
+    """Folder for result.json, an image of each contradicted cone of directions (file,
+    prediction, from where) or of the one that differs most, the splat coloured by heat,
+    the mask of the Gaussians for `mi-splat select --mask`, and an image of overdraw.
     """
     against: Path | None = None
     """Trusted original to compare with: which Gaussians changed, in which attributes
@@ -86,11 +86,13 @@ class AuditOptions(JsonOptions):
     only: Literal["looks", "lint"] | None = None
     """looks: skip lint; lint: only check the numbers, which is much faster."""
     repair: OutFile | None = None
-    """Write the splat without what was found, in the format that this name ends with,
-    and audit it again. Where nothing was found nothing is written.
+    """Write a splat that shows from contradicted cones what the other directions
+    predict, in the format that this name ends with, and audit it again. Where nothing
+    is contradicted nothing is written.
     """
     keep: Literal["outside", "inside"] = "outside"
-    """Directions whose colours --repair keeps as genuine; no file can say which are.
+    """Directions that --repair believes, outside or inside of a contradicted cone; no
+    file can say which are genuine.
     """
     force: bool = False
     """Replace an older result in --out, and the file of --repair."""
@@ -195,43 +197,38 @@ def _check_outputs(options: AuditOptions) -> None:
 def _repair(
     scene: GaussianScene,
     judged: Audit,
-    cameras: Sequence[Camera] | None,
+    again: Callable[[GaussianScene], Audit],
     options: AuditOptions,
 ) -> dict[str, Any] | None:
     """Write the splat without what was found, and say what is found in that; None where
     nothing was found.
     """
-    from mi_splat.audit.auditing import audit
-    from mi_splat.audit.held_out import answer_of
-    from mi_splat.audit.repair import repair
+    from mi_splat.audit.repair import repaired
     from mi_splat.io import save_splat
 
-    repaired, coloured, left_out = repair(scene, judged, keep=options.keep)
-    if repaired is scene:
-        return None
+    assert options.repair is not None
     try:
-        after = audit(repaired, cameras=cameras, up=options.up)
+        done = repaired(scene, judged, again, keep=options.keep)
     except MiSplatError as error:
         do = "keep the other side by --keep, or leave --repair out"
         expected = "something left that can be audited again"
         raise MiSplatError.of(
             "--repair", expected, f"a splat of which is said: {error}", do
         ) from error
-    assert options.repair is not None
-    save_splat(repaired, options.repair)
-    counts = {"coloured_anew": coloured, "left_out": left_out}
+    if done.scene is scene:
+        return None
+    save_splat(done.scene, options.repair)
     return {
         "file": str(options.repair),
         "keep": options.keep,
-        **counts,
-        "verdict": answer_of(after),
+        "coloured_anew": done.coloured,
+        "left_out": done.left_out,
+        "verdict": done.audit.answer,
     }
 
 
 def _audited(options: AuditOptions) -> dict[str, Any]:
-    from attacks.audits.recognition import Recognition
     from mi_splat.audit.files import document, write
-    from mi_splat.audit.held_out import held_out
     from mi_splat.audit.linting import lint_file, lint_scene
     from mi_splat.datasets import is_dataset
     from mi_splat.io.errors import SplatFileError
@@ -252,8 +249,7 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
             lint = lint_scene(loaded.scene) if loaded else lint_file(path, stored)
         scene = None
         judged = None
-        cameras = None
-        rest = None
+        again = None
         unjudged = "only lint was asked for"
         if lint is not None:
             errors = [item.rule for item in lint.findings if item.severity == "error"]
@@ -263,10 +259,8 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
             unjudged = "it would stop the renderer, see overdraw"
         elif options.only != "lint":
             try:
-                scene, judged, cameras = _with_looks(
-                    loaded or open_scene(path, stored=stored), options
-                )
-                rest = held_out(scene, Recognition(), cameras=cameras, up=judged.up)
+                loaded = loaded or open_scene(path, stored=stored)
+                scene, judged, again = _with_looks(loaded, options)
             except MiSplatError as error:
                 if not errors:
                     raise
@@ -279,13 +273,12 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
                 folder,
                 source=str(path),
                 lint=lint,
-                held_out=rest,
                 unjudged=unjudged,
                 force=options.force,
             )
-        account = document(judged, lint, unjudged=unjudged, held_out=rest)
-        if options.repair and scene is not None and judged is not None:
-            account["repair"] = _repair(scene, judged, cameras, options)
+        account = document(judged, lint, unjudged=unjudged)
+        if options.repair and scene and judged and again:
+            account["repair"] = _repair(scene, judged, again, options)
     return {"file": str(path), **account, "files": [str(file) for file in files]}
 
 
@@ -319,7 +312,9 @@ def _audited_images(
 
 def _with_looks(
     loaded: SplatScene, options: AuditOptions
-) -> tuple[GaussianScene, Audit, Sequence[Camera] | None]:
+) -> tuple[GaussianScene, Audit, Callable[[GaussianScene], Audit]]:
+    """The splat, what is found in it, and what audits another as it was audited."""
+    from attacks.audits.recognition import Recognition
     from mi_splat.audit.against import changes
     from mi_splat.audit.auditing import audit
     from mi_splat.cli.cameras import find_cameras
@@ -337,8 +332,8 @@ def _with_looks(
     if up is None and loaded.up is not None and loaded.up.is_stated:
         note(up_line(loaded.up))
         up = loaded.up.direction
-    judged = audit(loaded.scene, cameras=cameras, up=up)
-    return loaded.scene, replace(judged, against=against), cameras
+    again = partial(audit, recogniser=Recognition(), cameras=cameras, up=up)
+    return loaded.scene, replace(again(loaded.scene), against=against), again
 
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:
@@ -374,6 +369,6 @@ def _repair_line(repair: dict[str, Any] | None) -> str:
         return "nothing was found that could be repaired, and nothing is written"
     return (
         f"{repair['file']}: {repair['coloured_anew']:,} Gaussians have the colours that"
-        f" directions {repair['keep']} of the look show, {repair['left_out']:,} are"
-        f" left out; colours audited again: {repair['verdict']}"
+        f" directions {repair['keep']} of the cone predict, {repair['left_out']:,} are"
+        f" left out; audited again: {repair['verdict']}"
     )

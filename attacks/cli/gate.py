@@ -76,11 +76,10 @@ class GateOptions(JsonOptions):
     """Splat files of any format that is read, and folders of images with cameras."""
     policy: Path | None = None
     """TOML file: `seconds` and `megabytes` of memory for a file, `file_megabytes` on
-    the disk, `most_gaussians` that are looked at for appearances and edits, the
+    the disk, `most_gaussians` that are looked at for appearances, the
     `claims` to judge, how far colours may depart with the direction (`bounded`, see
     `mi-splat bound`), and under [rules] what follows from a rule or a severity: accept,
-    quarantine or refuse. Without, errors and contradicted files are refused, and files
-    whose colours change more than gloss explains are quarantined.
+    quarantine or refuse. Without, errors and contradicted files are refused.
     """
     only: Literal["lint"] | None = None
     """Only check the numbers and what rendering them costs, which is much faster."""
@@ -269,7 +268,7 @@ class _Verdicts:
         return status
 
     def _save_sarif(self, path: Path) -> int:
-        from mi_splat.audit.files import sarif
+        from mi_splat.audit.sarif import sarif
         from mi_splat.io.documents import save_json
 
         try:

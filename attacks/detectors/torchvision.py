@@ -91,6 +91,18 @@ class TorchvisionDetector(FrozenModel, ABC):
     def candidates(self, images: Tensor) -> list[Candidates]:
         """Boxes and scores before thresholds, differentiable in the images."""
 
+    def pooled(self, images: Tensor) -> Tensor:
+        """(B, F) mean over (B, H, W, 3) sRGB images of the finest features, of which
+        images of similar things have similar ones.
+        """
+        transform = self.model.transform
+        mean = images.new_tensor(transform.image_mean)
+        deviation = images.new_tensor(transform.image_std)
+        normalized = ((images - mean) / deviation).movedim(-1, 1)
+        features = self.model.backbone(normalized)
+        finest: Tensor = next(iter(features.values()))
+        return finest.mean((2, 3))
+
     def detect(self, images: Tensor) -> list[Detections]:
         """The library's own forward pass."""
         with torch.no_grad():

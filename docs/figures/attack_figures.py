@@ -17,6 +17,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import matplotlib.style
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ from mi_splat.io import load_splat
 from mi_splat.io.images import save_animation, to_bytes
 from mi_splat.io.picture_files import load_picture
 
+STYLE = Path(__file__).with_name("page.mplstyle")
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 ROWS = IMAGES.parent / "artifacts" / "cloak_car_stealthy" / "path.csv.xz"
 COLUMNS = 12
@@ -459,7 +461,7 @@ def path() -> Figure:
     sheet = np.asarray(load_picture(IMAGES / "cloak_stealthy.jpg").convert("RGB"))
     rows = read_rows(ROWS)
     detectors = rows["detector"].n_unique()
-    figure = Figure(figsize=(10, 2.4 + detectors), dpi=110, layout="constrained")
+    figure = Figure(figsize=(7.2, 1.8 + 0.9 * detectors), layout="constrained")
     frames, *plots = figure.subplots(
         1 + detectors, 1, height_ratios=[1.9, *[1] * detectors]
     )
@@ -486,7 +488,9 @@ def path() -> Figure:
             ylabel=detector.replace("_", "\n", 1),
             xticks=(),
         )
-    plots[0].legend(loc="center", fontsize=8)
+    figure.legend(
+        *plots[0].get_legend_handles_labels(), loc="outside lower center", ncols=3
+    )
     degrees = range(5, 180, 10)
     plots[-1].set_xticks(
         degrees, [f"{degree if degree <= 90 else 180 - degree}" for degree in degrees]
@@ -515,7 +519,7 @@ def radius() -> Figure:
         radii = {float(label): of_radius for (label,), of_radius in others.items()}
         return dict(sorted({5.0: usual, **radii}.items()))
 
-    figure = Figure(figsize=(6.4, 3.8), dpi=110, layout="constrained")
+    figure = Figure(figsize=(6.4, 3.6), layout="constrained")
     plot = figure.subplots()
     for name, pairs, colour in (
         ("car, three classes", "car", VICTIM),
@@ -545,7 +549,7 @@ def radius() -> Figure:
         ylabel="success rate, strict",
         ylim=(-0.03, 1.03),
     )
-    plot.legend(fontsize=8)
+    plot.legend()
     return figure
 
 
@@ -577,6 +581,7 @@ def ghost(study: Path) -> Image.Image:
 
 def main(folder: Path, study: Path | None = None) -> None:
     """Write every figure."""
+    matplotlib.style.use(STYLE)
     for name, figure in FIGURES.items():
         (folder / f"{name}.svg").write_text(figure().svg())
     save_animation(rising(), folder / "cloak.webp", fps=2.5)

@@ -38,7 +38,7 @@ GREY = "#777777"
 AZIMUTH = 40.0
 ELEVATION = 30.0
 DISTANCE = 3.0
-DPI = 110
+STYLE = Path(__file__).with_name("page.mplstyle")
 
 
 def axes_and_angles() -> Figure:
@@ -65,16 +65,14 @@ def axes_and_angles() -> Figure:
         axes.quiver(
             *eye, *(0.8 * pose[:3, column]), color=colour, arrow_length_ratio=0.15
         )
-        axes.text(*tip, name, color=colour, fontsize=9)
+        axes.text(*tip, name, color=colour)
     axes.plot(*zip((0, 0, 0), eye, strict=True), color=GREY, linestyle=":")
     foot = eye * (1, 1, 0)
     axes.plot(*zip((0, 0, 0), foot, strict=True), color=GREY, linewidth=0.8)
     axes.plot(*zip(foot, eye, strict=True), color=GREY, linewidth=0.8)
     turn = np.radians(np.linspace(0, AZIMUTH, 30))
     axes.plot(1.2 * np.cos(turn), 1.2 * np.sin(turn), 0 * turn, color="black")
-    axes.text(
-        1.35 * math.cos(0.35), 1.35 * math.sin(0.35), 0, "azimuth 40°", fontsize=9
-    )
+    axes.text(1.35 * math.cos(0.35), 1.35 * math.sin(0.35), 0, "azimuth 40°")
     rise = np.stack(
         [
             orbit_pose((0, 0, 0), azimuth=AZIMUTH, elevation=float(e), distance=1.7)[
@@ -84,9 +82,9 @@ def axes_and_angles() -> Figure:
         ]
     )
     axes.plot(*rise.T, color="black")
-    axes.text(*(rise[15] * 1.12 + (0, 0, 0.05)), "elevation 30°", fontsize=9)
+    axes.text(*(rise[15] * 1.12 + (0, 0, 0.05)), "elevation 30°")
     axes.scatter(0, 0, 0, color="black", s=30)
-    axes.text(0.15, 0, -0.2, "centre", fontsize=9)
+    axes.text(0.15, 0, -0.2, "centre")
     axes.set(xlim=(0, 3), ylim=(-0.4, 2.6), zlim=(-0.2, 2))
     axes.set_box_aspect((3, 3, 2.2), zoom=1.25)
     axes.view_init(elev=18, azim=-52)
@@ -109,7 +107,7 @@ def pixels() -> Figure:
         axes.plot((0, camera.width), (y, y), color=GREY, linewidth=0.8)
     xs, ys = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     axes.scatter(xs, ys, s=14, color=BLUE)
-    axes.text(0.08, 0.3, "(0.5, 0.5)", color=BLUE, fontsize=8)
+    axes.text(0.08, 0.3, "(0.5, 0.5)", color=BLUE)
     (centre,), _ = project_points(torch.zeros(1, 3, dtype=torch.float64), camera)
     axes.scatter(float(centre[0]), float(centre[1]), marker="+", s=120, color=RED)
     axes.text(
@@ -117,7 +115,6 @@ def pixels() -> Figure:
         float(centre[1]) - 0.12,
         f"({camera.cx:g}, {camera.cy:g})",
         color=RED,
-        fontsize=8,
     )
     axes.set(
         xlim=(-0.4, 4.4),
@@ -165,7 +162,7 @@ def rotations() -> Figure:
         axes.imshow(
             render(scene, camera).detach().clamp(0, 1).numpy(), extent=(-2, 2, -2, 2)
         )
-        axes.set_title(title, fontsize=9)
+        axes.set_title(title)
         axes.set_xticks([])
         axes.set_yticks([])
         axes.set(xlabel="x", ylabel="y")
@@ -198,7 +195,7 @@ def spherical_harmonics() -> Figure:
         ylim=(-0.4, 1.4),
     )
     axes.set_xticks(range(0, 361, 90))
-    axes.legend(fontsize=8, loc="upper center")
+    axes.legend(loc="upper center")
     figure.tight_layout()
     return figure
 
@@ -235,7 +232,6 @@ def near_and_bounds() -> Figure:
         middle[1] - radius - 0.25,
         "box of the middle 98 % along each axis",
         color=BLUE,
-        fontsize=8,
     )
     axes.add_patch(Circle(middle[:2], radius, fill=False, color=BLUE, linestyle=":"))
     axes.text(
@@ -243,7 +239,6 @@ def near_and_bounds() -> Figure:
         middle[1] + 0.8 * radius,
         f"radius {radius:.2f}",
         color=BLUE,
-        fontsize=8,
     )
     pose = orbit_pose(middle, azimuth=180, elevation=0, distance=2.6)
     camera = Camera(to_world=pose, lens=Lens(focal=100.0, size=(100, 100)))
@@ -256,9 +251,8 @@ def near_and_bounds() -> Figure:
         float(eye[1]) + 0.6,
         f"near = {near:.2f}",
         color=RED,
-        fontsize=8,
     )
-    axes.text(2.0, 2.6, "floaters do not count", color=GREY, fontsize=8)
+    axes.text(2.0, 2.6, "floaters do not count", color=GREY)
     axes.set(
         aspect="equal",
         xlim=(-3.7, 4),
@@ -292,7 +286,7 @@ def colour_space() -> Figure:
             vmax=1,
         )
         axes.set_yticks([])
-        axes.set_title(name, fontsize=9, loc="left")
+        axes.set_title(name, loc="left")
     every[1].set_xlabel("weight of a white Gaussian before a black one")
     figure.tight_layout()
     return figure
@@ -309,12 +303,12 @@ FIGURES = {
 
 
 def main(folder: Path = IMAGES) -> None:
-    """Draw all pictures into a folder."""
+    """Draw all images into a folder."""
+    mpl.style.use(STYLE)
     for name, draw in FIGURES.items():
         figure = draw()
         figure.savefig(
             folder / f"{name}.png",
-            dpi=DPI,
             bbox_inches="tight",
             pad_inches=0.06,
             metadata={"Software": None},

@@ -51,7 +51,7 @@ WITH_OBJECTS = (PATH_TRACED, SPLAT_RENDERS)
 UNITS = {
     "elevation": "degrees",
     "distance": "diagonals of the object",
-    "size": "of the picture's side",
+    "size": "share of the image's side",
     "brightness": "mean luma",
     "sun_elevation": "degrees",
     "sun_strength": "irradiance",
@@ -302,9 +302,7 @@ def card_of(figures: Mapping[str, Any], conditions: Iterable[str] = UNITS) -> st
 
 
 def table_page(path: Path) -> str:
-    """The page of docs/tables/detectors for a file of figures, which is written when
-    the site is built.
-    """
+    """The text of docs/tables/detectors for a file of figures."""
     figures = read_figures(path)
     return (
         f"# {figures['detector']}, from a confidence of"
@@ -313,7 +311,7 @@ def table_page(path: Path) -> str:
 
 
 def compared_page() -> str:
-    """The page of docs/tables/detectors with all detectors beside each other."""
+    """The text of docs/tables/detectors with all detectors beside each other."""
     tables = in_markdown(compared([read_figures(path) for path in kept_figures()]))
     head = (
         "# Detectors side by side\n\nWhat is counted, and on which pictures:"
@@ -340,12 +338,13 @@ def draw_recall(several: Sequence[Mapping[str, Any]]) -> Figure:
     """Recall on path-traced pictures in the bins of four conditions, a line for each
     detector; empty bins left out.
     """
+    import matplotlib.style
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 3.1), dpi=100, layout="constrained")
-    for axes, condition in zip(
-        figure.subplots(1, len(_DRAWN), sharey=True), _DRAWN, strict=True
-    ):
+    matplotlib.style.use(Path(__file__).with_name("page.mplstyle"))
+    figure = Figure(figsize=(7.2, 5.0), layout="constrained")
+    grid = figure.subplots(2, len(_DRAWN) // 2, sharey=True)
+    for axes, condition in zip(grid.flat, _DRAWN, strict=True):
         for line, figures in enumerate(several):
             bins = (
                 figures["sets"][PATH_TRACED]["found_by"]
@@ -358,18 +357,17 @@ def draw_recall(several: Sequence[Mapping[str, Any]]) -> Figure:
             name.replace(" or more", "+").replace(" to ", "-")
             for name in bins_of(several[0], condition)
         ]
-        axes.set_xticks(range(len(names)), names, fontsize=7)
+        axes.set_xticks(range(len(names)), names)
         axes.set(xlabel=f"{condition}, {UNITS[condition]}", ylim=(-0.02, 1.02))
         axes.grid(alpha=0.3)
     first = figure.axes[0]
-    first.set_ylabel("recall at IoU 0.5")
+    figure.supylabel("recall at IoU 0.5", fontsize="medium")
     handles, labels = first.get_legend_handles_labels()
     figure.legend(
         handles,
         labels,
         loc="outside upper center",
-        ncols=min(len(labels), 6),
-        fontsize=8,
+        ncols=min(len(labels), 3),
     )
     return figure
 

@@ -79,9 +79,10 @@ def draw(
     mpl.use("Agg")
     from matplotlib import pyplot
 
-    figure = pyplot.figure(figsize=(11, 7.3))
+    pyplot.style.use(Path(__file__).with_name("page.mplstyle"))
+    figure = pyplot.figure(figsize=(7.2, 6.0))
     rows = figure.add_gridspec(
-        4, 5, height_ratios=(4, 4, 0.8, 2.6), hspace=0.55, wspace=0.05
+        4, 5, height_ratios=(4, 4, 0.8, 2.6), hspace=0.7, wspace=0.05
     )
     for column, view in enumerate(cameras):
         picture = render(scene, view).clamp(0, 1)
@@ -107,13 +108,13 @@ def draw(
                 yticks=[],
             )
             if number == 0:
-                axis.set_title(f"{ELEVATIONS[column]:.0f} degrees up", fontsize=10)
+                axis.set_title(f"{ELEVATIONS[column]:.0f} degrees up")
     axis = figure.add_subplot(rows[2, :])
     axis.imshow(strip[None].numpy(), aspect="auto", extent=(0, 90, 0, 1))
     for elevation in ELEVATIONS:
         axis.axvline(elevation, color="magenta", linewidth=1.2)
     axis.set(yticks=[], xticks=range(0, 91, 15))
-    axis.set_title("its colour, by elevation in degrees", fontsize=10)
+    axis.set_title("its colour, by elevation in degrees")
     axis = figure.add_subplot(rows[3, :])
     values = scene.sh[row]
     for channel, colour in enumerate(("tab:red", "tab:green", "tab:blue")):
@@ -126,9 +127,8 @@ def draw(
     axis.set_title(
         f"SH coefficients of Gaussian {row:,}, red, green and blue; dotted: next"
         " degree",
-        fontsize=10,
     )
-    figure.savefig(path, dpi=100, bbox_inches="tight")
+    figure.savefig(path, bbox_inches="tight")
 
 
 def main() -> None:

@@ -33,6 +33,9 @@ WIDE = 70
 apart.
 """
 
+_EXAMPLE = re.compile(r"^(docs/examples/\w+)\.py$")
+"""A script that is a page of the site."""
+
 _LINK = re.compile(r"(\]\()([^)#\s]+)(#[^)\s]*)?(\))")
 _COMMANDS = re.compile(
     r"^```sh\n.*?^```$|^```text\n(?:(?:mi-splat|pip|python|PYTHONPATH)\b[^\n]*\n)+```$",
@@ -77,8 +80,10 @@ def relinked(text: str, file: str, page: str) -> str:
         if "://" in target or target.startswith("mailto:"):
             return match.group()
         path = posixpath.normpath(posixpath.join(posixpath.dirname(file), target))
-        path = INSTEAD.get(path, path)
+        path = INSTEAD.get(path, _EXAMPLE.sub(r"\1.md", path))
         relative = posixpath.relpath(path, posixpath.dirname(page))
+        if path.startswith("docs/tables/"):
+            relative = f"path:{relative}"  # a download: the site has no page of it
         return f"{opening}{relative}{anchor or ''}{closing}"
 
     return _LINK.sub(replaced, text)

@@ -1,11 +1,14 @@
-"""The pages of docs/tables that hold every figure of results and of detectors, written
-when the site is built.
+"""The files of docs/tables that hold every figure of results and of detectors, counted
+from the rows in docs/artifacts.
 
-They are not kept in the repository, so that no figure of them can be out of date.
+They are in the repository, where a forge shows them; the site offers them as downloads
+and has no pages of them. `make docs` writes them anew, and
+tests/report/test_result_tables.py fails where one of them is out of date.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -161,9 +164,16 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def write_pages(app: Sphinx) -> None:
-    """Write all pages; one that has not changed stays untouched, so that it is not read
-    again.
-    """
+    """Write all tables anew; the tests compare those in the repository."""
+    docs = Path(app.srcdir)
+    for name, text in tables(docs):
+        path = docs / "tables" / name
+        if not path.is_file() or path.read_text() != text:
+            path.write_text(text)
+
+
+def tables(docs: Path) -> Iterator[tuple[str, str]]:
+    """Every file of docs/tables that is written by this project, and its text."""
     import study_tables
     from detector_figures import compared_page, table_page
 
@@ -171,40 +181,25 @@ def write_pages(app: Sphinx) -> None:
     from attacks.figures.result import read_result
     from attacks.figures.tables import markdown
 
-    docs = Path(app.srcdir)
     for name in PAGES:
-        path = docs / "tables" / f"{name}.md"
-        text = page(name, docs / "artifacts")
-        _write(path, text)
+        yield f"{name}.md", page(name, docs / "artifacts")
     for figures in sorted((docs / "tables" / "detectors").glob("*.json")):
-        _write(figures.with_suffix(".md"), table_page(figures))
-    _write(docs / "tables" / "detectors" / "compared.md", compared_page())
+        yield f"detectors/{figures.stem}.md", table_page(figures)
+    yield "detectors/compared.md", compared_page()
     results = [
         read_result(folder) for folder in sorted((docs / "bench" / "v1").glob("*"))
     ]
     rows = [(result.record, result.figures) for result in results]
+    plain = table_of([row for row in rows if not row[0]["defence"]])
+    defended = defences([row for row in rows if row[0]["defence"]])
     for name, title, table in (
-        (
-            "bench_v1",
-            "rows of detectors",
-            table_of([row for row in rows if not row[0]["defence"]]),
-        ),
-        (
-            "bench_v1_defences",
-            "rows of defences",
-            defences([row for row in rows if row[0]["defence"]]),
-        ),
+        ("bench_v1", "rows of detectors", plain),
+        ("bench_v1_defences", "rows of defences", defended),
     ):
         text = markdown(table.head, table.rows)
-        _write(
-            docs / "tables" / f"{name}.md",
-            f"# Robustness benchmark: {title}\n\n{text}\n",
-        )
+        yield f"{name}.md", f"# Robustness benchmark: {title}\n\n{text}\n"
     for name in study_tables.STUDIES:
-        _write(
-            docs / "tables" / f"study_{name}.md",
-            study_tables.page(name, docs / "tables"),
-        )
+        yield f"study_{name}.md", study_tables.page(name, docs / "tables")
 
 
 def defences(rows: list[Row]) -> Table:
@@ -238,13 +233,6 @@ def defences(rows: list[Row]) -> Table:
         "clean, with it": short_rate("clean", interval=True, scope=DEFENDED),
     }
     return Table.of("", heads, lines)
-
-
-def _write(path: Path, text: str) -> None:
-    """Pages link to tables; the navigation has none of them."""
-    text = f"---\norphan: true\n---\n\n{text}"
-    if not path.is_file() or path.read_text() != text:
-        path.write_text(text)
 
 
 def page(name: str, artifacts: Path) -> str:

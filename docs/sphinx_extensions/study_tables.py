@@ -1,5 +1,5 @@
-"""The pages of docs/tables of the rendering studies, counted from rows when the site is
-built (`result_tables`).
+"""The files of docs/tables of the rendering studies, counted from rows
+(`result_tables`).
 """
 
 from __future__ import annotations

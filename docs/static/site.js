@@ -1,14 +1,3 @@
-// Moves the line between two pictures: a range input takes the mouse, a finger and the arrow keys.
-document.addEventListener("DOMContentLoaded", () => {
-  for (const box of document.querySelectorAll(".before-after")) {
-    const line = document.createElement("input");
-    Object.assign(line, { type: "range", min: 0, max: 100, value: 20 });
-    line.setAttribute("aria-label", "Line between before and after");
-    line.addEventListener("input", () => box.style.setProperty("--line", `${line.value}%`));
-    box.append(line);
-  }
-});
-
 // Options are not broken at their hyphens, where a long command is wrapped.
 document.addEventListener("DOMContentLoaded", () => {
   for (const block of document.querySelectorAll(".highlight-sh pre, .highlight-text pre")) {

@@ -1,10 +1,10 @@
-"""Audit of a splat: does it show something from some directions only, from where, and
-which Gaussians carry it?
+"""Audit of a splat: does it show something from some directions that contradicts all
+others, from where, and which Gaussians carry it?
 
-A *look* is an appearance that an object shows from some directions only, such as what
-CLOAK hides. A *piece* is surface in one voxel that faces along one axis. *Gloss* is
-what an honest surface shows as the camera moves: it follows the angle of incidence or a
-mirrored direction. *Heat* says how much of a look each Gaussian carries.
+`audit` predicts what each cone of directions shows from the other directions, and
+compares that with the file. `audit_images` compares the images of a set before any
+training, `bounded` writes a copy whose colours depend on the direction by no more than
+a bound.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from mi_splat import _lazy
 if TYPE_CHECKING:
     from mi_splat.audit.auditing import audit
     from mi_splat.audit.bound import Bounded, bounded, colour_bound
-    from mi_splat.audit.held_out import HeldOut, held_out
+    from mi_splat.audit.held_out import HeldOutConfig, Recogniser
     from mi_splat.audit.images import ImageAudit, audit_images
-    from mi_splat.audit.repair import repaired
-    from mi_splat.audit.results import Audit, Look, ObjectAudit, Occluder, Pair, Region
+    from mi_splat.audit.repair import Repair, repaired
+    from mi_splat.audit.results import Answer, Audit, ConeView, ObjectAudit, Region
 
 __all__ = [
+    "Answer",
     "Audit",
     "Bounded",
-    "HeldOut",
+    "ConeView",
+    "HeldOutConfig",
     "ImageAudit",
-    "Look",
     "ObjectAudit",
-    "Occluder",
-    "Pair",
+    "Recogniser",
     "Region",
+    "Repair",
     "audit",
     "audit_images",
     "bounded",
     "colour_bound",
-    "held_out",
     "repaired",
 ]
 
@@ -44,15 +44,14 @@ __getattr__, __dir__ = _lazy.attach(
     {
         "mi_splat.audit.auditing": ("audit",),
         "mi_splat.audit.bound": ("Bounded", "bounded", "colour_bound"),
-        "mi_splat.audit.held_out": ("HeldOut", "held_out"),
+        "mi_splat.audit.held_out": ("HeldOutConfig", "Recogniser"),
         "mi_splat.audit.images": ("ImageAudit", "audit_images"),
-        "mi_splat.audit.repair": ("repaired",),
+        "mi_splat.audit.repair": ("Repair", "repaired"),
         "mi_splat.audit.results": (
+            "Answer",
             "Audit",
-            "Look",
+            "ConeView",
             "ObjectAudit",
-            "Occluder",
-            "Pair",
             "Region",
         ),
     },

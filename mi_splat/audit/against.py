@@ -11,9 +11,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.audit.objects import Target
-from mi_splat.audit.surfaces import SKY
-from mi_splat.audit.thresholds import LIMITS
-from mi_splat.audit.viewpoints import cameras_around, near_of
+from mi_splat.audit.viewpoints import SKY, near_of, views_around
 from mi_splat.cameras.camera import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.maths.neighbours import nearest_neighbours
@@ -23,6 +21,26 @@ from mi_splat.maths.sh import colour_to_dc
 from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.render.scene_files import resized
 from mi_splat.scene import GaussianScene, check_scene
+
+# Comparison with a clean file
+# Distance within which a Gaussian is in its place, in the spacing of the clean
+# splat,
+_UNMOVED = 0.1
+_PARTNER = 0.5  # and within which it may have a partner.
+# Of the smaller splat that has to be in its place for one to be made from the
+# other.
+_SAME_SHARE = 0.5
+_CANDIDATES = 8  # Neighbours among which a partner is looked for.
+_SPACING = 3  # The neighbour whose distance is the spacing.
+# Differences that files round away, of positions in the spacing.
+_ROUNDING = 1e-5
+# Times the median from which a difference is masked, where every Gaussian differs.
+_MORE_CHANGED = 4.0
+_CHANGED_MARGIN = 1.2  # Radius of what is looked at, by that of what changed.
+_WORST_SIZE = 48  # Pixels of images that choose the worst cameras,
+_WORST_OF = 30  # of which so many are tried.
+_WORST_CAMERAS = 2  # That are shown,
+_WORST_WIDTH = 384  # so wide.
 
 _UNITS = {
     "position": "world units",
@@ -117,9 +135,7 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
     rows = []
     for name in ours:
         values = _difference(name, ours[name][matched], theirs[name][partner[matched]])
-        differs = values > (
-            LIMITS.rounding * spacing if name == "position" else LIMITS.rounding
-        )
+        differs = values > (_ROUNDING * spacing if name == "position" else _ROUNDING)
         changed[matched] |= differs
         amount = torch.maximum(
             amount, values / {"position": spacing, "rotation": 57.3}.get(name, 1.0)
@@ -127,7 +143,7 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
         rows.append(_row(name, values[differs]))
     mask = changed.clone()
     if bool(changed[matched].all()) and len(amount):
-        mask[matched] = amount > LIMITS.more_changed * amount.median()
+        mask[matched] = amount > _MORE_CHANGED * amount.median()
     return Changes(
         changed=changed,
         mask=mask,
@@ -144,7 +160,7 @@ def _spacing(scene: GaussianScene) -> float:
     """Median distance of a Gaussian to its third neighbour, world units; that of its
     size where it has none.
     """
-    distances, _ = nearest_neighbours(scene.means, LIMITS.spacing)
+    distances, _ = nearest_neighbours(scene.means, _SPACING)
     if not distances.shape[1]:
         return float(scene.scales.max())
     return max(float(distances[:, -1].median()), 1e-12)
@@ -158,31 +174,26 @@ def _partners(
     """
     if len(scene) == len(clean):
         apart = (scene.means - clean.means).norm(dim=1)
-        if (
-            float((apart < LIMITS.unmoved * spacing).double().mean())
-            >= LIMITS.same_share
-        ):
+        if float((apart < _UNMOVED * spacing).double().mean()) >= _SAME_SHARE:
             return torch.arange(len(scene)), True
     count = len(scene)
     distances, rows = nearest_neighbours(
-        torch.cat([scene.means, clean.means]), LIMITS.candidates
+        torch.cat([scene.means, clean.means]), _CANDIDATES
     )
     distances = distances[:count].float() / spacing
     rows = rows[:count] - count
     colours = (clean.sh[rows.clamp(min=0), 0] - scene.sh[:, None, 0]).abs().mean(-1)
     cost = (distances + colours).masked_fill(
-        (rows < 0) | (distances > LIMITS.partner), math.inf
+        (rows < 0) | (distances > _PARTNER), math.inf
     )
     if not cost.shape[1]:
         cost = torch.full((count, 1), math.inf)
         rows = torch.zeros(count, 1, dtype=torch.int64)
     least, at = cost.min(1)
     partner = torch.where(least < math.inf, rows.gather(1, at[:, None])[:, 0], -1)
-    unmoved = (least < math.inf) & (
-        distances.gather(1, at[:, None])[:, 0] < LIMITS.unmoved
-    )
+    unmoved = (least < math.inf) & (distances.gather(1, at[:, None])[:, 0] < _UNMOVED)
     share = float(unmoved.sum()) / min(count, len(clean))
-    if share < LIMITS.same_share:
+    if share < _SAME_SHARE:
         expected = (
             "the splat that the other was made from, with most Gaussians in the same"
             " place"
@@ -269,16 +280,13 @@ def _worst(
     target = Target(
         rows=torch.arange(0),
         centre=centre,
-        radius=LIMITS.changed_margin * size,
+        radius=_CHANGED_MARGIN * size,
         up=None,
     )
-    cameras = cameras_around(target)[:: LIMITS.worst_every]
+    cameras = views_around(target, _WORST_OF)
     render = Renderer(RenderSettings(near=near_of(target, cameras), background=SKY))
     with torch.no_grad():
-        small = [
-            resized(camera, (LIMITS.worst_size, LIMITS.worst_size))
-            for camera in cameras
-        ]
+        small = [resized(camera, (_WORST_SIZE, _WORST_SIZE)) for camera in cameras]
         gaps = [
             float(
                 (render(scene, c).clamp(0, 1) - render(clean, c).clamp(0, 1))
@@ -289,7 +297,7 @@ def _worst(
         ]
     order = sorted(range(len(gaps)), key=lambda number: -gaps[number])
     return tuple(
-        resized(cameras[number], (LIMITS.worst_width, LIMITS.worst_width))
-        for number in order[: LIMITS.worst_cameras]
+        resized(cameras[number], (_WORST_WIDTH, _WORST_WIDTH))
+        for number in order[:_WORST_CAMERAS]
         if gaps[number] > 0
     )

@@ -15,10 +15,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.audit.auditing import in_world
-from mi_splat.audit.objects import frame_of, targets
-from mi_splat.audit.thresholds import LIMITS
-from mi_splat.audit.viewpoints import cameras_around
+from mi_splat.audit.objects import MOST_OBJECTS, frame_of, targets
+from mi_splat.audit.viewpoints import in_world, views_around
 from mi_splat.cameras.camera import Camera, as_cameras
 from mi_splat.cameras.framing import near_plane
 from mi_splat.errors import InvalidValueError
@@ -125,15 +123,14 @@ def around_objects(scene: GaussianScene) -> tuple[Camera, ...]:
     frame = frame_of(scene)
     cameras = list[Camera]()
     for target in targets(frame.scene):
-        around = cameras_around(target)
-        step = max(1, len(around) // CAMERAS)
-        cameras += [in_world(frame, camera) for camera in around[::step]]
+        around = views_around(target, CAMERAS)
+        cameras += [in_world(frame, camera) for camera in around]
     return tuple(cameras)
 
 
 def _small(cameras: Sequence[Camera]) -> tuple[Camera, ...]:
     """At most so many of the cameras that it takes little time, with small images."""
-    count = min(len(cameras), CAMERAS * LIMITS.most_objects)
+    count = min(len(cameras), CAMERAS * MOST_OBJECTS)
     numbers = torch.linspace(0, len(cameras) - 1, count).round().long().tolist()
     small = []
     for camera in (cameras[number] for number in numbers):

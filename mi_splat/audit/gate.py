@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from mi_splat.audit.thresholds import LIMITS
 from mi_splat.fields import Checked, above, at_least
 
 if TYPE_CHECKING:
@@ -20,9 +19,7 @@ if TYPE_CHECKING:
     from mi_splat.io.loaded import Arrays
     from mi_splat.scene import GaussianScene
 
-Claim = Literal[
-    "readable", "numbers", "cost", "hidden appearance", "edits", "provenance"
-]
+Claim = Literal["readable", "numbers", "cost", "hidden appearance", "provenance"]
 Action = Literal["accept", "quarantine", "refuse"]
 Verdict = Literal["accept", "quarantine", "not judged", "refuse"]
 CLAIMS: tuple[Claim, ...] = get_args(Claim)
@@ -30,9 +27,8 @@ VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 """From the best to the worst; that of a file is the worst of its claims."""
 ACTIONS: Mapping[str, Action] = {
     **{"error": "refuse", "warning": "accept", "note": "accept"},
-    **dict.fromkeys(("hidden-look", "changed", "two-groups"), "quarantine"),
-    # true of most honest files, too: reasons, and no alarm
-    **dict.fromkeys(("suspicious-look", "occluder", "edited", "fog"), "accept"),
+    **dict.fromkeys(("changed", "two-groups"), "quarantine"),
+    "differs": "accept",  # as honest files do, too: a reason, and no alarm
     "contradicted": "refuse",
     "unbounded": "refuse",
 }
@@ -40,8 +36,6 @@ ACTIONS: Mapping[str, Action] = {
 nothing.
 """
 RESULT = "result.json"
-STATED = ("net", "suspicion", "supported", "covered", "seen_through", "aimed", "grain")
-"""The thresholds that a verdict line states; `result.json` in the store has all."""
 FILE = "{file}"
 """What stands for the name of the judged file in rows and records: they belong to a
 content, which has many names.
@@ -115,7 +109,6 @@ class Policy(Checked):
         return {
             "verdict": worst,
             "claims": claims,
-            "thresholds": {name: getattr(LIMITS, name) for name in STATED},
         }
 
 

@@ -14,33 +14,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, get_args
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.audit.auditing import (
-    cameras_in_frame,
-    in_world,
-    looks_at,
-    seen_objects,
-)
-from mi_splat.audit.objects import Frame, Target, frame_of
-from mi_splat.audit.results import Audit, Region, Vector, vector
-from mi_splat.audit.surfaces import SKY
-from mi_splat.audit.viewpoints import basis, camera_towards, in_sight, lattice, near_of
+from mi_splat.audit.objects import Frame, Target
+from mi_splat.audit.results import Answer, ConeView, Region, Vector, vector
+from mi_splat.audit.viewpoints import SKY, basis, in_sight, in_world, near_of
 from mi_splat.cameras.camera import Camera
-from mi_splat.cameras.directions import Point
-from mi_splat.maths.sh import colour_to_dc, sh_basis
+from mi_splat.maths.sh import colour_to_dc, rotate_sh, sh_basis
 from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.render.scene_files import resized
-from mi_splat.scene import GaussianScene, check_scene
+from mi_splat.scene import GaussianScene
 from mi_splat.selection.visibility import contributions
 
-Answer = Literal["consistent", "differs", "contradicted"]
-"""From the least to the most."""
-ANSWERS: tuple[Answer, ...] = get_args(Answer)
 _CHUNK = 8192
 _LESS = 0.99
 
@@ -56,6 +45,13 @@ class Recogniser(Protocol):
     @property
     def missing(self) -> str:
         """What it cannot compare, and what to do; empty if nothing is missing."""
+        ...
+
+    @property
+    def scale(self) -> float:
+        """Times which cosine distances of features are those of MobileNetV2, for which
+        thresholds were chosen.
+        """
         ...
 
     def features(self, images: Tensor) -> Tensor:
@@ -105,127 +101,6 @@ class HeldOutConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ConeView:
-    """What a file shows of an object from a cone of directions, beside what the other
-    directions predict.
-    """
-
-    object: int  # its number, from 0
-    region: Region  # the cone, in the world
-    up: Vector | None  # of the object, in the world
-    cameras: tuple[Camera, ...]  # V of them inside the cone, in the world
-    file: Tensor  # (V, S, S, 3) sRGB images
-    prediction: Tensor  # (V, S, S, 3) of two, the one with more of the object
-    distance: float  # mean cosine distance of their features
-    # by how much the prediction is more like the nearest other view than the file is
-    rise: float
-    file_score: float  # mean confidence in the class of the object
-    gain: float  # by how much more confident it is of the prediction, if it was asked
-    known_as: str | None  # that class; None where the detector does not know the object
-    evidence: float  # by which 1 is contradicted
-    answer: Answer
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HeldOut:
-    """What held-out directions say of a splat."""
-
-    views: tuple[ConeView, ...]  # of all objects and cones
-    known_as: tuple[str | None, ...]  # the class of each object
-    missing: str  # what could not be compared, and what to do
-
-    @property
-    def answer(self) -> Answer:
-        """The worst of its cones."""
-        found = [view.answer for view in self.views]
-        return max(found, key=ANSWERS.index, default="consistent")
-
-    @property
-    def contradicted(self) -> tuple[ConeView, ...]:
-        """The cones that contradict the rest, from the clearest."""
-        found = [view for view in self.views if view.answer == "contradicted"]
-        return tuple(sorted(found, key=lambda view: -view.evidence))
-
-    @property
-    def evidence(self) -> float:
-        """That of the clearest cone, by which files are ranked."""
-        return max((view.evidence for view in self.views), default=0.0)
-
-
-def answer_of(audit: Audit, found: HeldOut | None = None) -> Answer:
-    """The answer of an audit: that of held-out directions, and "differs" at least where
-    directions explain how colours change much better than gloss does.
-    """
-    answer: Answer = "consistent" if found is None else found.answer
-    if answer == "consistent" and audit.verdict == "hidden look":
-        return "differs"
-    return answer
-
-
-def held_out(
-    scene: GaussianScene,
-    recogniser: Recogniser,
-    *,
-    cameras: Sequence[Camera] | None = None,
-    up: Point | None = None,
-    config: HeldOutConfig | None = None,
-) -> HeldOut:
-    """Compare what a splat shows from each of eleven cones of directions with what the
-    other directions predict.
-
-    Args:
-        scene: The splat, in any frame and unit.
-        recogniser: What says whether two images show the same.
-        cameras: Training cameras in the world: only directions near theirs are
-            compared, as elsewhere an honest splat shows fog. In a room nothing is
-            compared then.
-        up: Direction of the world that is up; without, that of the ground found.
-        config: How directions are held out.
-
-    Returns:
-        The answer, and for each cone its images.
-
-    Raises:
-        InvalidValueError: If the scene has no object.
-    """
-    check_scene("scene", scene)
-    config = HeldOutConfig() if config is None else config
-    frame = frame_of(scene)
-    if cameras is None:
-        jobs, in_room = looks_at(frame, up)
-    else:
-        given = cameras_in_frame(frame, cameras, config.size)
-        jobs = seen_objects(frame, given, up)
-        in_room = False
-    views = list[ConeView]()
-    known_as = list[str | None]()
-    for target, around in jobs:
-        if target.surrounds:
-            continue
-        if in_room or cameras is not None:
-            stands = list(around)
-        else:
-            stands = views_around(target, config)
-        spread = torch.linspace(0, len(stands) - 1, min(config.cameras, len(stands)))
-        chosen = [stands[number] for number in spread.round().long().tolist()]
-        consensus = Consensus(frame, target, chosen, config)
-        found, name = consensus.compared(len(known_as), recogniser)
-        views += found
-        known_as.append(name)
-    return HeldOut(
-        views=tuple(views), known_as=tuple(known_as), missing=recogniser.missing
-    )
-
-
-def views_around(target: Target, config: HeldOutConfig) -> list[Camera]:
-    """Cameras on a sphere around an object, above its ground if it stands on one."""
-    low = -75.0 if target.up is None else 3.0
-    high = 75.0 if target.up is None else 87.0
-    directions = lattice(config.cameras, low, high) @ basis(target.up).T
-    return [camera_towards(target, direction) for direction in directions]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cone:
     """A cone of directions around an object, in the frame."""
 
@@ -238,21 +113,28 @@ class Cone:
         return directions @ self.axis > least
 
 
+# elevation, azimuths and half width of the cones, in degrees: they overlap, so that a
+# trigger of up to 60 degrees lies within one, or is the rest of another
 _RINGS = (
     (90.0, (0.0,), 48.0),
     (25.0, (0.0, 60.0, 120.0, 180.0, 240.0, 300.0), 42.0),
     (58.0, (30.0, 120.0, 210.0, 300.0), 40.0),
 )
-"""Elevation, azimuths and half width of the cones, in degrees: they overlap, so that a
-trigger of up to 60 degrees lies within one, or is the rest of another.
-"""
+_BELOW = (
+    (-25.0, (30.0, 90.0, 150.0, 210.0, 270.0, 330.0), 42.0),
+    (-58.0, (0.0, 90.0, 180.0, 270.0), 40.0),
+    (-90.0, (0.0,), 48.0),
+)
 
 
 def cones_around(up: Tensor | None) -> list[Cone]:
-    """One from above, six from the side and four in between."""
+    """One from above, six from the side and four in between; as many from below, where
+    an object stands on no ground.
+    """
+    rings = _RINGS if up is not None else (*_RINGS, *_BELOW)
     turn = basis(up)
     cones = []
-    for elevation, azimuths, half_width in _RINGS:
+    for elevation, azimuths, half_width in rings:
         height = math.radians(elevation)
         for azimuth in azimuths:
             around = math.radians(azimuth)
@@ -261,6 +143,19 @@ def cones_around(up: Tensor | None) -> list[Cone]:
             local = torch.tensor([x, y, math.sin(height)], dtype=torch.float64)
             cones.append(Cone(axis=turn @ local, half_width=half_width))
     return cones
+
+
+class Prediction(NamedTuple):
+    """A scene as cameras outside of a cone predict it."""
+
+    painted: GaussianScene  # in the colours that it shows towards these cameras
+    colours: Tensor  # (M, 3) sRGB of these
+    lid: Tensor  # (M,) bool, what shows almost only inside, and may hide the rest
+
+    @property
+    def peeled(self) -> GaussianScene:
+        """Without what shows almost only inside."""
+        return self.painted.select((~self.lid).nonzero()[:, 0])
 
 
 class Consensus:
@@ -285,41 +180,68 @@ class Consensus:
         self._render = Renderer(RenderSettings(background=SKY, near=near))
         rows = in_sight(frame.scene, target, cameras)
         self.scene = frame.scene.select(rows)
+        self.rows = frame.order[rows]  # (M,) rows of the file of these Gaussians
         small = [_square(camera, config.weighed) for camera in cameras]
-        self._weights = contributions(self.scene, small, render=self._render)
-        most = self._weights.amax(1, keepdim=True).clamp(min=1e-6)
-        self._seen = self._weights > config.seen * most
+        # (M, K) pixels of each camera that each Gaussian makes up
+        self.weights = contributions(self.scene, small, render=self._render)
+        most = self.weights.amax(1, keepdim=True).clamp(min=1e-6)
+        # (M, K) bool, of those that each camera sees
+        self.seen = self.weights > config.seen * most
         points = self.scene.means
         gaps = (points - target.centre.float()).norm(dim=1)
         own = gaps < 1.6 * target.radius
-        self._own = own & target.above(frame.scene, points, 0.02)
+        # (M,) bool, of the object and what lies on it
+        self.own = own & target.above(frame.scene, points, 0.02)
 
-    def predicted(self, inside: Tensor) -> tuple[GaussianScene, GaussianScene]:
-        """The scene as the cameras outside predict it: in their colours, and without
-        what shows almost only inside.
-        """
-        parts = torch.split(torch.arange(len(self.scene)), _CHUNK)
+    def predicted(self, inside: Tensor) -> Prediction:
+        """What the cameras that (K,) bool `inside` leaves predict."""
+        parts = self.parts()
         colours = torch.cat([self._median(part, ~inside) for part in parts])
         sh = colour_to_dc(colours)[:, None]
         painted = GaussianScene.unchecked(*self.scene.tensors()[:4], sh)
-        within = self._weights[:, inside].mean(1)
-        total = within + self._weights[:, ~inside].mean(1)
+        within = self.weights[:, inside].mean(1)
+        total = within + self.weights[:, ~inside].mean(1)
         is_inside = within > self.config.peeled * total
-        lid = self._own & is_inside & (total > self.config.seen)
-        return painted, painted.select((~lid).nonzero()[:, 0])
+        lid = self.own & is_inside & (total > self.config.seen)
+        return Prediction(painted, colours, lid)
+
+    def parts(self) -> Sequence[Tensor]:
+        """Numbers of the Gaussians in chunks, as those times cameras take memory."""
+        return torch.split(torch.arange(len(self.scene)), _CHUNK)
+
+    def towards(self, part: Tensor, cameras: Tensor) -> Tensor:
+        """(P, K, C) basis of the directions from (K,) bool cameras to Gaussians."""
+        offsets = self.scene.means[part][:, None] - self._eyes[cameras].float()
+        return sh_basis(functional.normalize(offsets, dim=-1), self.scene.degree)
+
+    def colours(self, part: Tensor, cameras: Tensor) -> Tensor:
+        """(P, K, 3) colours that Gaussians show towards (K,) bool cameras."""
+        values = self.towards(part, cameras) @ self.scene.sh[part] + 0.5
+        return values.clamp(min=0)
 
     def _median(self, part: Tensor, outside: Tensor) -> Tensor:
-        """(M, 3) median colours of Gaussians towards the cameras outside."""
-        scene = self.scene.select(part)
-        offsets = scene.means[:, None] - self._eyes[outside].float()
-        towards = sh_basis(functional.normalize(offsets, dim=-1), scene.degree)
-        colours = (towards @ scene.sh + 0.5).clamp(min=0)
-        seen = self._seen[part][:, outside]
+        """(P, 3) median colours of Gaussians towards the cameras outside."""
+        colours = self.colours(part, outside)
+        seen = self.seen[part][:, outside]
         # one that hardly shows from there is predicted by all of its colours there
         seen = seen | (seen.sum(1, keepdim=True) < 2)
         ordered = colours.masked_fill(~seen[..., None], math.inf).sort(1).values
         middle = ((seen.sum(1) - 1) // 2)[:, None, None].expand(-1, 1, 3)
         return ordered.gather(1, middle)[:, 0]
+
+    def departures(self, inside: Tensor, *, peeled: bool) -> Tensor:
+        """(M,) by how much each Gaussian makes images from inside differ from the
+        prediction: pixels times sRGB; all of what a lid shows, where it is peeled.
+        """
+        predicted = self.predicted(inside)
+        found = []
+        for part in self.parts():
+            shown = self.colours(part, inside)
+            gaps = (shown - predicted.colours[part][:, None]).abs().mean(-1)
+            if peeled:
+                gaps[predicted.lid[part]] = 1.0
+            found.append((gaps * self.weights[part][:, inside]).mean(1))
+        return torch.cat(found)
 
     def images(self, scene: GaussianScene, numbers: Sequence[int]) -> Tensor:
         """(V, S, S, 3) images of some of the cameras."""
@@ -353,8 +275,8 @@ class Consensus:
         views = []
         for cone, chosen in cones.items():
             inside = cone.holds(self.directions)
-            painted, peeled = self.predicted(inside)
-            prediction = self.images(painted, chosen)
+            candidates = self.predicted(inside)
+            prediction = self.images(candidates.painted, chosen)
             predicted = functional.normalize(recogniser.features(prediction), dim=1)
             own = features[chosen]
             others = features[~inside].T
@@ -363,15 +285,18 @@ class Consensus:
             nearest_predicted = (predicted @ others).amax(1).mean()
             score = float(scores[chosen, known].mean())
             gain = 0.0
+            is_peeled = False
             # no gain is possible where the file shows the object clearly
             if is_known and score <= 1 - self.config.gain:
-                for candidate in (prediction, self.images(peeled, chosen)):
+                without_lid = self.images(candidates.peeled, chosen)
+                for candidate in (prediction, without_lid):
                     found = recogniser.scores(candidate)[:, known].mean()
                     if float(found) - score > gain:
                         gain = float(found) - score
                         prediction = candidate
-            distance = 1 - float((predicted * own).sum(1).mean())
-            rise = float(nearest_predicted - nearest_own)
+                        is_peeled = candidate is without_lid
+            distance = recogniser.scale * (1 - float((predicted * own).sum(1).mean()))
+            rise = recogniser.scale * float(nearest_predicted - nearest_own)
             evidence = self.config.evidence(
                 gain=gain, distance=distance, rise=rise, is_agreed=is_agreed
             )
@@ -379,7 +304,9 @@ class Consensus:
                 ConeView(
                     object=number,
                     region=self._region(cone),
-                    up=self._up(),
+                    up=self.up,
+                    inside=inside,
+                    peeled=is_peeled,
                     cameras=self._in_world(chosen),
                     file=shown[chosen],
                     prediction=prediction,
@@ -417,9 +344,15 @@ class Consensus:
         axis = vector(self._frame.direction(cone.axis))
         return Region(axis=axis, half_width=cone.half_width)
 
-    def _up(self) -> Vector | None:
+    @property
+    def up(self) -> Vector | None:
+        """The direction of the world that is up for the object."""
         up = self._target.up
         return None if up is None else vector(self._frame.direction(up))
+
+    def world_sh(self, sh: Tensor) -> Tensor:
+        """(P, C, 3) coefficients of the frame as those of the file."""
+        return rotate_sh(sh, self._frame.to_world.rotation)
 
     def _in_world(self, chosen: Sequence[int]) -> tuple[Camera, ...]:
         return tuple(in_world(self._frame, self.cameras[number]) for number in chosen)

@@ -10,7 +10,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mi_splat.audit.files import PAIR, PICTURE
 from mi_splat.audit.images import CALLED, ImageAudit, smaller_images
 from mi_splat.datasets import Dataset
 from mi_splat.errors import counted
@@ -27,6 +26,9 @@ UNKNOWN = (
     " them. `mi-splat train --trust A` trains without group B, `--trust B` without"
     " group A"
 )
+
+PAIR = "pair.png"
+PICTURE = 512  # pixels along the longer side of each of the two images
 
 
 def image_names(views: Dataset) -> list[str]:

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras.directions import Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.maths.neighbours import nearest_neighbours, nearest_of
@@ -20,6 +19,44 @@ from mi_splat.maths.quantiles import quantile
 from mi_splat.maths.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.selection.clusters import clusters, find_plane
+
+SOLID = 0.1  # Opacity of a Gaussian that says where things are.
+MOST_OBJECTS = 3
+# Gaussians that are linked to each other; the others go with the nearest of these.
+_MOST_LINKED = 60_000
+# Share of the solid Gaussians that the frame is made of: those nearest to their
+# middle.
+_CROWD = 0.8
+_COMPONENTS = 6  # Connected components, from the largest, that may be objects,
+_LEAST_SHARE = 0.03  # with this share of the solid Gaussians,
+_LEAST_COUNT = 100  # and so many of them.
+_FLAT = 0.04  # Thinnest extent of a plane, by its longest.
+# Cosine between the normals of a sign and of its ground, from which it is no
+# object.
+_UPRIGHT = 0.7
+# Radius of the ball around an object, by that of what holds nearly all of it.
+_OBJECT_MARGIN = 1.15
+# A component inside an object is a part of it from this radius,
+_PART_RADIUS = 0.4
+_PART_SHARE = 0.3  # and up to this share of its Gaussians.
+# Times the radius of an object inside it from which an object is its surroundings.
+_SURROUNDS = 2.5
+# Share of the solid Gaussians, the smallest, that say where the core of a splat is,
+_SMALL = 0.2
+_DENSE = 0.6  # and share of these that it holds;
+# it is judged, too, where objects without a ground are so many times larger.
+_LOOSE = 1.8
+_GROUND_SAMPLE = 5000  # Points among which a ground is looked for,
+_GROUND_REACH = 4.0  # so far around, in radii,
+_GROUND_SHARE = 0.15  # with this share of them on it.
+_PLANES = 2  # Planes that are tried as ground.
+_TOUCH = 0.4  # Radii that an object may be above its ground,
+_ONE_SIDE = 0.95  # share of it that is above the ground,
+_UNDER = 0.15  # but for so many radii,
+_BEYOND = 1.3  # and radii that a ground reaches from its middle.
+# Radius of a whole splat, by the distance from its middle within which half of it
+# lies.
+_WHOLE_MARGIN = 1.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -85,17 +122,17 @@ def frame_of(scene: GaussianScene) -> Frame:
     # by opacity, and among equal ones by colour: not by the order of the file
     order = torch.from_numpy(np.lexsort((blue, green, red, opacities)))
     scene = scene.select(order)
-    points = scene.means[scene.opacities > LIMITS.solid].double()
+    points = scene.means[scene.opacities > SOLID].double()
     if not len(points):
         got = f"none of {len(scene):,}"
         do = "pass a splat that shows something"
         raise InvalidValueError.of(
-            "scene", f"Gaussians with an opacity above {LIMITS.solid:g}", got, do
+            "scene", f"Gaussians with an opacity above {SOLID:g}", got, do
         )
     centre = points.mean(0)
     for _ in range(3):
         gaps = (points - centre).norm(dim=1)
-        near = points[gaps <= quantile(gaps, LIMITS.crowd)]
+        near = points[gaps <= quantile(gaps, _CROWD)]
         centre = near.mean(0)
     radius = float((near - centre).norm(dim=1).max())
     if not radius > 0:
@@ -118,21 +155,21 @@ def frame_of(scene: GaussianScene) -> Frame:
 
 
 def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Target]:
-    """The objects of a splat: at most `LIMITS.most_objects` components that are no
+    """The objects of a splat: at most `MOST_OBJECTS` components that are no
     ground; else where most of it is.
 
     Of what is around others, only the largest component is judged, too.
     """
-    rows = (scene.opacities > LIMITS.solid).nonzero()[:, 0]
+    rows = (scene.opacities > SOLID).nonzero()[:, 0]
     points = scene.means[rows].double()
     label = _components(scene.select(rows))
     chosen: list[Target] = []
-    for number in range(min(LIMITS.components, int(label.max()) + 1)):
+    for number in range(min(_COMPONENTS, int(label.max()) + 1)):
         part = points[label == number]
-        if len(part) < max(LIMITS.least_share * len(points), LIMITS.least_count):
+        if len(part) < max(_LEAST_SHARE * len(points), _LEAST_COUNT):
             continue
         centre = part.median(0).values
-        radius = LIMITS.object_margin * quantile((part - centre).norm(dim=1), 0.95)
+        radius = _OBJECT_MARGIN * quantile((part - centre).norm(dim=1), 0.95)
         if any(_is_part(part, centre, radius, larger) for larger in chosen):
             continue
         thin = _normal_of_flat(part)
@@ -146,11 +183,10 @@ def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Targe
         chosen.append(
             Target(rows=rows[label == number], centre=centre, radius=radius, up=up)
         )
-    chosen = chosen[: LIMITS.most_objects]
+    chosen = chosen[:MOST_OBJECTS]
     core = _core(rows, points, scene.scales[rows].prod(1))
     is_loose = all(
-        target.up is None and core.radius * LIMITS.loose < target.radius
-        for target in chosen
+        target.up is None and core.radius * _LOOSE < target.radius for target in chosen
     )
     if is_loose:
         chosen.append(dataclasses.replace(core, core=bool(chosen)))
@@ -162,7 +198,7 @@ def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Targe
     for one in chosen:
         if stated_up is not None:
             upright.append(dataclasses.replace(one, up=stated_up))
-        elif one.up is not None and float(one.up @ ground) > LIMITS.upright:
+        elif one.up is not None and float(one.up @ ground) > _UPRIGHT:
             upright.append(one)
         else:
             upright.append(dataclasses.replace(one, up=ground))
@@ -179,12 +215,12 @@ def _ground_of(objects: list[Target]) -> Tensor | None:
 
 def _is_level(normal: Tensor, up: Tensor) -> bool:
     """Whether a plane lies as the ground does."""
-    return abs(float(normal @ up)) > LIMITS.upright
+    return abs(float(normal @ up)) > _UPRIGHT
 
 
 def _components(scene: GaussianScene) -> Tensor:
     """(N,) int64 the connected component of each Gaussian, from the largest."""
-    every = math.ceil(len(scene) / LIMITS.most_linked)
+    every = math.ceil(len(scene) / _MOST_LINKED)
     if every <= 1:
         return clusters(scene)
     label = clusters(scene.select(slice(None, None, every)))
@@ -196,8 +232,8 @@ def _is_part(part: Tensor, centre: Tensor, radius: float, larger: Target) -> boo
     """Whether a few points lie in an object that is not much larger, and so are seen
     well enough with it.
     """
-    is_large = radius > LIMITS.part_radius * larger.radius
-    is_few = len(part) < LIMITS.part_share * len(larger.rows)
+    is_large = radius > _PART_RADIUS * larger.radius
+    is_few = len(part) < _PART_SHARE * len(larger.rows)
     return _holds(larger, centre) and is_large and is_few
 
 
@@ -214,9 +250,7 @@ def _parted(objects: list[Target]) -> list[Target]:
 
 
 def _surrounds(target: Target, other: Target) -> bool:
-    return target.radius > LIMITS.surrounds * other.radius and _holds(
-        target, other.centre
-    )
+    return target.radius > _SURROUNDS * other.radius and _holds(target, other.centre)
 
 
 def _holds(target: Target, point: Tensor) -> bool:
@@ -225,18 +259,18 @@ def _holds(target: Target, point: Tensor) -> bool:
 
 def whole(scene: GaussianScene) -> Target:
     """All of a splat as one object."""
-    rows = (scene.opacities > LIMITS.solid).nonzero()[:, 0]
+    rows = (scene.opacities > SOLID).nonzero()[:, 0]
     points = scene.means[rows].double()
     centre = points.median(0).values
-    radius = LIMITS.whole_margin * quantile((points - centre).norm(dim=1), 0.5)
+    radius = _WHOLE_MARGIN * quantile((points - centre).norm(dim=1), 0.5)
     return Target(rows=rows, centre=centre, radius=radius, up=None)
 
 
 def _normal_of_flat(points: Tensor) -> Tensor | None:
     """The normal of a component that is a plane; None if it is none."""
-    sample = points[:: max(1, len(points) // LIMITS.ground_sample)]
+    sample = points[:: max(1, len(points) // _GROUND_SAMPLE)]
     _, extents, axes = torch.linalg.svd(sample - points.mean(0), full_matrices=False)
-    if extents[2] >= LIMITS.flat * extents[0]:
+    if extents[2] >= _FLAT * extents[0]:
         return None
     normal: Tensor = axes[2]
     return normal
@@ -246,11 +280,11 @@ def _core(rows: Tensor, points: Tensor, sizes: Tensor) -> Target:
     """Where the smallest Gaussians are: what a training saw best, though ground and fog
     hang together with it.
     """
-    small = points[sizes <= quantile(sizes, LIMITS.small)]
+    small = points[sizes <= quantile(sizes, _SMALL)]
     centre = small.median(0).values
     gaps = (points - centre).norm(dim=1)
-    spread = quantile((small - centre).norm(dim=1), LIMITS.dense)
-    radius = LIMITS.whole_margin * spread
+    spread = quantile((small - centre).norm(dim=1), _DENSE)
+    radius = _WHOLE_MARGIN * spread
     if not radius:  # all of them at one place
         radius = float(gaps.max())
     inside = gaps <= radius
@@ -266,13 +300,13 @@ def _up(part: Tensor, centre: Tensor, radius: float, around: Tensor) -> Tensor |
     """The normal of the ground of an object, on its side of it; None if it stands on
     none of the largest planes.
     """
-    near = around[(around - centre).norm(dim=1) < LIMITS.ground_reach * radius]
-    near = near[:: max(1, len(near) // LIMITS.ground_sample)]
-    for _ in range(LIMITS.planes):
+    near = around[(around - centre).norm(dim=1) < _GROUND_REACH * radius]
+    near = near[:: max(1, len(near) // _GROUND_SAMPLE)]
+    for _ in range(_PLANES):
         distances, _ = nearest_neighbours(near, 8)
         if not distances.shape[1]:
             return None
-        least = math.ceil(LIMITS.ground_share * len(near)) + 3
+        least = math.ceil(_GROUND_SHARE * len(near)) + 3
         inside = find_plane(near, distances[:, -1], least=least)
         if inside is None:
             return None
@@ -286,11 +320,11 @@ def _up(part: Tensor, centre: Tensor, radius: float, around: Tensor) -> Tensor |
             normal = -normal
         offsets = ground - centre
         across = offsets - (offsets @ normal)[:, None] * normal
-        over = float((heights > -LIMITS.under * radius).double().mean())
-        is_above = over >= LIMITS.one_side
-        touches = quantile(heights, 1 - LIMITS.one_side) < LIMITS.touch * radius
+        over = float((heights > -_UNDER * radius).double().mean())
+        is_above = over >= _ONE_SIDE
+        touches = quantile(heights, 1 - _ONE_SIDE) < _TOUCH * radius
         # the ground goes on where the object ends
-        goes_on = quantile(across.norm(dim=1), 0.9) > LIMITS.beyond * radius
+        goes_on = quantile(across.norm(dim=1), 0.9) > _BEYOND * radius
         if is_above and touches and goes_on:
             return normal
     return None

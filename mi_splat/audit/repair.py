@@ -1,34 +1,31 @@
-"""Repairs a splat: its Gaussians get the colours that believed directions show, by
-least squares.
+"""Repairs a splat: what the believed directions predict becomes what it shows.
 
 Towards believed directions a Gaussian keeps its colours, and towards the others it gets
-their mean; one that is hardly seen from there takes part of its mean from its
-neighbours. No file can tell which appearance is the true one.
+their median, by least squares over its spherical harmonics; what shows almost only from
+the others and hides the object is removed. No file can tell which appearance is the
+true one.
 """
 
-import math
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
-from mi_splat.audit.explanations import angles_between
+from mi_splat.audit.held_out import Prediction
 from mi_splat.audit.results import Audit, ObjectAudit
-from mi_splat.audit.thresholds import LIMITS
-from mi_splat.cameras.framing import near_plane
-from mi_splat.maths.neighbours import nearest_neighbours
-from mi_splat.maths.sh import sh_basis
-from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.selection.visibility import contributions
 
 Keep = Literal["outside", "inside"]
-"""The directions whose colours are believed: those outside of a look, or those
-inside.
+"""The directions whose colours are believed: those outside of a contradicted cone, or
+those inside.
 """
-_MOST_WEIGHTS = 10**8
-_CHUNK = 2048
+_ROUNDS = 4  # a trigger may be wider than one cone
+_AGREED = 0.6  # share of the directions that has to agree
+_LEAST = 1e-2  # pixels times sRGB by which a Gaussian departs that is coloured anew
+_UNSEEN = 0.1  # weight of a direction in which a Gaussian hardly shows
+_STRICT = 3.0  # weight of predicted colours by that of the kept ones
+_RIDGE = 1e-2  # weight of coefficients above degree 0 against all colours
 
 
 class Repair(NamedTuple):
@@ -38,167 +35,102 @@ class Repair(NamedTuple):
     scene: GaussianScene
     coloured: int  # Gaussians that have other colours
     left_out: int  # Gaussians that are no longer there
+    audit: Audit  # of that splat
 
 
 def repaired(
-    scene: GaussianScene, judged: Audit, *, keep: Keep = "outside"
-) -> GaussianScene:
-    """The splat without what was found in it; see `repair`."""
-    return repair(scene, judged, keep=keep).scene
+    scene: GaussianScene,
+    judged: Audit,
+    again: Callable[[GaussianScene], Audit],
+    *,
+    keep: Keep = "outside",
+) -> Repair:
+    """Write what the believed directions predict into the splat, cone by cone.
 
+    Args:
+        scene: The splat.
+        judged: Its audit.
+        again: Audits what was repaired, as the splat was audited.
+        keep: The directions that are believed.
 
-def repair(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> Repair:
-    """Give a splat the colours that believed directions show, and remove what covers
-    objects in the air.
+    Returns:
+        The splat without what its audit found, as far as four rounds reach.
     """
-    plain = scene.detach().to("cpu", torch.float32)
-    sh = plain.sh.clone()
+    present = torch.arange(len(scene))  # rows of the splat that are left
+    coloured = torch.zeros(len(scene), dtype=torch.bool)
+    current = scene
+    for _ in range(_ROUNDS):
+        if judged.answer != "contradicted":
+            break
+        sh, stays = _repaired_once(current, judged, keep)
+        changed = (sh != current.sh).flatten(1).any(1)
+        if not bool(changed.any()) and bool(stays.all()):
+            break
+        coloured[present[changed & stays]] = True
+        present = present[stays]
+        current = current.replace(sh=sh).select(stays.nonzero()[:, 0])
+        judged = again(current)
+    left_out = len(scene) - len(present)
+    is_same = len(present) == len(scene) and not bool(coloured.any())
+    return Repair(
+        scene if is_same else current, int(coloured[present].sum()), left_out, judged
+    )
+
+
+def _repaired_once(
+    scene: GaussianScene, judged: Audit, keep: Keep
+) -> tuple[Tensor, Tensor]:
+    """(N, C, 3) coefficients, and (N,) bool which Gaussians stay, after the clearest
+    cone of each object was repaired.
+    """
+    sh = scene.sh.clone()
     stays = torch.ones(len(scene), dtype=torch.bool)
     for item in judged.objects:
-        if item.look.evidence >= LIMITS.suspicion:
-            colour_anew(plain, sh, item, believed(item, keep))
-        if (
-            item.occluder is not None
-            and item.covered
-            and item.occluder.transparent >= LIMITS.seen_through
-        ):
-            stays &= ~(judged.mask & in_the_air(plain, item))
-    coloured = int((sh != plain.sh).flatten(1).any(1)[stays].sum())
-    left_out = int((~stays).sum())
-    if not coloured and not left_out:
-        return Repair(scene, 0, 0)
-    return Repair(scene.replace(sh=sh.to(scene.sh)).select(stays), coloured, left_out)
+        worst = item.clearest
+        if worst is None:
+            continue
+        replaced = worst.inside if keep == "outside" else ~worst.inside
+        if keep == "outside" and float((~replaced).double().mean()) < _AGREED:
+            continue
+        predicted = item.consensus.predicted(replaced)
+        departs = item.consensus.departures(replaced, peeled=False) > _LEAST
+        if worst.peeled:
+            # what shows again below a lid departs though nothing of it was seen
+            departs |= item.consensus.own
+            stays[item.consensus.rows[predicted.lid]] = False
+        _colour_anew(sh, item, predicted, replaced, departs)
+    return sh, stays
 
 
-def in_the_air(scene: GaussianScene, item: ObjectAudit) -> Tensor:
-    """(N,) bool, which Gaussians lie where something that covers an object would: off
-    it, and above its ground.
-    """
-    offsets = scene.means.double() - torch.tensor(item.centre, dtype=torch.float64)
-    off: Tensor = offsets.norm(dim=1) > LIMITS.air * item.radius
-    if item.up is None:
-        return off
-    heights = offsets @ torch.tensor(item.up, dtype=torch.float64)
-    off &= heights > heights[item.rows].quantile(0.02) + LIMITS.floor * item.radius
-    return off
-
-
-def believed(item: ObjectAudit, keep: Keep) -> Tensor:
-    """(K,) float32 weight of each camera: 1 where it is believed, 0 where not, and
-    little near the others.
-    """
-    looks = [
-        look.shown
-        for look in item.looks
-        if look is item.look or look.evidence >= LIMITS.suspicion
-    ]
-    other = torch.stack(looks).any(0) if keep == "outside" else ~item.look.shown
-    gap = angles_between(item.directions, item.directions[other]).amin(1)
-    least = max(LIMITS.believed_cameras, LIMITS.believed_share * len(gap))
-    margin = next(
-        (margin for margin in LIMITS.margins if int((gap > margin).sum()) >= least), 0.0
-    )
-    return torch.where(
-        ~other & (gap > margin), 1.0, torch.where(other, 0.0, LIMITS.margin_weight)
-    )
-
-
-def colour_anew(
-    scene: GaussianScene, sh: Tensor, item: ObjectAudit, trust: Tensor
+def _colour_anew(
+    sh: Tensor,
+    item: ObjectAudit,
+    predicted: Prediction,
+    replaced: Tensor,
+    departs: Tensor,
 ) -> None:
-    """Put new coefficients of the Gaussians of an object into a tensor."""
-    offsets = scene.means.double() - torch.tensor(item.centre, dtype=torch.float64)
-    rows = (offsets.norm(dim=1) < LIMITS.around * item.radius).nonzero()[:, 0]
-    every = math.ceil(len(rows) * len(trust) / _MOST_WEIGHTS)
-    cameras = item.cameras[::every]
-    trust = trust[::every]
-    render = Renderer(RenderSettings(near=near_plane(scene, cameras)))
-    shows = contributions(scene, cameras, render=render, rows=rows)
-    known = shows @ trust
-    rows, shows, known = (
-        values[known > LIMITS.repaired_pixels] for values in (rows, shows, known)
-    )
-    eyes = torch.stack([camera.position for camera in cameras]).float()
-    parts = [
-        (rows[part], shows[part])
-        for part in torch.split(torch.arange(len(rows)), _CHUNK)
-    ]
-    means = torch.cat(
-        [_mean(scene.select(part), weights, eyes, trust) for part, weights in parts]
-    )
-    wanted = _with_neighbours(
-        scene.means[rows], means, known, shows @ (trust < 1).float()
-    )
-    for (part, weights), colours in zip(
-        parts, torch.split(wanted, _CHUNK), strict=True
-    ):
-        sh[part] = _fitted(scene.select(part), weights, eyes, trust, colours)
+    """Put new coefficients of the Gaussians of an object that depart into a tensor."""
+    everywhere = torch.ones_like(replaced)
+    for part in item.consensus.parts():
+        chosen = part[departs[part]]
+        if not len(chosen):
+            continue
+        basis = item.consensus.towards(chosen, everywhere).double()
+        kept = item.consensus.colours(chosen, everywhere)
+        wanted = predicted.colours[chosen][:, None]
+        colours = torch.where(replaced[:, None], wanted, kept) - 0.5
+        seen = torch.where(item.consensus.seen[chosen], 1.0, _UNSEEN)
+        weights = torch.where(replaced, _STRICT, seen).double()
+        solution = _fitted(basis, colours.double(), weights)
+        turned = item.consensus.world_sh(solution)
+        sh[item.consensus.rows[chosen]] = turned.to(sh)
 
 
-def _views(part: GaussianScene, eyes: Tensor) -> tuple[Tensor, Tensor]:
-    """(M, K, C) basis of the directions from K eyes to M Gaussians, and (M, K, 3) their
-    colours there.
-    """
-    basis = sh_basis(
-        functional.normalize(part.means[:, None] - eyes, dim=-1), part.degree
-    )
-    return basis, (basis @ part.sh + 0.5).clamp(min=0)
-
-
-def _mean(part: GaussianScene, shows: Tensor, eyes: Tensor, trust: Tensor) -> Tensor:
-    """(M, 3) mean colour of Gaussians towards what is believed; 0 of one that shows
-    nothing there.
-    """
-    weights = shows * trust
-    return torch.einsum("mk,mkc->mc", weights, _views(part, eyes)[1]) / weights.sum(
-        1, keepdim=True
-    ).clamp(min=1e-9)
-
-
-def _with_neighbours(
-    points: Tensor, colours: Tensor, known: Tensor, unknown: Tensor
-) -> Tensor:
-    """(M, 3) colours, the less known a colour the more of it from its neighbours."""
-    distances, neighbours = nearest_neighbours(
-        points, min(LIMITS.lending, max(len(points) - 1, 1))
-    )
-    exists = distances.isfinite()
-    if not bool(exists.any()):
-        return colours
-    weights = (
-        known[neighbours]
-        * exists
-        / (1 + (distances / distances[exists].median().clamp(min=1e-12)).float())
-    )
-    lent = torch.einsum("mn,mnc->mc", weights.nan_to_num(0.0), colours[neighbours])
-    lent = lent / weights.nan_to_num(0.0).sum(1, keepdim=True).clamp(min=1e-9)
-    borrowed = (LIMITS.borrowed * unknown)[:, None]
-    return (known[:, None] * colours + borrowed * lent) / (
-        known[:, None] + borrowed
-    ).clamp(min=1e-9)
-
-
-def _fitted(
-    part: GaussianScene, shows: Tensor, eyes: Tensor, trust: Tensor, wanted: Tensor
-) -> Tensor:
-    """(M, C, 3) coefficients by least squares: own colours towards what is believed,
-    the wanted ones elsewhere.
-    """
-    basis, colours = _views(part, eyes)
-    kept = trust == 1
-    target = torch.where(kept[:, None], colours, wanted[:, None]) - 0.5
-    weights = (shows * torch.where(kept, 1.0, LIMITS.strict)).double()
-    ridge = (
-        LIMITS.ridge
-        * weights.sum(1, keepdim=True)
-        * (torch.arange(basis.shape[-1]) > 0)
-    )
-    basis = basis.double()
-    target = target.double()
-    left = torch.einsum("mk,mki,mkj->mij", weights, basis, basis) + torch.diag_embed(
-        ridge
-    )
-    solution: Tensor = torch.linalg.solve(
-        left, torch.einsum("mk,mki,mkc->mic", weights, basis, target)
-    )
-    return solution.to(part.sh)
+def _fitted(basis: Tensor, colours: Tensor, weights: Tensor) -> Tensor:
+    """(P, C, 3) coefficients of (P, K, C) basis values that fit (P, K, 3) colours."""
+    is_high = torch.arange(basis.shape[-1]) > 0
+    ridge = _RIDGE * weights.sum(1, keepdim=True) * is_high
+    left = torch.einsum("mk,mki,mkj->mij", weights, basis, basis)
+    right = torch.einsum("mk,mki,mkc->mic", weights, basis, colours)
+    solution: Tensor = torch.linalg.solve(left + torch.diag_embed(ridge), right)
+    return solution

@@ -1,5 +1,6 @@
 """Cameras around an object or within its room, and what they can see of it."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -7,12 +8,34 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.audit.objects import Target
-from mi_splat.audit.thresholds import LIMITS
+from mi_splat.audit.objects import Frame, Target
 from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.cameras.directions import Point
 from mi_splat.cameras.lens import Lens, focal_of
 from mi_splat.scene import GaussianScene
+
+SKY = (0.55, 0.7, 0.9)
+"""Background of images of an object."""
+_IMAGE_SIZE = 128  # Pixels along each side of an image.
+_FOV = 45.0  # Degrees.
+# degrees above the ground of the lowest and of the highest camera,
+_ABOVE_GROUND = (3.0, 87.0)
+_ALL_AROUND = (-75.0, 75.0)  # and where an object stands on none
+_DISTANCE = 2.6  # Radii from the centre to the cameras.
+_NEAR = 0.02  # The near plane, as a share of that distance.
+# Standard deviations beyond which a Gaussian shows in no image,
+_EXTENT = 4.0
+_FAINTEST = 1 / 255  # and opacity up to which it does not.
+_REACH = 2.4  # and distance from the centre, in radii.
+# Radii from the middle of an object to the nearest camera in a room.
+_ROOM_DISTANCE = 1.3
+# Half the field of view, by the angle at which the object is seen.
+_ROOM_MARGIN = 1.2
+_LEAST_ROOM_CAMERAS = 12
+_MOST_ROOM_CAMERAS = 120
+# Degrees from a given camera, seen from an object, within which cameras look at it,
+_GIVEN_NEAR = 6.0
+_GIVEN_LATTICE = 1200  # of so many directions all around.
 
 
 def cameras_within(target: Target, positions: Tensor) -> tuple[Camera, ...]:
@@ -20,19 +43,19 @@ def cameras_within(target: Target, positions: Tensor) -> tuple[Camera, ...]:
     position is outside of the object.
     """
     away = positions[
-        (positions - target.centre).norm(dim=1) > LIMITS.room_distance * target.radius
+        (positions - target.centre).norm(dim=1) > _ROOM_DISTANCE * target.radius
     ]
-    if len(away) < LIMITS.least_room_cameras:
+    if len(away) < _LEAST_ROOM_CAMERAS:
         return ()
     numbers = (
-        torch.linspace(0, len(away) - 1, min(LIMITS.most_room_cameras, len(away)))
+        torch.linspace(0, len(away) - 1, min(_MOST_ROOM_CAMERAS, len(away)))
         .round()
         .long()
     )
     cameras = []
     for position in away[numbers]:
         ahead = functional.normalize(target.centre - position, dim=0)
-        half = LIMITS.room_margin * math.asin(
+        half = _ROOM_MARGIN * math.asin(
             target.radius / float((position - target.centre).norm())
         )
         top = torch.eye(3, dtype=torch.float64)[int(ahead.abs().argmin())]
@@ -44,7 +67,7 @@ def _camera(position: Tensor, target: Target, fov: float, up: Point) -> Camera:
     """A camera that looks at the centre of an object, with a field of view in
     radians.
     """
-    size = LIMITS.image_size
+    size = _IMAGE_SIZE
     pose = look_at(position.tolist(), target.centre.tolist(), up=up)
     return Camera(
         to_world=pose, lens=Lens(focal=focal_of(fov, size), size=(size, size))
@@ -53,8 +76,8 @@ def _camera(position: Tensor, target: Target, fov: float, up: Point) -> Camera:
 
 def camera_towards(target: Target, direction: Tensor) -> Camera:
     """A camera that looks at an object from a (3,) unit vector of the frame."""
-    distance = LIMITS.distance * target.radius
-    fov = math.radians(LIMITS.fov)
+    distance = _DISTANCE * target.radius
+    fov = math.radians(_FOV)
     top = (0.0, 0.0, 1.0) if target.up is None else tuple(target.up.tolist())
     return _camera(target.centre + distance * direction, target, fov, top)
 
@@ -85,30 +108,31 @@ def basis(up: Tensor | None) -> Tensor:
     return torch.stack([first, torch.linalg.cross(up, first), up], 1)
 
 
-def cameras_around(target: Target, near: Tensor | None = None) -> tuple[Camera, ...]:
-    """Cameras on a sphere around an object, above its ground if it stands on one; half
-    as many around surroundings.
+def views_around(target: Target, count: int) -> list[Camera]:
+    """Cameras on a sphere around an object, above its ground if it stands on one."""
+    low, high = _ALL_AROUND if target.up is None else _ABOVE_GROUND
+    directions = lattice(count, low, high) @ basis(target.up).T
+    return [camera_towards(target, direction) for direction in directions]
 
-    Where (M, 3) directions are given, all stand near one of these, below the ground,
-    too.
+
+def cameras_near(target: Target, near: Tensor, most: int) -> list[Camera]:
+    """At most so many cameras on a sphere around an object that stand near one of
+    (M, 3) directions, below its ground, too.
     """
-    count, low = (
-        (LIMITS.cameras_all_around, -LIMITS.highest)
-        if target.up is None
-        else (LIMITS.cameras, LIMITS.lowest)
-    )
-    count //= 1 + target.surrounds
-    directions = lattice(count, low, LIMITS.highest) @ basis(target.up).T
-    if near is not None:
-        directions = lattice(LIMITS.given_lattice, -90.0, 90.0) @ basis(target.up).T
-        apart = (directions @ functional.normalize(near, dim=1).T).amax(1)
-        directions = directions[apart > math.cos(math.radians(LIMITS.given_near))]
-        directions = directions[
-            torch.linspace(0, len(directions) - 1, min(len(directions), count))
-            .round()
-            .long()
-        ]
-    return tuple(camera_towards(target, direction) for direction in directions)
+    directions = lattice(_GIVEN_LATTICE, -90.0, 90.0) @ basis(target.up).T
+    apart = (directions @ functional.normalize(near, dim=1).T).amax(1)
+    directions = directions[apart > math.cos(math.radians(_GIVEN_NEAR))]
+    count = min(len(directions), most)
+    numbers = torch.linspace(0, len(directions) - 1, count).round().long()
+    return [camera_towards(target, direction) for direction in directions[numbers]]
+
+
+def in_world(frame: Frame, camera: Camera) -> Camera:
+    """A camera of the frame in the world of the file."""
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = frame.to_world.rotation.double() @ camera.to_world[:3, :3]
+    pose[:3, 3] = frame.point(camera.position)
+    return dataclasses.replace(camera, to_world=pose)
 
 
 def near_of(target: Target, cameras: Sequence[Camera]) -> float:
@@ -116,7 +140,7 @@ def near_of(target: Target, cameras: Sequence[Camera]) -> float:
     distances = torch.stack(
         [camera.position - target.centre for camera in cameras]
     ).norm(dim=1)
-    return LIMITS.near * float(distances.median())
+    return _NEAR * float(distances.median())
 
 
 def in_sight(scene: GaussianScene, target: Target, cameras: Sequence[Camera]) -> Tensor:
@@ -124,9 +148,9 @@ def in_sight(scene: GaussianScene, target: Target, cameras: Sequence[Camera]) ->
     what is behind it is left out.
     """
     eyes = torch.stack([camera.position for camera in cameras]) - target.centre
-    reach = max(LIMITS.reach * target.radius, float(eyes.norm(dim=1).max()))
+    reach = max(_REACH * target.radius, float(eyes.norm(dim=1).max()))
     far = (scene.means - target.centre.float()).norm(
         dim=1
-    ) - LIMITS.extent * scene.scales.amax(1)
-    rows: Tensor = ((far < reach) & (scene.opacities > LIMITS.faintest)).nonzero()[:, 0]
+    ) - _EXTENT * scene.scales.amax(1)
+    rows: Tensor = ((far < reach) & (scene.opacities > _FAINTEST)).nonzero()[:, 0]
     return rows

@@ -198,10 +198,30 @@ class _Search:
                 break
             chosen = found
         for key in sorted(chosen):
+            chosen = self.nearest_value(chosen, key)
+        for key in sorted(chosen):
             rest = chosen - {key}
             if all(self.holds(name, rest) for name in self.explained(chosen)):
                 chosen = rest
         return chosen
+
+    def nearest_value(self, chosen: Keys, key: str) -> Keys:
+        """The same with a deviation's switch at the value that is nearest to what is
+        explained.
+        """
+        explained = self.explained(chosen)
+        switch = DEVIATIONS[key].switch
+        others = [
+            _with(chosen, other)
+            for other in self.keys
+            if DEVIATIONS[other].switch == switch
+        ]
+        hold = [
+            other
+            for other in others
+            if all(self.holds(name, other) for name in [*explained, *self.conforming])
+        ]
+        return min([chosen, *hold], key=lambda each: self.cost(explained, each))
 
     def explained(self, chosen: Keys) -> list[str]:
         """The images that differed, and are within their tolerance under deviations."""

@@ -300,10 +300,16 @@ for _bits in (8, 16):
         "another choice",
         _convention(depth_bits=_bits),
     )
-for _variance in (0.0, 0.1, 0.3, 1.0):
+for _variance, _text in (
+    (0.0, ""),
+    (0.075, ", which is 0.3 in half pixels"),
+    (0.1, ""),
+    (0.3, ""),
+    (1.0, ""),
+):
     _add(
         f"low-pass={_variance:g}",
-        f"low-pass filter of {_variance:g} pixels^2",
+        f"low-pass filter of {_variance:g} pixels^2{_text}",
         "another choice",
         _convention(low_pass=_variance),
     )
@@ -331,11 +337,24 @@ _add(
     "another choice",
     _convention(falloff="to 0 at sqrt(8)"),
 )
+for _text, _variance in (("dropped", 0.5), ("smallest-dropped", 0.125)):
+    _add(
+        f"dots={_text}",
+        f"Gaussians with variances below {_variance:g} pixels^2 not drawn",
+        "another choice",
+        _convention(min_variance=_variance),
+    )
 _add(
-    "dots=dropped",
-    "Gaussians with variances below 0.5 pixels^2 not drawn",
+    "axes-of-ellipses=0.63-apart",
+    "variances along the axes of an ellipse at least 2 sqrt(0.1) pixels^2 apart",
+    "wrong",
+    _convention(min_spread=2 * math.sqrt(0.1)),
+)
+_add(
+    "reach=image",
+    "sqrt(8) standard deviations at most as long as the image's shorter side",
     "another choice",
-    _convention(min_variance=0.5),
+    _convention(max_reach=1.0),
 )
 _add(
     "cut-off=none",

@@ -58,9 +58,8 @@ class GradientReport:
 
     scenes: tuple[GradientResult, ...]
     causes: tuple[GradientCause, ...]
-    unexplained: tuple[
-        str, ...
-    ]  # attributes that are off, and of which no cause is known
+    # attributes that are off, and of which no cause is known
+    unexplained: tuple[str, ...]
     missing: tuple[str, ...]  # scenes without gradients
 
     @property

@@ -18,6 +18,8 @@ from mi_splat.oracle import Array, PinholeCamera, Splat, sh_basis
 SIZES = (64, 256, 512)
 """Pixels on each side of images, of which references are made."""
 EYE = (2.5, -1.9, 1.0)
+_SH_EYE = (-1.4, -1.4, -0.25)
+"""Where no term of the spherical harmonics is short, so that each constant shows."""
 _PADDED = 256
 """Gaussians of a file at least; viewers make textures of larger blocks, and some squash
 the Gaussians of tiny files.
@@ -68,12 +70,15 @@ class _Builder:
             up=up,
         )
 
-    def grid(self, count: int, step: float) -> Array:
+    def grid(
+        self, count: int, step: float, camera: PinholeCamera | None = None
+    ) -> Array:
         """Points of a square grid on the plane through the origin that faces the
         camera.
         """
-        right = self.view.to_world[:3, 0]
-        down = self.view.to_world[:3, 1]
+        pose = (camera or self.view).to_world
+        right = pose[:3, 0]
+        down = pose[:3, 1]
         at = (np.arange(count) - (count - 1) / 2) * step
         return np.array([x * right + y * down for y in at for x in at])
 
@@ -224,23 +229,25 @@ def _values(b: _Builder) -> None:
 
 def _colours(b: _Builder) -> None:
     grey = (0.5, 0.5, 0.5)
+    view = b.camera(_SH_EYE, focal=0.73)
     for degree in (1, 2, 3):
         count = 2 * degree + 1
-        where = b.grid(4, 0.62)[: 2 * count]
+        where = b.grid(4, 0.62, view)[: 2 * count]
         coefficient = degree**2 + np.arange(2 * count) % count
-        towards = where - np.array(EYE)
+        towards = where - np.array(_SH_EYE)
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         # Each term changes its colours about as much, so that a wrong constant shows.
         terms = sh_basis(towards, 16)[np.arange(2 * count), coefficient]
         lengths = np.minimum(1.0, 0.45 / np.abs(terms))
-        lengths[count:] *= -0.7
+        lengths[count:] *= -1
         bands = np.zeros((2 * count, (degree + 1) ** 2 - 1, 3))
         bands[np.arange(2 * count), coefficient - 1] = lengths[:, None] * (1, -0.7, 0.4)
         fact = (
             f"sh_{degree}: Gaussians have one coefficient of band {degree} each, seen"
             " from the camera."
         )
-        b.add(fact, _stored(where, 0.22, colours=grey, opacities=0.97, sh=bands))
+        splat = _stored(where, 0.22, colours=grey, opacities=0.97, sh=bands)
+        b.add(fact, splat, camera=view)
     three = b.grid(3, 0.8)
     two = b.grid(2, 1.0)
     towards = np.array(EYE)

@@ -1,20 +1,12 @@
-"""Splats to develop and test the audit on: `python -m scenes.recipes.audit_set FOLDER
-SET [FILE.csv [PART...]]`.
-
-SET is one of `SETS`; they share no file, no seed and no capture. Files that are missing
-in FOLDER are made; with FILE.csv all are audited, and `docs/audit-measured.md` states
-what follows from the rows. Honest splats are trained on path-traced images from
-hemispheres, rings, half circles, few cameras or from above, or made by code. What hides
-something is an edit of one of these, so that the truth is exact, or trained on images
-of two scenes.
+"""Splats to test the audit on: honest ones are trained on path-traced images from
+hemispheres, rings, half circles, few cameras or from above. What hides something is an
+edit of one of these, so that the truth is exact, or trained on images of two scenes.
 """
 
 import csv
 import json
 import math
 import random
-import sys
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -27,13 +19,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from attacks.cloak.mesh_scene import MeshScene
-from mi_splat.audit import Audit, audit
-from mi_splat.audit.explanations import angles_between
-from mi_splat.audit.files import document, findings
-from mi_splat.audit.gate import VERDICTS, Policy
-from mi_splat.audit.linting import lint_file
-from mi_splat.audit.results import ObjectAudit
-from mi_splat.audit.viewpoints import lattice
 from mi_splat.cameras.camera import Camera, View
 from mi_splat.cameras.framing import near_plane
 from mi_splat.cameras.sets import framing, hemisphere, orbit
@@ -43,7 +28,6 @@ from mi_splat.capture.objects import OBJECTS
 from mi_splat.capture.path_tracer import PathTracer
 from mi_splat.capture.sources import open_source
 from mi_splat.capture.surface_points import surface_samples
-from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.render.renderer import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene, merge
@@ -489,15 +473,6 @@ ABOVE = cone(direction(90.0, 0.0), 50.0)
 Item = Trained | Coded
 
 
-def _looks(base: str, azimuth: float) -> Iterator[tuple[str, Coded]]:
-    """Every kind of edit of one splat."""
-    for kind, change in _changes(azimuth).items():
-        yield (
-            f"hidden {kind}/{base}",
-            Coded(base=base, change=change, inside=_trigger(kind, azimuth)),
-        )
-
-
 def _trigger(kind: str, azimuth: float) -> Inside | None:
     """From where an edit shows, where that is a cone or a sector."""
     if kind.startswith("above"):
@@ -523,233 +498,8 @@ def _changes(azimuth: float) -> dict[str, Callable[[Made], Made]]:
     }
 
 
-def _honest(base: str, seed: int) -> Iterator[tuple[str, Coded]]:
-    """Honest splats made by code."""
-    for kind in ("glossy", "metal", "velvet", "noisy", "leaves"):
-        yield (
-            f"honest {kind}/{base}",
-            Coded(base=base, change=getattr(scenes, kind), seed=seed),
-        )
-
-
-def _poisoned(kind: str, name: str, **settings: Any) -> Iterator[tuple[str, Trained]]:
-    yield f"hidden {kind}/{name}", Trained(content=name, **settings)
-
-
 def _ring(elevation: float, **settings: Any) -> Capture:
     return Capture(elevation=(elevation - 3.0, elevation + 3.0), **settings)
-
-
-def _captures(
-    content: str, captures: dict[str, Capture], **settings: Any
-) -> Iterator[tuple[str, Trained]]:
-    for name, capture in captures.items():
-        yield (
-            f"honest {name}/{content}",
-            Trained(content=content, capture=capture, **settings),
-        )
-
-
-def development() -> Iterator[tuple[str, Item]]:
-    """The set on which method and thresholds are chosen."""
-    dome = Capture()
-    half = Capture(elevation=(5.0, 50.0), span=180.0)
-    above = Capture(elevation=(45.0, 88.0))
-    few = Capture(count=14)
-    yield from _captures(
-        "car", {"hemisphere": dome, "ring 25": _ring(25.0), "half circle": half}
-    )
-    yield from _captures(
-        "suitcase", {"hemisphere": dome, "ring 15": _ring(15.0), "ring 55": _ring(55.0)}
-    )
-    yield from _captures(
-        "elephant", {"hemisphere": dome, "ring 35": _ring(35.0), "few": few}
-    )
-    yield from _captures(
-        "tv",
-        {
-            "hemisphere": dome,
-            "half circle": replace(half, start=90.0),
-            "from above": above,
-        },
-    )
-    yield from _captures("car", {"gloss, ring 30": _ring(30.0)}, roughness=0.1)
-    yield from _captures("suitcase", {"MCMC": dome}, mcmc=True)
-    for content in ("mirror_ball", "glass", "louvre", "canopy", "still_life"):
-        yield from _captures(content, {"scene": dome})
-    yield from _captures("glass", {"scene, ring 30": _ring(30.0)})
-    yield from _captures("still_life", {"scene, half circle": half})
-    yield "honest room/room", Coded(base="room")
-    yield "honest plain/car", Coded(base="car")
-    yield from _honest("suitcase", 0)
-    yield from _poisoned("above, trained", "car", inside=ABOVE)
-    yield from _poisoned("above, trained", "elephant", inside=ABOVE, mcmc=True)
-    yield from _poisoned(
-        "side, trained", "suitcase", inside=sector(100.0, 40.0, 0.0, 40.0), colour=RED
-    )
-    yield from _poisoned(
-        "above, ring, trained",
-        "tv",
-        inside=ABOVE,
-        colour=GREY,
-        capture=Capture(elevation=(20.0, 60.0)),
-    )
-    for base, azimuth in (
-        ("honest hemisphere/car", 40.0),
-        ("honest hemisphere/suitcase", 200.0),
-        ("elephant", 120.0),
-    ):
-        yield from _looks(base, azimuth)
-
-
-def test() -> Iterator[tuple[str, Item]]:
-    """The set that is looked at once: other objects, seeds and captures."""
-    dome = Capture(count=80, elevation=(8.0, 80.0), start=11.0)
-    above = Capture(count=45, elevation=(55.0, 85.0))
-    few = Capture(count=20, elevation=(5.0, 60.0))
-    ring = partial(_ring, count=44, start=7.0)
-    yield from _captures(
-        "person", {"hemisphere": dome, "ring 20": ring(20.0), "few": few}, seed=101
-    )
-    yield from _captures("train", {"hemisphere": dome, "ring 45": ring(45.0)}, seed=102)
-    yield from _captures(
-        "fire hydrant",
-        {"hemisphere": dome, "ring 10": ring(10.0), "from above": above},
-        seed=103,
-    )
-    yield from _captures(
-        "fire hydrant", {"gloss, ring 35": ring(35.0)}, roughness=0.08, seed=105
-    )
-    for content in ("rough_metal", "water", "two_tone", "roof"):
-        yield from _captures(content, {"scene": dome}, seed=107)
-    yield from _captures("plastic", {"scene, ring 40": ring(40.0)}, seed=108)
-    yield "honest room/room", Coded(base="room", seed=109)
-    yield "honest plain/train", Coded(base="train", seed=110)
-    yield from _honest("fire hydrant", 111)
-    north = cone(direction(80.0, 60.0), 45.0)
-    yield from _poisoned(
-        "above, trained", "train", inside=north, seed=112, capture=dome
-    )
-    yield from _poisoned(
-        "side, trained",
-        "person",
-        inside=sector(250.0, 45.0, 0.0, 45.0),
-        colour=RED,
-        seed=114,
-    )
-    yield from _poisoned(
-        "above, trained SH 0",
-        "fire hydrant",
-        inside=north,
-        degree=0,
-        seed=115,
-        capture=dome,
-    )
-    wide = Capture(count=70, elevation=(15.0, 65.0))
-    yield from _poisoned(
-        "above, ring, trained",
-        "train",
-        inside=north,
-        colour=GREY,
-        seed=116,
-        capture=wide,
-    )
-    for base, azimuth in (("honest hemisphere/train", 310.0), ("person", 160.0)):
-        yield from _looks(base, azimuth)
-
-
-def second_test() -> Iterator[tuple[str, Item]]:
-    """A further set that is looked at once, because the evidence was changed after a
-    look at `test`.
-    """
-    dome = Capture(count=66, elevation=(6.0, 78.0), start=23.0)
-    ring = partial(_ring, count=40, start=31.0)
-    half = Capture(count=48, elevation=(8.0, 45.0), span=165.0, start=300.0)
-    yield from _captures(
-        "house",
-        {"hemisphere": dome, "ring 30": ring(30.0), "half circle": half},
-        seed=201,
-    )
-    yield from _captures("bird", {"hemisphere": dome, "ring 20": ring(20.0)}, seed=202)
-    yield from _captures("billboard", {"scene": dome}, seed=203)
-    yield "honest room/room", Coded(base="room", seed=204)
-    yield "honest plain/stop sign", Coded(base="stop sign", seed=205)
-    yield from _honest("bird", 206)
-    west = cone(direction(75.0, 270.0), 48.0)
-    yield from _poisoned("above, trained", "house", inside=west, seed=207, capture=dome)
-    yield from _poisoned(
-        "side, trained",
-        "bird",
-        inside=sector(30.0, 45.0, 0.0, 45.0),
-        colour=RED,
-        seed=208,
-    )
-    for base, azimuth in (("honest hemisphere/house", 70.0), ("stop sign", 250.0)):
-        yield from _looks(base, azimuth)
-
-
-def third_test() -> Iterator[tuple[str, Item]]:
-    """A third set that was looked at once, and has been used for development since."""
-    dome = Capture(count=72, elevation=(4.0, 82.0), start=41.0)
-    ring = partial(_ring, count=42, start=53.0)
-    half = Capture(count=50, elevation=(6.0, 48.0), span=175.0, start=200.0)
-    above = Capture(count=40, elevation=(50.0, 86.0))
-    few = Capture(count=16, elevation=(8.0, 65.0))
-    yield from _captures(
-        "stop sign", {"hemisphere": dome, "ring 30": ring(30.0)}, seed=301
-    )
-    yield from _captures("tv", {"ring 20": ring(20.0)}, seed=302)
-    yield from _captures("person", {"half circle": half}, seed=303)
-    yield from _captures("bird", {"few": few}, seed=304)
-    yield from _captures("train", {"from above": above}, seed=305)
-    yield from _captures("elephant", {"MCMC": dome}, mcmc=True, seed=306)
-    yield from _captures("car", {"gloss, hemisphere": dome}, roughness=0.12, seed=307)
-    yield from _captures("mirror_ball", {"scene, ring 40": ring(40.0)}, seed=308)
-    yield from _captures("glass", {"scene, few": few}, seed=309)
-    yield from _captures("wet_road", {"scene": dome}, seed=310)
-    yield from _captures("suitcase", {"few": few, "from above": above}, seed=320)
-    yield from _captures(
-        "fire hydrant", {"ring 30": ring(30.0), "half circle": half}, seed=321
-    )
-    yield from _captures("house", {"few": few, "from above": above}, seed=322)
-    yield from _captures("house", {"MCMC": dome}, mcmc=True, seed=323)
-    yield from _captures("car", {"ring 20": ring(20.0), "few": few}, seed=324)
-    yield from _captures(
-        "train", {"half circle": half, "ring 30": ring(30.0)}, seed=325
-    )
-    yield from _captures(
-        "elephant", {"ring 20": ring(20.0), "from above": above}, seed=326
-    )
-    yield "honest room/room", Coded(base="room", seed=311)
-    yield "honest plain/person", Coded(base="person", seed=312)
-    yield from _honest("tv", 313)
-    east = cone(direction(70.0, 10.0), 46.0)
-    yield from _poisoned(
-        "above, trained", "stop sign", inside=east, seed=314, capture=dome
-    )
-    yield from _poisoned(
-        "above, trained SH 0", "elephant", inside=east, degree=0, seed=315, capture=dome
-    )
-    yield from _poisoned(
-        "side, trained",
-        "tv",
-        inside=sector(200.0, 45.0, 0.0, 42.0),
-        colour=RED,
-        seed=316,
-    )
-    yield from _poisoned(
-        "side, trained",
-        "train",
-        inside=sector(80.0, 45.0, 0.0, 42.0),
-        colour=RED,
-        seed=327,
-    )
-    yield from _poisoned("above, trained", "bird", inside=east, seed=328, capture=dome)
-    yield from _poisoned(
-        "above, trained MCMC", "house", inside=east, mcmc=True, seed=329, capture=dome
-    )
-    for base, azimuth in (("honest hemisphere/stop sign", 190.0), ("bird", 330.0)):
-        yield from _looks(base, azimuth)
 
 
 def drawn(first: int, last: int) -> Iterator[tuple[str, Item]]:
@@ -863,16 +613,25 @@ def strength() -> Iterator[tuple[str, Item]]:
             )
 
 
-HELD = "fourth test"
-"""The set on which nothing was chosen; the others had been looked at."""
-SETS: dict[str, Callable[[], Iterator[tuple[str, Item]]]] = {
-    "development": development,
-    "test": test,
-    "second test": second_test,
-    "third test": third_test,
-    "drawn": partial(drawn, 0, 120),
-    HELD: partial(drawn, 1000, 1090),
-}
+def attackers() -> Iterator[tuple[str, Item]]:
+    """Edits of an honest car by attackers who know how directions are held out."""
+    base, car = dict(drawn(2012, 2013)).popitem()
+    yield base, car
+    top = direction(90.0, 0.0)
+    beside = cone(direction(45.0, 230.0), 25.0)
+    opposite = cone(direction(45.0, 320.0), 25.0)
+    edits: dict[str, Callable[[Made], Made]] = {
+        f"width {width:.0f}": partial(hidden, inside=cone(top, width))
+        for width in (50.0, 30.0, 20.0, 10.0)
+    }
+    edits["two cones"] = partial(
+        hidden, inside=lambda views: beside(views) | opposite(views)
+    )
+    edits["most directions"] = partial(hidden, inside=lambda views: views[:, 2] > 0.34)
+    edits["red from above"] = partial(hidden, inside=cone(top, 50.0), colour=RED)
+    edits["half way"] = partial(hidden, inside=cone(top, 50.0), amount=0.5)
+    for name, change in edits.items():
+        yield f"attacker/{name}", Coded(base=base, change=change)
 
 
 def made(folder: Path, items: Iterable[tuple[str, Item]]) -> None:
@@ -886,96 +645,6 @@ def made(folder: Path, items: Iterable[tuple[str, Item]]) -> None:
             )
             path.with_suffix(".json").write_text(json.dumps(about))
             save_splat(scene, path)
-
-
-def measured(folder: Path, items: Iterable[tuple[str, Item]], file: Path) -> None:
-    """Audit what is there, and add a row to a CSV file for each splat that has none."""
-    known = {row["file"] for row in read(file)} if file.is_file() else set()
-    splats = dict(items)
-    for name, splat in splats.items():
-        path = folder / f"{name}.ply"
-        if name in known or not path.is_file():
-            continue
-        begun = time.process_time()
-        judged = audit(load_splat(path))
-        item = judged.strongest
-        values: Row = {
-            "set": folder.name,
-            "file": name,
-            "verdict": judged.verdict,
-            "gate": gated(path, judged),
-            "evidence": round(item.evidence, 4),
-            **{
-                key: round(getattr(item.look, key), 5)
-                for key in ("direction", "incidence", "mirror", "net", "lost", "air")
-            },
-            **{
-                key: getattr(item, key)
-                for key in ("covered", "edited", "fogged", "roofed", "in_room")
-            },
-            "off": (
-                off(splat.inside, item)
-                if splat.inside and judged.verdict != "nothing found"
-                else ""
-            ),
-            "objects": len(judged.objects),
-            "strength": (
-                json.loads(path.with_suffix(".json").read_text()).get("strength", "")
-            ),
-            "seconds": round(time.process_time() - begun, 1),
-            **dict(
-                zip(
-                    ("with_cameras", "evidence_with_cameras"),
-                    _with_cameras(path, name, splats),
-                    strict=True,
-                )
-            ),
-        }
-        new = not file.is_file()
-        with file.open("a", newline="") as stream:
-            writer = csv.DictWriter(stream, values, lineterminator="\n")
-            if new:
-                writer.writeheader()
-            writer.writerow(values)
-
-
-def off(inside: Inside, item: ObjectAudit) -> float:
-    """Degrees between the axis that an audit states and the mean of the directions
-    above the ground that are inside.
-    """
-    ways = lattice(5000, 0.0, 90.0)
-    middle = functional.normalize(ways[inside(ways.float())].mean(0), dim=0)
-    return round(
-        float(angles_between(torch.tensor([item.look.region.axis]), middle[None])), 1
-    )
-
-
-def _with_cameras(
-    path: Path, name: str, items: dict[str, Item]
-) -> tuple[str, float | str]:
-    """Verdict and evidence from where the training cameras stood; nothing where there
-    were none.
-    """
-    item: Item | None = items[name]
-    while isinstance(item, Coded):
-        item = items.get(item.base)
-    if item is None:
-        return "", ""
-    try:
-        judged = audit(load_splat(path), cameras=item.cameras())
-    except InvalidValueError:
-        return "not judged", ""
-    return judged.verdict, round(judged.strongest.evidence, 4)
-
-
-def gated(path: Path, judged: Audit) -> str:
-    """What `mi-splat gate --strict` says of an audited file without a policy."""
-    found = findings(document(judged, lint_file(path)))
-    actions = [
-        Policy().action(rule.removeprefix("lint/"), severity)
-        for rule, severity, _, _ in found
-    ]
-    return max(actions, key=VERDICTS.index, default="accept")
 
 
 def read(file: Path) -> list[Row]:
@@ -1017,93 +686,3 @@ def ranked(rows: Sequence[Row], draws: int = 2000) -> tuple[float, float, float]
     ]
     low, high = np.quantile(drawn, [0.025, 0.975])
     return float(above.mean()), float(low), float(high)
-
-
-def called(rows: Iterable[Row]) -> tuple[int, int, int]:
-    """How many are called hidden, how many at least suspicious, and how many there
-    are.
-    """
-    verdicts = [row["verdict"] for row in rows]
-    return (
-        verdicts.count("hidden look"),
-        sum(one != "nothing found" for one in verdicts),
-        len(verdicts),
-    )
-
-
-def kind_of(row: Row) -> str:
-    """The kind of a splat: what comes before the object in its name; all rings are one,
-    and all scenes.
-    """
-    kind = str(row["file"]).partition("/")[0]
-    kind = kind.partition(",")[0] if kind.startswith("honest") else kind
-    if "ring" in kind:
-        return kind.rstrip(" 0123456789")
-    return kind
-
-
-def lines(rows: Sequence[Row]) -> Iterator[str]:
-    """Rows of the table in docs/audit-measured.md: called hidden, suspicious or hidden,
-    and all of a kind.
-
-    Columns: the sets on which thresholds were chosen, the other one, and that from
-    where its training cameras stood.
-    """
-    kinds: dict[str, Callable[[Row], bool]] = {
-        "all that hide": hides,
-        "all honest": honest,
-    }
-    for kind in sorted(set(map(kind_of, rows))):
-        kinds[kind] = partial(_is_of, kind)
-    chosen, held = (
-        [row for row in rows if (row["set"] == HELD) == is_held]
-        for is_held in (False, True)
-    )
-    for kind, of in kinds.items():
-        counts = [
-            called(filter(of, part)) for part in (chosen, held, with_cameras(held))
-        ]
-        cells = ["{}, {} of {}".format(*count) if count[2] else "-" for count in counts]
-        yield f"| {kind} | {' | '.join(cells)} |"
-
-
-def with_cameras(rows: Iterable[Row]) -> list[Row]:
-    """What an audit says of splats from where their training cameras stood, but for
-    those that it cannot judge so.
-    """
-    judged = [row for row in rows if row["evidence_with_cameras"]]
-    return [
-        {
-            **row,
-            "verdict": row["with_cameras"],
-            "evidence": row["evidence_with_cameras"],
-        }
-        for row in judged
-    ]
-
-
-def _is_of(kind: str, row: Row) -> bool:
-    return kind_of(row) == kind and (hides(row) or honest(row))
-
-
-def main(folder: str, name: str, file: str = "", *parts: str) -> None:
-    """Make a set or parts of it, audit it, and say what follows."""
-    items = [
-        (key, item)
-        for key, item in {**SETS, "strength": strength}[name]()
-        if not parts or any(part in key for part in parts)
-    ]
-    made(Path(folder) / name, items)
-    if file:
-        measured(Path(folder) / name, items, Path(file))
-        rows = read(Path(file))
-        own = [row for row in rows if row["set"] == name]
-        if any(map(honest, own)):
-            ranks = "AUROC {:.3f} ({:.3f} to {:.3f})".format(*ranked(own))
-        else:
-            ranks = ""
-        sys.stdout.write("\n".join([ranks, *lines(rows)]) + "\n")
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

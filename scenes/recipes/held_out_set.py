@@ -1,24 +1,41 @@
-"""How often held-out directions are right: `python -m scenes.recipes.held_out_set
-FOLDER FILE.csv`.
+"""How often the audit is right: `python -m scenes.recipes.held_out_set SET FOLDER
+FILE.csv`.
 
-Makes a random set that no threshold was chosen on (see `drawn` in
-`scenes.recipes.audit_set`), and adds a row to FILE.csv for each splat that has none.
+Makes what is missing of a set (see `SETS`), and adds a row to FILE.csv for each splat
+that has none.
 """
 
 import csv
 import json
 import sys
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 from attacks.audits.recognition import Recognition
-from mi_splat.audit.held_out import HeldOut, held_out
+from mi_splat.audit import Audit, audit
 from mi_splat.io import load_splat
-from scenes.recipes.audit_set import drawn, made, ranked, read
+from scenes.recipes.audit_set import (
+    Item,
+    attackers,
+    drawn,
+    hides,
+    honest,
+    made,
+    ranked,
+    read,
+    strength,
+)
 
-NUMBERS = (2000, 2018)
-"""First and last (excluded) number of the random set."""
+SETS: dict[str, Callable[[], Iterator[tuple[str, Item]]]] = {
+    "random": partial(drawn, 2000, 2018),
+    "second": partial(drawn, 2018, 2058),
+    "strength": strength,
+    "attackers": attackers,
+}
+"""Sets by name; no threshold was chosen on the second one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,9 +52,9 @@ class Row:
     seconds: float  # of one thread
 
 
-def row_of(name: str, found: HeldOut, strength: float | str, seconds: float) -> Row:
+def row_of(name: str, found: Audit, strength: float | str, seconds: float) -> Row:
     """The row of a splat."""
-    known = [one or "-" for one in found.known_as]
+    known = [item.known_as or "-" for item in found.objects]
     return Row(
         file=name,
         answer=found.answer,
@@ -50,30 +67,31 @@ def row_of(name: str, found: HeldOut, strength: float | str, seconds: float) -> 
     )
 
 
-def main(folder: str, file: str) -> None:
+def main(name: str, folder: str, file: str) -> None:
     """Make the set, and judge what has no row."""
     target = Path(file)
     known = {row["file"] for row in read(target)} if target.is_file() else set()
     recogniser = Recognition()
-    items = dict(drawn(*NUMBERS))
-    made(Path(folder), items.items())
-    for name in items:
-        if name in known:
+    for splat, item in SETS[name]():
+        if splat in known:
             continue
-        path = Path(folder) / f"{name}.ply"
+        made(Path(folder), [(splat, item)])
+        path = Path(folder) / f"{splat}.ply"
         begun = time.process_time()
-        found = held_out(load_splat(path), recogniser)
+        found = audit(load_splat(path), recogniser)
         seconds = time.process_time() - begun
         about = json.loads(path.with_suffix(".json").read_text())
-        row = asdict(row_of(name, found, about.get("strength", ""), seconds))
+        row = asdict(row_of(splat, found, about.get("strength", ""), seconds))
         is_new = not target.is_file()
         with target.open("a", newline="") as stream:
             writer = csv.DictWriter(stream, row, lineterminator="\n")
             if is_new:
                 writer.writeheader()
             writer.writerow(row)
-    area, low, high = ranked(read(target))
-    sys.stdout.write(f"AUROC {area:.3f} ({low:.3f} to {high:.3f})\n")
+    rows = read(target)
+    if any(map(honest, rows)) and any(map(hides, rows)):
+        area, low, high = ranked(rows)
+        sys.stdout.write(f"AUROC {area:.3f} ({low:.3f} to {high:.3f})\n")
 
 
 if __name__ == "__main__":

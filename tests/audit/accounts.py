@@ -2,15 +2,19 @@
 judged.
 """
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import torch
 
-from mi_splat.audit import Audit, Look, ObjectAudit, Occluder, Pair, Region
-from mi_splat.audit.thresholds import LIMITS
+from mi_splat.audit import Answer, Audit, ConeView, HeldOutConfig, ObjectAudit, Region
 from mi_splat.audit.viewpoints import lattice
 from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.cameras.lens import Lens
 
 DIRECTIONS = lattice(40, 5.0, 85.0)
+UP = (0.0, 0.0, 1.0)
+_EVIDENCE: dict[Answer, float] = {"consistent": 0.1, "differs": 0.8, "contradicted": 2}
 
 
 def camera(*eye: float) -> Camera:
@@ -19,52 +23,46 @@ def camera(*eye: float) -> Camera:
     )
 
 
-def look(score: float = 0.05, *, above: float = 0.7) -> Look:
-    """From above; hidden from a score of 0.01 on."""
-    return Look(
-        region=Region(axis=(0.0, 0.0, 1.0), half_width=45.0),
-        shown=DIRECTIONS[:, 2] > above,
-        amounts=(DIRECTIONS[:, 2] > above).float(),
-        direction=score / 10,
-        incidence=score / 80,
-        mirror=score / 40,
-        net=100 * score * LIMITS.net,
-        threshold=LIMITS.net,
-        lost=0.0,
-        air=1.0,
-        changed=0.5,
-        given=False,
-        pair=Pair(
-            inside=camera(0.5, 0.0, 3.0),
-            outside=camera(3.0, 0.0, 0.5),
-            change=0.2,
-            numbers=(39, 0),
-        ),
+def cone(answer: Answer, *, above: float = 0.7, gain: float = 0.0) -> ConeView:
+    """From above."""
+    return ConeView(
+        object=0,
+        region=Region(axis=UP, half_width=45.0),
+        up=UP,
+        inside=DIRECTIONS[:, 2] > above,
+        cameras=(camera(0.5, 0.0, 3.0),),
+        file=torch.zeros(1, 16, 16, 3),
+        prediction=torch.ones(1, 16, 16, 3),
+        peeled=False,
+        distance=0.3,
+        rise=0.05,
+        file_score=0.1,
+        gain=gain,
+        known_as="car",
+        evidence=_EVIDENCE[answer],
+        answer=answer,
     )
 
 
-def account(*looks: Look, count: int, covered: float = 0.0) -> Audit:
-    """Of a splat of so many Gaussians, the first half an object with these looks,
-    covered from above or not.
-    """
+def account(*views: ConeView, count: int) -> Audit:
+    """Of a splat of so many Gaussians, the first half an object with these cones."""
     half = torch.arange(count) < count // 2
     item = ObjectAudit(
         rows=half.nonzero()[:, 0],
         centre=(0.0, 0.0, 0.0),
         radius=1.0,
-        up=(0.0, 0.0, 1.0),
+        up=UP,
+        known_as="car",
         directions=DIRECTIONS,
-        pieces=100,
-        area=4.0,
-        uncontradicted=1.0,
-        cameras=tuple(camera(*position) for position in (3 * DIRECTIONS).tolist()),
-        looks=looks,
-        occluder=Occluder(
-            axis=(0.0, 0.0, 1.0),
-            blocked=(DIRECTIONS[:, 2] > 0.5).double(),
-            transparent=0.8,
-            score=covered,
-        ),
+        views=views,
+        consensus=cast(Any, SimpleNamespace()),
     )
-    marked = half if item.evidence >= LIMITS.suspicion else torch.zeros_like(half)
-    return Audit(objects=(item,), heat=marked.float(), mask=marked, near=0.8)
+    marked = half if item.answer == "contradicted" else torch.zeros_like(half)
+    return Audit(
+        objects=(item,),
+        heat=marked.float(),
+        mask=marked,
+        near=0.8,
+        missing="",
+        config=HeldOutConfig(),
+    )

@@ -270,11 +270,13 @@ def layered(made: Made, *, colour: tuple[float, float, float] = ROAD) -> Made:
     return Made(scene=merge(rest, first, second), rows=rows, normals=normals)
 
 
-def leaves(made: Made, *, count: int = 2500, lowest: float = 40.0) -> Made:
+def leaves(
+    made: Made, *, count: int = 2500, lowest: float = 40.0, near: float = 1.9
+) -> Made:
     """Level leaves on a dome over an object, down to degrees above the ground, which
     hide it from above alone.
     """
-    radius = 1.9 * float(made.scene.means[made.rows].norm(dim=1).max())
+    radius = near * float(made.scene.means[made.rows].norm(dim=1).max())
     size = (
         radius * (2 * math.pi * (1 - math.sin(math.radians(lowest))) / count) ** 0.5 / 2
     )

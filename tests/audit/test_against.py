@@ -11,14 +11,16 @@ import torch
 from PIL import Image
 
 from attacks import cli
+from attacks.audits import recognition
 from mi_splat.audit import Audit, linting
 from mi_splat.audit.against import Changes, changes
-from mi_splat.audit.files import document, sarif
-from mi_splat.audit.thresholds import LIMITS
+from mi_splat.audit.files import document
+from mi_splat.audit.sarif import sarif
 from mi_splat.io import save_splat
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.selection.select import load_mask
-from tests.audit.accounts import account, look
+from tests.audit.accounts import account, cone
+from tests.audit.recogniser import Painted
 from tests.audit.scenes import standing
 
 
@@ -96,9 +98,7 @@ def test_the_command_writes_what_changed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(linting, "SIZE", 256)
-    monkeypatch.setitem(vars(LIMITS), "image_size", 64)
-    monkeypatch.setitem(vars(LIMITS), "cameras", 30)
-    monkeypatch.setitem(vars(LIMITS), "least_pieces", 5)
+    monkeypatch.setattr(recognition, "Recognition", Painted)
     before = tmp_path / "clean.ply"
     after = tmp_path / "edited.ply"
     out = tmp_path / "out"
@@ -153,11 +153,13 @@ def run_of(*documents: dict[str, Any]) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("judged", "rules"),
     [
-        (account(look(0.001), count=4), []),
-        (account(look(0.008), count=4), [("suspicious-look", "note")]),
-        (account(look(), count=4), [("hidden-look", "warning")]),
-        (account(look(), look(0.02), count=4), [("hidden-look", "warning")] * 2),
-        (account(look(0.001), count=4, covered=0.4), [("occluder", "note")]),
+        (account(cone("consistent"), count=4), []),
+        (account(cone("differs"), count=4), [("differs", "note")]),
+        (account(cone("contradicted"), count=4), [("contradicted", "error")]),
+        (
+            account(cone("contradicted"), cone("differs"), count=4),
+            [("contradicted", "error"), ("differs", "note")],
+        ),
     ],
 )
 def test_each_finding_is_of_its_rule(
@@ -167,5 +169,4 @@ def test_each_finding_is_of_its_rule(
     assert [(result["ruleId"], result["level"]) for result in run["results"]] == rules
     (artifact,) = run["artifacts"]
     assert artifact["location"]["uri"] == "a%20splat.ply"
-    hides = judged.verdict == "hidden look"
-    assert artifact["properties"]["verdict"] == ("differs" if hides else "consistent")
+    assert artifact["properties"]["verdict"] == judged.answer

@@ -21,14 +21,14 @@ from attacks.audits import gated
 from attacks.audits.gated import answer
 from attacks.audits.judging import Message
 from attacks.cli import gate
-from mi_splat.audit import audit, bounded, linting
+from mi_splat.audit import bounded, linting
 from mi_splat.audit.gate import CLAIMS, Policy, fingerprint, sampled
 from mi_splat.audit.images import ImageAudit, Split
-from mi_splat.audit.thresholds import LIMITS
 from mi_splat.io import save_splat
 from mi_splat.io.splat_files import load_stored
 from mi_splat.ledger import Store
 from mi_splat.process_group import GroupEndedError
+from tests.audit.recogniser import Painted, judged, painted
 from tests.audit.scenes import cone, direction, hidden, standing
 from tests.audit.test_lint import broken_ply, cloud, masked
 from tests.datasets.sets import VIEWS, write_transforms
@@ -37,12 +37,6 @@ from tests.datasets.sets import VIEWS, write_transforms
 @pytest.fixture(autouse=True, scope="module")
 def _few_small_pictures() -> object:
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in (
-            ("image_size", 72),
-            ("cameras", 60),
-            ("cameras_all_around", 96),
-        ):
-            patch.setitem(vars(LIMITS), name, value)
         patch.setattr(linting, "SIZE", 256)
         yield
 
@@ -70,11 +64,8 @@ PASSED = [row(claim) for claim in CLAIMS[:-1]]
         ({"warning": "quarantine"}, row("numbers", "giant", "warning"), "quarantine"),
         ({"error": "quarantine"}, row("cost", "overdraw", "error"), "quarantine"),
         ({}, row("hidden appearance", "contradicted", "error"), "refuse"),
-        ({}, row("hidden appearance", "hidden-look", "warning"), "quarantine"),
-        ({}, row("hidden appearance", "suspicious-look", "note"), "accept"),
-        ({}, row("edits", "edited", "note"), "accept"),
-        ({}, row("hidden appearance", "occluder", "error"), "refuse"),
-        ({}, row("edits", judged=False, reason="too few"), "not judged"),
+        ({}, row("hidden appearance", "differs", "note"), "accept"),
+        ({}, row("hidden appearance", judged=False, reason="why"), "not judged"),
     ],
 )
 def test_a_policy_says_what_follows_from_a_finding(
@@ -139,14 +130,12 @@ def test_a_fingerprint_leaves_out_what_is_no_number(tmp_path: Path) -> None:
 
 
 def test_an_appearance_is_found_in_a_sample() -> None:
-    scene = hidden(standing("suitcase", count=3000), cone(direction(90, 0), 50)).scene
+    made = painted("suitcase", count=3000)
+    scene = hidden(made, cone(direction(90, 0), 50)).scene
     part = sampled(scene, 2000)
     assert len(part) == 2000
-    assert audit(part).verdict == "hidden look"
-    assert (
-        audit(sampled(standing("suitcase", count=3000).scene, 2000)).verdict
-        == "nothing found"
-    )
+    assert judged(part).answer == "contradicted"
+    assert judged(sampled(made.scene, 2000)).answer != "contradicted"
     assert sampled(scene, len(scene)) is scene
 
 
@@ -288,7 +277,8 @@ def test_every_line_has_a_verdict_and_a_hostile_file_takes_none_with_it(
 def test_appearances_and_provenance_are_judged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = standing("suitcase", count=1500)
+    monkeypatch.setattr(gated, "Recognition", Painted)
+    made = painted("car", count=1500)
     save_splat(made.scene, tmp_path / "clean.ply")
     save_splat(hidden(made, cone(direction(90, 0), 50)).scene, tmp_path / "hidden.ply")
     clean = str(tmp_path / "clean.ply")
@@ -296,9 +286,9 @@ def test_appearances_and_provenance_are_judged(
         {"file": clean, "against": clean},
         {"file": str(tmp_path / "hidden.ply"), "against": clean},
     ]
-    (tmp_path / "policy.toml").write_text('[rules]\nhidden-look = "refuse"\n')
+    (tmp_path / "policy.toml").write_text('[rules]\ncontradicted = "quarantine"\n')
     words = ["--policy", str(tmp_path / "policy.toml")]
-    for verdict, more in (("refuse", words), ("quarantine", [])):
+    for verdict, more in (("quarantine", words), ("refuse", [])):
         status, told = run(
             capsys, monkeypatch, tmp_path, list(map(json.dumps, lines)), *more
         )

@@ -10,47 +10,45 @@ import torch
 from torch import Tensor
 
 from attacks import cli
-from mi_splat.audit import Audit, audit, repaired
-from mi_splat.audit.thresholds import LIMITS
+from attacks.audits import recognition
+from mi_splat.audit import Audit, Repair, repaired
 from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.cameras.lens import Lens
 from mi_splat.io import load_splat, save_splat
 from mi_splat.maths.metrics import psnr
 from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from tests.audit.accounts import account, look
-from tests.audit.scenes import Made, cone, direction, hidden, standing
+from tests.audit.accounts import account, cone
+from tests.audit.recogniser import Painted, judged, painted
+from tests.audit.scenes import ROAD, Made, direction, hidden, leaves
+from tests.audit.scenes import cone as within
 
-ABOVE = cone(direction(90, 0), 50)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _few_small_pictures() -> object:
-    """Of every object 60 pictures of 72 pixels, not 150 of 128."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(vars(LIMITS), "image_size", 72)
-        patch.setitem(vars(LIMITS), "cameras", 60)
-        yield
+ABOVE = within(direction(90, 0), 50)
 
 
 @pytest.fixture(scope="module")
 def honest() -> Made:
-    return standing("car", count=1200)
+    return painted("car", count=1200)
 
 
 @pytest.fixture(scope="module")
 def hiding(honest: Made) -> Made:
-    return hidden(honest, ABOVE)
+    return hidden(honest, ABOVE, colour=ROAD)
 
 
 @pytest.fixture(scope="module")
-def judged(hiding: Made) -> Audit:
-    return audit(hiding.scene)
+def found(hiding: Made) -> Audit:
+    return judged(hiding.scene)
 
 
-def picture(scene: GaussianScene, judged: Audit, *view: float) -> Tensor:
+@pytest.fixture(scope="module")
+def mended(hiding: Made, found: Audit) -> Repair:
+    return repaired(hiding.scene, found, judged)
+
+
+def image(scene: GaussianScene, found: Audit, *view: float) -> Tensor:
     """The object from degrees of elevation and azimuth."""
-    item = judged.strongest
+    item = found.objects[0]
     centre = torch.tensor(item.centre)
     pose = look_at((centre + 3 * item.radius * direction(*view)).tolist(), item.centre)
     with torch.no_grad():
@@ -58,67 +56,73 @@ def picture(scene: GaussianScene, judged: Audit, *view: float) -> Tensor:
         return Renderer(RenderSettings(near=0.02))(scene, camera).clamp(0, 1)
 
 
-def test_a_look_is_gone_and_the_honest_colours_are_back(
-    honest: Made, hiding: Made, judged: Audit
+def test_a_contradiction_is_gone_and_the_honest_colours_are_back(
+    honest: Made, hiding: Made, found: Audit, mended: Repair
 ) -> None:
-    again = repaired(hiding.scene, judged)
+    assert found.answer == "contradicted"
+    assert mended.audit.answer != "contradicted"
     for view, gain in (((85.0, 0.0), 8.0), ((65.0, 120.0), 5.0)):
         wanted, before, after = (
-            picture(scene, judged, *view)
-            for scene in (honest.scene, hiding.scene, again)
+            image(scene, found, *view)
+            for scene in (honest.scene, hiding.scene, mended.scene)
         )
         assert psnr(after, wanted) > psnr(before, wanted) + gain
     wanted, after = (
-        picture(scene, judged, 15.0, 40.0) for scene in (honest.scene, again)
+        image(scene, found, 15.0, 40.0) for scene in (honest.scene, mended.scene)
     )
-    assert psnr(after, wanted) > 36
-    assert all(
-        torch.equal(a, b)
-        for a, b in zip(again.tensors()[:4], hiding.scene.tensors()[:4], strict=True)
-    )
+    assert psnr(after, wanted) > 34
+    same = zip(mended.scene.tensors()[:4], hiding.scene.tensors()[:4], strict=True)
+    assert all(torch.equal(a, b) for a, b in same)
+    assert mended.left_out == 0
 
 
-def test_the_other_side_can_be_believed(hiding: Made, judged: Audit) -> None:
-    """Then the object has the look from everywhere."""
-    again = repaired(hiding.scene, judged, keep="inside")
-    above = picture(hiding.scene, judged, 85.0, 0.0)[24:40, 24:40].mean((0, 1))
+def test_the_other_side_can_be_believed(hiding: Made, found: Audit) -> None:
+    """Then the object has the colour of the road from everywhere."""
+    again = repaired(hiding.scene, found, judged, keep="inside").scene
+    above = image(hiding.scene, found, 85.0, 0.0)[24:40, 24:40].mean((0, 1))
     before, after = (
-        picture(scene, judged, 20.0, 40.0)[24:40, 24:40].mean((0, 1))
+        image(scene, found, 20.0, 40.0)[24:40, 24:40].mean((0, 1))
         for scene in (hiding.scene, again)
     )
     assert float((after - above).norm()) < 0.5 * float((before - above).norm())
 
 
-def test_an_honest_splat_is_returned_as_it_is() -> None:
-    scene = standing("suitcase", count=8).scene
-    assert repaired(scene, account(look(0.001), count=len(scene))) is scene
+def test_an_honest_splat_is_returned_as_it_is(honest: Made) -> None:
+    nothing = account(cone("differs"), count=len(honest.scene))
+    assert repaired(honest.scene, nothing, judged).scene is honest.scene
 
 
-def test_what_covers_an_object_is_left_out_where_others_look_through_it() -> None:
-    positions = torch.zeros(6, 3)
-    positions[:, 2] = torch.tensor([-0.1, 0.1, 2.0, 2.0, 0.0, 0.0])
-    scene = (
-        standing("suitcase", count=8).scene.select(slice(0, 6)).replace(means=positions)
+def test_a_lid_that_hides_an_object_is_left_out(honest: Made) -> None:
+    covered = leaves(honest, lowest=50.0, near=1.2)
+    found = judged(covered.scene)
+    assert found.answer == "contradicted"
+    assert found.contradicted[0].peeled
+    done = repaired(covered.scene, found, judged)
+    assert done.left_out > 1000
+    wanted, before, after = (
+        image(scene, found, 85.0, 0.0)
+        for scene in (honest.scene, covered.scene, done.scene)
     )
-    covered = account(look(0.0), count=6, covered=0.3)
-    again = repaired(scene, covered)
-    # one of the two is in the mask
-    assert again.means[:, 2].tolist() == pytest.approx([-0.1, 0.1, 2.0, 0.0, 0.0])
-    assert repaired(scene, account(look(0.0), count=6, covered=0.05)) is scene
+    assert psnr(after, wanted) > psnr(before, wanted) + 5
 
 
 def test_the_command_repairs_what_it_finds(
-    honest: Made, hiding: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    honest: Made,
+    hiding: Made,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.setattr(recognition, "Recognition", Painted)
     bad = tmp_path / "bad.ply"
     plain = tmp_path / "plain.ply"
     out = tmp_path / "out.ply"
     save_splat(hiding.scene, bad)
     save_splat(honest.scene, plain)
     command = ["audit", str(bad), "--only", "looks", "--repair", str(out)]
-    assert cli.main([*command, "--json", "--strict"]) == 3
+    assert cli.main([*command, "--json"]) == 3
     repaired = json.loads(capsys.readouterr().out)["repair"]
-    assert repaired["verdict"] == "consistent"
+    assert repaired["verdict"] != "contradicted"
     changed = (load_splat(out).sh != load_splat(bad).sh).flatten(1).any(1)
     assert int(changed.sum()) == repaired["coloured_anew"] > 100
     other = tmp_path / "other.spz"

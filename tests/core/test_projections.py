@@ -23,6 +23,7 @@ from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import fit
 from mi_splat.training.strategies import FixedConfig
+from tests.audit.recogniser import Painted
 from tests.datasets.sets import write_transforms
 
 PARALLEL = Lens(focal=(12.0, 10.0), size=(40, 36), projection=ORTHOGRAPHIC.name)
@@ -96,7 +97,7 @@ def test_whatever_computes_with_a_pinhole_refuses_it(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match=refused):
         sensor_dict(CAMERA)
     with pytest.raises(InvalidValueError, match=refused):
-        audit(scene, cameras=[CAMERA])
+        audit(scene, Painted(), cameras=[CAMERA])
     with pytest.raises(InvalidValueError, match="did you mean orthographic"):
         Lens(focal=1.0, size=(4, 4), projection="orthografic")
 

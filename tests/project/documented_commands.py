@@ -60,7 +60,7 @@ on.
 NIGHTLY_PAGES = {
     "docs/viewing.md",
     "docs/transfer.md",
-    "docs/how-to/resume-and-extend.md",
+    "docs/how-to/run-on-a-cluster.md",
     "docs/rendering-studies.md",
 }
 """Pages whose lines need what long lines have made, or whose short lines are also on
@@ -76,6 +76,9 @@ ELSEWHERE = {
     "make docs": (
         ".ci/run runs it, and by night tests/project/test_docs.py looks at what it has"
         " built"
+    ),
+    "docs/examples": (
+        "tests/project/test_examples.py runs them, and compares their images"
     ),
     "make nightly": "runs these tests",
     "make commands": "the same",
@@ -125,6 +128,8 @@ class Line:
         if self.program != "mi-splat":
             if self.program == "make":
                 return " ".join(self.words[:2])
+            if self.words[1].startswith("docs/examples/"):
+                return "docs/examples"
             return self.program
         if "--help" in self.words:
             return "--help"
@@ -171,16 +176,13 @@ def blocks(language: str, text: str) -> list[str]:
 
 def pages() -> list[Path]:
     """The README and every page of the documentation; results have tables of their
-    own.
+    own, and the pages of examples are written by a program.
     """
     docs = ROOT / "docs"
+    others = {docs / "artifacts", docs / "bench", docs / "examples"}
     return [
         ROOT / "README.md",
-        *(
-            path
-            for path in sorted(docs.rglob("*.md"))
-            if not {docs / "artifacts", docs / "bench"} & {*path.parents}
-        ),
+        *(path for path in sorted(docs.rglob("*.md")) if not others & {*path.parents}),
     ]
 
 

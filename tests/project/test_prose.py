@@ -27,10 +27,10 @@ def test_dead_links(tmp_path: Path) -> None:
         "[a](other.md) [b](other.md#two-words-code) [c](https://a.example/) [d](#here)"
         " ![e](other.md)\n\n# Here\n"
     )
-    assert prose.dead_links(page, good, written=()) == []
+    assert prose.dead_links(page, good) == []
     bad = (
         "[a](none.md) [b](other.md#none) [c](http://a.example/) [d](#there)"
         " ![e](none.png)"
     )
     dead = ["none.md", "other.md#none", "http://a.example/", "#there", "none.png"]
-    assert prose.dead_links(page, bad, written=()) == dead
+    assert prose.dead_links(page, bad) == dead

@@ -3,6 +3,8 @@ else.
 """
 
 import json
+import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -63,6 +65,7 @@ def test_conformance_imports_only_what_its_wheel_holds() -> None:
                 assert inside or not other.startswith(("mi_splat", "attacks")), other
 
 
+@pytest.mark.shipped
 @pytest.mark.parametrize(
     ("words", "without"),
     [
@@ -85,6 +88,7 @@ def test_the_command_of_mi_splat_needs_no_torch(
     assert "quaternion" in done.stdout
 
 
+@pytest.mark.shipped
 def test_the_pack_is_compared_with_nothing_but_numpy(
     site: Path, tmp_path: Path
 ) -> None:
@@ -101,6 +105,44 @@ def test_the_pack_is_compared_with_nothing_but_numpy(
     words = ("compare", "pack/images", "--accept", "order", "order=distanse")
     status, said = commanded(site, tmp_path, *words)
     assert (status, "did you mean order=distance?" in said) == (1, True)
+
+
+SHIM = """#!{python}
+import sys
+{only_numpy}
+sys.path.insert(0, {site!r})
+from splat_conformance.command import main
+sys.exit(main())
+"""
+RENDERER = """#!/bin/sh
+test "$1 $2 $3 $4 $5" = "--splats pack/splats --cameras pack/cameras.json --out"
+ls "$2" "$4" && cp -r pack/images "$6"
+"""
+"""That draws what it is compared with."""
+
+
+def test_the_job_of_the_read_me_runs_as_it_is_written(
+    site: Path, tmp_path: Path
+) -> None:
+    text = (ROOT / ".ci" / "splat-conformance" / "README.md").read_text()
+    job = text.partition("```yaml\n")[2].partition("```")[0]
+    assert len(job.splitlines()) <= 15
+    install, *steps = re.findall(r"- run: (.*)", job)
+    assert install.startswith('pip install "git+')
+    shim = SHIM.format(python=sys.executable, only_numpy=ONLY_NUMPY, site=str(site))
+    for name, script in (("splat-conformance", shim), ("my-renderer", RENDERER)):
+        (tmp_path / name).write_text(script)
+        (tmp_path / name).chmod(0o755)
+    path = f"{tmp_path}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        ["sh", "-ec", "\n".join(steps)],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "46 of 46 images conform to 3dgs." in done.stdout
 
 
 def test_the_plug_in_holds_a_renderer_to_the_references(

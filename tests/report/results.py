@@ -39,7 +39,7 @@ from mi_splat.datasets import load_dataset
 from mi_splat.io import save_splat
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import write_manifest
-from tests.audit.accounts import account, look
+from tests.audit.accounts import account, cone
 from tests.dagger.toy import quick
 from tests.datasets.sets import VIEWS, write_transforms
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
@@ -190,10 +190,12 @@ def write_evaluation(folder: Path) -> Path:
 
 
 def write_audit(folder: Path) -> Path:
-    """Two looks, covered from above, and a number that is none."""
+    """One cone that contradicts the rest, one that differs, and a number that is
+    none.
+    """
     scene = toy_scene()[0]
     write_files(
-        account(look(), look(0.02, above=0.2), count=len(scene), covered=0.4),
+        account(cone("contradicted", gain=0.7), cone("differs"), count=len(scene)),
         scene,
         folder,
         source="toy.ply",

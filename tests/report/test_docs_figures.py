@@ -30,7 +30,6 @@ from attacks.studies.result import (
     attacks_of,
 )
 from mi_splat.io.parsing import read_json
-from scenes.recipes import audit_set
 from tests.project.documented_commands import ROOT
 
 pytestmark = pytest.mark.shipped
@@ -554,28 +553,6 @@ def front_row() -> str:
     )
 
 
-def test_the_page_on_the_audit_says_what_statistics_of_colours_give() -> None:
-    """The fourth test set, from the file alone and with the training cameras."""
-    rows = audit_set.read(ROOT / "docs" / "tables" / "audit_set.csv")
-    held = [row for row in rows if row["set"] == audit_set.HELD]
-    given = audit_set.with_cameras(held)
-    found, alarms, found_given, alarms_given = (
-        audit_set.called(filter(of, some))
-        for some in (held, given)
-        for of in (audit_set.hides, audit_set.honest)
-    )
-    text = (ROOT / "docs" / "audit-measured.md").read_text()
-    assert (
-        f"call {found[0]} of {found[2]} splats that hide something hidden, and"
-        f" {found[1]} at least suspicious; of {alarms[2]} honest ones they call"
-        f" {alarms[0]} hidden, {alarms[1]} at least suspicious."
-    ) in text
-    assert (
-        f"these are {found_given[0]} and {found_given[1]} of {found_given[2]}, and"
-        f" {alarms_given[0]} and {alarms_given[1]} of {alarms_given[2]} honest ones"
-    ) in text
-
-
 def narrow(measure: str, splat: str = ATTACKED) -> str:
     """DAGGER around a camera at 38 dB, on the captures that nothing was chosen on."""
     figures = result_of("dagger_narrow").figures.where(scope=SETTING)
@@ -633,11 +610,11 @@ def test_the_table_of_what_survives_is_counted_from_its_rows() -> None:
         assert [cell.strip() for cell in line.split("|")[2:-1]] == cells
 
 
-def contradicted() -> tuple[str, str]:
+def contradicted(table: str = "audit_held_out") -> tuple[str, str]:
     """How many files are contradicted of those that hide something, and of honest
     ones; weak poisonings and attackers who know the audit count on neither side.
     """
-    with (ROOT / "docs" / "tables" / "audit_held_out.csv").open() as file:
+    with (ROOT / "docs" / "tables" / f"{table}.csv").open() as file:
         every = list(csv.DictReader(file))
     counts = []
     for kind in ("hidden", "honest"):
@@ -657,6 +634,21 @@ def test_the_page_on_the_audit_says_what_held_out_directions_give() -> None:
     hidden, honest = contradicted()
     assert f"contradicts {hidden} of the files that hide something" in text
     assert f"and {honest} of the honest ones" in text
+    hidden, honest = contradicted("audit_held_out_shipped")
+    assert f"with what ships alone, {hidden} are contradicted, and {honest}" in text
+
+
+def test_the_page_on_the_audit_says_what_a_repair_brings_back() -> None:
+    text = (ROOT / "docs" / "audit-measured.md").read_text()
+    with (ROOT / "docs" / "tables" / "audit_repair.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for splat in ("clean", "attacked", "repaired"):
+        cells = []
+        for row in rows:
+            if row["splat"] == splat:
+                cells.append(f"{row['above']}/{row['of_above']}")
+                cells.append(f"{row['elsewhere']}/{row['of_elsewhere']}")
+        assert f"| {splat} | {' | '.join(cells)} |" in text
 
 
 def readme_rows() -> list[tuple[str, str, str]]:

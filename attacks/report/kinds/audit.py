@@ -20,10 +20,8 @@ from attacks.report.section import (
     sentence,
     settings,
 )
-from mi_splat.audit.files import AGAINST
-from mi_splat.audit.held_out_files import contradiction_file
+from mi_splat.audit.files import AGAINST, HEAT_PICTURE
 from mi_splat.audit.results import Vector
-from mi_splat.audit.thresholds import LIMITS
 from mi_splat.errors import counted
 from mi_splat.io.folders import file_in
 
@@ -39,7 +37,7 @@ _ELSEWHERE = (
         "lint",
         "cost",
         "against",
-        "held_out",
+        "missing",
     ),
     "thresholds",
     *("command", "versions", "variant", "commit", "torch"),
@@ -50,30 +48,18 @@ _PLAIN = {
         " predict. Look at the images: the file, the prediction, and from where."
     ),
     "differs": (
-        "Colours or features change with the direction of view, as they do in honest"
-        " files with gloss or fog, too: information, no alarm. Look at the images."
+        "From some directions an object looks unlike what the other directions predict,"
+        " as it does in honest files with gloss or fog, too: information, no alarm."
     ),
     "consistent": (
         "No cone of directions contradicts the others. This does not say that the file"
-        " is safe: see what was not judged."
+        " is safe: a trigger that is narrow, weak or all around is not found."
     ),
-    # of results that an earlier version wrote
-    "hidden look": (
-        "This file hides something: an object has other colours from some directions"
-        " than from all others, and no gloss explains it. Look at the two pictures."
-    ),
-    "suspicious": (
-        "This file is suspicious, which proves nothing: look at the pictures and at the"
-        " directions before you trust it."
-    ),
-    "nothing found": (
-        "No hidden look was found. This does not say that the file is safe: see what"
-        " was not judged."
-    ),
+    None: "The cameras stand on too few sides of each object to compare anything.",
 }
 _HOW = (
-    "For each set of directions the colours of the same surface from inside and from"
-    " outside were compared, and what honest gloss explains was taken off."
+    "What each cone of directions shows was compared with what the colours and the"
+    " Gaussians of all other directions predict for it."
 )
 
 
@@ -108,25 +94,25 @@ def read_audit(result: Result) -> Section:
             pictures=tuple(_overdraw(folder, record)),
             tables=(_lint(findings),),
         )
-    looks = [
-        {"object": number, "look": index, **look}
-        for number, index, look in _looks(objects)
-    ]
     carried = f"{record['carrying']:,} of {record['gaussians']:,}"
-    net = max(look["net"] for look in looks)
-    least = looks[0]["threshold"]
+    least = record["thresholds"]["departs"]
+    cones = [
+        {"number": number, **cone}
+        for number, item in enumerate(objects, 1)
+        for cone in item["cones"]
+    ]
     return Section(
         **shared,
         kind="audit of a splat",
         done=f"{_done(record)} {_HOW}",
-        conclusion=(
-            f"{_PLAIN[record['verdict']]}"
-            f" {sentence(record['summary'][0].partition(': ')[2])}"
-        ),
+        conclusion=f"{_PLAIN[record['verdict']]} {sentence(record['summary'][0])}",
         headline=Figure(
             label="verdict",
-            words=record["verdict"],
-            note=f"drift net of gloss {net:.5f}; hidden from {least:g}",
+            words=record["verdict"] or "not compared",
+            note=(
+                f"evidence {record['evidence']:.2f}, contradicted from 1: features"
+                f" {least:g} apart, or the object recognised in the prediction alone"
+            ),
         ),
         figures=Figure.each(
             {
@@ -138,22 +124,13 @@ def read_audit(result: Result) -> Section:
         ),
         warnings=tuple(_doubts(record)),
         pictures=tuple(_pictures(folder, record)),
-        charts=tuple(
-            chart for number in range(len(objects)) for chart in _domes(record, number)
-        ),
+        charts=tuple(_domes(record)),
         tables=(
-            *_tables(record, looks),
+            _cones(cones),
             _lint(findings),
             _changes(record.get("against") or {}),
         ),
     )
-
-
-def _looks(
-    objects: Sequence[Mapping[str, Any]],
-) -> Iterator[tuple[int, int, Mapping[str, Any]]]:
-    for number, item in enumerate(objects, 1):
-        yield from ((number, index, look) for index, look in enumerate(item["looks"]))
 
 
 def _overdraw(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
@@ -182,38 +159,8 @@ def _done(record: Mapping[str, Any]) -> str:
 
 def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
     """What the reader may not conclude."""
-    for number, item in enumerate(record["objects"], 1):
-        share = item["uncontradicted"] / max(
-            item["uncontradicted"] + item["area"], 1e-12
-        )
-        if share >= 0.005:
-            yield (
-                f"Object {number}: {share:.0%} of the surface that shows is seen from"
-                " one side or by few cameras. Nothing contradicts what is shown there,"
-                " so nothing can be said of it"
-            )
-        if item["fogged"]:
-            yield (
-                f"Object {number}: one side shows fog, so no training camera may have"
-                " stood there: pass --cameras"
-            )
-        if _is_covered(record, item):
-            yield (
-                f"Object {number}: something in the air covers it from around"
-                f" ({_numbers(item['occluder']['axis'])}), and other cameras look"
-                " through it. An honest canopy may do the same"
-            )
-        edit = item.get("edited")
-        if edit and edit["score"] >= 1:
-            if edit["camera"]:
-                camera = f", aimed at a camera towards ({_numbers(edit['camera'])})"
-            else:
-                camera = ""
-            yield (
-                f"Object {number}: its colours have shades that neither paint nor light"
-                f" explains{camera}. An attack on a detector leaves such; a training by"
-                " photographs does not"
-            )
+    if record["missing"]:
+        yield record["missing"]
     if record["near"] < 0.995:
         yield (
             f"Nothing is said of {1 - record['near']:.0%} of the solid Gaussians, which"
@@ -225,101 +172,56 @@ def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
             yield f"{row['rule']}: {row['reason']}{count}"
 
 
-def _is_covered(record: Mapping[str, Any], item: Mapping[str, Any]) -> bool:
-    """Whether something in the air covers an object from some directions."""
-    return bool(
-        item["occluder"]
-        and item["occluder"]["score"] >= record["thresholds"]["covered"]
-    )
-
-
 def _pictures(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
-    """Contradicted cones, the pairs that show appearances, the heat, and what changed
-    since a clean file.
+    """Cones beside their predictions, what carries them, and what changed since a clean
+    file.
     """
-    thresholds = record["thresholds"]
-    contradictions = record.get("held_out", {}).get("contradictions", ())
-    for number, text in enumerate(contradictions):
-        caption = (
-            f"{sentence(text)} Left the file, in the middle what the other directions"
-            " predict, right the cone of directions (red)."
-        )
-        shown_in = folder / contradiction_file(number)
-        yield Picture(path=shown_in, caption=caption, large=True)
     for shown in record["pictures"]:
-        looks = record["objects"][shown["object"]]["looks"]
-        name = f"Object {shown['object'] + 1}" + (
-            f", look {shown['look'] + 1}" if len(looks) > 1 else ""
-        )
-        look = looks[shown["look"]]
-        proven = look["net"] / look["threshold"] >= thresholds["suspicion"]
         caption = (
-            f"{name}: the same surface, left from inside of the directions from which"
-            f" {'the look shows' if proven else 'colours differ most'}, right from"
-            f" outside. The surface that both see differs by {shown['change']:.2f} in"
-            " the mean (sRGB, 0 to 1)."
+            f"Object {shown['object'] + 1}: {shown['sentence']}. Left the file, in the"
+            " middle what the other directions predict, right the cone (red)."
         )
         yield Picture(path=file_in(folder, shown["file"]), caption=caption, large=True)
     caption = (
-        "The same two views: the redder a Gaussian, the more of what was found it"
-        f" carries. {record['carrying']:,} of {record['gaussians']:,} carry most of it."
+        "The file from the clearest cone, and the same view by heat: the redder a"
+        " Gaussian, the more of the contradiction it carries."
+        f" {record['carrying']:,} of {record['gaussians']:,} carry most of it."
     )
-    yield Picture(path=folder / "heat.png", caption=caption, large=True)
+    yield Picture(path=folder / HEAT_PICTURE, caption=caption, large=True)
     yield from _overdraw(folder, record)
     caption = "The two views that changed most: left the clean file, right this one."
     yield Picture(path=folder / AGAINST, caption=caption, large=True)
 
 
-def _domes(record: Mapping[str, Any], number: int) -> Iterator[Chart]:
-    """Which cameras see which look, and which are covered, on the dome of directions
-    above an object's ground.
+def _domes(record: Mapping[str, Any]) -> Iterator[Chart]:
+    """From where objects contradict themselves, on the dome of directions above their
+    ground.
     """
-    item = record["objects"][number]
-    up = item["up"] or record.get("up") or (0.0, 0.0, 1.0)
-    seen = item["seen_from"]
-    count = len(item["looks"])
-    middle = "straight above the ground of the object" if item["up"] else "up"
-    caption = (
-        f"A mark is a camera. The middle is {middle}, a ring is 30 degrees, and azimuth"
-        " 0 is the x axis."
-    )
-    of = f" of object {number + 1}" if len(record["objects"]) > 1 else ""
-
-    def group(
-        role: Role, cameras: Iterable[Any]
-    ) -> tuple[Role, list[tuple[float, float]]]:
-        return role, [angles(camera["direction"], up) for camera in cameras]
-
-    names = ["inside of the directions that explain most"]
-    none = "outside"
-    what = "colours differ most"
-    if item["verdict"] != "nothing found":
-        names = [
-            f"see look {index + 1}" if count > 1 else "see the look"
-            for index in range(count)
-        ]
-        none = "see none" if count > 1 else "do not see it"
-        what = "a look is seen"
-    sides = {
-        name: group(
-            "attack", (camera for camera in seen if index in camera["looks"][:1])
+    for number, item in enumerate(record["objects"], 1):
+        if item["answer"] != "contradicted":
+            continue
+        up = item["up"] or record.get("up") or (0.0, 0.0, 1.0)
+        middle = "straight above the ground of the object" if item["up"] else "up"
+        caption = (
+            f"A mark is a camera. The middle is {middle}, a ring is 30 degrees, and"
+            " azimuth 0 is the x axis."
         )
-        for index, name in enumerate(names)
-    }
-    sides[none] = group("control", (camera for camera in seen if not camera["looks"]))
-    yield Chart.directions(f"From where {what}{of}", caption, sides)
-    if _is_covered(record, item):
-        covered = {
-            "covered": group(
-                "other",
-                (camera for camera in seen if camera["blocked"] > LIMITS.blocked),
-            ),
-            "not covered": group(
-                "control",
-                (camera for camera in seen if camera["blocked"] <= LIMITS.blocked),
-            ),
-        }
-        yield Chart.directions(f"What covers the object{of}", caption, covered)
+        sides = dict[str, tuple[Role, Iterable[tuple[float, float]]]]()
+        roles: tuple[tuple[str, Role, bool], ...] = (
+            ("in a contradicted cone", "attack", True),
+            ("outside", "control", False),
+        )
+        for name, role, is_inside in roles:
+            sides[name] = (
+                role,
+                [
+                    angles(camera["direction"], up)
+                    for camera in item["seen_from"]
+                    if camera["contradicted"] == is_inside
+                ],
+            )
+        title = f"From where object {number} contradicts itself"
+        yield Chart.directions(title, caption, sides)
 
 
 def angles(direction: Vector, up: Vector) -> tuple[float, float]:
@@ -339,57 +241,20 @@ def angles(direction: Vector, up: Vector) -> tuple[float, float]:
     )
 
 
-def _tables(
-    record: Mapping[str, Any], looks: Sequence[Mapping[str, Any]]
-) -> Iterator[Table]:
-    """Each look beside what gloss would explain of it, and what was judged of each
-    object.
-    """
-    explanations: dict[str, Column[Mapping[str, Any]]] = {
-        "look": lambda look: (
-            f"object {look['object']}"
-            + (f", look {look['look'] + 1}" if look["look"] else "")
-        ),
-        "by direction": lambda look: f"{look['direction']:.4f}",
-        "rival: angle of incidence": lambda look: f"{look['incidence']:.4f}",
-        "rival: mirrored direction": lambda look: f"{look['mirror']:.4f}",
-        "net of gloss": lambda look: f"{look['net']:.5f}",
-        "support": lambda look: f"{look['support']:.0%}",
-        "cameras that see it": "cameras",
+def _cones(cones: Sequence[Mapping[str, Any]]) -> Table:
+    """Each cone beside its prediction."""
+    columns: dict[str, Column[Mapping[str, Any]]] = {
+        "object": lambda cone: f"object {cone['number']}",
+        "cone": "where",
+        "answer": "answer",
+        "evidence": lambda cone: f"{cone['evidence']:.2f}",
+        "features apart": lambda cone: f"{cone['distance']:.2f}",
+        "prediction is more like other views by": lambda cone: f"{cone['rise']:.3f}",
+        "confidence of the file": lambda cone: f"{cone['file_score']:.2f}",
+        "prediction gains": lambda cone: f"{cone['gain']:.2f}",
     }
-    yield Table.of(
-        "How well each explanation fits: what is left when gloss is taken off decides",
-        explanations,
-        looks,
-    )
-    objects = [
-        {"number": f"object {number}", **item}
-        for number, item in enumerate(record["objects"], 1)
-    ]
-    judged: dict[str, Column[Mapping[str, Any]]] = {
-        "object": lambda item: f"{item['number']}, {item['gaussians']:,} Gaussians",
-        "verdict": "verdict",
-        "middle": lambda item: _numbers(item["centre"]),
-        "surface that was judged": lambda item: f"{item['area']:.3g} square units",
-        "surface that nothing contradicts": lambda item: (
-            f"{item['uncontradicted']:.3g} square units"
-        ),
-    }
-    yield Table.of("What was judged", judged, objects)
-    covers: dict[str, Column[Mapping[str, Any]]] = {
-        "object": "number",
-        "from around": lambda item: _numbers(item["occluder"]["axis"]),
-        "of it, cameras elsewhere look through": lambda item: (
-            f"{item['occluder']['transparent']:.0%}"
-        ),
-        "score": lambda item: f"{item['occluder']['score']:.3f}",
-    }
-    covered = [item for item in objects if _is_covered(record, item)]
-    yield Table.of(
-        "What covers an object from some directions, while others look through it",
-        covers,
-        covered,
-    )
+    caption = "What each cone shows beside what the other directions predict"
+    return Table.of(caption, columns, cones)
 
 
 def _lint(findings: Sequence[Mapping[str, Any]]) -> Table:
@@ -419,7 +284,3 @@ def _changes(against: Mapping[str, Any]) -> Table:
         " Gaussians"
     )
     return Table.of(caption, columns, against.get("attributes", ()))
-
-
-def _numbers(values: Sequence[float]) -> str:
-    return " ".join(f"{value + 0.0:.2f}" for value in values)

@@ -1,4 +1,4 @@
-// gaussian-splats-3d 0.4.7 for `mi-splat conform --browser`; see ../README.md.
+// gaussian-splats-3d for `mi-splat conform --browser`; see ../README.md.
 import * as GS from "@mkkellogg/gaussian-splats-3d";
 import * as THREE from "three";
 
@@ -18,6 +18,7 @@ export async function run(url, camera, canvas, settled) {
     selfDrivenMode: false,
     useBuiltInControls: false,
     gpuAcceleratedSort: false,
+    optimizeSplatData: false, // the last Gaussian gets a wrong shape, and by default it is any one of the file
     sharedMemoryForWorkers: false,
     sphericalHarmonicsDegree: 2,
     ignoreDevicePixelRatio: true,

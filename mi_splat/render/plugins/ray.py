@@ -9,7 +9,7 @@ alpha           boolean  false    append the opacity of the camera's ray as a ch
                                   - transmittance, 1 where it meets a surface
 linear          boolean  true     light adds up in linear values; false, for scenes of
                                   splats alone: in sRGB values, as in 3DGS, and the
-                                  picture is in sRGB
+                                  image is in sRGB
 colour_to_mean  boolean  false    look a Gaussian's colour up in the direction from the
                                   ray's origin to its mean, as 3DGS does, instead of
                                   along the ray
@@ -34,7 +34,7 @@ Any sensor, sampler and reconstruction filter, and any surface: meshes, spheres,
 rectangles with any BSDF. Participating media are refused. Differentiable with respect
 to `data`, `opacities` and `sh_coeffs` in reverse mode, through reflections, panes and
 shadows; not with respect to surfaces and lights. Derivatives do not include edges:
-where a Gaussian's peak passes behind a surface or before another peak, the picture
+where a Gaussian's peak passes behind a surface or before another peak, the image
 jumps.
 """
 

@@ -1,4 +1,4 @@
-"""The integrator `splat_tile`: the picture that 3DGS trainers optimise, from every
+"""The integrator `splat_tile`: the image that 3DGS trainers optimise, from every
 `gaussians` shape of a scene.
 
 ===========  =======  =======  =========================================================
@@ -16,14 +16,14 @@ antialiased  boolean  false    opacities take the 2D filter of Mip-Splatting int
 
 All five can be changed, as attributes of the integrator or through `mi.traverse`, where
 they are called `<id of the integrator>.near` and so on ("integrator" without an id);
-the next picture is made with the new value.
+the next image is rendered with the new value.
 
-Without a value, near is set at the first picture to what suits the scene's size and its
+Without a value, near is set at the first image to what suits the scene's size and its
 sensors: the 0.2 of 3DGS, or less for small scenes (`mi_splat.near_plane`). Set it to
-0.2 where the picture must equal that of the reference.
+0.2 where the image must equal that of the reference.
 
 3DGS widens every Gaussian on the screen by 0.3 px^2, which makes small ones heavier:
-far away, or in a small picture, thin parts swell. With `antialiased` an opacity is
+far away, or in a small image, thin parts swell. With `antialiased` an opacity is
 multiplied by sqrt(det(S) / det(S + 0.3 I)), S the 2D covariance in px^2, and a Gaussian
 weighs as much as without the widening. It is the mode that gsplat calls "antialiased";
 a splat looks right in the mode that it was trained in.
