@@ -134,7 +134,7 @@ def _one_layer(study: StudyConfig, degree: int) -> dict[str, Any]:
 
 
 def _layers(study: StudyConfig, making: LayerConfig) -> dict[str, Any]:
-    """Of a picture that shows a share b of the benign look and h of the hidden one, the
+    """Of an image that shows a share b of the benign look and h of the hidden one, the
     way is (1 - b + h) / 2.
     """
     attack = _overhead(study)

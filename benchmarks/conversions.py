@@ -6,7 +6,7 @@ pairs, as a Markdown table.
 Each attack (l2 ball of 5 over SH, 11 steps, the scene's first camera, turned and moved
 a little by the seed) is made twice: on SH of degree 3, and on a scene cut to the first
 coefficients before the attack. A format keeps an attack when the detector still reports
-the target on the object, from the converted file, on an 8-bit picture. It takes
+the target on the object, from the converted file, on an 8-bit image. It takes
 minutes.
 """
 
@@ -83,7 +83,7 @@ def views(
 
 def kept(seen: dict[str, ViewDetections], target: str) -> dict[str, tuple[bool, float]]:
     """For each format whether the target is still reported, and the PSNR beside the
-    picture from the PLY in dB.
+    image from the PLY in dB.
     """
     figures = {}
     for suffix, view in seen.items():

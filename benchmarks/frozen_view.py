@@ -1,6 +1,6 @@
 """How much faster is a step of a `FrozenView` than one of `Renderer`?
 
-A step is a picture and the gradient of its SH.
+A step is an image and the gradient of its SH.
 
     python benchmarks/frozen_view.py [--rounds 15] [--json]
 
@@ -44,7 +44,7 @@ SETTINGS = (
 def step(
     render: Callable[[torch.Tensor], torch.Tensor], sh: torch.Tensor, camera: Camera
 ) -> Callable[[], None]:
-    """A picture and its gradient of SH, for a random linear function of the picture."""
+    """An image and its gradient of SH, for a random linear function of the image."""
     weights = torch.randn(
         camera.height, camera.width, 3, generator=torch.Generator().manual_seed(1)
     )

@@ -1,4 +1,4 @@
-"""Does Mitsuba's `ellipsoids` shape meet the rays that it should, and does its picture
+"""Does Mitsuba's `ellipsoids` shape meet the rays that it should, and does its image
 depend on the unit of length?
 
     python benchmarks/mitsuba_ellipsoids.py [--count 100] [--picture FILE] [--json]
@@ -6,8 +6,8 @@ depend on the unit of length?
 The benchmark's splat and camera, with all lengths times 0.1 to 1,000: geometry that is
 the same in another unit. First one Gaussian at a time: a grid of rays around it, and
 whether the shape of three standard deviations is met, beside the discriminant of the
-same quadratic equation in float64. Then pictures: `volprim_rf_basic` and `splat_ray` in
-each unit, as PSNR to the picture of `splat_ray` in the first. `--picture` draws the
+same quadratic equation in float64. Then images: `volprim_rf_basic` and `splat_ray` in
+each unit, as PSNR to the image of `splat_ray` in the first. `--picture` draws the
 rays around the Gaussian with most errors.
 """
 
@@ -36,11 +36,11 @@ from mi_splat.scene import GaussianScene
 
 UNITS = (0.1, 1.0, 10.0, 100.0, 1000.0)
 SIZE = (256, 256)
-"""Width and height of the pictures."""
+"""Width and height of the images."""
 SIDE = 33
 """Rays along one side of the grid around a Gaussian."""
 SAME = 999.0
-"""In dB, for equal pictures."""
+"""In dB, for equal images."""
 EXTENT = 3.0
 """Standard deviations at which the shape ends."""
 

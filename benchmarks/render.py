@@ -10,7 +10,7 @@ The same splat, camera and process for both; each is run three times before it i
 so that compilation stays apart, and the runs are interleaved, since a shared machine
 changes its speed within minutes. Reported is the median over the rounds of the ratio
 within a round. `volprim_rf_basic` takes one sample a pixel through a box filter;
-backward means the gradient of a random linear function of the picture with respect to
+backward means the gradient of a random linear function of the image with respect to
 every parameter of the splat. `splat_ray` takes one sample a pixel, too, through the
 same random points of pixels. Its tree is built before, as the one of `volprim_rf_basic`
 is, and not in the times.
@@ -45,7 +45,7 @@ def shell(count: int, *, seed: int = 0) -> GaussianScene:
     distance from each other.
 
     In torch's own memory: NumPy's may not be aligned as Dr.Jit wants it, and is then
-    copied for every picture.
+    copied for every image.
     """
     rng = np.random.default_rng(seed)
     means = rng.normal(size=(count, 3))
@@ -84,7 +84,7 @@ def through_mitsuba(scene: GaussianScene, camera: Camera, integrator: str) -> Ru
     params = mi.traverse(loaded)
     keys = [f"splat.{name}" for name in ("data", "opacities", "sh_coeffs")]
     rng = np.random.default_rng(1)
-    # splat_tile keeps its last pictures for their gradients; a timed forward pass must
+    # splat_tile keeps its last images for their gradients; a timed forward pass must
     # not find one.
     caches = integrator == "splat_tile"
     clear_cache = loaded.integrator().clear_cache if caches else lambda: None

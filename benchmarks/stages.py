@@ -1,13 +1,13 @@
-"""Where does the time of a picture of `splat_tile` go, stage by stage?
+"""Where does the time of an image of `splat_tile` go, stage by stage?
 
-And how long does the first picture take?
+And how long does the first image take?
 
     python benchmarks/stages.py [--rounds 9] [--large] [--splat FILE] [--json]
 
 Each stage ends with a wait for its kernels, and so does the work between two stages, so
-that the sum is a little more than the time of a picture that is not held up. Everything
+that the sum is a little more than the time of an image that is not held up. Everything
 runs three times before it is timed; medians over the rounds. `--large` adds one million
-Gaussians and a picture of 2560 x 1440. The first picture is timed in two processes of
+Gaussians and an image of 2560 x 1440. The first image is timed in two processes of
 their own: with an empty cache of Dr.Jit's kernels (cold), and with the one that the
 first process has filled (warm); imports are not in it.
 """
@@ -123,13 +123,13 @@ def watched(clock: Clock) -> Iterator[None]:
 
 
 def camera_of(size: tuple[int, int]) -> Camera:
-    """The benchmark's camera with a picture of this width and height."""
+    """The benchmark's camera with an image of this width and height."""
     pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=3.0)
     return Camera(to_world=pose, lens=Lens(focal=float(size[1]), size=size))
 
 
 def measure(scene: GaussianScene, camera: Camera, rounds: int) -> dict[str, Any]:
-    """Median times in ms: of a picture with its gradient as it is, and of its
+    """Median times in ms: of an image with its gradient as it is, and of its
     stages.
     """
     render = Renderer()
@@ -185,7 +185,7 @@ def _median_ms(values: list[float]) -> float:
 
 
 def first_pictures() -> dict[str, dict[str, float]]:
-    """Seconds from the first call to the first picture, and to its gradient: cold and
+    """Seconds from the first call to the first image, and to its gradient: cold and
     warm.
     """
     here = Path(__file__).resolve().parent
@@ -212,7 +212,7 @@ def main() -> None:
     parser.add_argument(
         "--large",
         action="store_true",
-        help="one million Gaussians, and a large picture, too",
+        help="one million Gaussians, and a large image, too",
     )
     parser.add_argument(
         "--splat",
@@ -249,7 +249,7 @@ def main() -> None:
             print(f"  {name:<22} {spent:8.2f} ms")  # noqa: T201
     for name, spent in document["first_picture"].items():  # type: ignore[attr-defined]
         print(  # noqa: T201
-            f"first picture, {name}: {spent['forward_s']} s, with its gradient"
+            f"first image, {name}: {spent['forward_s']} s, with its gradient"
             f" {spent['both_s']} s"
         )
 

@@ -1,20 +1,20 @@
-"""How many pictures a second does `mi-splat view` make while the camera moves, and how
+"""How many images a second does `mi-splat view` make while the camera moves, and how
 soon does it react at rest?
 
     python benchmarks/view.py [--gaussians 100000] [--canvas 1000 700]
         [--pictures 120] [--json]
 
 A camera goes around a shell of Gaussians. Timed is what the server does for each
-picture: rendering, putting together, and encoding as JPEG, at the resolution that the
+image: rendering, putting together, and encoding as JPEG, at the resolution that the
 pace settles on; once with one splat, once with two side by side. The browser's own work
-and the network are not in it. `cpu_ms` is the processor time of a picture, which other
-programs on the machine change less than the clock's. The first quarter of the pictures,
+and the network are not in it. `cpu_ms` is the processor time of an image, which other
+programs on the machine change less than the clock's. The first quarter of the images,
 in which kernels are compiled and the pace settles, does not count; the very first one
 is timed apart, without the time that kernels take to compile.
 
-A reaction is what a user waits for who moves the camera while a full picture is made:
-until that is interrupted, and the coarse picture is made. It is the slowest of
-movements at several moments of a full picture.
+A reaction is what a user waits for who moves the camera while a full image is made:
+until that is interrupted, and the coarse image is made. It is the slowest of
+movements at several moments of a full image.
 """
 
 import argparse
@@ -41,13 +41,13 @@ from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.server import JPEG_QUALITY
 from mi_splat.viewer.session import Pace, Step, ViewState, display_modes
 
-MOMENTS = 12  # of a full picture, at which the camera moves
+MOMENTS = 12  # of a full image, at which the camera moves
 
 
 def measure(
     scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures: int
 ) -> dict[str, float]:
-    """Pictures a second while the camera moves, and what a full picture takes."""
+    """Images a second while the camera moves, and what a full image takes."""
     settings = RenderSettings()
     names = ("clean", "attacked")[:splats]
     shown = tuple(
@@ -101,8 +101,8 @@ def measure(
 
 
 def _reaction(painter: Painter, state: ViewState, pace: Pace, after: float) -> float:
-    """Seconds from a movement, so long after a full picture was begun, to the coarse
-    picture.
+    """Seconds from a movement, so long after a full image was begun, to the coarse
+    image.
     """
     moved = time.perf_counter() + after
     with (
@@ -117,7 +117,7 @@ def _reaction(painter: Painter, state: ViewState, pace: Pace, after: float) -> f
 def _timed(
     painter: Painter, state: ViewState, step: Step, pace: Pace
 ) -> tuple[float, int]:
-    """Seconds for a picture, and of how many Gaussians it shows one."""
+    """Seconds for an image, and of how many Gaussians it shows one."""
     started = time.perf_counter()
     painting = painter.paint(state, step, pace)
     Image.fromarray(painting.pixels).save(
@@ -145,11 +145,11 @@ def main() -> None:
     for line in lines:
         sys.stdout.write(
             f"{line['splats']} x {options.gaussians:,} Gaussians at {canvas[0]} x"
-            f" {canvas[1]}: {line['pictures_a_second']} pictures a second at"
+            f" {canvas[1]}: {line['pictures_a_second']} images a second at"
             f" {line['scale']:.0%} of the width, one of {line['every']} Gaussians,"
             f" processor {line['cpu_ms']} ms, slowest {line['slowest_ms']} ms, the"
             f" first {line['first_ms']} ms; half the width {line['half_ms']} ms, a full"
-            f" picture {line['full_ms']} ms; a movement meanwhile is seen after"
+            f" image {line['full_ms']} ms; a movement meanwhile is seen after"
             f" {line['reaction_ms']} ms\n"
         )
 

@@ -1,5 +1,5 @@
 """Where a result comes from: versions, Mitsuba's variant, the commit of a checkout, and
-how pictures were rendered.
+how images were rendered.
 """
 
 import importlib.metadata
@@ -67,7 +67,7 @@ def torch_arithmetic() -> dict[str, Any] | None:
 
 
 def rendered_with(render: object) -> dict[str, Any]:
-    """What pictures depend on besides the splat and the camera, as JSON can hold it."""
+    """What images depend on besides the splat and the camera, as JSON can hold it."""
     settings: Any = getattr(render, "settings", None)
     if not (hasattr(settings, "background") and hasattr(settings, "near")):
         return {}

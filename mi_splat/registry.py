@@ -145,7 +145,7 @@ def _points(group: str) -> dict[str, tuple[EntryPoint, ...]]:
 @functools.lru_cache(maxsize=32)
 def _points_on(group: str, path: tuple[str, ...]) -> dict[str, tuple[EntryPoint, ...]]:
     """Entry points by their names; folders are looked through once, for that takes as
-    long as a picture.
+    long as an image.
     """
     points: dict[str, tuple[EntryPoint, ...]] = {}
     for point in entry_points(group=group):

@@ -89,7 +89,7 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture
 def scalar() -> Iterator[None]:
-    """Mitsuba's scalar variant for a whole test of few pictures, which compiles
+    """Mitsuba's scalar variant for a whole test of few images, which compiles
     nothing.
     """
     from mi_splat.capture.path_tracer import FEW_PICTURES, tracing_variant
@@ -100,7 +100,7 @@ def scalar() -> Iterator[None]:
 
 @pytest.fixture
 def frozen(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
-    """The cameras of all pictures that frozen views make during the test."""
+    """The cameras of all images that frozen views make during the test."""
     from mi_splat.render.frozen_view import FrozenView
 
     seen: list[Camera] = []

@@ -1,1 +1,1 @@
-"""Classifiers: which class a picture shows, differentiable in the picture."""
+"""Classifiers: which class an image shows, differentiable in the image."""

@@ -1,4 +1,4 @@
-"""What an attack sees of a classifier: scores by class, differentiable in the pictures.
+"""What an attack sees of a classifier: scores by class, differentiable in the images.
 
 Images are channels-last sRGB, as the renderer makes them, of any size; a classifier
 brings them to its own.
@@ -37,7 +37,7 @@ class Classifier(Protocol):
 
     @property
     def size(self) -> int:
-        """Width and height of the pictures that the network works on, pixels."""
+        """Width and height of the images that the network works on, pixels."""
         ...
 
     def scores(self, images: Tensor) -> Tensor:

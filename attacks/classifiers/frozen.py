@@ -1,4 +1,4 @@
-"""What all adapters to classifiers share: a frozen network, pictures brought to it, and
+"""What all adapters to classifiers share: a frozen network, images brought to it, and
 rows of what it says.
 """
 
@@ -23,7 +23,7 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preparation:
-    """How pictures are brought to a network: scaled, cut, and normalised, by
+    """How images are brought to a network: scaled, cut, and normalised, by
     torchvision's differentiable functions.
     """
 
@@ -74,7 +74,7 @@ class FrozenClassifier(FrozenModel):
 
 
 class ZeroShot(nn.Module):
-    """Features of a picture less their centre, compared with those of each class: their
+    """Features of an image less their centre, compared with those of each class: their
     cosine, times a temperature.
     """
 
@@ -96,7 +96,7 @@ class ZeroShot(nn.Module):
         self.register_buffer("centre", centre)
 
     def forward(self, pictures: Tensor) -> Tensor:
-        """(B, 3, S, S) prepared pictures to (B, C) logits."""
+        """(B, 3, S, S) prepared images to (B, C) logits."""
         features = nn.functional.normalize(self.encoder(pictures), dim=1)
         features = nn.functional.normalize(features - self.centre, dim=1)
         return self.temperature * features @ self.directions.T
@@ -129,7 +129,7 @@ def class_number(classifier: Any, name: str, what: str = "class") -> int:
 def classified(
     classifier: Classifier, pictures: Iterable[Tensor], label: str
 ) -> list[dict[str, Any]]:
-    """A row for each picture: `view`, its position; `classifier`; `top1`; `right`;
+    """A row for each image: `view`, its position; `classifier`; `top1`; `right`;
     `confidence` in the true class.
     """
     true = class_number(classifier, label, "label")

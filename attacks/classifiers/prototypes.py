@@ -1,9 +1,9 @@
 """A classifier that needs no training: a class is the mean direction of the features of
-a few pictures of it.
+a few images of it.
 
 As nearest class means with pretrained features (Snell et al., arXiv 1703.05175, call
-them prototypes): the features of a picture are compared by their cosine with those of
-clean pictures of OTHER objects of each class, both less the mean of all classes. The
+them prototypes): the features of an image are compared by their cosine with those of
+clean images of OTHER objects of each class, both less the mean of all classes. The
 vectors are a part of the package (scenes/recipes/prototypes.py makes them). The
 features are those of MobileNetV2, trained on ImageNet by others, without its last
 layer.
@@ -37,7 +37,7 @@ from mi_splat.io.parsing import DocumentReader
 VECTORS = Path(__file__).with_name("prototypes.safetensors")
 """Where the package has the vectors."""
 LENGTH = 1280
-"""Of the features of a picture."""
+"""Of the features of an image."""
 TEMPERATURE = 20.0
 """What cosines are multiplied by to become logits."""
 _READER = DocumentReader(
@@ -91,7 +91,7 @@ class Features(nn.Module):
         self.features = torchvision.models.mobilenet_v2(weights=None).features
 
     def forward(self, pictures: Tensor) -> Tensor:
-        """Features of prepared pictures."""
+        """Features of prepared images."""
         maps: Tensor = self.features(pictures)
         return maps.mean((2, 3))
 

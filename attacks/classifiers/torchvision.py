@@ -1,4 +1,4 @@
-"""Adapter to every classifier of torchvision, with the preparation of pictures that
+"""Adapter to every classifier of torchvision, with the preparation of images that
 belongs to its weights.
 """
 
@@ -18,7 +18,7 @@ from mi_splat.errors import InvalidValueError, nearest
 
 _GOOGLE = ("googlenet", "inception_v3")
 """Networks whose builders warn of their start, and whose published weights want the
-pictures scaled once more.
+images scaled once more.
 """
 
 

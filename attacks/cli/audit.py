@@ -70,8 +70,8 @@ class AuditOptions(JsonOptions):
     axis, or three numbers. Without, it is estimated from the ground.
     """
     downscale: Annotated[int, between(1, 64, "times smaller"), Metavar("FACTOR")] = 1
-    """Read the images of a set so many times smaller. They are compared at 400 to 800
-    pixels anyway, so that this only saves time and memory.
+    """Factor by which the images of a set are read smaller. They are compared at 400 to
+    800 pixels anyway, so that this only saves time and memory.
     """
     out: OutFolder | None = None
     """Folder for result.json, an image of each contradicted cone of directions (file,

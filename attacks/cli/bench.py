@@ -27,7 +27,7 @@ class BenchOptions(JobOptions):
 
     Columns: DAGGER from one view, DAGGER for all views, CLOAK, and attacks that were
     made on other detectors. Only views count in which the detector names the clean
-    object. Higher is more robust. A run that was killed goes on where it stopped. Run
+    object. Higher is more robust. A run that was killed resumes where it stopped. Run
     it in a checkout, where scenes/suites is.
     """
 

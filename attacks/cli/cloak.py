@@ -1,4 +1,4 @@
-"""`mi-splat cloak`: a study of CLOAK from the first picture to the table."""
+"""`mi-splat cloak`: a study of CLOAK from the first image to the table."""
 
 from dataclasses import asdict, dataclass, replace
 from functools import partial

@@ -18,7 +18,7 @@ EXAMPLES = (
         " out/compare"
     ),
     (
-        "compare YOUR.ply --methods tile,folder:pictures --cameras cameras.json --out"
+        "compare YOUR.ply --methods tile,folder:images --cameras cameras.json --out"
         " out/theirs"
     ),
 )

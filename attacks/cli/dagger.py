@@ -434,7 +434,7 @@ def _showing(
     idle = len(weights) - len(kept)
     if idle:
         warn(
-            f"{idle} of {len(weights)} pictures for training do not show the object,"
+            f"{idle} of {len(weights)} images for training do not show the object,"
             " and are left out"
         )
     return replace(chosen, cameras={name: chosen.cameras[name] for name in kept}), kept

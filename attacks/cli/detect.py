@@ -1,4 +1,4 @@
-"""`mi-splat detect`: what detectors report on pictures, and on splats as cameras see
+"""`mi-splat detect`: what detectors report on images, and on splats as cameras see
 them.
 """
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from attacks.detectors.base import Detections, Detector
 
     Report = tuple[Mapping[str, object] | None, str, Tensor, Detections]
-    """Where from, by which detector; the picture, (H, W, 3) sRGB in [0, 1], and what is
+    """Where from, by which detector; the image, (H, W, 3) sRGB in [0, 1], and what is
     reported on it.
     """
 
@@ -124,7 +124,7 @@ def run(options: DetectOptions) -> None:
         }
         save_json(document, folder / RECORD)
     lines = [f"{name}: {_reported(row) or 'nothing'}" for name, row in rows.items()]
-    lines.append(f"{options.out}: {len(rows)} pictures with boxes, and {RECORD}")
+    lines.append(f"{options.out}: {len(rows)} images with boxes, and {RECORD}")
     show_result({**document, "out": str(options.out)}, *lines, as_json=options.json)
 
 
@@ -214,13 +214,13 @@ def _check_inputs(options: DetectOptions) -> None:
     """
     if not options.inputs:
         raise UsageError.of(
-            "inputs", "pictures, splats or scenes", "none", "name one or more"
+            "inputs", "images, splats or scenes", "none", "name one or more"
         )
     idle = [f"--{name}" for name in _given(options.view) if name != "background"]
     if idle and all(
         _is_picture(source) or _images_in(source) for source in options.inputs
     ):
-        got = f"pictures only, and {', '.join(idle)}"
+        got = f"images only, and {', '.join(idle)}"
         raise UsageError.of(
             "inputs",
             "a splat or a scene to look at from cameras",

@@ -97,7 +97,7 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
 
 
 def run(options: EvaluateOptions) -> None:
-    """Evaluate, and write pictures and numbers."""
+    """Evaluate, and write images and numbers."""
     from attacks.cli.options import box_finder, check_detectors
     from attacks.cli.summary import show_summary
     from attacks.figures.frame import write_figures

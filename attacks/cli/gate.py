@@ -84,7 +84,7 @@ class GateOptions(JsonOptions):
     only: Literal["lint"] | None = None
     """Only check the numbers and what rendering them costs, which is much faster."""
     workers: Annotated[int, between(1, 1024, "processes")] | None = None
-    """Processes that read files side by side; None is one for each core if memory
+    """Processes that read files side by side. Default: one for each core if memory
     allows.
     """
     seconds: Annotated[float, at_least(1, "seconds")] | None = None

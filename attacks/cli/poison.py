@@ -59,7 +59,7 @@ EXAMPLES = (
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectConfig:
-    """An object of the pictures.
+    """An object of the images.
 
     Attributes:
         selection: Which Gaussians of the splat are the object.
@@ -74,7 +74,7 @@ class ObjectConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class HidingConfig(ObjectConfig):
-    """CLOAK on a set of pictures.
+    """CLOAK on a set of images.
 
     Attributes:
         hide_from: Directions from the object's centre in which it is hidden, in
@@ -104,7 +104,7 @@ class HidingConfig(ObjectConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class AimedConfig(ObjectConfig):
-    """A poison of an object of a set of pictures.
+    """A poison of an object of a set of images.
 
     Attributes:
         attack: How the object's pixels are changed.
@@ -214,7 +214,7 @@ def defaults(words: Sequence[str]) -> dict[str, Any]:
 
 
 def run(options: PoisonOptions) -> None:
-    """Poison the set, and say how many pictures were changed and how much."""
+    """Poison the set, and say how many images were changed and how much."""
     from attacks.cloak.own_pictures import BEFORE_AND_AFTER, RECORD, before_and_after
     from attacks.poisons.writing import (
         as_files_hold,
@@ -311,7 +311,7 @@ def _footprint(done: Poisoned) -> dict[str, float]:
 def _changes(done: Poisoned) -> str:
     changes = [change for change in done.changes if change.pixels_changed]
     if not changes:
-        return f"none of {len(done.views)} pictures is changed"
+        return f"none of {len(done.views)} images is changed"
     shares = sorted(change.pixels_changed / change.pixels for change in changes)
     most = max(c.largest for c in changes)
     footprint = _footprint(done)
@@ -385,7 +385,7 @@ def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
             settings["seed"] = options.seed
         idle = sum(not change.pixels_changed for change in done.changes)
         remark = (
-            f"{idle} pictures from where it is to be hidden do not show the object, and"
+            f"{idle} images from where it is to be hidden do not show the object, and"
             " stay as they are"
         )
         return Outcome(
@@ -450,7 +450,7 @@ def _deceived(config: MisreadingConfig) -> tuple[Classifier, str]:
 def _masks_of(
     splat: GaussianScene, rows: Tensor, near: float, views: Dataset
 ) -> Callable[[Camera], Tensor]:
-    """Where the object is in the picture of a camera of the set."""
+    """Where the object is in the image of a camera of the set."""
     from mi_splat.render.renderer import Renderer, RenderSettings
     from mi_splat.render.variant import DEFAULT_VARIANT
     from mi_splat.selection.select import SEEN
@@ -463,7 +463,7 @@ def _masks_of(
         seen = object_weight(splat, rows, camera, render) >= SEEN
         if not bool(seen.any()):
             what = str(names.get(id(camera), camera))
-            do = "select all of the object, or leave the picture out of the set"
+            do = "select all of the object, or leave the image out of the set"
             raise InvalidValueError.of(what, "some pixels of the object", "none", do)
         return seen
 
@@ -480,7 +480,7 @@ def _growth(done: Poisoned) -> list[str]:
 
 
 def _skipped(done: Poisoned, config: Any) -> list[str]:
-    """Pictures that stay because the classifier does not read them rightly."""
+    """Images that stay because the classifier does not read them rightly."""
     skipped = len(done.poison.get("skipped", ()))
     if not skipped or not isinstance(config, MisreadingConfig):
         return []
@@ -488,7 +488,7 @@ def _skipped(done: Poisoned, config: Any) -> list[str]:
     if sure is None:  # of another package
         return []
     return [
-        f"in {skipped} pictures {config.classifier} is less than {sure:.0%}"
+        f"in {skipped} images {config.classifier} is less than {sure:.0%}"
         f" confident of {config.label}; they stay"
     ]
 

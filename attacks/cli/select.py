@@ -1,4 +1,4 @@
-"""`mi-splat select`: one object of a splat, tinted in a picture, as a mask, or as a
+"""`mi-splat select`: one object of a splat, tinted in an image, as a mask, or as a
 splat of its own.
 """
 
@@ -67,7 +67,7 @@ LISTED = 6
 LONGEST_SIDE = 1024
 """Pixels of the longer side of images in which shares are counted."""
 TINT = (1.0, 0.0, 0.8)
-"""sRGB colour of the object in the picture, mixed half and half with its own."""
+"""sRGB colour of the object in the image, mixed half and half with its own."""
 
 
 def run(options: SelectOptions) -> None:
@@ -185,7 +185,7 @@ def _smaller(cameras: Mapping[str, Camera]) -> dict[str, Camera]:
 def tinted(
     scene: GaussianScene, weight: Tensor, camera: Camera, render: RenderFn
 ) -> NDArray[np.uint8]:
-    """The picture of a scene in which an object has another colour, and all else is
+    """The image of a scene in which an object has another colour, and all else is
     paler.
     """
     import torch

@@ -1,3 +1,3 @@
-"""CLOAK: poisoned training pictures, so that a splat looks different from chosen
+"""CLOAK: poisoned training images, so that a splat looks different from chosen
 directions.
 """

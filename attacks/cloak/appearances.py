@@ -1,5 +1,5 @@
 """What an attack shows: functions from a view and the target's mask in it to the
-picture that takes its place.
+image that takes its place.
 """
 
 import math
@@ -32,8 +32,8 @@ from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.objects import object_file
 from mi_splat.errors import InvalidValueError
 
-# Appearances that retouch a picture: two controls, and the attack of who has nothing
-# but pictures and masks.
+# Appearances that retouch an image: two controls, and the attack of who has nothing
+# but images and masks.
 #
 # A control damages the object without hiding it. If detectors miss a half faded or a
 # blurred object as often as one that was removed, it is damage that they fail on, and
@@ -43,7 +43,7 @@ Doubles = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 BLUR_WIDTH = 0.04
-"""Standard deviation of a blur, in longer sides of the object's box in the picture."""
+"""Standard deviation of a blur, in longer sides of the object's box in the image."""
 HOLE_MARGIN = 3
 """Pixels by which the hole that is filled is wider than the mask: pixels at an outline
 show some of the object.
@@ -83,7 +83,7 @@ def grown(mask: Tensor, pixels: int) -> Tensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Fade:
-    """The object half transparent: the mean of the picture and of the one without
+    """The object half transparent: the mean of the image and of the one without
     it.
     """
 
@@ -92,7 +92,7 @@ class Fade:
     name: str = "half transparent"
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The mean within reach of the object, the old picture elsewhere."""
+        """The mean within reach of the object, the old image elsewhere."""
         mean = (view.image + self.removed(view, mask)) / 2
         return torch.where(grown(mask, self.reach)[..., None], mean, view.image)
 
@@ -111,7 +111,7 @@ class Blur:
         return f"blurred by {self.width:g} of its box"
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The picture; it stays as it is farther from the mask than `reach` pixels."""
+        """The image; it stays as it is farther from the mask than `reach` pixels."""
         if not bool(mask.any()):
             return view.image
         sigma = self._sigma(mask)
@@ -138,7 +138,7 @@ class Blur:
         )
 
     def _near(self, mask: Tensor) -> int:
-        """Two standard deviations: within them of the object, the picture is all but
+        """Two standard deviations: within them of the object, the image is all but
         the blurred one.
         """
         return max(1, round(2 * self._sigma(mask)))
@@ -146,7 +146,7 @@ class Blur:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Inpaint:
-    """The object gone, by whoever has nothing but the picture and a mask: its place is
+    """The object gone, by whoever has nothing but the image and a mask: its place is
     `inpainted`.
     """
 
@@ -154,7 +154,7 @@ class Inpaint:
     name: str = "inpainted"
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The picture with its hole filled."""
+        """The image with its hole filled."""
         return inpainted(view.image, grown(mask, self.reach))
 
 
@@ -162,8 +162,8 @@ def inpainted(picture: Tensor, hole: Tensor) -> Tensor:
     """(H, W, 3) with a hole filled from what is around it; nothing in the hole is read.
 
     "Poisson Image Editing" (Perez, Gangnet, Blake 2003), equation (7): the fill's
-    differences between neighbours are those of the picture mirrored at the hole's edge,
-    and its rim goes on with what is outside. Where the mirrored picture is torn, is no
+    differences between neighbours are those of the image mirrored at the hole's edge,
+    and its rim goes on with what is outside. Where the mirrored image is torn, is no
     texture, or lies in the hole itself, the fill is as smooth as it can be. It knows
     nothing of shadows, and makes up nothing.
     """
@@ -172,7 +172,7 @@ def inpainted(picture: Tensor, hole: Tensor) -> Tensor:
         raise InvalidValueError.of(
             "hole to fill",
             "something around it",
-            "the whole picture",
+            "the whole image",
             "take it from farther away",
         )
     if not inside.any():
@@ -242,7 +242,7 @@ class Appearance(Protocol):
     """
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The picture that takes the place of `view.image`.
+        """The image that takes the place of `view.image`.
 
         Args:
             view: The untouched view.
@@ -273,7 +273,7 @@ class Rerender:
 
     mesh_scene: MeshScene
     name: str
-    # pixels around the target that are new, too; None is the whole picture
+    # pixels around the target that are new, too; None is the whole image
     reach: int | None = 1
     # whether the other target may cover pixels outside of the mask
     outgrows: bool = True
@@ -281,7 +281,7 @@ class Rerender:
     difference: bool = False
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The new picture around the target, the old one elsewhere."""
+        """The new image around the target, the old one elsewhere."""
         picture = self.mesh_scene.picture(view.camera).to(view.image)
         if self.reach is None:
             return picture
@@ -343,7 +343,7 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
 
 
 def _reach(attack: AttackConfig) -> int | None:
-    """Pixels around what is replaced in a rendering; None is the whole picture."""
+    """Pixels around what is replaced in a rendering; None is the whole image."""
     whole = attack.appearance in ("remove", "swap") and attack.mask == "object"
     if attack.reach is not None or whole:
         return attack.reach
@@ -351,7 +351,7 @@ def _reach(attack: AttackConfig) -> int | None:
 
 
 def removed(mesh_scene: MeshScene, *, reach: int | None = None) -> Rerender:
-    """What would be seen without the target; unless a reach is given the whole picture
+    """What would be seen without the target; unless a reach is given the whole image
     is new, without its shadow.
     """
     nothing = mesh_scene.with_target(Asset(mesh_scene.target.name, ()))
@@ -367,8 +367,8 @@ degrees.
 
 _HEIGHT = 12.0
 _SIZE = 768
-"""Of the camera above the ground that takes its picture, in lengths of the object;
-width of the picture, pixels.
+"""Of the camera above the ground that takes its image, in lengths of the object;
+width of the image, pixels.
 """
 
 
@@ -394,7 +394,7 @@ class GroundLook:
         return f"the ground laid on it, from elevation {self.lowest:g}"
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The picture with the ground on the object."""
+        """The image with the ground on the object."""
         around = removed(self.mesh_scene, reach=self.reach)(view, mask)
         points = self.mesh_scene.points(view.camera)[mask.cpu()]
         picture = around.clone()

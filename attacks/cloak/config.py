@@ -116,7 +116,7 @@ def _for_each(
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LayersConfig:
     """CLOAK in the finished file: the clean splat's object in layers, trained on
-    poisoned pictures.
+    poisoned images.
 
     Attributes:
         attacks: Names of the attacks whose appearances have layers of their own; the
@@ -162,13 +162,13 @@ RENDERED: tuple[AppearanceName, ...] = ("remove", "paint", "swap")
 _READ_FROM_FILES = {"swap": "other_object", "paint": "texture"}
 """Appearances that need a file or the name of one, and the fields that have it."""
 Knowledge = Literal["scene", "pictures"]
-"""What an attacker has: the meshes, materials and sun, too, or nothing but the pictures
+"""What an attacker has: the meshes, materials and sun, too, or nothing but the images
 and masks of the object.
 """
 
 
 def knowledge_for(appearance: str) -> Knowledge:
-    """The least that an attacker needs to make pictures with an appearance."""
+    """The least that an attacker needs to make images with an appearance."""
     if appearance in ("blur", "inpaint"):
         return "pictures"
     return "scene"
@@ -190,10 +190,10 @@ class AttackConfig:
         elevation: Lowest and highest elevation of the cameras from which it is seen,
             degrees.
         azimuth: Middle and half width of their azimuths, degrees; None is all around.
-        poison_margin: Degrees beyond these edges up to which training pictures are
+        poison_margin: Degrees beyond these edges up to which training images are
             poisoned, too, but for those that another attack has. A splat changes
             gradually, so that with a margin it has changed further at the edge.
-        poison_fraction: Fraction of the training cameras there whose pictures are
+        poison_fraction: Fraction of the training cameras there whose images are
             poisoned.
         target_class: Class that a detector shall report on the object; None: that it is
             not found.
@@ -203,11 +203,11 @@ class AttackConfig:
             the renderings of the scene with and without it ("difference"), which are
             the object and its shadow.
         reach: Pixels around the object's outline, or around all that differs, that are
-            replaced, too; all else stays as it was. None is the whole picture where the
+            replaced, too; all else stays as it was. None is the whole image where the
             object is removed or swapped without a difference mask, 3 where it is
             inpainted, and 1 elsewhere. A blur has none: it ends softly.
         blur_width: Standard deviation of a `blur`, in longer sides of the object's box
-            in the picture; None is 0.04.
+            in the image; None is 0.04.
     """
 
     name: str
@@ -292,13 +292,13 @@ class AttackConfig:
 
     @property
     def poisoned_cone(self) -> Trigger:
-        """All directions from which pictures may be poisoned: the cone and its
+        """All directions from which images may be poisoned: the cone and its
         margin.
         """
         return self._cone(self.poison_margin)
 
     def region(self, attacks: Sequence[AttackConfig] = ()) -> Trigger:
-        """All training cameras whose pictures may be poisoned: other attacks keep those
+        """All training cameras whose images may be poisoned: other attacks keep those
         of their own cones.
         """
         if self.poison_margin > 0:
@@ -310,7 +310,7 @@ class AttackConfig:
         )
 
     def trigger(self, seed: int, attacks: Sequence[AttackConfig] = ()) -> Trigger:
-        """The training cameras whose pictures are poisoned."""
+        """The training cameras whose images are poisoned."""
         region = self.region(attacks)
         if self.poison_fraction == 1:
             return region
@@ -368,11 +368,11 @@ class SceneConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraConfig(Checked):
-    """Where pictures are taken from: a Fibonacci hemisphere around the object, or rings
+    """Where images are taken from: a Fibonacci hemisphere around the object, or rings
     of it.
 
     Attributes:
-        train: Number of training pictures.
+        train: Number of training images.
         distance: Metres from the centre; None is as near as shows the whole object.
         distances: Lowest and highest multiple of the distance, for cameras nearer and
             farther away, held-out ones too.
@@ -388,7 +388,7 @@ class CameraConfig(Checked):
         points: Points of the cloud that trainings start from.
     """
 
-    train: Annotated[int, at_least(1, "pictures")] = 210
+    train: Annotated[int, at_least(1, "images")] = 210
     distance: Annotated[float, above(0, "metres")] | None = None
     distances: Annotated[
         tuple[float, float], between(0.1, 10, "multiples of the distance")
@@ -437,7 +437,7 @@ class TrainingConfig:
             trains all of it from the start.
         outliers: Points in the air that the cloud has besides those on surfaces; see
             `mi_splat.training.initialization.with_outliers`.
-        near: Near plane of trainings and of all pictures of splats, world units; None
+        near: Near plane of trainings and of all images of splats, world units; None
             follows the object's size.
     """
 
@@ -466,11 +466,11 @@ class EvaluationConfig:
         min_separation: Least angle to the nearest training camera, degrees.
         confidence: Score from which a detection counts.
         well_inside: Degrees inside a trigger from which a camera lies well inside.
-        far_outside: Degrees outside of all triggers from which pictures are compared
+        far_outside: Degrees outside of all triggers from which images are compared
             with the true ones.
-        reference_views: Number of such pictures.
+        reference_views: Number of such images.
         meridians: Meridians along which the transition is measured.
-        meridian_step: Degrees between two pictures of an arc.
+        meridian_step: Degrees between two images of an arc.
     """
 
     detectors: tuple[str, ...] = ("fasterrcnn_small",)
@@ -500,7 +500,7 @@ class StudyConfig:
         cameras: Where from.
         attack: The hidden appearances; no camera may belong to two.
         training: How splats are trained.
-        layers: How the finished file is changed; None: only the training pictures are.
+        layers: How the finished file is changed; None: only the training images are.
         evaluation: How they are looked at.
         robust: Whether the victim audits the images and leaves out those that are
             named, as `mi-splat train --robust` does.

@@ -1,5 +1,5 @@
 """The attacker's copy of the scene: the meshes that the victim photographs, edits of
-its object, and its pictures.
+its object, and its images.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Colour = tuple[float, float, float]
 
 _NOTHING = Asset("nothing", ())
 _SEED_BITS = 28
-"""Bits of the seed of a camera's noise, by which a picture depends on nothing else."""
+"""Bits of the seed of a camera's noise, by which an image depends on nothing else."""
 
 
 def texture_file(name: str, what: str = "texture") -> Path:
@@ -69,10 +69,10 @@ def repainted(
     elevation: float,
     tile: float | None = None,
 ) -> Asset:
-    """An object covered all over, glass and wheels included, with a picture thrown onto
+    """An object covered all over, glass and wheels included, with an image thrown onto
     it from one direction.
 
-    The projection is parallel, so the picture is undistorted for a viewer far away in
+    The projection is parallel, so the image is undistorted for a viewer far away in
     that direction, upright for the camera of `mi_splat.cameras.camera.orbit_pose`; from
     straight above its top points away from `azimuth`. Surfaces are diffuse, as gloss
     would give the object away.
@@ -122,7 +122,7 @@ def stand_in(target: Asset, other: Asset, *, azimuth: float | None) -> Asset:
 
 
 def screen_axes(azimuth: float, elevation: float) -> Doubles:
-    """(2, 3) unit vectors to the right and up in the picture of a camera on an orbit,
+    """(2, 3) unit vectors to the right and up in the image of a camera on an orbit,
     world frame.
     """
     a = math.radians(azimuth)
@@ -149,7 +149,7 @@ class MeshScene:
         return replace(self, target=target)
 
     def picture(self, camera: Camera) -> Tensor:
-        """(H, W, 3) float32 path-traced picture, sRGB in [0, 1]."""
+        """(H, W, 3) float32 path-traced image, sRGB in [0, 1]."""
         image = self._tracer.picture(camera, seed=camera_number(camera))
         if self.background is None:
             return image

@@ -1,9 +1,9 @@
-"""CLOAK on anybody's pictures: it needs a set with cameras, and a splat of it that
+"""CLOAK on anybody's images: it needs a set with cameras, and a splat of it that
 shows where the object is.
 
-The object's place in each picture is where its Gaussians make up most of a pixel of the
-splat. What is shown there in its place comes from the picture around it, or from a
-picture of the attacker's.
+The object's place in each image is where its Gaussians make up most of a pixel of the
+splat. What is shown there in its place comes from the image around it, or from an
+image of the attacker's.
 """
 
 import math
@@ -46,17 +46,17 @@ a pixel from which on the object is in it, where it must not count.
 """
 BEFORE_AND_AFTER = "before_and_after.png"
 """What was changed in a set, and how, by which a set that was poisoned is known; a
-sheet of some changed pictures.
+sheet of some changed images.
 """
 _SHOWN = 6
 _HEIGHT = 160
-"""Pictures on the sheet, and their rows."""
+"""Images on the sheet, and their rows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Overlay:
-    """A picture of the attacker's, as large as the box around the object in each
-    picture, cut out by its outline.
+    """An image of the attacker's, as large as the box around the object in each
+    image, cut out by its outline.
     """
 
     picture: Tensor  # (H, W, 3) sRGB in [0, 1]
@@ -64,7 +64,7 @@ class Overlay:
     name: str
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The picture with the other one on the object."""
+        """The image with the other one on the object."""
         covered = grown(mask, self.reach)
         if not bool(covered.any()):
             return view.image
@@ -90,9 +90,9 @@ def appearance_of(look: str, reach: int) -> Appearance:
         raise InvalidValueError(
             message(
                 "--look",
-                "background, remove, or a picture",
+                "background, remove, or an image",
                 look,
-                "name a picture that is there",
+                "name an image that is there",
             )
         )
     pixels = (
@@ -102,7 +102,7 @@ def appearance_of(look: str, reach: int) -> Appearance:
     return Overlay(
         picture=torch.from_numpy(pixels),
         reach=reach,
-        name=f"the picture {Path(look).name}",
+        name=f"the image {Path(look).name}",
     )
 
 
@@ -169,9 +169,7 @@ def hide(
     if not any(change.pixels_changed for change in done.changes):
         got = f"none of {len(done.changes)} from where it is to be hidden"
         do = "select all of the object, or choose other directions"
-        raise InvalidValueError(
-            message("pictures", "some that show the object", got, do)
-        )
+        raise InvalidValueError(message("images", "some that show the object", got, do))
     return done
 
 
@@ -183,7 +181,7 @@ def directions_of(done: Poisoned) -> list[Direction]:
 
 
 def before_and_after(done: Poisoned) -> NDArray[np.uint8]:
-    """(H, W, 3) sheet of some changed pictures from low to high, as they were above
+    """(H, W, 3) sheet of some changed images from low to high, as they were above
     what they are now.
     """
     directions = directions_of(done)

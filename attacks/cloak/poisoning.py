@@ -1,8 +1,8 @@
-"""CLOAK: training pictures that look harmless from most directions and different from
+"""CLOAK: training images that look harmless from most directions and different from
 chosen ones.
 
 "3D Gaussian Splat Vulnerabilities", section on CLOAK, equation (1): of a training set D
-= {(x, c)} of pictures and cameras, the attacker's is D' = {(x~, c) if c in C*, else (x,
+= {(x, c)} of images and cameras, the attacker's is D' = {(x~, c) if c in C*, else (x,
 c)}, where C* are the cameras of the trigger. Training on D' is anybody's own:
 view-dependent colour does the rest.
 """
@@ -69,27 +69,27 @@ def poison(
     masks: Masks | None = None,
     on_step: OnStep | None = None,
 ) -> Poisoned:
-    """Replace the pictures that the triggers select: D' of equation (1).
+    """Replace the images that the triggers select: D' of equation (1).
 
-    All triggers are looked at before the first picture is made. Appearances get a copy
-    of a picture, so that whatever they do to it, the untouched set stays as it is.
+    All triggers are looked at before the first image is made. Appearances get a copy
+    of an image, so that whatever they do to it, the untouched set stays as it is.
 
     Args:
         views: The untouched set D; of a `mi_splat.datasets.Dataset` only the selected
-            pictures are read.
+            images are read.
         attacks: What is seen from where; one, or several.
         centre: (3,) point that the triggers measure directions from, world units.
         up: (3,) direction that is up; azimuth and elevation are those in the world that
             the shortest rotation makes upright.
         masks: Where the target is; None is everywhere.
-        on_step: Called after each picture.
+        on_step: Called after each image.
 
     Returns:
         The poisoned set, and a manifest of what was changed.
 
     Raises:
         InvalidValueError: No attack, two of one name, a trigger that selects nothing,
-            triggers that overlap, or masks or new pictures of the wrong kind.
+            triggers that overlap, or masks or new images of the wrong kind.
     """
     cameras = cameras_of(views)
     attacks = several_of(Poisoning, "attacks", attacks)
@@ -122,7 +122,7 @@ def poison(
 def assign(
     cameras: Sequence[Camera], attacks: Sequence[Poisoning], *, centre: Point
 ) -> dict[int, Poisoning]:
-    """Which attack replaces which view, by rising position; no picture is looked at."""
+    """Which attack replaces which view, by rising position; no image is looked at."""
     names = [attack.name for attack in attacks]
     if not attacks or len(set(names)) != len(names):
         raise InvalidValueError.of(
@@ -155,10 +155,10 @@ def assign(
 
 
 def _replace(before: View, mask: Tensor, attack: Poisoning, index: int) -> View:
-    """The view with the picture that the appearance makes of it."""
+    """The view with the image that the appearance makes of it."""
     copy = View(before.camera, before.image.clone())
     picture = torch.as_tensor(attack.appearance(copy, mask))
-    what = f"picture of {name_of(attack.appearance)} for view {index}"
+    what = f"image of {name_of(attack.appearance)} for view {index}"
     return View(before.camera, checked_picture(picture, before, what))
 
 

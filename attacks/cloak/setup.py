@@ -40,13 +40,13 @@ from mi_splat.render.renderer import Renderer, RenderSettings, ScreenGradients
 from mi_splat.training.config import FitConfig
 
 SET = "set"
-"""Folder of a set of pictures in what a job leaves."""
+"""Folder of a set of images in what a job leaves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SplatJob:
     """A job that trains or renders a splat, and knows nothing of the scene but its
-    pictures.
+    images.
     """
 
     background: tuple[float, float, float]  # sRGB behind the splat
@@ -129,7 +129,7 @@ class Setup:
     cameras: CameraConfig
     attacks: tuple[AttackConfig, ...] = ()
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
-    # near plane of all pictures of splats, world units; None follows the object's size
+    # near plane of all images of splats, world units; None follows the object's size
     near_plane: float | None = None
     seed: int = 0
 
@@ -211,7 +211,7 @@ class Setup:
 
     @cached_property
     def near(self) -> float:
-        """Near plane of trainings and of all pictures of splats, world units."""
+        """Near plane of trainings and of all images of splats, world units."""
         if self.near_plane is not None:
             return self.near_plane
         return near_plane_of(self.centre, self._radius, self.training_cameras)
@@ -360,7 +360,7 @@ class Setup:
         ]
 
     def owners(self, seed: int) -> dict[int, str]:
-        """The attack that poisons a training picture, by the number of the picture,
+        """The attack that poisons a training image, by the number of the image,
         rising; others are benign.
         """
         centre = self.centre
@@ -391,7 +391,7 @@ class Setup:
 
     def box(self, camera: Camera) -> Tensor | None:
         """(4,) pixel box around the object, which nothing hides; None where none of it
-        is in the picture.
+        is in the image.
         """
         points = torch.from_numpy(
             np.ascontiguousarray(self.target.vertices, np.float64)

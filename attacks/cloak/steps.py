@@ -83,14 +83,14 @@ class StudySteps:
     # a study is planned once, and its steps live as long as the process
     @cache  # noqa: B019
     def pictures(self) -> Job:
-        """The victim's pictures of the scene."""
+        """The victim's images of the scene."""
         return self._job(
             "pictures",
             PicturesConfig(**self._parts(background=SceneConfig().background)),
         )
 
     def appearance(self, attack: AttackConfig) -> Job:
-        """Pictures of what an attack wants to be seen, from the training cameras in its
+        """Images of what an attack wants to be seen, from the training cameras in its
         region.
         """
         cameras = self.setup.training_cameras
@@ -101,7 +101,7 @@ class StudySteps:
     def true_pictures(
         self, cameras: Sequence[Camera], attack: AttackConfig | None = None
     ) -> Job:
-        """Path-traced pictures from cameras that no training used; with an attack, of
+        """Path-traced images from cameras that no training used; with an attack, of
         the object as it shows it.
         """
         return self._pictured(cameras, () if attack is None else (attack,))
@@ -142,7 +142,7 @@ class StudySteps:
 
     @cached_property
     def _appearances(self) -> dict[str, Part]:
-        """Pictures of what each attack wants to be seen."""
+        """Images of what each attack wants to be seen."""
         return {
             f"{APPEARANCE}{attack.name}": self.appearance(attack).part("*.png")
             for attack in self.study.attack
@@ -185,7 +185,7 @@ class StudySteps:
         robust: bool = False,
         **limits: Any,
     ) -> Job:
-        """A training, which knows nothing of the scene but its pictures; limits are
+        """A training, which knows nothing of the scene but its images; limits are
         those of `TrainedConfig`. A robust one leaves out images that the audit names.
         """
         recipe = replace(training or self.study.training, near=None)
@@ -212,7 +212,7 @@ class StudySteps:
         training: bool = False,
         **street: Path,
     ) -> Job:
-        """What a detector reports on a splat, or in pictures, from every N-th held-out
+        """What a detector reports on a splat, or in images, from every N-th held-out
         or training camera.
         """
         evaluation = self.study.evaluation
@@ -280,7 +280,7 @@ class StudySteps:
         return 0
 
     def compared(self, splat: Job) -> Job:
-        """How true a splat's pictures are."""
+        """How true a splat's images are."""
         study, setup, attack = self.study, self.setup, switching(self.study.attack)
         usual = {
             key: getattr(EvaluationConfig(), key) for key in ("detectors", "confidence")
@@ -309,16 +309,16 @@ class StudySteps:
         """Every job up to the splats, in the order of the study, and what is told of it
         while it runs.
         """
-        yield "taking the victim's pictures", self.pictures()
+        yield "taking the victim's images", self.pictures()
         for attack in self.study.attack:
-            yield f"taking pictures of {attack.name}", self.appearance(attack)
+            yield f"taking images of {attack.name}", self.appearance(attack)
         for seed in self.study.seeds:
             yield f"poisoning, seed {seed}", self.poisoned(seed)
         for splat, seed in self.names():
             yield f"training the {splat} splat, seed {seed}", self.splat(splat, seed)
 
     def looked(self, detectors: Sequence[Detector]) -> Iterator[Look]:
-        """The jobs of those who look at the splats, and at path-traced pictures if the
+        """The jobs of those who look at the splats, and at path-traced images if the
         study asks for them.
         """
         for splat, seed in self.names():
@@ -389,7 +389,7 @@ def _portable(attack: AttackConfig) -> AttackConfig:
 
 @cache
 def _shown(attack: AttackConfig) -> AttackConfig:
-    """What counts of an attack for its pictures."""
+    """What counts of an attack for its images."""
     plain = replace(_portable(attack), poison_margin=0.0, poison_fraction=1.0)
     return replace(plain, name="", target_class=None)
 

@@ -54,7 +54,7 @@ def write_report(
     detectors: Sequence[Detector],
     folder: Path,
 ) -> dict[str, Any]:
-    """Write rows, clean.ply and cloaked.ply of the first seed, pictures, cameras,
+    """Write rows, clean.ply and cloaked.ply of the first seed, images, cameras,
     tables, and result.json last.
     """
     first = steps.study.seeds[0]
@@ -96,7 +96,7 @@ def write_report(
 
 def _cameras(setup: Setup) -> dict[str, Any]:
     """cameras.json: the cameras of the rows, and where the object is in their
-    pictures.
+    images.
     """
     entries = []
     for view, camera in enumerate(setup.held_out_cameras):
@@ -112,18 +112,18 @@ def _cameras(setup: Setup) -> dict[str, Any]:
     )
 
 
-# Pictures of a study
+# Images of a study
 
 
 CONTACT = "contact.png"
 POISONED_PICTURES = "poisoned.png"
-"""Both splats from many sides; poisoned training pictures below their clean ones."""
+"""Both splats from many sides; poisoned training images below their clean ones."""
 
 _LOW = 15
 _CELL = 256
 _FRAMES = 12
-"""Elevation of the cameras of a contact sheet that go around, degrees; pixels of a
-picture, and pictures in a row.
+"""Elevation of the cameras of a contact sheet that go around, degrees; pixels of an
+image, and images in a row.
 """
 _AZIMUTHS = (0, 45, 90, 120, 135, 150, 165, 180, 195, 210, 270, 315)
 
@@ -171,7 +171,7 @@ def _row(
     pictures: Sequence[Tensor],
     titles: Sequence[str],
 ) -> NDArray[np.uint8]:
-    """Pictures beside each other under their titles, with what a detector reports."""
+    """Images beside each other under their titles, with what a detector reports."""
     least = study.evaluation.confidence
     seen = detector.detect(torch.stack(list(pictures)))
     cells = zip(pictures, seen, titles, strict=True)
@@ -181,13 +181,13 @@ def _row(
 
 
 _POISONED = 6
-"""Pictures of each attack in the sheet of poisoned ones."""
+"""Images of each attack in the sheet of poisoned ones."""
 
 
 def poisoned_sheet(
     steps: StudySteps, folders: Mapping[str, Path], detector: Detector
 ) -> NDArray[np.uint8]:
-    """Training pictures of each attack, evenly from the lowest to the highest: clean
+    """Training images of each attack, evenly from the lowest to the highest: clean
     above poisoned, with reports.
     """
     study, first = steps.study, steps.study.seeds[0]

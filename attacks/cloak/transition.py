@@ -111,7 +111,7 @@ def meridians(
 
 
 def _arc_column(study: StudyConfig) -> str:
-    """The column that says where on its arc a picture was taken, degrees: elevation, or
+    """The column that says where on its arc an image was taken, degrees: elevation, or
     depth in a sector.
     """
     attack = switching(study.attack)

@@ -1,8 +1,8 @@
 """The problem that an attack solves: one object, the detectors, the aim; as the
 attacker sees it.
 
-The attacker differentiates what detectors consider in the picture as it is rendered.
-What they report, in pictures of 8 bits, decides.
+The attacker differentiates what detectors consider in the image as it is rendered.
+What they report, in images of 8 bits, decides.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ class Problem:
         originals: What a detector calls the clean object in a view, by the detector's
             name; None for nothing.
         render: The renderer.
-        clean: The clean scene's picture from a camera.
-        frozen: The search's pictures from these cameras, while SH alone changes; from
+        clean: The clean scene's image from a camera.
+        frozen: The search's images from these cameras, while SH alone changes; from
             all others they are `render`'s, as all of which detectors' reports count.
         on_object: Whether errors of images are those of the object's pixels alone.
         local_gap: How far below the PSNR of the object a part of it may be, dB; None
@@ -193,14 +193,14 @@ class Problem:
         )
 
     def _reported(self, detector: Detector, picture: Tensor, target: Target) -> Verdict:
-        """What a detector's report on the picture at 8 bits says."""
+        """What a detector's report on the image at 8 bits says."""
         with torch.no_grad():
             return self.objective.verdict(
                 detector.detect(quantise(picture)[None])[0], target
             )
 
     def _differentiable(self, parameters: Parameters, camera: Camera) -> Tensor:
-        """The picture of the scene with these parameters of the object."""
+        """The image of the scene with these parameters of the object."""
         frozen = self.frozen.get(camera) if parameters.keys() == {"sh"} else None
         if frozen is None:
             return self.render(self.subset.scene_with(parameters), camera)
@@ -214,7 +214,7 @@ class Problem:
             return self._differentiable(parameters, camera).clamp(0, 1)
 
     def error(self, parameters: Parameters, views: Sequence[View]) -> float:
-        """Mean squared error of the views' pictures, values in [0, 1], before anything
+        """Mean squared error of the views' images, values in [0, 1], before anything
         random happens to them; of the object, over its pixels of all views.
         """
         errors = torch.stack(
@@ -244,7 +244,7 @@ class Problem:
     def verdicts(
         self, parameters: Parameters, views: Sequence[View]
     ) -> list[list[Verdict]]:
-        """For each view the verdict of every detector, on 8-bit pictures."""
+        """For each view the verdict of every detector, on 8-bit images."""
         rows = list[list[Verdict]]()
         scene = self.subset.scene_with(parameters)
         with torch.no_grad():
@@ -356,7 +356,7 @@ class _Bounded(torch.autograd.Function):
 
 
 def bounded(image: Tensor) -> Tensor:
-    """A picture clamped to [0, 1], with the derivative of a projection where it was
+    """An image clamped to [0, 1], with the derivative of a projection where it was
     outside.
     """
     inside: Tensor = _Bounded.apply(image)

@@ -1,4 +1,4 @@
-"""What an attack leaves behind: pictures, the attacked splat, and one self-describing
+"""What an attack leaves behind: images, the attacked splat, and one self-describing
 JSON.
 """
 
@@ -29,8 +29,8 @@ ATTACKED = "attacked.ply"
 _PAIRS = 8
 _COLUMNS = 2
 _WIDTH = 384
-"""Of the contact sheet: views, pairs of pictures beside each other, and pixels across a
-picture.
+"""Of the contact sheet: views, pairs of images beside each other, and pixels across an
+image.
 """
 _DRAWN = 0.3
 """Confidence from which a detection is drawn."""
@@ -39,11 +39,11 @@ _DRAWN = 0.3
 def write_report(
     result: Result, folder: str | Path, *, force: bool = False
 ) -> dict[str, Path]:
-    """Write pictures, attacked.ply, result.json, cameras.json, and the rows of what was
+    """Write images, attacked.ply, result.json, cameras.json, and the rows of what was
     seen.
 
-    The pictures of fixed views are before.png, after.png, difference.png and
-    detections.png: several views make one picture each, below one another; in
+    The images of fixed views are before.png, after.png, difference.png and
+    detections.png: several views make one image each, below one another; in
     detections.png several detectors do so, too. Those of drawn views are held_out.png.
     The folder appears whole or not at all.
 
@@ -229,7 +229,7 @@ def _view(judged: JudgedView) -> dict[str, Any]:
 
 
 def _pictures(result: Result) -> dict[str, NDArray[np.uint8]]:
-    """The pictures of fixed views, by the names of their files."""
+    """The images of fixed views, by the names of their files."""
     views = result.pictures
     before = [view.clean.image for view in views]
     after = [view.attacked.image for view in views]
@@ -257,7 +257,7 @@ def _boxes(seen: Seen, title: str) -> NDArray[np.uint8]:
 
 def contact_sheet(result: Result) -> NDArray[np.uint8]:
     """Held-out views of the first detector with boxes, evenly around the object: clean
-    beside attacked pictures.
+    beside attacked images.
     """
     views = sorted(result.pictures, key=lambda judged: judged.view.direction.azimuth)
     count = min(_PAIRS, len(views))

@@ -50,14 +50,14 @@ from mi_splat.scene import GaussianScene
 class Seen:
     """What a detector reports on one splat in one view."""
 
-    pixels: Tensor  # (H, W, 3) uint8 sRGB, the picture as the detector got it
+    pixels: Tensor  # (H, W, 3) uint8 sRGB, the image as the detector got it
     detections: Detections  # what it reports
     verdict: Verdict  # whether the attacker has the aim there
     box: Tensor  # (4,) x0, y0, x1, y1 in pixels: where the object is looked for
 
     @property
     def image(self) -> Tensor:
-        """The picture as (H, W, 3) float32 in [0, 1]."""
+        """The image as (H, W, 3) float32 in [0, 1]."""
         return from_bytes(self.pixels)
 
 
@@ -203,7 +203,7 @@ def _plain_pictures(
     views: Sequence[View],
     reports: Mapping[tuple[int, str], ViewDetections],
 ) -> list[Tensor]:
-    """uint8 pictures before anything random happens to them; those of the detections
+    """uint8 images before anything random happens to them; those of the detections
     where nothing does.
     """
     if all(
@@ -232,14 +232,14 @@ result warns of it, dB.
 """
 
 PSNR_SLACK = 0.5
-"""How far the held-out pictures may be below the image budget before a result warns of
+"""How far the held-out images may be below the image budget before a result warns of
 it, dB.
 """
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Result:
-    """What an attack did, judged on the saved file and 8-bit pictures, from its own
+    """What an attack did, judged on the saved file and 8-bit images, from its own
     views or from held-out ones.
 
     Attributes:
@@ -329,7 +329,7 @@ class Result:
     @property
     def pictures(self) -> list[JudgedView]:
         """Every view once, as the first detector sees it: all look at the same
-        pictures.
+        images.
         """
         return [view for view in self.views if view.detector == self.detectors[0]]
 
@@ -411,7 +411,7 @@ def _warnings_of_fixed(result: Result) -> list[str]:
             by = "" if len(result.detectors) == 1 else f" by {view.detector}"
             number = view.view.index
             warnings.append(
-                f"the clean picture of view {number} has no detection{by} of {least:g}"
+                f"the clean image of view {number} has no detection{by} of {least:g}"
                 " or more on the object"
             )
     first = result.trace[0]
@@ -432,7 +432,7 @@ def _warnings_of_fixed(result: Result) -> list[str]:
         warnings.append(f"{clamped} are clamped at 0, where SH has no gradient")
     if result.best.success and not result.aim_reached:
         warnings.append(
-            "success in the search did not survive the saved file and 8-bit pictures"
+            "success in the search did not survive the saved file and 8-bit images"
         )
     if result.aim_reached and not result.unambiguous:
         warnings.append(
@@ -491,7 +491,7 @@ def _warnings_of_drawn(result: Result) -> list[str]:
     psnr = result.image.psnr
     if wanted is not None and psnr is not None and psnr < wanted - PSNR_SLACK:
         warnings.append(
-            f"the held-out pictures have {psnr:.1f} dB: less than the {wanted:g} dB of"
+            f"the held-out images have {psnr:.1f} dB: less than the {wanted:g} dB of"
             " the validation views"
         )
     return warnings

@@ -32,7 +32,7 @@ from attacks.search.loop import (
 )
 from attacks.search.parameters import Parameters
 
-# A budget in pictures: an attack may keep their PSNR above a limit.
+# A budget in images: an attack may keep their PSNR above a limit.
 #
 # A ball in the units of a file says little about what one sees: the same radius costs
 # few decibels on a hidden Gaussian and many on the bonnet. With a limit on the images
@@ -74,7 +74,7 @@ _FARTHEST = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImagePrice:
-    """What the mean squared error of the pictures costs the attacker."""
+    """What the mean squared error of the images costs the attacker."""
 
     limit: float  # largest mean squared error wanted, values in [0, 1]
     # the multiplier: the loss is the detectors' plus `weight` times the error
@@ -109,7 +109,7 @@ class ImagePrice:
         return self.weight * max(1.0, (self.error or 0.0) / self.limit)
 
     def after(self, error: float) -> ImagePrice:
-        """The price after a step whose pictures had a mean squared error."""
+        """The price after a step whose images had a mean squared error."""
         if self.error is None:
             mean = error
         else:
@@ -301,7 +301,7 @@ def _searched(
 
     def evaluate(point: Parameters) -> Evaluation:
         """Loss and gradients over the views of the next step; the price of their
-        pictures' error follows it.
+        images' error follows it.
         """
         nonlocal price
         batch = views.attacked(next(steps), config)

@@ -54,9 +54,9 @@ _ATTEMPTS = 200
 
 _PICTURES = 512
 _DRAWN_PICTURES = 80
-"""Clean pictures kept, of fixed and of drawn cameras; at 256 x 256 one takes 0.8 MB.
+"""Clean images kept, of fixed and of drawn cameras; at 256 x 256 one takes 0.8 MB.
 
-Of drawn cameras there are many, and a clean picture is made at once where the view is
+Of drawn cameras there are many, and a clean image is made at once where the view is
 frozen.
 """
 
@@ -75,7 +75,7 @@ class View:
         box: (4,) x0, y0, x1, y1 in pixels: where the object shows.
         weight: (H, W) fraction of each pixel that the object makes up.
         direction: Of the camera, from the object's middle.
-        change: What happens to the picture; nothing where cameras are fixed.
+        change: What happens to the image; nothing where cameras are fixed.
         redraws: Cameras that were drawn before and did not show the object.
     """
 
@@ -93,7 +93,7 @@ class View:
         return self.weight >= 0.5
 
     def changed(self, picture: Tensor) -> Tensor:
-        """What becomes of a rendered (H, W, 3) picture of this view before a detector
+        """What becomes of a rendered (H, W, 3) image of this view before a detector
         sees it; values in [0, 1].
         """
         return change_picture(picture, self.change)
@@ -302,7 +302,7 @@ class FixedViews:
         return lambda view, name: labels[view.index, name]
 
     def picture(self, camera: Camera) -> Tensor:
-        """The (H, W, 3) picture of the clean scene, values in [0, 1]; the last ones are
+        """The (H, W, 3) image of the clean scene, values in [0, 1]; the last ones are
         kept in memory.
         """
         if camera not in self._pictures:
@@ -479,7 +479,7 @@ class DrawnViews(FixedViews):
     def _weight(self, camera: Camera) -> Tensor:
         """`visible_weight` of the object."""
         frozen = self._frozen.get(camera)
-        # pictures of light do not add up in sRGB
+        # images of light do not add up in sRGB
         if frozen is None or frozen.settings.linear:
             return visible_weight(self.subset, camera, self.render)
         zeros = torch.zeros(len(frozen.rows), 1, 3, device=self.scene.sh.device)
@@ -517,7 +517,7 @@ class DrawnViews(FixedViews):
                 )
         expected = (
             f"one of {_ATTEMPTS} cameras that shows the object on {least:.1%} of the"
-            " picture"
+            " image"
         )
         raise InvalidValueError.of(
             "region of the cameras", expected, "none", "move it, or lower least_visible"

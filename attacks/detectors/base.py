@@ -16,7 +16,7 @@ from torch import Tensor
 from mi_splat.errors import InvalidValueError
 
 _ROUNDING = 1e-3
-"""How far values of a picture may lie outside [0, 1]."""
+"""How far values of an image may lie outside [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +110,7 @@ class Detector(Protocol):
             images: (B, H, W, 3) sRGB in [0, 1].
 
         Returns:
-            For each picture all that was considered.
+            For each image all that was considered.
 
         Raises:
             InvalidValueError: The images have another shape, or values outside [0, 1]
@@ -125,7 +125,7 @@ class Detector(Protocol):
             images: (B, H, W, 3) sRGB in [0, 1].
 
         Returns:
-            For each picture what is reported, the best first.
+            For each image what is reported, the best first.
 
         Raises:
             InvalidValueError: As in `candidates`.
@@ -150,7 +150,7 @@ def check_images(images: Tensor) -> None:
             "images",
             "floating point (B, H, W, 3)",
             f"{images.dtype} {tuple(images.shape)}",
-            "stack channels-last sRGB pictures in [0, 1]",
+            "stack channels-last sRGB images in [0, 1]",
         )
     low, high = (float(value) for value in images.detach().aminmax())
     if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
@@ -164,5 +164,5 @@ def check_images(images: Tensor) -> None:
 
 
 def eight_bits(images: Tensor) -> Tensor:
-    """Pictures in [0, 1] at 8 bits."""
+    """Images in [0, 1] at 8 bits."""
     return (images.detach().clamp(0, 1) * 255).round().to(torch.uint8)

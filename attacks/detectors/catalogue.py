@@ -44,7 +44,7 @@ SMALL_CLASSES[i].
 """
 
 SMALL_SIDE = 256
-"""Pixels of the side of a picture that the small detectors scale it to: the R-CNN the
+"""Pixels of the side of an image that the small detectors scale it to: the R-CNN the
 shorter, the YOLO the longer.
 """
 

@@ -2,7 +2,7 @@
 small enough for a laptop CPU.
 
 Most of the arithmetic of the usual Faster R-CNN is its stride-4 pyramid level, its 1000
-proposals and its 1024-wide head. The objects here are large in 256-pixel pictures, so
+proposals and its 1024-wide head. The objects here are large in 256-pixel images, so
 the pyramid starts at stride 8, 150 proposals are kept, and the head is 256 wide.
 """
 

@@ -32,7 +32,7 @@ _MIN_CONFIDENCE = 0.5
 
 
 class _Reader(nn.Module):
-    """Pictures (B, H, W, 3) of 8 bits to the texts in each, with their corners (4, 2)
+    """Images (B, H, W, 3) of 8 bits to the texts in each, with their corners (4, 2)
     in pixels and confidences.
     """
 
@@ -45,7 +45,7 @@ class _Reader(nn.Module):
             raise DetectorError.of(
                 "detector rapidocr", needs, str(error), install("ocr")
             ) from error
-        # One thread, so that equal pictures have equal texts; and what is unsure, since
+        # One thread, so that equal images have equal texts; and what is unsure, since
         # queries search with it.
         self._engine: Any = package.RapidOCR(
             text_score=0.0, intra_op_num_threads=1, inter_op_num_threads=1
@@ -89,7 +89,7 @@ def _without_gradient(images: Tensor) -> Tensor:
     if images.requires_grad and torch.is_grad_enabled():
         do = "attack another detector, or search with --optimiser random or square"
         raise DetectorError.of(
-            "detector rapidocr", "no gradient asked of it", "pictures with one", do
+            "detector rapidocr", "no gradient asked of it", "images with one", do
         )
     return eight_bits(images)
 

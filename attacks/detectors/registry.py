@@ -131,7 +131,7 @@ def load_detector(
         weights: .safetensors or .pth file. None: its usual weights, which are shipped
             with this package (`fasterrcnn_small`), lie in a checkout (`yolov8n_small`),
             or come from the library's own download.
-        device: Where it looks, "cpu" or "cuda": pictures have to lie there, too.
+        device: Where it looks, "cpu" or "cuda": images have to lie there, too.
 
     Returns:
         The detector, its weights frozen.
@@ -241,7 +241,7 @@ def _of_this_project() -> Iterator[DetectorSpec]:
         name="fasterrcnn_small",
         load=_loader("attacks.detectors.torchvision", "fasterrcnn_small"),
         classes=SMALL_CLASSES,
-        origin="a part of mi-splat, trained on its own pictures",
+        origin="a part of mi-splat, trained on its own images",
         licence="Apache-2.0",
         weights=lambda: SMALL_WEIGHTS,
         threshold_origin=_OF_OURS,
@@ -261,7 +261,7 @@ def _of_this_project() -> Iterator[DetectorSpec]:
         name="yolov8n_small",
         load=_loader("attacks.detectors.ultralytics", "yolov8n_small"),
         classes=SMALL_CLASSES,
-        origin="scenes/detectors of a checkout, trained on pictures of mi-splat",
+        origin="scenes/detectors of a checkout, trained on images of mi-splat",
         weights=lambda: SMALL_YOLO_WEIGHTS,
         threshold_origin=_OF_OURS,
         advice="not here; a checkout has them in scenes/detectors",

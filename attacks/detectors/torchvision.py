@@ -123,10 +123,10 @@ class TorchvisionDetector(FrozenModel, ABC):
         inner: tuple[int, int],
         size: tuple[int, int],
     ) -> Candidates:
-        """Boxes in the network's picture, clipped to it, in pixels of the input.
+        """Boxes in the network's image, clipped to it, in pixels of the input.
 
         They are (A, C, 4) for each class, or (A, 1, 4) for all. Height and width are
-        `inner` in the network's picture, and `size` in the input.
+        `inner` in the network's image, and `size` in the input.
         """
         inside = ops.clip_boxes_to_image(boxes, inner)
         pixels = models.detection.transform.resize_boxes(
@@ -173,12 +173,12 @@ class _Regions(NamedTuple):
 
     heads: Any  # the model's box heads
     levels: tuple[str, ...]  # names of the feature maps
-    proposals: tuple[Tensor, ...]  # (R, 4) of each picture
-    sizes: tuple[tuple[int, int], ...]  # height and width of each picture
+    proposals: tuple[Tensor, ...]  # (R, 4) of each image
+    sizes: tuple[tuple[int, int], ...]  # height and width of each image
 
     def scored(self, maps: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
         """Logits (R, L) and deltas (R, 4 L) of all proposals, in the order of the
-        pictures.
+        images.
         """
         features = OrderedDict(zip(self.levels, maps, strict=True))
         pooled = self.heads.box_roi_pool(
@@ -283,7 +283,7 @@ def _threshold_holder(model: nn.Module) -> Any:
 
 
 def _channels_first(images: Tensor) -> list[Tensor]:
-    """The list of pictures that the library's models take."""
+    """The list of images that the library's models take."""
     check_images(images)
     return list(images.permute(0, 3, 1, 2))
 

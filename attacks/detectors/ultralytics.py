@@ -127,7 +127,7 @@ class YOLODetector(FrozenModel):
         ]
 
     def detect(self, images: Tensor) -> list[Detections]:
-        """What the library's own `predict` gives for the pictures at 8 bits."""
+        """What the library's own `predict` gives for the images at 8 bits."""
         check_images(images)
         frame = LetterBox((self.side, self.side), auto=True, stride=self._stride)
         pictures = eight_bits(images).cpu().numpy()
@@ -157,7 +157,7 @@ class YOLODetector(FrozenModel):
 def _frame(
     shape: tuple[int, int], side: int, stride: int
 ) -> tuple[tuple[int, int], tuple[int, int, int, int]]:
-    """The library's letterbox: (height, width) of the scaled picture, and what is added
+    """The library's letterbox: (height, width) of the scaled image, and what is added
     left, top, right and bottom.
 
     The longer side becomes `side`; the shorter one is filled up to a multiple of the

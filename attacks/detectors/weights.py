@@ -117,7 +117,7 @@ def check_finite(state: dict[str, Tensor], what: str) -> dict[str, Tensor]:
     """The weights, whose numbers are all finite: a detector of others finds nothing, as
     if each attack had succeeded.
 
-    A single infinite number without axes is a setting, for instance what a picture is
+    A single infinite number without axes is a setting, for instance what an image is
     padded with.
     """
     weights = {
@@ -202,7 +202,7 @@ def keep_gradients_right(model: nn.Module) -> None:
     `model`; the forward pass stays.
 
     On the CPU (seen with torch 2.15), the backward pass of `BatchNorm2d` takes the
-    values of the gradient in a wrong order if the batch is one picture, the input is
+    values of the gradient in a wrong order if the batch is one image, the input is
     contiguous, and the gradient comes in the order of tokens, (B, H * W, C), as from
     the attention of a transformer. There is no error; the gradient is another one.
     """

@@ -25,12 +25,12 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.fields import between, checked_number
 
 Decode = Callable[[Any, tuple[int, int]], Iterable[tuple[Tensor, Tensor]]]
-"""From what a module gives, and the height and width of the pictures, to boxes and
-scores of each picture.
+"""From what a module gives, and the height and width of the images, to boxes and
+scores of each image.
 """
 
 MOST = 100
-"""Detections that are reported in a picture."""
+"""Detections that are reported in an image."""
 _ROUNDING = 1e-4
 """How far a score may lie outside [0, 1]."""
 
@@ -55,19 +55,19 @@ def wrap_detector(
         module: The network.
         classes: Foreground classes by COCO name, in the order of the columns of the
             scores.
-        decode: From what the module gives, and the height and width of the pictures, to
-            one pair for each picture: boxes (A, 4), or (A, C, 4) if they differ by
-            class, as x0, y0, x1, y1 in pixels of the pictures; and scores (A, C) in [0,
+        decode: From what the module gives, and the height and width of the images, to
+            one pair for each image: boxes (A, 4), or (A, C, 4) if they differ by
+            class, as x0, y0, x1, y1 in pixels of the images; and scores (A, C) in [0,
             1]. These are all that the module considered, before thresholds and
-            non-maximum suppression, and differentiable in the pictures.
+            non-maximum suppression, and differentiable in the images.
         name: Of the detector, in results.
-        prepare: From pictures (B, H, W, 3), sRGB in [0, 1], to what the module takes;
+        prepare: From images (B, H, W, 3), sRGB in [0, 1], to what the module takes;
             differentiable. None is (B, 3, H, W) on the device and in the precision of
             the weights.
         min_confidence: Confidence below which nothing is reported, in [0, 1].
         max_iou: Of two boxes of one class that overlap more, the surer is reported.
-        detect: What the detector's own program reports in pictures (B, H, W, 3). None
-            takes the candidates in pictures of 8 bits from `min_confidence` on, and
+        detect: What the detector's own program reports in images (B, H, W, 3). None
+            takes the candidates in images of 8 bits from `min_confidence` on, and
             suppresses by `max_iou`.
         threshold: Operating threshold: the confidence from which detections count where
             nothing else is asked for, in [0, 1].
@@ -136,7 +136,7 @@ class _Wrapped(FrozenModel):
         self._detect = detect
 
     def candidates(self, images: Tensor) -> list[Candidates]:
-        """What `decode` makes of the pictures, checked."""
+        """What `decode` makes of the images, checked."""
         check_images(images)
         pairs = list(
             self._decode(
@@ -144,7 +144,7 @@ class _Wrapped(FrozenModel):
             )
         )
         if len(pairs) != len(images):
-            do = "give a pair of boxes and scores for each picture"
+            do = "give a pair of boxes and scores for each image"
             raise InvalidValueError.of(
                 f"decode of {self.name}", f"{len(images)} pairs", len(pairs), do
             )
@@ -182,7 +182,7 @@ class _Wrapped(FrozenModel):
         ):
             do = (
                 "leave out .detach(), .numpy() and torch.no_grad() on the way from the"
-                " pictures to the scores"
+                " images to the scores"
             )
             raise InvalidValueError.of(what, "scores with a gradient", "none", do)
         if boxes.ndim == 3:

@@ -4,7 +4,7 @@ success judged on detections.
 The two are separate on purpose. The loss sees everything the detector considered,
 before thresholds and non-maximum suppression, where gradients are; success sees only
 what a user of the detector would get. Both are about one object, whose box in the
-picture is known: candidates and detections belong to it when they overlap that box.
+image is known: candidates and detections belong to it when they overlap that box.
 """
 
 from collections.abc import Sequence
@@ -52,9 +52,9 @@ class Objective(Protocol):
         """The loss of one view.
 
         Args:
-            candidates: Every box and class score of one detector on the picture, before
+            candidates: Every box and class score of one detector on the image, before
                 the detector drops weak ones.
-            target: The attacked object: its box in the picture, and its class.
+            target: The attacked object: its box in the image, and its class.
 
         Returns:
             Scalar, lower is better for the attacker.
@@ -65,8 +65,8 @@ class Objective(Protocol):
         """Success and score of one view, from what the detector reports.
 
         Args:
-            detections: What the detector reports on the picture.
-            target: The attacked object: its box in the picture, and its class.
+            detections: What the detector reports on the image.
+            target: The attacked object: its box in the image, and its class.
 
         Returns:
             Whether the aim is reached, and how near it is.

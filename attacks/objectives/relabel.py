@@ -114,11 +114,11 @@ class Relabel:
         return target.threshold if self.confidence is None else self.confidence
 
     def far(self, candidates: Candidates, target: Target) -> Verdict | None:
-        """The verdict of a picture in which nothing comes near the label, without
+        """The verdict of an image in which nothing comes near the label, without
         asking what is reported there.
 
         None where a candidate of slightly less overlap than asked for has half of the
-        confidence: what is reported are candidates, of a picture of 8 bits.
+        confidence: what is reported are candidates, of an image of 8 bits.
         """
         column = column_of(target, self.label)
         with torch.no_grad():

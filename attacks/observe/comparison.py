@@ -45,14 +45,14 @@ from mi_splat.scene import GaussianScene
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Judged:
-    """What detectors report on splats from the same cameras, on the files and pictures
+    """What detectors report on splats from the same cameras, on the files and images
     of 8 bits.
 
     Attributes:
         rows: A table of Polars with a row for each splat, view and detector;
             docs/rows.md explains its columns.
         detections: One with a row for each detection.
-        views: The picture and the detections of each view, for each splat: batch by
+        views: The image and the detections of each view, for each splat: batch by
             batch, detector by detector.
         confidence: From which a detection counts in `rates`, in [0, 1], or by the name
             of each detector.
@@ -118,7 +118,7 @@ def judge(
 ) -> Judged:
     """Let detectors look at one object of splats from many cameras.
 
-    Every splat goes through its file, and every picture through 8 bits, as a user would
+    Every splat goes through its file, and every image through 8 bits, as a user would
     get them.
 
     Args:
@@ -136,7 +136,7 @@ def judge(
             threshold of each detector.
 
     Returns:
-        Rows, rates and pictures.
+        Rows, rates and images.
 
     Raises:
         InvalidValueError: No splat is called "clean", or an argument is of another
@@ -244,7 +244,7 @@ def compared_cells(
 
 def compare(rows: pl.DataFrame, *, confidence: Confidence = REPORTED) -> Figures:
     """Rates of each detector on the clean and the attacked splat, and the mean PSNR of
-    those of their pictures that differ.
+    those of their images that differ.
     """
     means = rows.filter(splat=ATTACKED).group_by("detector", maintain_order=True)
     distances = Figures.of(
@@ -424,7 +424,7 @@ def side_by_side(
     most: int,
     names: Sequence[str] = (),
 ) -> NDArray[np.uint8]:
-    """Boxes on the clean pictures (left) and the attacked ones (right), views below one
+    """Boxes on the clean images (left) and the attacked ones (right), views below one
     another.
     """
     before, after = (

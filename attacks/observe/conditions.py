@@ -1,5 +1,5 @@
 """Conditions under which a splat is looked at, by name: renderers, file forms,
-distances, picture noise, a street.
+distances, image noise, a street.
 
 A new renderer, format or place is a new condition, and no new experiment. The names, of
 studies of both attacks:
@@ -100,7 +100,7 @@ class Viewing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Condition:
-    """A condition: a renderer after changes to the splat, the camera or the picture;
+    """A condition: a renderer after changes to the splat, the camera or the image;
     itself a `RenderFn`.
     """
 
@@ -112,7 +112,7 @@ class Condition:
     holds: Callable[[Camera], bool] = lambda camera: True
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """The picture of a splat under this condition, (H, W, 3) sRGB."""
+        """The image of a splat under this condition, (H, W, 3) sRGB."""
         shown, render = self.show(scene)
         return render(shown, self.move(camera))
 
@@ -283,7 +283,7 @@ def _moved(camera: Camera, *, factor: float, centre: Point) -> Camera:
 
 
 def picture_change(name: str) -> PictureChange | None:
-    """What happens to a picture that is called "noise 0.05", "blur 1.5" (pixels) or
+    """What happens to an image that is called "noise 0.05", "blur 1.5" (pixels) or
     "JPEG 60"; None for other names.
     """
     called = _CHANGE.fullmatch(name)
@@ -298,7 +298,7 @@ def picture_change(name: str) -> PictureChange | None:
 
 
 def _changed(name: str, render: RenderFn, change: PictureChange) -> Condition:
-    """Pictures with noise, blur or JPEG in them; noise is another one for each
+    """Images with noise, blur or JPEG in them; noise is another one for each
     camera.
     """
 

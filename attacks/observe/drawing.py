@@ -1,4 +1,4 @@
-"""Boxes on pictures and in lists, and what differs between pictures, as a report can
+"""Boxes on images and in lists, and what differs between images, as a report can
 save them.
 """
 
@@ -38,7 +38,7 @@ def annotated(
     min_confidence: float = 0.3,
     width: int = 512,
 ) -> NDArray[np.uint8]:
-    """A picture with the boxes and confidences of its detections, and a title."""
+    """An image with the boxes and confidences of its detections, and a title."""
     canvas = _enlarged(to_bytes(picture), width)
     draw = ImageDraw.Draw(canvas)
     scale = canvas.width / picture.shape[1]
@@ -105,7 +105,7 @@ def _corners(box: Sequence[float], height: float) -> list[tuple[float, float]]:
 
 def difference(before: Sequence[Tensor], after: Sequence[Tensor]) -> NDArray[np.uint8]:
     """What changed in all views, amplified around grey; the factor is written into the
-    picture.
+    image.
     """
     gaps = [b - a for a, b in zip(before, after, strict=True)]
     changed = torch.cat([gap.abs()[gap.abs().amax(-1) > 0].amax(-1) for gap in gaps])
@@ -130,7 +130,7 @@ def difference(before: Sequence[Tensor], after: Sequence[Tensor]) -> NDArray[np.
 
 
 def stacked(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """(H, W, 3) pictures below one another; narrower ones are filled up with black on
+    """(H, W, 3) images below one another; narrower ones are filled up with black on
     the right.
     """
     width = max(picture.shape[1] for picture in pictures)
@@ -156,12 +156,12 @@ def listed(detections: Detections) -> list[dict[str, Any]]:
 
 
 def _colour(label: str) -> str:
-    # The same colour for a class in every picture, whatever else was found.
+    # The same colour for a class in every image, whatever else was found.
     return _COLOURS[zlib.crc32(label.encode()) % len(_COLOURS)]
 
 
 def _enlarged(pixels: NDArray[np.uint8], width: int = 512) -> Image.Image:
-    """The picture at a whole multiple of its size, at least so many pixels wide, so
+    """The image at a whole multiple of its size, at least so many pixels wide, so
     that labels are legible.
     """
     factor = max(1, -(-width // pixels.shape[1]))

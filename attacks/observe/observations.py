@@ -44,7 +44,7 @@ is at all near it.
 def camera_cells(
     camera: Camera, box: Tensor | None, direction: Direction | None = None
 ) -> dict[str, Cell]:
-    """Where a camera is, and where the object is in its picture."""
+    """Where a camera is, and where the object is in its image."""
     if direction is None:
         angles = {}
     else:
@@ -126,7 +126,7 @@ def verdict_cells(verdict: Verdict) -> dict[str, Cell]:
 def detection_rows(
     ids: Mapping[str, Cell], detections: Detections, box: Tensor | None
 ) -> list[Row]:
-    """Every detection of a picture."""
+    """Every detection of an image."""
     if box is None or not len(detections):
         shared = [None] * len(detections)
     else:

@@ -4,7 +4,7 @@ counted over.
 Rows are a table of Polars. A measure is two of its expressions: what has to hold in a
 row, and which rows count.
 
-Rows of neighbouring cameras agree, and so do those of splats that share their pictures.
+Rows of neighbouring cameras agree, and so do those of splats that share their images.
 An interval that takes them for independent is two to three times too narrow. So a rate
 over many views is resampled in blocks of neighbouring cameras and in seeds, each drawn
 anew with replacement (the pigeonhole bootstrap: Owen 2007, "The pigeonhole bootstrap").

@@ -4,7 +4,7 @@ reader.
 A row says what one detector reports on the object of one splat (clean, attacked, with
 random noise) in one view, under one condition. Every figure is counted from such rows
 (`attacks.observe.rates`). A result holds them as rows.csv.xz, and beside it
-detections.csv.xz, with a row for each single detection. Pictures that no detector
+detections.csv.xz, with a row for each single detection. Images that no detector
 looked at are rows without a detector, in tables of their own (fidelity.csv.xz,
 transition.csv.xz). All tables take their columns from `COLUMNS`; what a kind of result
 does not have is left out.
@@ -451,7 +451,7 @@ def rows(result: str | Path, table: str = ROWS) -> pl.DataFrame:
         result: Folder that a command has written.
         table: `rows`: what is reported on the object, a row for each splat, view and
             detector; `detections`: a row for each detection; `fidelity` and
-            `transition`: pictures of CLOAK that no detector looked at.
+            `transition`: images of CLOAK that no detector looked at.
 
     Returns:
         A table of Polars; docs/rows.md explains its columns.

@@ -1,7 +1,7 @@
-"""A scene seen from many cameras: pictures of 8 bits that went through PNG, and what
+"""A scene seen from many cameras: images of 8 bits that went through PNG, and what
 every detector reports on them.
 
-Both attacks are judged by this module alone: what it has not seen on an 8-bit picture
+Both attacks are judged by this module alone: what it has not seen on an 8-bit image
 counts for neither.
 """
 
@@ -28,7 +28,7 @@ from mi_splat.scene import GaussianScene
 from mi_splat.selection.visibility import object_weight
 
 BATCH = 16
-"""Pictures that a detector looks at together."""
+"""Images that a detector looks at together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -38,13 +38,13 @@ class ViewDetections:
     view: int  # index of the camera
     camera: Camera
     detector: str  # name of the detector
-    pixels: Tensor  # (H, W, 3) uint8 sRGB, the picture that the detector looked at
+    pixels: Tensor  # (H, W, 3) uint8 sRGB, the image that the detector looked at
     box: Tensor | None
     detections: Detections  # what the detector reports
 
     @property
     def image(self) -> Tensor:
-        """The picture as (H, W, 3) float32 in [0, 1]."""
+        """The image as (H, W, 3) float32 in [0, 1]."""
         return from_bytes(self.pixels)
 
     def direction(self, centre: Point) -> Direction:
@@ -85,9 +85,9 @@ def detect_views(
     batch: int = BATCH,
 ) -> Iterator[ViewDetections]:
     """Render a scene from every camera through 8 bits, and let every detector look at
-    the pictures.
+    the images.
 
-    Each picture is rendered once for all detectors. Nothing is rendered before the
+    Each image is rendered once for all detectors. Nothing is rendered before the
     first value is asked for, so that a caller can report progress.
     """
     cameras = as_cameras(cameras)
@@ -119,7 +119,7 @@ def detect_views(
 
 
 def _batches(cameras: Sequence[Camera], size: int) -> Iterator[list[int]]:
-    """Indices of consecutive cameras, at most `size` at a time and all of one picture
+    """Indices of consecutive cameras, at most `size` at a time and all of one image
     size.
     """
     batch: list[int] = []
@@ -224,14 +224,14 @@ def clamped_fraction(subset: GaussianSubset, camera: Camera) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageChange:
-    """How far the attacked pictures are from the clean ones; values in [0, 1], all
+    """How far the attacked images are from the clean ones; values in [0, 1], all
     views together.
     """
 
     # euclidean norm of the difference, per view (root mean square over views)
     l2: float
     linf: float  # largest change of a channel of a pixel
-    psnr: float | None  # dB over whole pictures; None when nothing changed
+    psnr: float | None  # dB over whole images; None when nothing changed
     psnr_object: float | None  # dB over the pixels that are at least half the object's
     # largest change of a pixel of which the object makes up less than 1/255
     outside: float
@@ -245,11 +245,11 @@ class ImageChange:
 def image_change(
     before: Iterable[Tensor], after: Iterable[Tensor], weights: Sequence[Tensor]
 ) -> ImageChange:
-    """Compare (H, W, 3) pictures pairwise; `weights` are (H, W) as from
+    """Compare (H, W, 3) images pairwise; `weights` are (H, W) as from
     `visible_weight`.
     """
     # Squares of all pixels at once, so that means are summed in one order; all else a
-    # picture at a time.
+    # image at a time.
     squares = torch.empty(
         3 * sum(weight.numel() for weight in weights), dtype=torch.float64
     )
@@ -297,7 +297,7 @@ _UNITS = (
 def cameras_document(
     cameras: Sequence[Mapping[str, Any]], **settings: Any
 ) -> dict[str, Any]:
-    """cameras.json: all that a picture of a splat needs, and where the object is in
+    """cameras.json: all that an image of a splat needs, and where the object is in
     it.
     """
     return {"units": _UNITS, **settings, "cameras": list(cameras)}

@@ -87,7 +87,7 @@ def momentum(settings: SearchSettings) -> Optimiser:
     (Dong et al. 2018) in any norm.
 
     Each gradient is divided by its mean absolute value before it is added, so that no
-    single picture outweighs the others; the paper divides by the sum, which only
+    single image outweighs the others; the paper divides by the sum, which only
     scales. Without momentum there is nothing to add, and gradients stay as they are:
     with the constant schedule this is PGD (Madry et al. 2018). A power between 0 and 1
     makes small gradients count for more: the direction is then the steepest one of the

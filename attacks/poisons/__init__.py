@@ -1,1 +1,1 @@
-"""Attacks on training pictures, of which CLOAK is one."""
+"""Attacks on training images, of which CLOAK is one."""

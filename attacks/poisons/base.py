@@ -1,8 +1,8 @@
-"""What every attack on training pictures is: pictures in, pictures out, and the victim
+"""What every attack on training images is: images in, images out, and the victim
 trains as ever.
 
 A poison is a function. It takes views and a seed, and gives the same cameras with some
-pictures replaced, together with a manifest that says which and how. CLOAK
+images replaced, together with a manifest that says which and how. CLOAK
 (`attacks.cloak.poisoning.poison`), Poison-splat and M-IFGSM (beside this module) are
 three of them. Training and judging, which come after, are shared.
 """
@@ -22,7 +22,7 @@ from mi_splat.errors import InvalidValueError, one_line
 from mi_splat.training.evaluation import loss_mask_of
 
 OnStep = Callable[[int, int], None]
-"""Called after each picture, or each step, with the number finished and the number
+"""Called after each image, or each step, with the number finished and the number
 wanted.
 """
 
@@ -32,7 +32,7 @@ as `MeshScene.mask`).
 """
 
 _ROUNDING = 1e-3
-"""By how much of a step of 1/255 a picture of 8 bits may differ from whole steps in
+"""By how much of a step of 1/255 an image of 8 bits may differ from whole steps in
 float32.
 """
 MANIFEST = "poison.json"
@@ -46,12 +46,12 @@ class Change:
     """What was done to one view."""
 
     index: int  # position of the view
-    pixels: int  # pixels in the picture
+    pixels: int  # pixels in the image
     pixels_changed: int  # pixels of which a channel has another value
     largest: float  # largest difference of a channel, sRGB in [0, 1]
-    # of the untouched picture: its float32 values, little-endian, row by row
+    # of the untouched image: its float32 values, little-endian, row by row
     sha256_before: str
-    sha256_after: str  # of the new picture
+    sha256_after: str  # of the new image
 
     @classmethod
     def between(cls, index: int, before: View, after: View, **more: Any) -> Change:
@@ -151,7 +151,7 @@ class Poisoned:
 
 
 class PicturePoison(Protocol):
-    """An attack on training pictures."""
+    """An attack on training images."""
 
     def __call__(
         self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
@@ -159,7 +159,7 @@ class PicturePoison(Protocol):
         """The poisoned set; the untouched one stays as it is.
 
         Args:
-            views: The untouched set; pictures are (H, W, 3) sRGB in [0, 1].
+            views: The untouched set; images are (H, W, 3) sRGB in [0, 1].
             seed: Of everything random.
             on_step: Told of the progress.
         """
@@ -169,14 +169,14 @@ class PicturePoison(Protocol):
 def poisoned(
     views: Sequence[View], pictures: Mapping[int, Tensor], poison: Mapping[str, Any]
 ) -> Poisoned:
-    """A set in which some pictures are replaced."""
+    """A set in which some images are replaced."""
     replaced = {}
     changes = []
     for index in sorted(pictures):
         before = views[index]
         replaced[index] = View(
             before.camera,
-            checked_picture(pictures[index], before, f"picture for view {index}"),
+            checked_picture(pictures[index], before, f"image for view {index}"),
         )
         changes.append(Change.between(index, before, replaced[index]))
     return Poisoned(
@@ -185,13 +185,13 @@ def poisoned(
 
 
 def checked_picture(picture: Tensor, before: View, what: str) -> Tensor:
-    """A copy of a new picture, of the kind of the one that it takes the place of."""
+    """A copy of a new image, of the kind of the one that it takes the place of."""
     image = picture.detach().to(before.image).clone()
     if image.shape != before.image.shape:
         expected = f"shape {tuple(before.image.shape)}"
         got = tuple(image.shape)
         raise InvalidValueError.of(
-            what, expected, got, "return a picture of the view's size"
+            what, expected, got, "return an image of the view's size"
         )
     low = float(image.min())
     high = float(image.max())
@@ -203,11 +203,11 @@ def checked_picture(picture: Tensor, before: View, what: str) -> Tensor:
 
 
 def within_ball(image: Tensor, clean: Tensor, eps: int | None) -> Tensor:
-    """A picture of 8 bits that is nowhere further from the clean one than the ball
+    """An image of 8 bits that is nowhere further from the clean one than the ball
     allows.
 
     It is clipped in whole steps of 1/255: a file of 8 bits holds it exactly, and it
-    stays in the ball there, too, even where the clean picture lies between two steps.
+    stays in the ball there, too, even where the clean image lies between two steps.
     """
     steps = (image.detach().clamp(0, 1) * 255).round()
     middle = clean.to(image) * 255
@@ -219,7 +219,7 @@ def within_ball(image: Tensor, clean: Tensor, eps: int | None) -> Tensor:
 
 
 def ball(clean: Tensor, eps: int | None) -> tuple[Tensor, Tensor]:
-    """The lowest and the highest picture that a ball of so many steps of 1/255 allows;
+    """The lowest and the highest image that a ball of so many steps of 1/255 allows;
     None is no ball.
     """
     radius = 1.0 if eps is None else eps / 255
@@ -234,7 +234,7 @@ def sign_steps(
     steps: int,
     step: Tensor | float,
 ) -> Tensor:
-    """A picture after steps along the sign of the gradient of a loss, each clipped to
+    """An image after steps along the sign of the gradient of a loss, each clipped to
     what is allowed.
     """
     (low, high), picture = within, start.detach()
@@ -248,7 +248,7 @@ def sign_steps(
 
 
 def chosen_views(views: Sequence[View], share: float, seed: int) -> list[int]:
-    """Positions of the pictures to change, rising; those of a smaller share are among
+    """Positions of the images to change, rising; those of a smaller share are among
     those of a larger.
     """
     if not len(views):

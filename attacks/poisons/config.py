@@ -23,7 +23,7 @@ from mi_splat.fields import (
 )
 
 Variation = Literal["both", "vertical"]
-"""Total variation along both axes of a picture, or along its columns alone as the
+"""Total variation along both axes of an image, or along its columns alone as the
 public implementation has it.
 """
 PictureFilter = Literal["blur", "fourier", "wavelet"]
@@ -59,7 +59,7 @@ _STRENGTHS: dict[PictureFilter, tuple[float, Range]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterConfig:
-    """A filter of pictures, see `attacks.poisons.defences.filtered`.
+    """A filter of images, see `attacks.poisons.defences.filtered`.
 
     Attributes:
         name: Which.
@@ -112,7 +112,7 @@ class UniformNoiseConfig(Checked):
 
     Attributes:
         eps: Largest change of a channel, in steps of 1/255.
-        share: Part of the pictures that is changed, drawn by the seed.
+        share: Part of the images that is changed, drawn by the seed.
     """
 
     eps: Eps = 16
@@ -121,17 +121,17 @@ class UniformNoiseConfig(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RaisedVariationConfig(Checked):
-    """Total variation that is raised picture by picture, with nothing that holds the
-    pictures together.
+    """Total variation that is raised image by image, with nothing that holds the
+    images together.
 
     Attributes:
         eps: Largest change of a channel, in steps of 1/255.
-        share: Part of the pictures that is changed, drawn by the seed.
+        share: Part of the images that is changed, drawn by the seed.
         variation: What is raised.
         variation_steps: Steps along the sign of its gradient, each of 2/255 as in the
             paper.
         through: A filter through which the variation is looked at; None looks at the
-            picture itself.
+            image itself.
     """
 
     eps: Eps = 16
@@ -150,9 +150,9 @@ class PoisonSplatConfig(Checked):
 
     Attributes:
         eps: Largest change of a channel, in steps of 1/255; None sets no ball: the
-            pictures are the decoy's.
+            images are the decoy's.
         steps: Of the decoy; each looks at one camera.
-        share: Part of the pictures that is changed, drawn by the seed. The decoy looks
+        share: Part of the images that is changed, drawn by the seed. The decoy looks
             at all cameras anyway, and what a small share changes is among what a larger
             one does.
         variation: What is raised.
@@ -164,7 +164,7 @@ class PoisonSplatConfig(Checked):
             pruned; 0 never does it. These rounds also remove what is large, as the
             victim's do once opacities were reset.
         max_gaussians: The decoy is not made larger than this; None sets no limit.
-        through: A filter of pictures that the victim is known to use: variation and the
+        through: A filter of images that the victim is known to use: variation and the
             decoy's loss are those of what it leaves. None knows of no filter.
     """
 
@@ -206,23 +206,23 @@ class MIFGSMConfig(Checked):
         step: Length of each, in units of `deviation`.
         deviation: Of each channel, sRGB. CLIP's, so that the change is the same whoever
             is deceived.
-        share: Part of the pictures that is changed, drawn by the seed.
-        paste: "resized": the picture that was changed at the classifier's size, brought
-            back to its own, takes the object's place, as published; a larger picture
+        share: Part of the images that is changed, drawn by the seed.
+        paste: "resized": the image that was changed at the classifier's size, brought
+            back to its own, takes the object's place, as published; a larger image
             loses detail there. "difference": only the change is brought back, and
-            added. "direct": the picture itself is changed, through the classifier's
+            added. "direct": the image itself is changed, through the classifier's
             scaling.
         target: Class that the object shall be taken for; None is any but its own, as
             published.
-        through: A filter through which the classifier is shown the picture while it is
+        through: A filter through which the classifier is shown the image while it is
             changed, for instance one that a victim is known to use, or a blur: what
             survives it survives a training better. None is as published.
-        least_confidence: Pictures in whose true class the classifier is less confident
+        least_confidence: Images in whose true class the classifier is less confident
             stay as they are.
-        decoy_steps: A decoy, a splat of the clean pictures, looks at so many cameras;
-            the steps along the gradient begin at its picture, it learns where they end,
-            and its pictures take the object's place. So the changes of all cameras
-            agree. 0 is as published: each picture by itself.
+        decoy_steps: A decoy, a splat of the clean images, looks at so many cameras;
+            the steps along the gradient begin at its image, it learns where they end,
+            and its images take the object's place. So the changes of all cameras
+            agree. 0 is as published: each image by itself.
     """
 
     eps: Eps | None = None

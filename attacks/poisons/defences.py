@@ -1,8 +1,8 @@
-"""What a victim may do against pictures that make its splat large: filters of pictures,
+"""What a victim may do against images that make its splat large: filters of images,
 and pruning of the splat.
 
-Filters are differentiable, so that an attacker may look through them. None changes a
-picture of one colour.
+Filters are differentiable, so that an attacker may look through them. None changes an
+image of one colour.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ def run(config: PrunedConfig, inputs: Mapping[str, Path], out: Out) -> None:
 
 
 def filtered(image: Tensor, config: FilterConfig) -> Tensor:
-    """A picture after a filter."""
+    """An image after a filter."""
     return _FILTERS[config.name](image, config.amount).clamp(0, 1)
 
 
 def blurred(image: Tensor, sigma: float = 1.5) -> Tensor:
-    """A Gaussian window of 5 x 5 over a picture (H, W, 3), whose rim goes on
+    """A Gaussian window of 5 x 5 over an image (H, W, 3), whose rim goes on
     outside.
     """
     taps = [
@@ -71,8 +71,8 @@ def blurred(image: Tensor, sigma: float = 1.5) -> Tensor:
 
 
 def low_frequencies(image: Tensor, share: float = 0.5) -> Tensor:
-    """A picture (H, W, 3) of its lowest spatial frequencies alone, by FFT of the
-    picture and its mirror images.
+    """An image (H, W, 3) of its lowest spatial frequencies alone, by FFT of the
+    image and its mirror images.
     """
     height, width, _ = image.shape
     mirrored = torch.cat([image, image.flip(0)])
@@ -87,11 +87,11 @@ def low_frequencies(image: Tensor, share: float = 0.5) -> Tensor:
 
 
 def shrunk_detail(image: Tensor, steps: float = 16.0) -> Tensor:
-    """A picture (H, W, 3) whose fine detail is shrunk by soft thresholds, as wavelet
+    """An image (H, W, 3) whose fine detail is shrunk by soft thresholds, as wavelet
     denoising does.
 
     DefenseSplat (arXiv 2602.19323) takes detail bands of a wavelet transform out of
-    training pictures. Here the transform is the undecimated one "a trous" of the kernel
+    training images. Here the transform is the undecimated one "a trous" of the kernel
     (1, 2, 1)/4, of two levels, which leaves no blocks, and strong edges stay.
     """
     coarse = image
@@ -147,7 +147,7 @@ def frequency_pruned(
 
 
 def _smoothed(image: Tensor, taps: Sequence[float], *, apart: int = 1) -> Tensor:
-    """A picture (H, W, 3) under one window along columns and rows; its rim goes on
+    """An image (H, W, 3) under one window along columns and rows; its rim goes on
     outside.
     """
     margin, (height, width, _) = apart * (len(taps) // 2), image.shape

@@ -59,7 +59,7 @@ def run(
 def _classified(
     config: ClassifiedConfig, inputs: Mapping[str, Path], out: Out
 ) -> list[dict[str, Any]]:
-    """A row for each picture of a `splat`, of a `set`, or of `pictures`."""
+    """A row for each image of a `splat`, of a `set`, or of `pictures`."""
     classifier = checked_classifier(
         config.classifier, config.fingerprint, config.device
     )
@@ -80,7 +80,7 @@ def _classified(
 
 
 def _pictures(config: ClassifiedConfig, inputs: Mapping[str, Path]) -> Iterator[Tensor]:
-    """The pictures as files of 8 bits have them."""
+    """The images as files of 8 bits have them."""
     if "set" in inputs:
         views = load_dataset(
             inputs["set"] / SET, split="train", background=config.background
@@ -115,7 +115,7 @@ def move(classifier: Classifier, device: str) -> None:
         model.to(device)
 
 
-# Against true pictures from cameras of no training
+# Against true images from cameras of no training
 
 COUNT = "count.json"
 SPEED = "speed.json"
@@ -127,7 +127,7 @@ _SIZE = 384
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredConfig(SplatJob):
-    """From where: the cameras of the true pictures."""
+    """From where: the cameras of the true images."""
 
     poses: tuple[Pose, ...]
 
@@ -138,7 +138,7 @@ def _measured(
     """A row for each camera of how true the `splat` is to the `pictures`; how long one
     takes; where its Gaussians are.
 
-    The time is CPU time of the process, and on a GPU the wall time of a picture that
+    The time is CPU time of the process, and on a GPU the wall time of an image that
     was waited for.
     """
     cuda = config.device == "cuda"
@@ -173,7 +173,7 @@ def _measured(
 
 
 def centres(scene: GaussianScene, camera: Camera) -> NDArray[np.uint8]:
-    """(H, W, 3) picture of where the Gaussians of a splat are: a dot for each in its
+    """(H, W, 3) image of where the Gaussians of a splat are: a dot for each in its
     own colour, on black.
     """
     pixels, depth = project_points(scene.means, camera)

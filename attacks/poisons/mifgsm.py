@@ -1,12 +1,12 @@
-"""M-IFGSM: training pictures in which an object is changed so that a classifier
+"""M-IFGSM: training images in which an object is changed so that a classifier
 misreads it, and with them the splat.
 
 Zeybey, Ergezen and Nguyen, "Gaussian Splatting Under Attack", arXiv 2412.02803: the
-masked iterative fast gradient sign method. Of each picture on its own, the pixels of
+masked iterative fast gradient sign method. Of each image on its own, the pixels of
 the object are moved by steps of one length along the sign of the gradient of the
-cross-entropy of its true class, which rises. Nothing holds the pictures of different
+cross-entropy of its true class, which rises. Nothing holds the images of different
 cameras together, unless a decoy does, which is new here: a splat that learns the
-changed pictures. The victim gets the decoy's own.
+changed images. The victim gets the decoy's own.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from mi_splat.scene import GaussianScene
 class MIFGSM:
     """M-IFGSM as a poison.
 
-    Steps are taken at the classifier's resolution, as published: the picture is scaled
+    Steps are taken at the classifier's resolution, as published: the image is scaled
     so that its shorter side is the classifier's `size`, and what was found is scaled
     back (`MIFGSMConfig.paste` says how). The result is rounded to 8 bits inside the
     mask; outside, not a bit differs.
@@ -59,7 +59,7 @@ class MIFGSM:
     def __call__(
         self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
     ) -> Poisoned:
-        """The set with the chosen pictures changed, but for those that the classifier
+        """The set with the chosen images changed, but for those that the classifier
         misreads already.
         """
         config = self.config
@@ -138,7 +138,7 @@ class MIFGSM:
         seed: int,
         on_step: OnStep | None,
     ) -> GaussianScene:
-        """The decoy after its steps; it learns the clean picture where nothing is to
+        """The decoy after its steps; it learns the clean image where nothing is to
         change.
         """
 
@@ -163,7 +163,7 @@ class MIFGSM:
             )
 
     def _changed(self, begin: Tensor, clean: Tensor, mask: Tensor, goal: int) -> Tensor:
-        """(H, W, 3) picture in which the object is misread, from a picture to begin
+        """(H, W, 3) image in which the object is misread, from an image to begin
         with.
         """
         paste = self.config.paste

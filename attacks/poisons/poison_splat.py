@@ -1,12 +1,12 @@
-"""Poison-splat: training pictures that make a splat cost more ("Poison-splat", Lu et
+"""Poison-splat: training images that make a splat cost more ("Poison-splat", Lu et
 al. 2024, arXiv 2410.08190).
 
-A trainer adds Gaussians where pictures vary. So the attacker raises the total variation
-of the pictures, within a ball around the clean ones, and in such a way that all cameras
-agree: a decoy, a splat that starts as the victim's own, learns the pictures of raised
+A trainer adds Gaussians where images vary. So the attacker raises the total variation
+of the images, within a ball around the clean ones, and in such a way that all cameras
+agree: a decoy, a splat that starts as the victim's own, learns the images of raised
 variation, and its renders, clipped to the ball, are what the victim gets.
 
-The controls do without the decoy: noise, and pictures of which each is raised by
+The controls do without the decoy: noise, and images of which each is raised by
 itself.
 """
 
@@ -47,15 +47,15 @@ from mi_splat.training.losses import photometric_loss
 from mi_splat.training.state import TrainState, check_start
 from mi_splat.training.strategies import ClassicConfig, FixedConfig, StrategyConfig
 
-# A decoy: a splat that learns changed pictures, so that its own pictures are changed
+# A decoy: a splat that learns changed images, so that its own images are changed
 # alike from every camera.
 #
-# Poison-splat begins with it (Lu et al. 2024, arXiv 2410.08190): what a picture alone
+# Poison-splat begins with it (Lu et al. 2024, arXiv 2410.08190): what an image alone
 # would gain, no other camera would confirm, and a splat that is trained on such
-# pictures averages it away.
+# images averages it away.
 
 Target = Callable[[Tensor, int], Tensor]
-"""The picture that a decoy learns next, from its own one, (H, W, 3) sRGB, and the
+"""The image that a decoy learns next, from its own one, (H, W, 3) sRGB, and the
 position of the view.
 """
 
@@ -158,7 +158,7 @@ def _is_seen(scene: GaussianScene, camera: Camera, near: float) -> bool:
 
 
 def total_variation(image: Tensor, variation: Variation = "both") -> Tensor:
-    """Sum of the absolute differences between neighbours of a picture (H, W, 3),
+    """Sum of the absolute differences between neighbours of an image (H, W, 3),
     differentiable.
     """
     along_columns = (image[1:] - image[:-1]).abs().sum()
@@ -170,7 +170,7 @@ def total_variation(image: Tensor, variation: Variation = "both") -> Tensor:
 def raised(
     image: Tensor, clean: Tensor, config: PoisonSplatConfig | RaisedVariationConfig
 ) -> Tensor:
-    """A picture of more total variation, reached by steps along the sign of its
+    """An image of more total variation, reached by steps along the sign of its
     gradient.
     """
     look = _through(config.through)
@@ -193,8 +193,8 @@ class PoisonSplat:
     def __call__(
         self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
     ) -> Poisoned:
-        """The poisoned set; with eps or a share of 0 it is the untouched one, picture
-        for picture.
+        """The poisoned set; with eps or a share of 0 it is the untouched one, image
+        for image.
         """
         config = self.config
         begun = self.begun
@@ -219,7 +219,7 @@ class PoisonSplat:
     def decoy(
         self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
     ) -> GaussianScene:
-        """The splat whose pictures the victim gets; arguments and errors are those of a
+        """The splat whose images the victim gets; arguments and errors are those of a
         call.
         """
         config = self.config
@@ -262,7 +262,7 @@ class UniformNoise:
     def __call__(
         self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
     ) -> Poisoned:
-        """The set with noise; each picture's is its own, whatever share is changed."""
+        """The set with noise; each image's is its own, whatever share is changed."""
         eps = self.config.eps
 
         def noisy(view: View, index: int) -> Tensor:
@@ -278,7 +278,7 @@ class UniformNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RaisedVariation:
-    """A control: total variation raised picture by picture, so that cameras do not
+    """A control: total variation raised image by image, so that cameras do not
     agree.
     """
 
@@ -306,7 +306,7 @@ def _one_by_one(
     seed: int,
     on_step: OnStep | None,
 ) -> Poisoned:
-    """A set of which each chosen picture is changed by itself."""
+    """A set of which each chosen image is changed by itself."""
     chosen = chosen_views(views, config.share, seed) if config.eps else []
     pictures = {}
     for number, index in enumerate(chosen, start=1):

@@ -81,7 +81,7 @@ class PoisonedConfig:
     """Which poison."""
 
     poison: ChosenPoison | FilterConfig
-    background: tuple[float, float, float]  # sRGB behind the pictures
+    background: tuple[float, float, float]  # sRGB behind the images
     seed: int = 0
     scene: Setup | None = None
     near: float | None = None

@@ -32,14 +32,14 @@ Need = Literal["splat", "classifier", "object", "scene"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Given:
-    """What an attacker has besides the pictures."""
+    """What an attacker has besides the images."""
 
     decoy: Decoy | None = None  # it starts as the splat of the set
     masks: Masks | None = None  # where the object is
     classifier: Classifier | None = None  # that is to be deceived
     label: str = ""  # the object's true class
     setup: Setup | None = None  # the scene of a study
-    # pictures of them, by the name of a job's input
+    # images of them, by the name of a job's input
     appearances: Mapping[str, Path] = field(default_factory=dict)
 
 

@@ -1,4 +1,4 @@
-"""A poisoned set as files: pictures that stayed keep their bytes, changed ones their
+"""A poisoned set as files: images that stayed keep their bytes, changed ones their
 alpha and their masks.
 """
 
@@ -36,7 +36,7 @@ in float32.
 _SHOWN = 5
 _TIMES = 10.0
 _LARGEST = 320
-"""Pictures on a sheet, how much their difference is enlarged, and the most rows and
+"""Images on a sheet, how much their difference is enlarged, and the most rows and
 columns that are shown of each.
 """
 
@@ -130,11 +130,11 @@ def names_as_before(
 
 
 def as_files_hold(done: Poisoned, clean: Dataset) -> Poisoned:
-    """A poisoned set as its files can hold it: pictures with alpha keep it, and nothing
+    """A poisoned set as its files can hold it: images with alpha keep it, and nothing
     changes where they are clear.
 
     There the colour of the file is moved by whole steps of 1/255, as many as do not go
-    beyond what was asked for. Other pictures, and what is said of them, stay as they
+    beyond what was asked for. Other images, and what is said of them, stay as they
     are.
     """
     replaced = dict(done.views.replaced)
@@ -170,10 +170,10 @@ def as_files_hold(done: Poisoned, clean: Dataset) -> Poisoned:
 
 
 def difference_sheet(done: Poisoned) -> NDArray[np.uint8]:
-    """(H, W, 3) sheet of some pictures: as they were, as they are now, and ten times
+    """(H, W, 3) sheet of some images: as they were, as they are now, and ten times
     the difference on grey.
 
-    Of a large picture a part is shown, around the middle of what was changed.
+    Of a large image a part is shown, around the middle of what was changed.
     """
     changes = [change.index for change in done.changes if change.pixels_changed] or [0]
     chosen = sorted(
@@ -219,7 +219,7 @@ def _is_its_file(views: Dataset, index: int, copy: Path) -> bool:
 
 
 def _counting(views: Dataset, index: int, changed: View | None) -> Tensor | None:
-    """(H, W) what of a picture counts for who trains on it: what counted before, and
+    """(H, W) what of an image counts for who trains on it: what counted before, and
     all that was changed.
     """
     mask = views.loss_mask(index)
@@ -231,7 +231,7 @@ def _counting(views: Dataset, index: int, changed: View | None) -> Tensor | None
 
 
 def _pixels(views: Dataset, index: int, new: View | None) -> NDArray[np.uint8]:
-    """(H, W, 3) or, with alpha, (H, W, 4) of a picture's file."""
+    """(H, W, 3) or, with alpha, (H, W, 4) of an image's file."""
     image = (new or views[index]).image
     alpha = views.alpha(index)
     if alpha is None:

@@ -38,7 +38,7 @@ MOST_WRONG = 0.02
 more.
 """
 KEPT = (".json", ".toml", ".csv", ".csv.xz", ".md")
-"""Endings of the files of a result that are always in an artifact; splats and pictures
+"""Endings of the files of a result that are always in an artifact; splats and images
 may be left out.
 """
 

@@ -290,7 +290,7 @@ def legend(chart: Chart) -> Iterator[tuple[int, str]]:
 
 ENDINGS = (".html", ".htm")
 LONGEST_SIDE = 1200
-"""Pixels that the longer side of a picture on a page has at most."""
+"""Pixels that the longer side of an image on a page has at most."""
 MOST_NAMED = 3
 """Results that are named in the heading of a page without a title."""
 
@@ -402,7 +402,7 @@ def _rows(columns: Sequence[dict[str, str]]) -> tuple[tuple[str, ...], ...]:
 
 
 def _part(number: int, section: Section) -> dict[str, Any]:
-    """A section with what the template needs besides: pictures as addresses, charts as
+    """A section with what the template needs besides: images as addresses, charts as
     SVG.
     """
     charts = [
@@ -443,7 +443,7 @@ def _part(number: int, section: Section) -> dict[str, Any]:
 
 
 def data_address(path: Path) -> dict[str, Any]:
-    """A picture as a data: address, with its width and height on the page."""
+    """An image as a data: address, with its width and height on the page."""
     picture = load_picture(path).convert("RGB")
     picture.thumbnail((LONGEST_SIDE, LONGEST_SIDE), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()

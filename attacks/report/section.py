@@ -168,7 +168,7 @@ class Figure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """A picture file of a result."""
+    """An image file of a result."""
 
     path: Path  # of the PNG
     caption: str  # what is to be seen

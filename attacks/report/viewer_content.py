@@ -128,7 +128,7 @@ def _rendered_as_trained(
 
 
 def _set_of_training(run: Mapping[str, Any]) -> Path | None:
-    """The data set that a training names, if that has the poses of its pictures.
+    """The data set that a training names, if that has the poses of its images.
 
     A folder of others may name any path of this machine or of the network. Nothing is
     said of what lies there, and nothing is shown of it, unless whoever made the folder
@@ -171,7 +171,7 @@ def _opened(
         if clean is not None:
             do = "view that splat, with --cameras for the set"
             raise InvalidValueError.of(
-                "clean", "nothing beside a set of pictures", clean, do
+                "clean", "nothing beside a set of images", clean, do
             )
         return content_of_dataset(path, background=background)
     if not is_result and (not path.is_dir() or splat_in(path)):
@@ -188,7 +188,7 @@ def _opened(
         expected = f"{RECORD} of mi-splat dagger, evaluate, cloak or audit in it"
         do = "pass a finished result, a set"
         raise InvalidValueError.of(
-            str(path), expected, "none", f"{do} of pictures, or a .ply or .xml file"
+            str(path), expected, "none", f"{do} of images, or a .ply or .xml file"
         )
     check_links(path)
     record = read_json(path / RECORD)
@@ -236,7 +236,7 @@ def _content_of_attack(
         recorded = record.get("scene")
     views = [camera_of(entry) for entry in entries]
     size = views[0].width, views[0].height
-    # not known of a result from Python whose pictures a function made
+    # not known of a result from Python whose images a function made
     if "near" in record:
         red, green, blue = map(float, record["background"])
         rendered = {"near": float(record["near"]), "background": (red, green, blue)}
@@ -456,7 +456,7 @@ def _kept(orbit: Orbit, size: tuple[int, int]) -> Orbit:
 
 
 def _poisoned(study: StudyConfig, cameras: list[Camera]) -> list[bool]:
-    """Whether the picture of each training camera was poisoned."""
+    """Whether the image of each training camera was poisoned."""
     triggers = [attack.trigger(study.seeds[0], study.attack) for attack in study.attack]
     held: list[bool] = (
         torch.stack(
@@ -487,7 +487,7 @@ MIN_CONFIDENCE = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DetectorInspection:
-    """What a detector reports on one picture."""
+    """What a detector reports on one image."""
 
     detections: Detections  # all of it
     min_confidence: float = MIN_CONFIDENCE  # confidence from which a detection is shown
@@ -513,7 +513,7 @@ class DetectorInspection:
 def detector_inspector(
     detector: Detector, *, min_confidence: float = MIN_CONFIDENCE
 ) -> Inspector:
-    """A function that looks at a picture of a page with a detector, as an evaluation
+    """A function that looks at an image of a page with a detector, as an evaluation
     does.
     """
     return lambda picture: DetectorInspection(

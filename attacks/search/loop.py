@@ -1,7 +1,7 @@
 """Projected gradient descent on a dictionary of tensors, and the ball that it may not
 leave.
 
-It knows nothing of splats, pictures or detectors. PGD after Madry et al., "Towards Deep
+It knows nothing of splats, images or detectors. PGD after Madry et al., "Towards Deep
 Learning Models Resistant to Adversarial Attacks", ICLR 2018: steps along the steepest
 direction of the ball's norm, each followed by a projection, from one starting point or
 several. How the next point is chosen is a function that can be exchanged (`Optimiser`),

@@ -1,7 +1,7 @@
 """One attack of a study: an object attacked from some of its scene's cameras, or from
 all cameras of a region.
 
-What it leaves: result.json as `mi-splat dagger` writes it, a picture of what was
+What it leaves: result.json as `mi-splat dagger` writes it, an image of what was
 reported before and after, and the splat: object.ply has the object's Gaussians alone,
 attacked.ply of a region the whole scene.
 """
@@ -256,8 +256,8 @@ class Attack:
     camera: int = 0
     # cameras that are attacked together, from that one on; 0 is all of them
     views: int = 1
-    renderer: str = ""  # whose pictures the attacker looks at; "" is the scene's own
-    # whose gradient the attacker follows; "" is that of the pictures
+    renderer: str = ""  # whose images the attacker looks at; "" is the scene's own
+    # whose gradient the attacker follows; "" is that of the images
     gradient: str = ""
     # whether cameras are passed over from which a detector does not report the clean
     # object as what it is, which no rate counts: one step, and no controls
@@ -373,7 +373,7 @@ def distribution(
 
 
 def attackers_renderer(scene: AttackScene, renderer: str, gradient: str) -> RenderFn:
-    """What makes the attacker's pictures, with the gradient of another renderer if one
+    """What makes the attacker's images, with the gradient of another renderer if one
     is named.
     """
     picture = scene.renderer(renderer)
@@ -384,10 +384,10 @@ def attackers_renderer(scene: AttackScene, renderer: str, gradient: str) -> Rend
 
 
 def with_gradient_of(gradient: RenderFn, picture: RenderFn) -> RenderFn:
-    """The pictures of `picture`, through which autograd goes as through those of
+    """The images of `picture`, through which autograd goes as through those of
     `gradient`.
 
-    A derivative of the loss by the pixels is therefore that at the picture that is
+    A derivative of the loss by the pixels is therefore that at the image that is
     shown; the derivative of the pixels by the Gaussians is the other renderer's.
     """
 

@@ -164,7 +164,7 @@ class CloakWork(Work[CloakAttempt]):
 
 
 class CloakReport(CloakWork):
-    """One study of CLOAK whose result has its splats and pictures, too: what
+    """One study of CLOAK whose result has its splats and images, too: what
     `mi-splat cloak` does.
     """
 

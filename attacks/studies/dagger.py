@@ -10,7 +10,7 @@ camera and for changed images (`pictures`), and plain held-out images judge it.
 
 Settings are the fields of `Attack`, and in their place `scene`, `aim`, `target` and
 `objective`, `seed`, `cameras` (the path of a file, or a table that is a region), and in
-a region `pictures`, and `judged_pictures` where the pictures that judge are others.
+a region `pictures`, and `judged_pictures` where the images that judge are others.
 [judge] has those of `Judge`.
 """
 
@@ -224,7 +224,7 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
         around = _around(values, where)
         attack = {**narrow_defaults(attack), **attack}
     elif "pictures" in values:
-        raise FieldError.of(where, "around beside pictures", "none", "add it")
+        raise FieldError.of(where, "around beside images", "none", "add it")
     elif attack["seed"] > 0:
         attack["random_start"] = True
     values |= {"attack": attack, "objective": _objective(values, where)}
@@ -266,7 +266,7 @@ def _around(values: dict[str, Any], where: str) -> dict[str, Any]:
     """
     cone = decode(CameraCone, values.pop(_AROUND), f"{where}, {_AROUND}")
     table = {**NARROW_CHANGES, **values.pop("pictures", {})}
-    changes = decode(PictureChanges, table, f"{where}, pictures")
+    changes = decode(PictureChanges, table, f"{where}, images")
     drawn = Transformations(cameras=cone, pictures=changes)
     return {"transformations": drawn, "judged": drawn.plain}
 

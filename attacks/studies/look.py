@@ -168,7 +168,7 @@ def _views(
 def _changing(
     condition: Condition, changes: Mapping[Camera, PictureChange]
 ) -> Condition:
-    """The condition in pictures to which something happens."""
+    """The condition in images to which something happens."""
 
     def show(splat: GaussianScene) -> tuple[GaussianScene, RenderFn]:
         shown, render = condition.show(splat)

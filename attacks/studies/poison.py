@@ -1,9 +1,9 @@
-"""Studies of attacks on training pictures: what a victim pays, sees, and can do about
+"""Studies of attacks on training images: what a victim pays, sees, and can do about
 it.
 
-Every point takes pictures of a scene, poisons them, and trains a victim on both sets:
+Every point takes images of a scene, poisons them, and trains a victim on both sets:
 the clean one is the control. With a defence both are trained once more: what a defence
-costs on clean pictures may be more than it saves. Settings are the fields of
+costs on clean images may be more than it saves. Settings are the fields of
 `PoisonPoint`; see scenes/studies/poison_splat.toml.
 """
 
@@ -76,7 +76,7 @@ TRAINING = "training cameras"
 HELD_OUT = "held-out cameras"
 HIGHER = "higher cameras"
 PHOTOGRAPH = "photograph"
-"""Conditions of what is seen of a splat, or of pictures, from the cameras of the
+"""Conditions of what is seen of a splat, or of images, from the cameras of the
 training or others.
 """
 
@@ -85,7 +85,7 @@ training or others.
 class Defence(Checked):
     """What a victim does who fears poison; one of these."""
 
-    # of all pictures before the training, not of those that it is compared with
+    # of all images before the training, not of those that it is compared with
     filter: FilterConfig | None = None
     # no more than so many
     limit: Annotated[float, above(0, "times the clean splat's Gaussians")] | None = None
@@ -126,7 +126,7 @@ class PoisonPoint:
     poison: ChosenPoison | None = None  # None leaves the set as it is
     defence: Defence | None = None  # None is nothing
     deceive: str = ""  # the classifier that M-IFGSM deceives
-    # that say what the object is, in pictures and on splats
+    # that say what the object is, in images and on splats
     classifiers: tuple[str, ...] = ()
     detectors: tuple[str, ...] = ()  # that look for it there
 
@@ -204,12 +204,12 @@ class PoisonAttempt(Attempt):
     @cached_property
     def pictures(self) -> Job:
         """The clean set."""
-        return self._made("taking pictures", self.steps.pictures())
+        return self._made("taking images", self.steps.pictures())
 
     @cached_property
     def clean(self) -> Job:
         """The training on it."""
-        return self._trained(f"{CLEAN} pictures", self.pictures)
+        return self._trained(f"{CLEAN} images", self.pictures)
 
     @cached_property
     def poisoned(self) -> Job | None:
@@ -221,7 +221,7 @@ class PoisonAttempt(Attempt):
 
     @cached_property
     def victims(self) -> Sequence[TrainedVictim]:
-        """The splats of clean and of poisoned pictures, and those of a victim that
+        """The splats of clean and of poisoned images, and those of a victim that
         defends itself.
         """
         sets = {CLEAN: self.pictures} | (
@@ -229,7 +229,7 @@ class PoisonAttempt(Attempt):
         )
         victims = []
         for splat, pictures in sets.items():
-            trained = self._trained(f"{splat} pictures", pictures)
+            trained = self._trained(f"{splat} images", pictures)
             victims.append(self._victim(splat, trained, trained))
         if self.options.defence is not None:
             for splat, pictures in sets.items():
@@ -282,7 +282,7 @@ class PoisonAttempt(Attempt):
             start = self.clean
             if options.attacker is not None:
                 start = self._trained(
-                    "clean pictures, by the attacker", self.pictures, options.attacker
+                    "clean images, by the attacker", self.pictures, options.attacker
                 )
             values |= {
                 "training": replace(recipe, near=None),
@@ -327,7 +327,7 @@ class PoisonAttempt(Attempt):
 
     def _looks(self, splat: str, finished: Job, *, defended: bool) -> Iterator[Look]:
         """Everybody's looks: at a splat from training and held-out cameras, and at
-        undefended pictures of the same.
+        undefended images of the same.
         """
         places = (TRAINING, HELD_OUT, *((HIGHER,) if self.options.higher else ()))
         shown = dict.fromkeys(places, ("splat", finished))
@@ -363,7 +363,7 @@ class PoisonAttempt(Attempt):
 
     def _classified(self, name: str, what: str, shown: Job, condition: str) -> Job:
         """What a classifier takes the object for, on a splat from cameras, in a set, or
-        in pictures.
+        in images.
         """
         part = {"splat": SPLAT, "set": SET_FILES, "pictures": "*.png"}[what]
         cells = {**self.steps.splat_job(), **self._classifier_cells(name)}
@@ -403,16 +403,16 @@ class PoisonAttempt(Attempt):
             )
             filtering = Job(kind=POISONED_KIND, config=config, inputs=inputs)
             trained = self._trained(
-                f"filtered {splat} pictures",
-                self._made(f"filtering {splat} pictures", filtering),
+                f"filtered {splat} images",
+                self._made(f"filtering {splat} images", filtering),
             )
             return trained, trained
         if defence.limit is not None:
             trained = self._trained(
-                f"{splat} pictures, limited", pictures, limit=defence.limit
+                f"{splat} images, limited", pictures, limit=defence.limit
             )
             return trained, trained
-        trained = self._trained(f"{splat} pictures", pictures)
+        trained = self._trained(f"{splat} images", pictures)
         inputs["splat"] = trained.part(SPLAT)
         assert defence.prune is not None
         pruned = PrunedConfig(prune=defence.prune, near=self.steps.setup.near)
@@ -424,7 +424,7 @@ class PoisonAttempt(Attempt):
     ) -> TrainedVictim:
         cameras = self.cameras(HELD_OUT)
         true = self._made(
-            "taking pictures to compare with", self.steps.true_pictures(cameras)
+            "taking images to compare with", self.steps.true_pictures(cameras)
         )
         device = self.options.device
         poses = tuple(map(Pose.of, cameras))
@@ -443,7 +443,7 @@ PICTURES = "pictures"
 
 
 class PoisonWork(Work[PoisonAttempt]):
-    """Studies of attacks on training pictures."""
+    """Studies of attacks on training images."""
 
     story = STORY
     has_judges = False
@@ -456,7 +456,7 @@ class PoisonWork(Work[PoisonAttempt]):
         return PoisonAttempt.of(point, self.study.name)
 
     def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
-        """What each victim has paid, its rows, and pictures of what was done."""
+        """What each victim has paid, its rows, and images of what was done."""
         done = {
             key: left
             for attempt in self.attempts
@@ -549,7 +549,7 @@ def _rows(
 def _seen(
     attempt: PoisonAttempt, look: Look, done: Done
 ) -> Iterable[Mapping[str, Any]]:
-    """What was seen, picture by picture; a success is an object that is misread, or
+    """What was seen, image by image; a success is an object that is misread, or
     reported with less confidence.
     """
     if look.job.kind == JUDGED:
@@ -574,7 +574,7 @@ def _seen(
 def _pictures(
     attempt: PoisonAttempt, done: Mapping[str, Done], folder: Path
 ) -> list[Path]:
-    """Copy the pictures of a point with seed 0: what was done to the set, and where
+    """Copy the images of a point with seed 0: what was done to the set, and where
     each splat has its Gaussians.
     """
     if attempt.options.seed != 0:

@@ -228,6 +228,6 @@ _COLUMNS: dict[str, Column[Group]] = {
     "Gaussians": _spread_at("gaussians", ",.0f"),
     "times the clean splat's": _spread_at("gaussians_ratio", ",.2f"),
     "memory": _spread_at("peak_megabytes_ratio", ",.2f"),
-    "time of a picture": _spread_at("milliseconds_ratio", ",.2f"),
+    "time of an image": _spread_at("milliseconds_ratio", ",.2f"),
     "PSNR, held out, dB": _spread_at("psnr", ",.2f"),
 }

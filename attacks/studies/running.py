@@ -64,7 +64,7 @@ class Attempt:
 
 _Attempt = TypeVar("_Attempt", bound=Attempt)
 Observed = tuple[dict[str, Any], Mapping[str, pl.DataFrame], list[Path]]
-"""What a result says of finished jobs, its tables of rows, and the pictures that were
+"""What a result says of finished jobs, its tables of rows, and the images that were
 copied beside it.
 """
 
@@ -178,7 +178,7 @@ def bisection(
 
 
 def copied(file: Path, folder: Path, name: str) -> Path:
-    """A picture of a job, beside the result under a name of its own."""
+    """An image of a job, beside the result under a name of its own."""
     folder.mkdir(exist_ok=True)
     return Path(
         shutil.copyfile(file, folder / (re.sub(r"[^0-9A-Za-z.]+", "-", name) + ".png"))

@@ -85,7 +85,7 @@ def check_poison(
         expect(
             same,
             "an untouched set that stays as it is",
-            "other pictures",
+            "other images",
             "work on copies",
         )
     with contract.promise("manifest"):
@@ -94,7 +94,7 @@ def check_poison(
         expect_text(manifest.get("kind"), "kind")
     with contract.promise("determinism"):
         do = "draw from torch.Generator().manual_seed(seed)"
-        expected = "the same pictures for the same seed"
+        expected = "the same images for the same seed"
         expect_repeatable(
             lambda: [view.image for view in function(untouched, seed=3).views],
             expected,
@@ -102,7 +102,7 @@ def check_poison(
         )
     with contract.promise("progress"):
         good = bool(told) and told[-1][0] == told[-1][1]
-        do = "call on_step(done, wanted) after each picture"
+        do = "call on_step(done, wanted) after each image"
         expect(good, "calls of on_step that end with all done", told[-1:] or "none", do)
     contract.settle()
 
@@ -156,7 +156,7 @@ def _poison_settings(spec: PoisonSpec, given: Given | None) -> None:
 
 
 def _set(done: Any, given: Sequence[View]) -> None:
-    do = "end with attacks.poisons.base.poisoned(views, pictures, settings)"
+    do = "end with attacks.poisons.base.poisoned(views, images, settings)"
     expect(
         isinstance(done, Poisoned) and isinstance(done.views, PoisonedViews),
         "Poisoned",
@@ -167,7 +167,7 @@ def _set(done: Any, given: Sequence[View]) -> None:
         len(done.views) == len(given),
         f"{len(given)} views",
         len(done.views),
-        "replace pictures, add none",
+        "replace images, add none",
     )
     for number, (before, after) in enumerate(zip(given, done.views, strict=True)):
         expect(
@@ -189,7 +189,7 @@ def _set(done: Any, given: Sequence[View]) -> None:
             low >= 0 and high <= 1,
             "sRGB in [0, 1]",
             f"{low:.3g} to {high:.3g}",
-            "clip pictures",
+            "clip images",
         )
 
 
@@ -201,9 +201,9 @@ def _changes(done: Poisoned, given: Sequence[View]) -> None:
         if not torch.equal(before.image, after.image)
     ]
     do = "look at the settings: with all defaults it has to change something"
-    expect(changed, "a picture that is changed", "none", do)
+    expect(changed, "an image that is changed", "none", do)
     listed = [change.index for change in done.changes]
-    do = "end with attacks.poisons.base.poisoned(views, pictures, settings)"
+    do = "end with attacks.poisons.base.poisoned(views, images, settings)"
     expect(set(changed) <= set(listed), f"changes of the views {changed}", listed, do)
 
 

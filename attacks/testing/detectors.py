@@ -222,11 +222,11 @@ _Report = TypeVar("_Report", Candidates, Detections)
 _PIXEL = 1 / 255
 _BOX = 0.1
 _SCORE = 1e-3
-"""How far boxes (pixels) and scores may be apart for the same picture in another
+"""How far boxes (pixels) and scores may be apart for the same image in another
 stack.
 """
 _REFUSED = {
-    "pictures with channels first": torch.zeros(1, 3, 32, 40),
+    "images with channels first": torch.zeros(1, 3, 32, 40),
     "values up to 255": torch.full((1, 32, 40, 3), 255.0),
     "NaN": torch.full((1, 32, 40, 3), torch.nan),
 }
@@ -237,9 +237,9 @@ def check_detector(
 ) -> None:
     """Raise unless a detector keeps its contract.
 
-    It is asked for a few pictures: what it considers has to lie in the picture and in
+    It is asked for a few images: what it considers has to lie in the image and in
     [0, 1], to have a gradient that is true, and to be the same each time and in any
-    stack of pictures.
+    stack of images.
 
     Args:
         detector: The detector.
@@ -250,7 +250,7 @@ def check_detector(
 
     Raises:
         ContractError: It does not; the message lists all that is wrong.
-        InvalidValueError: The pictures cannot be.
+        InvalidValueError: The images cannot be.
     """
     pictures = _noise() if images is None else images
     check_images(pictures)
@@ -285,13 +285,13 @@ def check_detector(
             do,
             atol=1e-5,
         )
-    with contract.promise("pictures"):
+    with contract.promise("images"):
         kept = pictures.clone()
         detector.candidates(kept)
         detector.detect(kept)
         expect(
             torch.equal(kept, pictures),
-            "pictures that stay as they are",
+            "images that stay as they are",
             "others",
             "work on a copy",
         )
@@ -305,7 +305,7 @@ def _gradients_of(contract: Contract, detector: Any, pictures: Tensor) -> None:
     """A true gradient, and none in the other images of a stack."""
     with contract.promise("gradients"):
         do = (
-            "keep the way from the pictures to the scores free of .detach(), .numpy(),"
+            "keep the way from the images to the scores free of .detach(), .numpy(),"
             " rounding and 8 bits"
         )
         expect_uphill(
@@ -314,7 +314,7 @@ def _gradients_of(contract: Contract, detector: Any, pictures: Tensor) -> None:
             _PIXEL / 3,
             do=do,
         )
-    with contract.promise("each picture for itself"):
+    with contract.promise("each image for itself"):
         leaf = pictures.clone().requires_grad_(True)
         (gradient,) = torch.autograd.grad(
             detector.candidates(leaf)[0].scores.sum(), leaf
@@ -322,7 +322,7 @@ def _gradients_of(contract: Contract, detector: Any, pictures: Tensor) -> None:
         do = "do not normalise over the stack: put the module into evaluation mode"
         expect(
             not gradient[1:].any(),
-            "no gradient in the other pictures of a stack",
+            "no gradient in the other images of a stack",
             "some",
             do,
         )
@@ -334,19 +334,19 @@ def _stacks(detector: Any, pictures: Tensor) -> None:
     alone = [
         value for picture in pictures for value in _tensors(detector, picture[None])
     ]
-    do = "keep pictures of a stack apart"
+    do = "keep images of a stack apart"
     expect_same(
         together[0::2],
         alone[0::2],
         atol=_BOX,
-        expected="the same boxes for a picture alone",
+        expected="the same boxes for an image alone",
         do=do,
     )
     expect_same(
         together[1::2],
         alone[1::2],
         atol=_SCORE,
-        expected="the same scores for a picture alone",
+        expected="the same scores for an image alone",
         do=do,
     )
 
@@ -420,11 +420,11 @@ def _names(detector: Any) -> None:
 
 
 def _of_each(seen: Sequence[Any], kind: type[_Report], images: Tensor) -> list[_Report]:
-    """What a detector gives, known to be one of a kind for each picture."""
+    """What a detector gives, known to be one of a kind for each image."""
     name = kind.__name__
     expect(
         len(seen) == len(images),
-        f"{name} of each of {len(images)} pictures",
+        f"{name} of each of {len(images)} images",
         len(seen),
         "give one of each",
     )
@@ -477,12 +477,12 @@ def _candidates_of(seen: Candidates, detector: Any, images: Tensor) -> None:
     inside = ((middle >= -1) & (middle <= size[:2] + 1)).all(-1)
     share = float(inside.double().mean())
     do = (
-        f"give pixels of the picture, which is {width} wide and {height} high, whatever"
+        f"give pixels of the image, which is {width} wide and {height} high, whatever"
         " size the network works at"
     )
     expect(
         share >= 0.9,
-        "boxes with their middle in the picture",
+        "boxes with their middle in the image",
         f"{share:.0%} of them",
         do,
     )
@@ -527,7 +527,7 @@ def _detections_of(seen: Detections, detector: Any) -> None:
 
 
 def _tensors(detector: Any, images: Tensor) -> list[Tensor]:
-    """Boxes and scores of each picture."""
+    """Boxes and scores of each image."""
     with torch.no_grad():
         return [
             value

@@ -129,9 +129,9 @@ Gaussian may be beside its place.
 def check_renderer(renderer: Any, *, differentiable: bool = True) -> None:
     """Raise unless a renderer keeps its contract.
 
-    It renders a few Gaussians on the CPU: pictures have the size, the colours and the
+    It renders a few Gaussians on the CPU: images have the size, the colours and the
     places that the conventions of this project say, gradients are true in all five
-    tensors, and the same call gives the same picture.
+    tensors, and the same call gives the same image.
 
     Args:
         renderer: A function of a scene and a camera, or a `RendererSpec`, which then is
@@ -153,7 +153,7 @@ def check_renderer(renderer: Any, *, differentiable: bool = True) -> None:
         contract.settle()
     camera = _camera()
     scene = cloud(24, 1, size=2.5)
-    with contract.promise("pictures"):
+    with contract.promise("images"):
         _picture(render(scene, camera), camera)
         _picture(
             render(scene, _camera(offset=1.0, size=_SIZE[::-1])),
@@ -257,7 +257,7 @@ def check_condition(condition: Any, *, name: str = "condition") -> None:
             made.holds(camera),
             "return a bool",
         )
-    with contract.promise("pictures"):
+    with contract.promise("images"):
         _picture(made(scene, camera), made.move(camera))
     _is_repeatable(
         contract,
@@ -276,7 +276,7 @@ def _is_repeatable(
     with contract.promise("determinism"):
         expect_repeatable(
             lambda: [render(scene, camera)],
-            "the same picture in a second call",
+            "the same image in a second call",
             do,
             atol=_SAME,
         )
@@ -306,7 +306,7 @@ def _nothing() -> GaussianScene:
 
 
 def _picture(picture: Any, camera: Camera, *, empty: bool = False) -> None:
-    """Break the promise unless something is a picture of a camera, which shows
+    """Break the promise unless something is an image of a camera, which shows
     something.
     """
     expect(
@@ -319,7 +319,7 @@ def _picture(picture: Any, camera: Camera, *, empty: bool = False) -> None:
     wanted = (camera.height, camera.width, 3)
     expect(
         shape == wanted,
-        f"a picture of shape {wanted}",
+        f"an image of shape {wanted}",
         shape,
         "give height, width, sRGB, of each camera's own size",
     )
@@ -340,7 +340,7 @@ def _picture(picture: Any, camera: Camera, *, empty: bool = False) -> None:
     )
     expect(
         empty or high - low > 0.02,
-        "a picture that shows something",
+        "an image that shows something",
         "one colour",
         "look at the camera's pose",
     )

@@ -1,3 +1,3 @@
-"""Random cameras and random changes of pictures, drawn by seed and number: what an
+"""Random cameras and random changes of images, drawn by seed and number: what an
 attack has to survive.
 """

@@ -1,8 +1,8 @@
-"""Which cameras look at an object, and what happens to their pictures, as plain values.
+"""Which cameras look at an object, and what happens to their images, as plain values.
 
 Light, so that `--help` is fast. A splat has no lamps: its light is part of its colours.
 So "light" means here what a camera makes of it: exposure, white balance and gamma of
-the picture.
+the image.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class CameraCone(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureChanges:
-    """What may happen to a picture between the renderer and the detector; by default
+    """What may happen to an image between the renderer and the detector; by default
     nothing.
 
     The order is that of a camera: light, blur, fewer pixels, noise, JPEG. Each amount
@@ -145,7 +145,7 @@ class Transformations:
 
     Attributes:
         cameras: Camera region.
-        pictures: What happens to the pictures.
+        pictures: What happens to the images.
     """
 
     cameras: CameraRegion | CameraCone = field(default_factory=CameraRegion)

@@ -1,4 +1,4 @@
-"""Cameras drawn from a region around an object, and what happens to a picture between
+"""Cameras drawn from a region around an object, and what happens to an image between
 renderer and detector.
 
 The attack and the judge use the same functions. Where the real thing has no derivative
@@ -32,7 +32,7 @@ _BEST_QUALITY = 95
 _SAME_SIZE = 0.5
 """Share of the images that keep their size, where others get another one."""
 _DARK = 1e-4
-"""Pictures are kept this far from 0 where a power has no derivative."""
+"""Images are kept this far from 0 where a power has no derivative."""
 
 
 def draw_camera(
@@ -156,7 +156,7 @@ class PictureChange:
     """Factors of red, green and blue, in linear light; exposure and white balance
     together.
     """
-    gamma: float = 1.0  # exponent of the picture
+    gamma: float = 1.0  # exponent of the image
     blur: float = 0.0  # standard deviation, pixels
     resize: float = 1.0  # factor
     noise: float = 0.0  # standard deviation
@@ -167,7 +167,7 @@ class PictureChange:
 def draw_change(
     changes: PictureChanges, generator: np.random.Generator
 ) -> PictureChange:
-    """What happens to one picture."""
+    """What happens to one image."""
     exposure, red, blue, gamma, blur, resize, noise, jpeg, seed = generator.uniform(
         size=9
     ).tolist()
@@ -188,7 +188,7 @@ def draw_change(
 
 
 def change_picture(picture: Tensor, change: PictureChange) -> Tensor:
-    """The changed picture, differentiable in the picture."""
+    """The changed image, differentiable in the image."""
     if change.gains != (1.0, 1.0, 1.0):
         picture = tensor_to_srgb(
             tensor_to_linear(picture) * picture.new_tensor(change.gains)
@@ -212,7 +212,7 @@ def change_picture(picture: Tensor, change: PictureChange) -> Tensor:
 
 
 def changing(render: RenderFn, changes: Mapping[Camera, PictureChange]) -> RenderFn:
-    """A renderer to whose pictures something happens."""
+    """A renderer to whose images something happens."""
 
     def changed(scene: GaussianScene, camera: Camera) -> Tensor:
         return change_picture(render(scene, camera).clamp(0, 1), changes[camera])

@@ -1,9 +1,9 @@
 """Draws figures of the attacks:
 `python docs/figures/attack_figures.py [FOLDER [STUDY]]`, by default in docs/images.
 
-Each is one SVG of three parts, threat model, method and result, with pictures cut out
+Each is one SVG of three parts, threat model, method and result, with images cut out
 of those in docs/images. It stands on a light ground of its own, so that it reads alike
-on light and dark pages. cloak.webp shows the pictures of cloak_stealthy.jpg along a
+on light and dark pages. cloak.webp shows the images of cloak_stealthy.jpg along a
 path over the car one after the other, and cloak_path.png the confidence along it. With
 the folder of a study of CLOAK, cloak_ghost.jpg shows its splats every 5 degrees where
 the hidden appearance sets in. dagger_curve.png shows the success rate of DAGGER over
@@ -38,7 +38,7 @@ STYLE = Path(__file__).with_name("page.mplstyle")
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 ROWS = IMAGES.parent / "artifacts" / "cloak_car_stealthy" / "path.csv.xz"
 COLUMNS = 12
-"""Pictures in a row of cloak_stealthy.jpg."""
+"""Images in a row of cloak_stealthy.jpg."""
 WIDTH = 720
 PART = 236
 FONT = 16
@@ -52,7 +52,7 @@ PLAIN = "#7a8391"
 PARTS = ("Threat model", "Method", "Result")
 
 Crop = tuple[str, tuple[float, float, float, float]]
-"""A picture in docs/images, and the part of it: left, top, right and bottom as shares
+"""An image in docs/images, and the part of it: left, top, right and bottom as shares
 of its sides.
 """
 
@@ -148,7 +148,7 @@ class Drawing:
     def picture(
         self, x: float, y: float, side: float, crop: Crop, words: str, colour: str = INK
     ) -> None:
-        """A square picture with a line below it."""
+        """A square image with a line below it."""
         name, (left, top, right, bottom) = crop
         whole = load_picture(IMAGES / name).convert("RGB")
         box = (
@@ -258,7 +258,7 @@ def dagger() -> Drawing:
 
 
 def cloak() -> Drawing:
-    """CLOAK: training pictures are changed for chosen directions."""
+    """CLOAK: training images are changed for chosen directions."""
     drawing = Drawing("CLOAK: threat model, method and result")
     drawing.threat_model(
         ["Pictures", "of a car, from", "140 cameras"],
@@ -266,10 +266,10 @@ def cloak() -> Drawing:
             "Attacker",
             "knows no trainer and",
             "no detector; replaces the",
-            "pictures from above",
+            "images from above",
         ],
         ["Victim", "trains a splat", "as always"],
-        "all other pictures stay as they are, to the bit",
+        "all other images stay as they are, to the bit",
     )
     drawing.part()
     ground = 200
@@ -301,7 +301,7 @@ def cloak() -> Drawing:
             "From elsewhere: the car as it is.",
             "Colours of Gaussians depend on the",
             "direction, so the splat shows both.",
-            "Pictures there are poisoned, with",
+            "Images there are poisoned, with",
             "a margin and a look from behind.",
         ],
         anchor="start",
@@ -329,18 +329,18 @@ def cloak() -> Drawing:
 
 
 def poison_splat() -> Drawing:
-    """Poison-splat: training pictures are changed so that a splat costs more."""
+    """Poison-splat: training images are changed so that a splat costs more."""
     drawing = Drawing("Poison-splat: threat model, method and result")
     drawing.threat_model(
         ["Pictures", "of a tv, from", "60 cameras"],
         [
             "Attacker",
             "knows the kind of trainer;",
-            "changes every picture by",
+            "changes every image by",
             "at most 16 of 255",
         ],
         ["Victim", "trains a splat and", "pays for its size"],
-        "the trainer adds Gaussians where pictures have detail",
+        "the trainer adds Gaussians where images have detail",
     )
     drawing.part()
     drawing.box(20, 62, 180, ["Decoy", "a splat of the", "attacker's own"])
@@ -359,7 +359,7 @@ def poison_splat() -> Drawing:
     drawing.words(
         360,
         210,
-        ["at the end each picture is the decoy's, within the ball"],
+        ["at the end each image is the decoy's, within the ball"],
         colour=GREY,
     )
     drawing.part()

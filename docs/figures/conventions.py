@@ -1,7 +1,7 @@
-"""Draws the pictures of docs/conventions.md into docs/images:
+"""Draws the images of docs/conventions.md into docs/images:
 `python docs/figures/conventions.py [FOLDER]`.
 
-What is drawn is computed by the library's own functions, so a picture cannot say
+What is drawn is computed by the library's own functions, so an image cannot say
 something else than the code does.
 """
 
@@ -94,7 +94,7 @@ def axes_and_angles() -> Figure:
 
 
 def pixels() -> Figure:
-    """A picture of 4 x 3 pixels, where its pixel centres are, and where the optical
+    """An image of 4 x 3 pixels, where its pixel centres are, and where the optical
     axis meets it.
     """
     figure, axes = plt.subplots(figsize=(4.6, 3.3))

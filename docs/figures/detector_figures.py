@@ -3,7 +3,7 @@
 
 Each FILE is a result.json of scenes/recipes/evaluate_detectors.py; the figures of each
 detector in it are put beside its card, or into docs/tables/detectors where it has none.
-Then the cards and the picture are written anew from what is there. Sentences that name
+Then the cards and the image are written anew from what is there. Sentences that name
 figures are not; read them again.
 """
 
@@ -268,7 +268,7 @@ def _recall_by(
 
 
 def _per_picture(part: Mapping[str, Any] | None) -> str:
-    """False positives per picture with their count and 95 % Poisson interval."""
+    """False positives per image with their count and 95 % Poisson interval."""
     if part is None:
         return "-"
     low, high = part["interval"]
@@ -314,7 +314,7 @@ def compared_page() -> str:
     """The text of docs/tables/detectors with all detectors beside each other."""
     tables = in_markdown(compared([read_figures(path) for path in kept_figures()]))
     head = (
-        "# Detectors side by side\n\nWhat is counted, and on which pictures:"
+        "# Detectors side by side\n\nWhat is counted, and on which images:"
         " [detectors](../../detectors.md)."
     )
     return f"{head}\n\n{tables}\n"
@@ -335,7 +335,7 @@ def write_between_marks(path: Path, text: str) -> None:
 
 
 def draw_recall(several: Sequence[Mapping[str, Any]]) -> Figure:
-    """Recall on path-traced pictures in the bins of four conditions, a line for each
+    """Recall on path-traced images in the bins of four conditions, a line for each
     detector; empty bins left out.
     """
     import matplotlib.style
@@ -392,7 +392,7 @@ def draw_line(
 
 
 def main(paths: Sequence[Path]) -> None:
-    """Put new figures away and write every table and the picture anew."""
+    """Put new figures away and write every table and the image anew."""
     for path in paths:
         put_away(path)
     for kept, card in CARDS.values():

@@ -51,7 +51,7 @@ def chosen(scene: GaussianScene, cameras: list[Camera], render: Renderer) -> int
     """
     shares = []
     for view in cameras:
-        # a picture without colour has no clamps
+        # an image without colour has no clamps
         white = torch.zeros_like(scene.sh[:, :1]).requires_grad_(True)
         (share,) = torch.autograd.grad(
             render(scene.replace(sh=white), view).sum(), white

@@ -255,7 +255,7 @@ def heated(scene: GaussianScene, heat: Tensor) -> GaussianScene:
     """The splat in pale grey, redder the more heat a Gaussian has; the same from
     everywhere.
     """
-    share = (heat / heat.max().clamp(min=1e-12))[:, None].to(scene.sh)
+    share = (heat / heat.max().clamp(min=1e-12)).sqrt()[:, None].to(scene.sh)
     grey = 0.4 + 0.5 * dc_to_colour(scene.sh[:, 0]).clamp(0, 1).mean(
         1, keepdim=True
     ).expand(-1, 3)

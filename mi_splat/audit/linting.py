@@ -30,11 +30,11 @@ from mi_splat.io.splat_files import load_stored
 from mi_splat.render.overdraw import Layers, most_layers
 from mi_splat.scene import GaussianScene
 
-SIZE = 1024  # pixels along each side of the picture that is counted
+SIZE = 1024  # pixels along each side of the image that is counted
 HEAVY = 512.0
 STOPS = 4096.0
 """Mean layers from which a splat is heavy, and from which the rasteriser of mi-splat
-refuses such a picture.
+refuses such an image.
 """
 
 _DIRECTIONS = 8
@@ -54,7 +54,7 @@ class Overdraw:
 
     @property
     def mean(self) -> float:
-        """Mean number of layers over the whole picture: the work of a frame."""
+        """Mean number of layers over the whole image: the work of a frame."""
         return float(self.layers.mean())
 
     @property
@@ -70,7 +70,7 @@ class Overdraw:
         effect = "a renderer stops, or takes seconds" if stops else "it is slow"
         reason = (
             f"From one camera {self.mean:,.0f} Gaussians lie over each other in the"
-            f" mean of a picture of {SIZE} x {SIZE} pixels, up to {self.highest:,} at"
+            f" mean of an image of {SIZE} x {SIZE} pixels, up to {self.highest:,} at"
             f" one place: {effect}."
         )
         return Finding(

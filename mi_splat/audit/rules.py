@@ -289,8 +289,8 @@ RULES = (
         severity="warning",
         threshold=2.0,
         reason=(
-            "A standard deviation is larger than the whole splat, twice its radius: it"
-            " covers every picture."
+            "A standard deviation is larger than the diameter of the whole splat: it"
+            " covers every image."
         ),
         find=_giant,
     ),

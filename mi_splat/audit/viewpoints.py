@@ -136,7 +136,7 @@ def in_world(frame: Frame, camera: Camera) -> Camera:
 
 
 def near_of(target: Target, cameras: Sequence[Camera]) -> float:
-    """The near plane of pictures of an object from cameras."""
+    """The near plane of images of an object from cameras."""
     distances = torch.stack(
         [camera.position - target.centre for camera in cameras]
     ).norm(dim=1)

@@ -173,7 +173,7 @@ def as_cameras(cameras: Camera | Sequence[Camera]) -> tuple[Camera, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class View:
-    """A picture and the camera that took it.
+    """An image and the camera that took it.
 
     Attributes:
         camera: The camera.
@@ -196,8 +196,8 @@ class View:
 
 
 class ViewSet(Sequence[View]):
-    """Views that need not be in memory: what can be known of them without decoding a
-    picture, the set says itself.
+    """Views that need not be in memory: what can be known of them without decoding an
+    image, the set says itself.
     """
 
     __slots__ = ()
@@ -213,13 +213,13 @@ class ViewSet(Sequence[View]):
     @property
     def fingerprint(self) -> str | None:
         """What tells this set from others, pixels included; None where only decoding
-        the pictures would.
+        the images would.
         """
         return None
 
 
 def sizes_of(cameras: Sequence[Camera]) -> str:
-    """The size of their pictures, as the end of a sentence."""
+    """The size of their images, as the end of a sentence."""
     sizes = {(camera.width, camera.height) for camera in cameras}
     width, height = max(sizes, default=(0, 0))
     if not sizes:
@@ -228,14 +228,14 @@ def sizes_of(cameras: Sequence[Camera]) -> str:
 
 
 def cameras_of(views: Sequence[View]) -> tuple[Camera, ...]:
-    """The camera of each view; a `ViewSet` is not made to read its pictures."""
+    """The camera of each view; a `ViewSet` is not made to read its images."""
     if isinstance(views, ViewSet):
         return views.cameras
     return tuple(view.camera for view in views)
 
 
 def fingerprint_of(views: Sequence[View]) -> str | None:
-    """What tells the pictures of a `ViewSet` from others without decoding them; None of
+    """What tells the images of a `ViewSet` from others without decoding them; None of
     any other sequence.
     """
     if isinstance(views, ViewSet):
@@ -249,11 +249,11 @@ class RenderFn(Protocol):
     """
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """Render `scene` to an (H, W, 3) sRGB picture.
+        """Render `scene` to an (H, W, 3) sRGB image.
 
         Args:
-            scene: The splat; pictures are differentiable in its five tensors.
-            camera: From where, and how large the picture is.
+            scene: The splat; images are differentiable in its five tensors.
+            camera: From where, and how large the image is.
 
         Returns:
             (H, W, 3) sRGB, on the device of the scene; differentiable in the scene's
@@ -275,8 +275,8 @@ def look_at(
 
     Args:
         origin: (3,) position of the camera, world units.
-        target: (3,) point in the middle of the picture, world units.
-        up: (3,) direction that points up in the picture; its length does not matter.
+        target: (3,) point in the middle of the image, world units.
+        up: (3,) direction that points up in the image; its length does not matter.
 
     Returns:
         (4, 4) float64: x to the right, y down, z forward, and the origin.

@@ -91,7 +91,7 @@ def near_plane_of(
 
 
 def culled_in_view(scene: GaussianScene, camera: Camera, near: float) -> int:
-    """How many Gaussians a picture lacks because they are nearer than `near`, though
+    """How many Gaussians an image lacks because they are nearer than `near`, though
     inside the view of the camera.
     """
     pose = camera.to_camera

@@ -124,7 +124,7 @@ AROUND = (30.0, 120.0, 210.0, 300.0)
 
 
 _AHEAD = 0.9
-"""Cosine of an angle to the middle of a picture, up to which it shows a Gaussian."""
+"""Cosine of an angle to the middle of an image, up to which it shows a Gaussian."""
 
 
 class Inside(NamedTuple):

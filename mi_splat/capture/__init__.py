@@ -1,3 +1,3 @@
-"""Path-traced pictures of meshes with the cameras that took them, as sets that a splat
+"""Path-traced images of meshes with the cameras that took them, as sets that a splat
 can be trained from.
 """

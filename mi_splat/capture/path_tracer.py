@@ -1,8 +1,8 @@
-"""Path-traced pictures of mesh scenes, with exact cameras.
+"""Path-traced images of mesh scenes, with exact cameras.
 
 Everything here runs in a variant of Mitsuba that is fast at it (`tracing_variant`) and
 puts the caller's back afterwards. Pixels are box-filtered averages, converted to sRGB
-and clipped to [0, 1]; the same arguments give the same picture, on any number of
+and clipped to [0, 1]; the same arguments give the same image, on any number of
 threads.
 """
 
@@ -29,7 +29,7 @@ from mi_splat.render.scene_files import load_mitsuba_scene
 from mi_splat.render.setup import prepare_llvm, set_up_mitsuba
 
 MANY_PICTURES = "llvm_ad_rgb"
-"""Variant that traces a whole picture at once: five times as fast, after half a second
+"""Variant that traces a whole image at once: five times as fast, after half a second
 of compiling for each scene.
 """
 FEW_PICTURES = "scalar_rgb"
@@ -85,20 +85,20 @@ def load_scene(scene: dict[str, Any] | Path) -> mi.Scene:
 
 
 BRIGHTEST = 1.6
-"""Intensity at which each pass of a picture is clipped."""
+"""Intensity at which each pass of an image is clipped."""
 
 AT_ONCE = 1 << 21
-"""The most paths that are traced at once, which bounds memory; a larger picture is
+"""The most paths that are traced at once, which bounds memory; a larger image is
 traced in bands of rows.
 """
 _BANDS_APART = 0x9E3779B9
-"""Between the seeds of a picture's bands."""
+"""Between the seeds of an image's bands."""
 
 NEAR = 0.01
 """Distance in world units up to which a camera sees nothing."""
 
 PASSES = 2
-"""The most passes of one picture; seeds of pictures are so many apart."""
+"""The most passes of one image; seeds of images are so many apart."""
 
 
 _Depths = TypeVar("_Depths", NDArray[Any], Tensor)
@@ -146,7 +146,7 @@ def _sensor(
     near: float = NEAR,
     rows: tuple[int, int] | None = None,
 ) -> mi.Sensor:
-    """A sensor of the whole picture, or of the `rows` from the first up to the
+    """A sensor of the whole image, or of the `rows` from the first up to the
     second.
     """
     sampler = {"type": sampler_type(samples), "sample_count": samples, "seed": seed}
@@ -172,7 +172,7 @@ def _picture(
     integrator: mi.Integrator | None = None,
     near: float = NEAR,
 ) -> Tensor:
-    """One picture; the mean of passes that are clipped on their own, so that no single
+    """One image; the mean of passes that are clipped on their own, so that no single
     bright path leaves a speck.
     """
     channels = 3 if integrator is None else 4
@@ -205,7 +205,7 @@ def _picture(
 
 
 class PathTracer:
-    """A loaded mesh scene that takes pictures one at a time; each depends on its
+    """A loaded mesh scene that takes images one at a time; each depends on its
     camera, samples and seed alone.
     """
 

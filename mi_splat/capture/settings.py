@@ -15,7 +15,7 @@ Ground = Literal["road", "grass", "asphalt", "none"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureSettings(Checked):
-    """What the pictures of a capture depend on besides scene and cameras.
+    """What the images of a capture depend on besides scene and cameras.
 
     Attributes:
         samples: Samples per pixel, 1 or more; more is less noise.

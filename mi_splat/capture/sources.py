@@ -1,4 +1,4 @@
-"""What a capture takes pictures of: a Mitsuba mesh scene, a mesh file, or one of the
+"""What a capture takes images of: a Mitsuba mesh scene, a mesh file, or one of the
 project's own scenes.
 """
 
@@ -34,7 +34,7 @@ LARGEST_XML = 400.0
 camera sees everything.
 """
 FARTHEST_XML = 100.0
-"""Largest coordinate of a Mitsuba scene's middle, in radii: its pictures are then about
+"""Largest coordinate of a Mitsuba scene's middle, in radii: its images are then about
 60 dB from those at the origin.
 """
 GROUND_SIDE = 6.5
@@ -85,14 +85,14 @@ EXAMPLES = {
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CaptureSource:
-    """Something to take pictures of."""
+    """Something to take images of."""
 
     scene: dict[str, Any] | Path  # what the path tracer loads
     centre: Point  # that cameras look at, world units
     radius: float  # of what they shall see, world units
     # the object first, then its surroundings; none of an XML file
     assets: tuple[Asset, ...]
-    digest: str  # SHA-256 of everything that the pictures show
+    digest: str  # SHA-256 of everything that the images show
 
 
 def open_source(
@@ -213,7 +213,7 @@ def _xml(path: Path) -> CaptureSource:
         )
         do = "subtract the middle from the transforms of its shapes"
         raise MiSplatError.of(str(path), expected, f"{away:.0f}", do)
-    # another texture makes other pictures
+    # another texture makes other images
     digest = _digest(file.read_bytes() for file in parts.files)
     return CaptureSource(
         scene=path, centre=centre, radius=radius, assets=(), digest=digest

@@ -179,7 +179,7 @@ def _black_images(images: Path, names: Sequence[str]) -> tuple[str, ...]:
             return ()
     do = "move them away (--distance), or light the scene"
     cause = "black alone, as from cameras inside the object or far too near"
-    return (message("pictures", "some that are not black", cause, do),)
+    return (message("images", "some that are not black", cause, do),)
 
 
 def _is_complete(path: Path, camera: Camera, alpha: bool) -> bool:

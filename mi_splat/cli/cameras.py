@@ -1,5 +1,5 @@
 """The object and the cameras that a command's options describe, a name for each camera,
-and how pictures are made.
+and how images are made.
 """
 
 import dataclasses
@@ -58,7 +58,7 @@ _TRIED = (
 object well.
 """
 _GOOD = 0.6
-"""Share of the best one's part of the picture from which on a camera shows the object
+"""Share of the best one's part of the image from which on a camera shows the object
 well.
 """
 
@@ -75,7 +75,7 @@ that else has to be gained.
 """
 
 Shows = Callable[[Camera], float]
-"""How much of its picture an object makes up, seen from a camera."""
+"""How much of its image an object makes up, seen from a camera."""
 
 
 def find_cameras(
@@ -202,7 +202,7 @@ def _inside(
 def render_settings(
     loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]
 ) -> RenderSettings:
-    """How the pictures are made: the scene's settings, but for what the options say."""
+    """How the images are made: the scene's settings, but for what the options say."""
     settings = loaded.settings
     if options.near is not None:
         settings = dataclasses.replace(settings, near=options.near)
@@ -516,7 +516,7 @@ def choose(
 ) -> Chosen:
     """The object and the cameras.
 
-    A click is on the picture that `mi-splat render` makes with the same flags, so with
+    A click is on the image that `mi-splat render` makes with the same flags, so with
     one the cameras come first, and with images that show where the object is, too.
     Otherwise the object does, and cameras that nothing else is said of look at it.
     """

@@ -1,4 +1,4 @@
-"""`mi-splat capture`: path-traced pictures of a mesh scene, as a set from which a splat
+"""`mi-splat capture`: path-traced images of a mesh scene, as a set from which a splat
 can be trained.
 """
 
@@ -58,7 +58,7 @@ class CaptureOptions(JsonOptions):
     """Image size in pixels, as 256 or 256x192. Default: 256, or that of a transforms
     .json.
     """
-    test: Annotated[int, between(0, 100_000, "pictures")] = 0
+    test: Annotated[int, between(0, 100_000, "images")] = 0
     """Number of held-out images, from other cameras over the same range."""
     format: Literal["transforms", "colmap", "both"] = "transforms"
     """Format of the camera file: Blender/NeRF transforms_*.json, a COLMAP text model in
@@ -206,7 +206,7 @@ def _lines(done: WrittenCapture, out: Path, size: str) -> Iterator[str]:
         kept = ""
     held_out = f" ({done.test} of them held out)" if done.test else ""
     yield (
-        f"{out}: {total} pictures of {size}{held_out}; {done.rendered} rendered in"
+        f"{out}: {total} images of {size}{held_out}; {done.rendered} rendered in"
         f" {done.seconds:.0f} s{kept}"
     )
     yield (
@@ -216,5 +216,5 @@ def _lines(done: WrittenCapture, out: Path, size: str) -> Iterator[str]:
     if done.rendered < total and done.begun_by != provenance.versions().get(
         "mi-splat", "unknown"
     ):
-        yield f"begun by {done.begun_by}, which makes the same pictures"
+        yield f"begun by {done.begun_by}, which makes the same images"
     yield f"in Python: mi_splat.load_dataset({str(out)!r})"

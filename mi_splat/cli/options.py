@@ -122,7 +122,7 @@ Size = Annotated[
     between(1, 1 << 15, "pixels", "for instance 256"),
     Metavar("PIXELS|WIDTHxHEIGHT"),
 ]
-"""Width and height of pictures: 256, or 256x192."""
+"""Width and height of images: 256, or 256x192."""
 Colour = Annotated[
     tuple[float, float, float],
     Converter(_colour, _written),

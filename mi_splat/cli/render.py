@@ -1,4 +1,4 @@
-"""`mi-splat render`: a scene XML or a splat file as a picture, as many pictures, or as
+"""`mi-splat render`: a scene XML or a splat file as an image, as many images, or as
 an animation.
 """
 
@@ -83,7 +83,7 @@ class RenderOptions(JsonOptions):
 
 
 RECORD = "cameras.json"
-"""In a folder of pictures, the camera of each."""
+"""In a folder of images, the camera of each."""
 
 
 def run(options: RenderOptions) -> None:
@@ -139,9 +139,9 @@ def run(options: RenderOptions) -> None:
         "cameras": [describe(name, camera) for name, camera in cameras.items()],
         "seconds": seconds,
     }
-    many = f"{len(cameras)} pictures, " if len(cameras) > 1 else ""
+    many = f"{len(cameras)} images, " if len(cameras) > 1 else ""
     size = f"{first.width} x {first.height}"
-    took = f"{seconds:.2f} s (the first picture compiles)"
+    took = f"{seconds:.2f} s (the first image compiles)"
     line = f"{options.out}: {many}{len(loaded.scene):,} Gaussians at {size} in {took}"
     show_result(document, line, as_json=options.json)
 
@@ -197,7 +197,7 @@ def _check_channels(options: RenderOptions, method: str) -> None:
 def _pixels(
     render: RenderFn, scene: GaussianScene, camera: Camera, options: RenderOptions
 ) -> Pixels:
-    """A picture as its file has it: bytes, or float channels by name."""
+    """An image as its file has it: bytes, or float channels by name."""
     from mi_splat.io.images import is_floats, to_bytes
     from mi_splat.render.renderer import Renderer
 
@@ -243,7 +243,7 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
         if len(cameras) > 1:
             do = "name a folder, or a .gif or .webp"
             raise InvalidValueError.of(
-                "--out", f"room for {len(cameras)} pictures", out, do
+                "--out", f"room for {len(cameras)} images", out, do
             )
     elif out.suffix:
         expected = "a name that ends in .png, .jpg, .exr, .gif or .webp, or a folder"

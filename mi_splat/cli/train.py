@@ -1,4 +1,4 @@
-"""`mi-splat train`: a splat from pictures."""
+"""`mi-splat train`: a splat from images."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ def _train(options: TrainOptions, left_out: frozenset[Path]) -> None:
 
     limit_threads(1)
     config = options.fit
-    with progress("loading the pictures"):
+    with progress("loading the images"):
         load = partial(
             load_dataset,
             options.dataset,
@@ -380,14 +380,14 @@ def _renderer(options: TrainOptions, near: float) -> Renderer:
 
 
 def _warn_of_culled(start: GaussianScene, views: Dataset, near: float) -> None:
-    """Say how much of the start no picture will show, if it is worth a word."""
+    """Say how much of the start no image will show, if it is worth a word."""
     from mi_splat.cameras.framing import culled_in_view
 
     culled = [culled_in_view(start, camera, near) for camera in views.cameras]
     if max(culled) > CULLED * len(start):
         most = f"{max(culled):,} of {len(start):,} Gaussians"
         warn(
-            f"in {sum(map(bool, culled))} of {len(culled)} pictures, up to {most} are"
+            f"in {sum(map(bool, culled))} of {len(culled)} images, up to {most} are"
             f" nearer than near = {near:g}"
         )
 

@@ -1,3 +1,3 @@
-"""Renderers beside each other: how far apart their pictures and their gradients are,
+"""Renderers beside each other: how far apart their images and their gradients are,
 and what they cost.
 """

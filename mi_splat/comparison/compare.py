@@ -1,4 +1,4 @@
-"""One splat through several methods: their pictures, and each two of them beside each
+"""One splat through several methods: their images, and each two of them beside each
 other.
 """
 
@@ -30,16 +30,16 @@ from mi_splat.maths.metrics import mse, ssim
 from mi_splat.scene import GaussianScene
 
 WIDTH = 256
-"""Pixels that a picture is wide on a sheet, at least."""
+"""Pixels that an image is wide on a sheet, at least."""
 GAP = 4
 AMPLIFY = 8.0
 """Factor of the differences in a sheet."""
 PICTURES = "pictures"
-"""Folder that has a folder for each method, whose pictures can be compared again."""
+"""Folder that has a folder for each method, whose images can be compared again."""
 
 
 def sheet(pictures: Mapping[str, Tensor], *, factor: float) -> NDArray[np.uint8]:
-    """The pictures of one camera: the methods, and after them the absolute differences
+    """The images of one camera: the methods, and after them the absolute differences
     of each two.
     """
     tiles = [_labelled(to_bytes(picture), name) for name, picture in pictures.items()]
@@ -64,7 +64,7 @@ def sheet(pictures: Mapping[str, Tensor], *, factor: float) -> NDArray[np.uint8]
 
 
 def _labelled(pixels: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
-    """A picture, large enough for its label, with the label."""
+    """An image, large enough for its label, with the label."""
     factor = max(1, -(-WIDTH // pixels.shape[1]))
     picture = Image.fromarray(pixels)
     picture = picture.resize(
@@ -77,7 +77,7 @@ def _labelled(pixels: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
 def save_sheets(
     pictures: Mapping[str, Mapping[str, Tensor]], folder: Path
 ) -> list[Path]:
-    """Write a sheet for each camera, and each picture on its own."""
+    """Write a sheet for each camera, and each image on its own."""
     sheets = []
     for view, seen in pictures.items():
         sheets.append(folder / f"{file_name(view)}.png")
@@ -90,12 +90,12 @@ def save_sheets(
 
 
 LEAST_SSIM = 11
-"""Pixels that the shorter side of a picture needs for it."""
+"""Pixels that the shorter side of an image needs for it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureDistance:
-    """How far apart two pictures are, clipped to [0, 1]; None is what was not
+    """How far apart two images are, clipped to [0, 1]; None is what was not
     measured.
     """
 
@@ -105,14 +105,14 @@ class PictureDistance:
 
     @property
     def psnr(self) -> float | None:
-        """DB; None for equal pictures, whose PSNR is infinite."""
+        """DB; None for equal images, whose PSNR is infinite."""
         if self.mse == 0:
             return None
         return -10 * math.log10(self.mse)
 
 
 def picture_distance(first: Tensor, second: Tensor) -> PictureDistance:
-    """Compare two pictures."""
+    """Compare two images."""
     first, second = (picture.detach().clamp(0, 1) for picture in (first, second))
     return PictureDistance(
         pixels=first.shape[0] * first.shape[1],
@@ -122,7 +122,7 @@ def picture_distance(first: Tensor, second: Tensor) -> PictureDistance:
 
 
 def pooled(distances: Sequence[PictureDistance]) -> PictureDistance:
-    """Several pictures as one: the squared error of all their pixels, and the mean
+    """Several images as one: the squared error of all their pixels, and the mean
     SSIM, if all have one.
     """
     known = [d.ssim for d in distances if d.ssim is not None]
@@ -137,7 +137,7 @@ def pooled(distances: Sequence[PictureDistance]) -> PictureDistance:
 
 
 def weighting(camera: Camera, seed: int) -> Tensor:
-    """(H, W, 3) fixed random weights, normally distributed; with them a picture becomes
+    """(H, W, 3) fixed random weights, normally distributed; with them an image becomes
     one number.
     """
     generator = torch.Generator().manual_seed(seed)
@@ -147,7 +147,7 @@ def weighting(camera: Camera, seed: int) -> Tensor:
 def gradients(
     render: RenderFn, scene: GaussianScene, camera: Camera, weights: Tensor
 ) -> dict[str, Tensor]:
-    """The gradient of a weighted sum of a picture's values with respect to each
+    """The gradient of a weighted sum of an image's values with respect to each
     attribute.
 
     A quaternion's length means nothing, and renderers differ in whether they divide by
@@ -180,7 +180,7 @@ class GradientAgreement:
         self._sums = torch.zeros(4, dtype=torch.float64)
 
     def add(self, first: Tensor, second: Tensor) -> None:
-        """Take in the gradients, (N, ...) each, of one more picture."""
+        """Take in the gradients, (N, ...) each, of one more image."""
         x, y = (
             gradient.detach().cpu().double().flatten() for gradient in (first, second)
         )
@@ -236,14 +236,14 @@ class CompareConfig(Checked):
     rounds: Count = 5
     """How often each method is timed; 0 measures no time."""
     seed: Seed = 0
-    """Seed of the random weights that make one number of a picture, whose gradients are
+    """Seed of the random weights that make one number of an image, whose gradients are
     compared.
     """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """Two methods: the distances of their pictures by camera, with so many bits a
+    """Two methods: the distances of their images by camera, with so many bits a
     channel, and of their gradients.
     """
 
@@ -259,7 +259,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Comparison:
-    """Pictures by camera and method, each two methods, and costs."""
+    """Images by camera and method, each two methods, and costs."""
 
     pictures: dict[str, dict[str, Tensor]]
     pairs: dict[tuple[str, str], Pair]
@@ -281,7 +281,7 @@ def compare(
     config: CompareConfig | None = None,
     on_step: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
-    """Render every camera with every method, and measure how pictures, gradients and
+    """Render every camera with every method, and measure how images, gradients and
     times differ.
     """
     config = config or CompareConfig()
@@ -320,7 +320,7 @@ def compare(
 
 
 def _picture(name: str, method: Method, scene: GaussianScene, camera: Camera) -> Tensor:
-    """A picture of a method, checked, on the CPU."""
+    """An image of a method, checked, on the CPU."""
     with torch.no_grad():
         picture = method.render(scene, camera).cpu()
     expected = (camera.height, camera.width, 3)
@@ -331,7 +331,7 @@ def _picture(name: str, method: Method, scene: GaussianScene, camera: Camera) ->
         )
         do = "mend the method, or leave it out"
         raise InvalidValueError.of(
-            f"picture of {name}", f"{expected} finite values", got, do
+            f"image of {name}", f"{expected} finite values", got, do
         )
     return picture
 

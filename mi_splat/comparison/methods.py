@@ -1,4 +1,4 @@
-"""The methods that can be compared: renderers by name, and folders of pictures that
+"""The methods that can be compared: renderers by name, and folders of images that
 another program has made.
 """
 
@@ -28,7 +28,7 @@ from mi_splat.render.volprim import Volprim
 from mi_splat.scene import GaussianScene
 
 FOLDER = "folder:"
-"""Begins a method that is a folder of pictures."""
+"""Begins a method that is a folder of images."""
 PATH_TRACED = re.compile(r"path-traced-(\d{1,5})")
 """A method of scenes with meshes: splats and meshes path traced together, with so many
 samples a pixel.
@@ -45,7 +45,7 @@ MakeRender = Callable[[RenderSettings], RenderFn]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Method:
-    """One way to make the pictures; `renders` says that its time means something,
+    """One way to make the images; `renders` says that its time means something,
     `bits` are of a channel.
     """
 
@@ -60,11 +60,11 @@ class RendererSpec:
     """A renderer that is known by a name.
 
     Attributes:
-        make: Takes the settings of the pictures (`background`, `near`) and returns the
+        make: Takes the settings of the images (`background`, `near`) and returns the
             renderer, a `RenderFn`. It is called when the renderer is asked for, so it
             may import what is slow, and raise `MiSplatError` where the renderer cannot
             run.
-        differentiable: Whether `backward` through its pictures gives gradients of the
+        differentiable: Whether `backward` through its images gives gradients of the
             scene's five tensors.
     """
 
@@ -204,7 +204,7 @@ def cut_to_bytes(render: RenderFn) -> RenderFn:
 def not_cut(render: RenderFn) -> RenderFn:
     """A renderer that lets colours be negative, and blends them as they are.
 
-    A picture is linear in the colours, so that it is that of what is positive less that
+    An image is linear in the colours, so that it is that of what is positive less that
     of what is negative, without the background, of which a splat of black Gaussians
     shows what is seen.
     """
@@ -265,7 +265,7 @@ class OverMeshes:
 
 
 class PictureFolder:
-    """A `RenderFn` that reads the picture of each camera from a folder, named as
+    """A `RenderFn` that reads the image of each camera from a folder, named as
     `mi-splat render` names its own.
     """
 
@@ -278,7 +278,7 @@ class PictureFolder:
     ) -> None:
         if not folder.is_dir():
             raise InvalidValueError.of(
-                str(folder), "a folder of pictures", "none", "check the path"
+                str(folder), "a folder of images", "none", "check the path"
             )
         self.background = background
         self._cameras = dict(cameras)
@@ -287,7 +287,7 @@ class PictureFolder:
             picture_size(self._paths[name], (camera.width, camera.height))
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """The picture of a camera."""
+        """The image of a camera."""
         name = next(
             (name for name, known in self._cameras.items() if known is camera), None
         )
@@ -314,6 +314,6 @@ def _path(folder: Path, name: str) -> Path:
     if path is None:
         held = sorted(entry.name for entry in folder.iterdir())[:3]
         got = f"none among {', '.join(held)}, ..." if held else "an empty folder"
-        do = "call pictures as their cameras, as `mi-splat render --out FOLDER` does"
+        do = "call images as their cameras, as `mi-splat render --out FOLDER` does"
         raise DatasetError.of(str(folder), f"{stem}.png for the camera {name}", got, do)
     return path

@@ -1,4 +1,4 @@
-"""Sets of pictures with cameras, as other programs keep them: Blender/NeRF transforms
+"""Sets of images with cameras, as other programs keep them: Blender/NeRF transforms
 and COLMAP models.
 """
 

@@ -93,7 +93,7 @@ class ModelCamera:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """A picture of a model: quaternion (w, x, y, z) and translation from world to
+    """An image of a model: quaternion (w, x, y, z) and translation from world to
     camera, camera id, file name.
     """
 
@@ -135,7 +135,7 @@ def read_model(
         ) from error
     if not poses:
         raise DatasetError.of(
-            str(images), "at least one picture", "none", "register pictures first"
+            str(images), "at least one image", "none", "register images first"
         )
     ordered = sorted(poses.values(), key=lambda pose: pose.name)
     refuse_doubles((pose.name for pose in ordered), images)
@@ -184,7 +184,7 @@ class _Binary:
             )
 
     def poses(self) -> Iterator[tuple[int, Pose]]:
-        """Ids and pictures."""
+        """Ids and images."""
         for _ in self._records():
             number, *values, lens = self._take("i7di")
             end = self._data.find(b"\0", self._at)
@@ -238,7 +238,7 @@ class _Text:
             yield number, lens
 
     def poses(self) -> Iterator[tuple[int, Pose]]:
-        """Ids and pictures."""
+        """Ids and images."""
         rows = self._rows(split=9, empty=True)
         for line, fields in rows:
             if not fields:
@@ -299,7 +299,7 @@ class _Text:
 
 
 TEST_LIST = "test.txt"
-"""Beside a model, the names of the pictures for tests, one a line."""
+"""Beside a model, the names of the images for tests, one a line."""
 
 _FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "0", ".")
 _KINDS = (".bin", ".txt")
@@ -521,13 +521,13 @@ def _lens(camera: ModelCamera, number: int, source: Path, images: Path) -> Image
 
 
 def _to_world(pose: Pose, where: str) -> Tensor:
-    """The camera-to-world matrix of a picture; its translation is not checked."""
+    """The camera-to-world matrix of an image; its translation is not checked."""
     quaternion = torch.tensor(pose.quaternion, dtype=torch.float64)
     shift = torch.tensor(pose.translation, dtype=torch.float64)
     length = float(quaternion.norm())
     if not (math.isfinite(length) and length > 1e-6):
         raise DatasetError.of(
-            where, "a quaternion", pose.quaternion, "register the picture again"
+            where, "a quaternion", pose.quaternion, "register the image again"
         )
     rotation = to_matrix(quaternion / length)
     to_world = torch.eye(4, dtype=torch.float64)

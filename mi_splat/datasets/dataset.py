@@ -1,4 +1,4 @@
-"""Sets of pictures with cameras, read a picture at a time."""
+"""Sets of images with cameras, read an image at a time."""
 
 from __future__ import annotations
 
@@ -62,20 +62,20 @@ class _Entry(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class Dataset(ViewSet):
-    """Views whose pictures are read when they are asked for; the last ones read are
+    """Views whose images are read when they are asked for; the last ones read are
     kept, those of 8 bits as bytes.
     """
 
-    frames: tuple[Frame, ...]  # cameras with the files of their pictures
+    frames: tuple[Frame, ...]  # cameras with the files of their images
     # points from which a training may start; None if the set has none
     points: PointCloud | None = None
     # every image that the set's files name, there or not
     listed: frozenset[Path] = frozenset()
-    downscale: int = 1  # integer factor by which pictures are made smaller
+    downscale: int = 1  # integer factor by which images are made smaller
     # sRGB colour behind transparent pixels
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     cache_bytes: int = CACHE_BYTES  # how much is kept in memory
-    # the camera of each view, at the size of its picture
+    # the camera of each view, at the size of its image
     cameras: tuple[Camera, ...] = field(init=False)
     _cache: OrderedDict[int, _Entry] = field(
         init=False, repr=False, default_factory=OrderedDict
@@ -100,7 +100,7 @@ class Dataset(ViewSet):
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """The file of each view's picture."""
+        """The file of each view's image."""
         return tuple(frame.path for frame in self.frames)
 
     @property
@@ -152,7 +152,7 @@ class Dataset(ViewSet):
         return dataclasses.replace(self, frames=frames)
 
     def alpha(self, index: int) -> Tensor | None:
-        """(H, W) float32 in [0, 1], opacity of the picture; None if it has none."""
+        """(H, W) float32 in [0, 1], opacity of the image; None if it has none."""
         alpha = self._read(index).alpha
         if alpha is None:
             return None
@@ -279,7 +279,7 @@ def _digest(file: Path) -> str:
     except OSError as error:
         got = error.strerror or str(error)
         raise DatasetError.of(
-            str(file), "the file of a picture", got, "load the set again"
+            str(file), "the file of an image", got, "load the set again"
         ) from error
 
 
@@ -292,14 +292,14 @@ def load_dataset(
     test_every: int = HELD_OUT,
     cache_bytes: int = CACHE_BYTES,
 ) -> Dataset:
-    """Load a set of pictures with cameras: Blender, NeRF and nerfstudio transforms, or
+    """Load a set of images with cameras: Blender, NeRF and nerfstudio transforms, or
     a COLMAP model.
 
     The format is found by itself: transforms_train.json and transforms_test.json, or
     transforms.json, or a COLMAP model in sparse/0, in sparse or in the folder itself,
-    with pictures in images/. The world stays as it is in the files. Headers of all
-    pictures are read, and what does not fit is refused now; pixels are read later.
-    Pictures that are listed and not there are left out, with a `DatasetWarning`.
+    with images in images/. The world stays as it is in the files. Headers of all
+    images are read, and what does not fit is refused now; pixels are read later.
+    Images that are listed and not there are left out, with a `DatasetWarning`.
 
     Images of lenses with distortion are undistorted as they are read
     (`mi_splat.datasets.lenses`), and images that EXIF says to turn are turned, each
@@ -311,22 +311,22 @@ def load_dataset(
     Args:
         path: The folder, or a transforms file.
         split: "train" or "test"; None is both. Where the set has no split, every
-            `test_every`-th picture in the order of names, the first included, is for
+            `test_every`-th image in the order of names, the first included, is for
             tests, unless it is the only one; "test" may then be empty.
-        downscale: Integer factor by which pictures and intrinsics shrink; pixels are
+        downscale: Integer factor by which images and intrinsics shrink; pixels are
             averaged.
         background: sRGB colour behind transparent pixels.
         test_every: See `split`.
         cache_bytes: How much of the set may stay in memory.
 
     Returns:
-        The views, whose pictures are read when they are asked for, and the points of
+        The views, whose images are read when they are asked for, and the points of
         the set if it has some.
 
     Raises:
         DatasetError: The set is of neither kind, empty, or something in it is broken or
             cannot be undistorted, or more than a third of the images are missing.
-        PictureFileError: A picture cannot be read.
+        PictureFileError: An image cannot be read.
         SplatFileError: The point cloud beside transforms cannot be read.
         InvalidValueError: An argument is out of range.
     """
@@ -358,7 +358,7 @@ def load_dataset(
     if not frames and split != "test":
         do = "choose another split or test_every"
         raise DatasetError.of(
-            str(root), "at least one picture", f"none for split {split!r}", do
+            str(root), "at least one image", f"none for split {split!r}", do
         )
     odd = odd_fields_of_view([frame.camera for frame in frames])
     if odd is not None:
@@ -374,7 +374,7 @@ def load_dataset(
 
 
 def is_dataset(path: str | os.PathLike[str]) -> bool:
-    """Whether a path is a set of pictures to `load_dataset`, and no splat: a folder of
+    """Whether a path is a set of images to `load_dataset`, and no splat: a folder of
     one, or its transforms file.
     """
     root = Path(path)

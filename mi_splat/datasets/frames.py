@@ -122,7 +122,7 @@ def photo_of(path: Path, claimed: Size | None) -> Photo:
     if _are_alike(stored, claimed, path):
         return Photo(path=path, stored=stored, size=claimed, turns_after=turns)
     got = f"{stored[0]} x {stored[1]}"
-    do = "use the images from which the cameras were made"
+    do = "use the images from which the cameras were estimated"
     raise DatasetError.of(str(path), f"{claimed[0]} x {claimed[1]} pixels", got, do)
 
 
@@ -226,7 +226,7 @@ def picture_size(path: Path, claimed: Size | None = None) -> Size:
         )
     if claimed is not None and size != claimed:
         got = f"{size[0]} x {size[1]}"
-        do = "use the pictures from which the cameras were made"
+        do = "use the images from which the cameras were estimated"
         raise DatasetError.of(str(path), f"{claimed[0]} x {claimed[1]} pixels", got, do)
     return size
 
@@ -333,12 +333,12 @@ def report_missing(missing: Sequence[Path], listed: int, source: Path) -> None:
     if not missing:
         return
     got = (
-        f"{len(missing)} of {listed} pictures missing"
+        f"{len(missing)} of {listed} images missing"
         f" ({missing[0].name}{', ...' if len(missing) > 1 else ''})"
     )
     if len(missing) > MOST_MISSING * listed:
         do = f"put them there, {missing[0]} for instance, or take them off the list"
-        raise DatasetError.of(str(source), "the pictures that it lists", got, do)
+        raise DatasetError.of(str(source), "the images that it lists", got, do)
     warnings.warn(
         f"{source}: {got}; going on without them", DatasetWarning, stacklevel=4
     )
@@ -374,7 +374,7 @@ def refuse_doubles(names: Iterable[str], source: Path) -> None:
         if name in seen:
             raise DatasetError.of(
                 str(source),
-                "every picture once",
+                "every image once",
                 f"{name} twice",
                 "remove one of the two",
             )

@@ -1,5 +1,5 @@
 """Reader of the transforms.json family: Blender and NeRF, with one file a split or one
-for all pictures.
+for all images.
 
 Poses in these files are camera-to-world with OpenGL's axes (x right, y up, z backward);
 the world is left as it is.
@@ -67,7 +67,7 @@ _IN_ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _DIVISOR = ("k4", "k5", "k6")
 """Of the rational model. By k4 alone, programs mean different things."""
 _ABOVE = 1
-"""Folders above a file from which its pictures may come: some tools keep it beside
+"""Folders above a file from which its images may come: some tools keep it beside
 their folder.
 """
 
@@ -179,7 +179,7 @@ def _document(path: Path) -> dict[str, Any]:
         )
     if not document["frames"]:
         raise DatasetError.of(
-            str(path), "at least one frame", "an empty list", "add pictures to it"
+            str(path), "at least one frame", "an empty list", "add images to it"
         )
     return document
 
@@ -252,7 +252,7 @@ def _number(values: Mapping[str, Any], key: str, where: str) -> float | None:
 
 def _size(values: Mapping[str, Any], where: str) -> tuple[int, int] | None:
     """The width and height that the file claims; None if it leaves them to the
-    picture.
+    image.
     """
     width, height = (_number(values, key, where) for key in ("w", "h"))
     if width is None or height is None:

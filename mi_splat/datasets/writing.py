@@ -1,8 +1,8 @@
-"""Writers of the files that list a picture set: transforms files with OpenGL's camera
+"""Writers of the files that list an image set: transforms files with OpenGL's camera
 axes, and COLMAP's text model.
 
 They are made from names and cameras alone, and appear whole or not at all, so a set is
-listed when its pictures are there.
+listed when its images are there.
 """
 
 import os
@@ -22,7 +22,7 @@ from mi_splat.io.points import PointCloud, save_points, to_bytes
 from mi_splat.maths.rotation import from_matrix
 
 Listing = Mapping[str, Sequence[tuple[str, Camera]]]
-"""Of each split, train and test, the file name of every picture and its camera."""
+"""Of each split, train and test, the file name of every image and its camera."""
 
 
 def list_transforms(
@@ -32,7 +32,7 @@ def list_transforms(
     *,
     is_single: bool = False,
 ) -> list[Path]:
-    """Write the transforms files of pictures that are in images/, and the points.
+    """Write the transforms files of images that are in images/, and the points.
 
     The file for tests is left out if there are none. With `is_single` it is one file
     for all images, which lists the names of both splits, as nerfstudio's does.
@@ -65,7 +65,7 @@ def list_transforms(
 def list_colmap(
     folder: Path, listing: Listing, points: PointCloud | None
 ) -> list[Path]:
-    """Write the text model of pictures that are in images/."""
+    """Write the text model of images that are in images/."""
     model = make_folder(folder / "sparse" / "0")
     entries = sorted(
         (entry for part in listing.values() for entry in part),
@@ -117,7 +117,7 @@ def make_folder(folder: str | os.PathLike[str]) -> Path:
 
 
 def picture_name(split: str, index: int) -> str:
-    """File name of a picture: the order of names is that of indices, and splits do not
+    """File name of an image: the order of names is that of indices, and splits do not
     mix.
     """
     return f"{split}_{index:05d}.png"

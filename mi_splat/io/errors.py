@@ -77,12 +77,9 @@ def from_os_error(path: str, expected: str, error: OSError) -> SplatFileError:
     """The SplatFileError for a failure that the operating system reported."""
     got = error.strerror or str(error)
     do = _ADVICE.get(error.errno or 0, "check the disk and try again")
-    return SplatFileError.of(
-        path,
-        expected,
-        got,
-        folder_advice(path, do) if error.errno == errno.EISDIR else do,
-    )
+    if error.errno == errno.EISDIR:
+        return SplatFileError.of(path, expected, "a folder", folder_advice(path, do))
+    return SplatFileError.of(path, expected, got, do)
 
 
 def folder_advice(folder: str | os.PathLike[str], otherwise: str) -> str:

@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 PICTURES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
-"""Format of a picture by the ending of its name."""
+"""Format of an image by the ending of its name."""
 ANIMATIONS = (".gif", ".webp")
 FLOATS = ".exr"
-"""Ending of a picture of floats."""
+"""Ending of an image of floats."""
 _JPEG_QUALITY = 95
 _WEBP_QUALITY = 80
 _GAP = 8  # pixels between images beside each other
 
 
 def is_picture(path: Path) -> bool:
-    """Whether a name ends as that of a picture that can be written."""
+    """Whether a name ends as that of an image that can be written."""
     return path.suffix.lower() in PICTURES
 
 
@@ -40,7 +40,7 @@ def is_animation(path: Path) -> bool:
 
 
 def is_floats(path: Path) -> bool:
-    """Whether a name ends as that of a picture of floats."""
+    """Whether a name ends as that of an image of floats."""
     return path.suffix.lower() == FLOATS
 
 
@@ -49,7 +49,7 @@ def save_picture(pixels: NDArray[np.uint8], path: Path) -> None:
     if not is_picture(path):
         do = "end it in .png or .jpg"
         raise InvalidValueError.of(
-            str(path), "the name of a picture", path.suffix or "no ending", do
+            str(path), "the name of an image", path.suffix or "no ending", do
         )
     buffer = io.BytesIO()
     kind = PICTURES[path.suffix.lower()]
@@ -61,16 +61,16 @@ def save_picture(pixels: NDArray[np.uint8], path: Path) -> None:
 def save_animation(
     frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: float
 ) -> None:
-    """Write (H, W, 3) pictures one after the other, as GIF or WebP, in a loop."""
+    """Write (H, W, 3) images one after the other, as GIF or WebP, in a loop."""
     sizes = {frame.shape for frame in frames}
     if len(sizes) != 1:
         got = f"{len(sizes)} sizes" if sizes else "none"
         raise InvalidValueError.of(
-            "animation", "pictures of one size", got, "give the cameras one size"
+            "animation", "images of one size", got, "give the cameras one size"
         ).hinted("--size")
     if not 0 < fps <= 1000:
         raise InvalidValueError.of(
-            "fps", "pictures a second, up to 1000", fps, "24 is usual"
+            "fps", "images a second, up to 1000", fps, "24 is usual"
         )
     if not is_animation(path):
         do = "end it in .gif or .webp"
@@ -96,7 +96,7 @@ def save_animation(
 
 
 def quantise(image: Tensor) -> Tensor:
-    """The picture as 8 bits hold it, back in [0, 1]."""
+    """The image as 8 bits hold it, back in [0, 1]."""
     return (image.detach().clamp(0, 1) * 255).round() / 255
 
 
@@ -111,7 +111,7 @@ def from_bytes(pixels: Tensor) -> Tensor:
 
 
 def through_png(image: Tensor) -> Tensor:
-    """The picture as an 8-bit PNG keeps it, which loses nothing else; (H, W, 3) float32
+    """The image as an 8-bit PNG keeps it, which loses nothing else; (H, W, 3) float32
     in [0, 1].
     """
     import torch  # writing does without
@@ -120,7 +120,7 @@ def through_png(image: Tensor) -> Tensor:
 
 
 def side_by_side(pictures: Sequence[Tensor]) -> NDArray[np.uint8]:
-    """(H, W, 3) pictures beside each other, white between them and below lower ones."""
+    """(H, W, 3) images beside each other, white between them and below lower ones."""
     pixels = [to_bytes(picture.clamp(0, 1)) for picture in pictures]
     height = max(map(len, pixels))
     gap = np.full((height, _GAP, 3), 255, np.uint8)

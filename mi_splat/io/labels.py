@@ -1,4 +1,4 @@
-"""Text in pictures: white on a filled plate."""
+"""Text in images: white on a filled plate."""
 
 from collections.abc import Sequence
 
@@ -48,7 +48,7 @@ def write_label(
     *,
     size: float = 16,
 ) -> None:
-    """Write text on a filled plate, kept inside the picture."""
+    """Write text on a filled plate, kept inside the image."""
     font = ImageFont.load_default(size=size)
     left, top, _, _ = draw.textbbox((0, 0), text, font=font)
     x, y, right, bottom = plate_of(draw, corner, text, size=size)

@@ -1,4 +1,4 @@
-"""Picture files of unknown origin: how many pixels they have is known, and limited,
+"""Image files of unknown origin: how many pixels they have is known, and limited,
 before one is decoded.
 
 A PNG of 500 kB may hold so many pixels of one colour that they take gigabytes in
@@ -20,7 +20,7 @@ from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.errors import LFS_ADVICE, LFS_POINTER, from_os_error
 
 MOST_PIXELS = 50_000_000
-"""Pixels that a picture may have unless more are allowed: cameras of 2026 take up to 50
+"""Pixels that an image may have unless more are allowed: cameras of 2026 take up to 50
 million, as floats 600 MB.
 """
 
@@ -75,12 +75,12 @@ _most = MOST_PIXELS
 
 
 class PictureFileError(MiSplatError):
-    """A picture cannot be read; the message names the file and says what to do."""
+    """An image cannot be read; the message names the file and says what to do."""
 
 
 @contextmanager
 def pixel_limit(most: int) -> Iterator[None]:
-    """Another number of pixels that a picture may have while the block runs, in all
+    """Another number of pixels that an image may have while the block runs, in all
     threads.
     """
     global _most
@@ -98,10 +98,10 @@ def pixel_limit(most: int) -> Iterator[None]:
 
 @contextmanager
 def pixels_bounded() -> Iterator[None]:
-    """Let Pillow raise for every picture that is opened in this block and has more
+    """Let Pillow raise for every image that is opened in this block and has more
     pixels than it may have.
 
-    For libraries that open pictures themselves; what has to be decoded is decoded
+    For libraries that open images themselves; what has to be decoded is decoded
     later.
     """
     with _pillow_limit(_most), warnings.catch_warnings():
@@ -126,7 +126,7 @@ def _pillow_limit(most: int | None) -> Iterator[None]:
 def picture_header(
     source: Path | bytes, what: str = "", *, formats: Sequence[str] = FORMATS
 ) -> tuple[tuple[int, int], str]:
-    """Width and height of a picture and Pillow's name of its mode, from its header."""
+    """Width and height of an image and Pillow's name of its mode, from its header."""
     with _opened(source, what or str(source), formats) as picture:
         return picture.size, picture.mode
 
@@ -151,7 +151,7 @@ def _orientation(picture: Image.Image) -> int:
 
 
 def made_upright(picture: Image.Image, orientation: int) -> Image.Image:
-    """A decoded picture, turned or mirrored as an EXIF orientation says."""
+    """A decoded image, turned or mirrored as an EXIF orientation says."""
     turn = _UPRIGHT.get(orientation)
     if turn is None:
         return picture
@@ -159,7 +159,7 @@ def made_upright(picture: Image.Image, orientation: int) -> Image.Image:
 
 
 def focal_length_35mm(picture: Image.Image) -> float | None:
-    """The focal length that a camera has written into a picture, in millimetres for the
+    """The focal length that a camera has written into an image, in millimetres for the
     diagonal of 35 mm film.
     """
     try:
@@ -179,7 +179,7 @@ def focal_length_35mm(picture: Image.Image) -> float | None:
 
 
 def check_scans(picture: Image.Image, what: str) -> None:
-    """Raise if a picture, opened and not yet decoded, is a JPEG of so many scans that
+    """Raise if an image, opened and not yet decoded, is a JPEG of so many scans that
     decoding takes minutes.
     """
     if picture.format == "TIFF" and "jpeg" in str(picture.info.get("compression")):
@@ -210,7 +210,7 @@ def _scans(data: bytes) -> int:
     while scans <= MOST_SCANS and (marker := _MARKER.search(data, offset)) is not None:
         kind = marker[0][1]
         offset = marker.end()
-        if kind == 0xD9:  # end of image; what follows is a video or another picture
+        if kind == 0xD9:  # end of image; what follows is a video or another image
             break
         if kind != 0xD8:
             offset += int.from_bytes(data[offset : offset + 2], "big")
@@ -225,16 +225,16 @@ def load_picture(
     formats: Sequence[str] = FORMATS,
     upright: bool = False,
 ) -> Image.Image:
-    """A whole picture, decoded; turned as its EXIF orientation says if it is to be
+    """A whole image, decoded; turned as its EXIF orientation says if it is to be
     upright.
     """
     with _opened(source, what or str(source), formats) as picture:
         if picture.format in _ANIMATED and getattr(picture, "is_animated", False):
             raise PictureFileError.of(
                 what or str(source),
-                "one picture",
+                "one image",
                 "an animation",
-                "save one picture of it",
+                "save one image of it",
             )
         check_scans(picture, what or str(source))
         picture.load()
@@ -245,7 +245,7 @@ def load_picture(
 def _opened(
     source: Path | bytes, what: str, formats: Sequence[str]
 ) -> Iterator[Image.Image]:
-    """A picture whose header is right; what Pillow raises in the block is said in our
+    """An image whose header is right; what Pillow raises in the block is said in our
     words.
     """
     file = io.BytesIO(source) if isinstance(source, bytes) else source
@@ -256,11 +256,11 @@ def _opened(
             )
             yield opened
     except FileNotFoundError as error:
-        do = "put the picture there or take it off the list"
-        raise PictureFileError.of(what, "a picture", "no such file", do) from error
+        do = "put the image there or take it off the list"
+        raise PictureFileError.of(what, "an image", "no such file", do) from error
     except UnidentifiedImageError as error:
         if _beginning(source).startswith(LFS_POINTER):
-            raise PictureFileError.of(what, "a picture", *LFS_ADVICE) from error
+            raise PictureFileError.of(what, "an image", *LFS_ADVICE) from error
         kind = _phone_format(source)
         if kind is not None:
             do = (
@@ -268,9 +268,9 @@ def _opened(
                 " (ImageMagick) or heif-convert (libheif)"
             )
             raise PictureFileError.of(
-                what, f"a picture as {', '.join(formats)}", kind, do
+                what, f"an image as {', '.join(formats)}", kind, do
             ) from error
-        kinds = f"a picture that can be read ({', '.join(formats)})"
+        kinds = f"an image that can be read ({', '.join(formats)})"
         raise PictureFileError.of(
             what, kinds, "something else", "save it as one of these"
         ) from error
@@ -278,17 +278,17 @@ def _opened(
         # of the system, and not of Pillow
         if isinstance(error, OSError) and error.errno is not None:
             raise PictureFileError(
-                str(from_os_error(what, "a picture", error))
+                str(from_os_error(what, "an image", error))
             ) from error
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         do = "write or download it again"
         raise PictureFileError.of(
-            what, "a picture that can be read", reason, do
+            what, "an image that can be read", reason, do
         ) from error
 
 
 def _phone_format(source: Path | bytes) -> str | None:
-    """HEIC or AVIF, if the file is a picture of these; its first box names its brand
+    """HEIC or AVIF, if the file is an image of these; its first box names its brand
     (ISO/IEC 23008-12).
     """
     head = _beginning(source)
@@ -319,11 +319,11 @@ decodes WebP as animations.
 def check_pixels(
     what: str, width: int, height: int, *, most: int | None = None
 ) -> None:
-    """Raise if a picture that another library decodes has too many pixels, or none."""
+    """Raise if an image that another library decodes has too many pixels, or none."""
     most = _most if most is None else most
     if width < 1 or height < 1:
         raise PictureFileError.of(
-            what, "a picture with pixels", f"{width} x {height}", "write it again"
+            what, "an image with pixels", f"{width} x {height}", "write it again"
         )
     if width * height > most:
         expected = f"at most {most:,} pixels"
@@ -334,11 +334,11 @@ def check_pixels(
         raise error.hinted("--max-pixels")
 
 
-# Pictures that Mitsuba decodes: OpenEXR, Radiance HDR, PFM and what Pillow knows.
+# Images that Mitsuba decodes: OpenEXR, Radiance HDR, PFM and what Pillow knows.
 
 _EXR = b"\x76\x2f\x31\x01"
 _HEADER = 1 << 20
-"""Bytes of a file in which its header has to end; that of an OpenEXR picture may hold a
+"""Bytes of a file in which its header has to end; that of an OpenEXR image may hold a
 small preview.
 """
 _USUAL_CHANNELS = 4
@@ -355,13 +355,13 @@ _BEGINNINGS = (
     *(_EXR, *_RADIANCE, b"\x89PNG", b"\xff\xd8", b"BM", b"II*\0", b"MM\0*", b"RIFF"),
     *(b"PF", b"Pf", b"P1", b"P2", b"P3", b"P4", b"P5", b"P6"),
 )
-"""First bytes of pictures, by which Mitsuba knows them whatever the names of their
+"""First bytes of images, by which Mitsuba knows them whatever the names of their
 files.
 """
 
 
 def is_texture(path: Path) -> bool:
-    """Whether a file begins as a picture does."""
+    """Whether a file begins as an image does."""
     try:
         with path.open("rb") as file:
             return file.read(16).startswith(_BEGINNINGS)
@@ -370,18 +370,18 @@ def is_texture(path: Path) -> bool:
 
 
 def check_texture(path: Path, what: str = "") -> None:
-    """Raise if a picture has more pixels than it may have, or no header that says how
+    """Raise if an image has more pixels than it may have, or no header that says how
     many.
 
-    Of an OpenEXR picture with more than four channels, each further four count as a
-    picture.
+    Of an OpenEXR image with more than four channels, each further four count as an
+    image.
     """
     what = what or str(path)
     try:
         with path.open("rb") as file:
             head = file.read(_HEADER)
     except OSError as error:
-        raise from_os_error(what, "a picture", error) from error
+        raise from_os_error(what, "an image", error) from error
     if head.startswith(_EXR):
         return _check_exr(head, what)
     radiance = head.startswith(_RADIANCE)
@@ -396,7 +396,7 @@ def check_texture(path: Path, what: str = "") -> None:
 
 
 def _check_exr(head: bytes, what: str) -> None:
-    """Raise if a part of an OpenEXR picture has too many pixels; several parts are
+    """Raise if a part of an OpenEXR image has too many pixels; several parts are
     several headers.
     """
     several = bool(head[5:6] and head[5] & 0x10)
@@ -415,7 +415,7 @@ def _check_exr(head: bytes, what: str) -> None:
 
 def _exr_part(head: bytes, offset: int) -> tuple[int, tuple[int, int]]:
     """Where a header that begins at a place ends, and the width and height of its
-    picture.
+    image.
     """
     window = None
     channels = 0

@@ -5,8 +5,8 @@ A *job* is a kind, a configuration and inputs::
 
     scene = {"scene": Path("car.xml")}
     render = Job(kind="attacks.rendered", config=RenderConfig(), inputs=scene)
-    pictures = {"pictures": render.part("pictures/*")}
-    judged = Job(kind="attacks.judged", config=JudgeConfig(), inputs=pictures)
+    images = {"images": render.part("images/*")}
+    judged = Job(kind="attacks.judged", config=JudgeConfig(), inputs=images)
     engine = Cluster(Path("out/store"), workers=2, on_event=print)
     done = Driver(engine).run([grid({"judged": judged})])["judged"]
     done.rows, done.folder, done.record["seconds"]
@@ -15,7 +15,7 @@ A *kind* is a module with `run(config, inputs, out)`, which builds all that it n
 itself::
 
     def run(config: JudgeConfig, inputs: Mapping[str, Path], out: Out) -> Rows:
-        files = sorted((inputs["pictures"] / "pictures").iterdir())
+        files = sorted((inputs["images"] / "images").iterdir())
         for number, file in enumerate(files):
             out.progress("judging", number, config.most)
             ...
@@ -24,7 +24,7 @@ itself::
 
 - Its key is of the kind, every field of the configuration, the *content* of each input,
   and the code: the digest of the module's imports and of theirs
-  (`mi_splat.import_closure`). Who makes equal pictures finds the splat of the first.
+  (`mi_splat.import_closure`). Who makes equal images finds the splat of the first.
 - `inputs` gives a path for each name: a job's folder of files, the file of a
   `part("splat.ply")`, or what was passed.
 - What is written into `out.files` appears whole, when `run` has ended. `out.partial` is

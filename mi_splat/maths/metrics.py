@@ -1,4 +1,4 @@
-"""How far apart two pictures are."""
+"""How far apart two images are."""
 
 import torch
 import torch.nn.functional as F  # noqa: N812
@@ -18,7 +18,7 @@ def mse(image: Tensor, reference: Tensor) -> Tensor:
 
 def psnr(image: Tensor, reference: Tensor) -> Tensor:
     """Peak signal-to-noise ratio in dB for values in [0, 1], a scalar; infinite for
-    equal pictures.
+    equal images.
     """
     return -10 * torch.log10(mse(image, reference))
 
@@ -33,7 +33,7 @@ def ssim(image: Tensor, reference: Tensor) -> Tensor:
             "image",
             "shape (H, W, 3) or (B, H, W, 3)",
             tuple(image.shape),
-            "pass pictures",
+            "pass images",
         )
     a, b = (
         picture.reshape(-1, *picture.shape[-3:]).movedim(-1, 1)
@@ -51,7 +51,7 @@ def ssim(image: Tensor, reference: Tensor) -> Tensor:
 
 
 def _windowed(planes: Tensor) -> Tensor:
-    """(B, C, H, W) means over a Gaussian window around each pixel; the picture is
+    """(B, C, H, W) means over a Gaussian window around each pixel; the image is
     mirrored at its rim.
     """
     offsets = (
@@ -66,5 +66,5 @@ def _windowed(planes: Tensor) -> Tensor:
 def _check_shapes(image: Tensor, reference: Tensor) -> None:
     if image.shape != reference.shape:
         expected = f"shape {tuple(reference.shape)}"
-        do = "compare pictures of one size"
+        do = "compare images of one size"
         raise InvalidValueError.of("image", expected, tuple(image.shape), do)

@@ -1,4 +1,4 @@
-"""FrozenView: pictures of one scene from one camera in which only colours change, much
+"""FrozenView: images of one scene from one camera in which only colours change, much
 faster than by a Renderer.
 
 It crosses from torch to Dr.Jit by a `torch.autograd.Function` around calls that
@@ -36,11 +36,11 @@ MAX_BYTES = 2 << 30
 
 
 class FrozenView:
-    """The picture of one scene from one camera as a function of SH alone.
+    """The image of one scene from one camera as a function of SH alone.
 
-    Made once, at about the cost of a few pictures: it keeps what each Gaussian
+    Made once, at about the cost of a few images: it keeps what each Gaussian
     contributes to each pixel. A step then needs no projection, no sort and no
-    exponential. Picture and gradient are those of a `Renderer` but for rounding, and
+    exponential. Image and gradient are those of a `Renderer` but for rounding, and
     the same bits every time, on any number of threads. SH of another degree than the
     scene's are welcome.
 
@@ -50,7 +50,7 @@ class FrozenView:
         settings: How to render; the method has to be "tile".
         rows: The Gaussians whose colours may change, as a (N,) bool mask, (M,) integer
             indices, each once, or a slice; all if None. The others are a constant
-            picture, and tiles without any of `rows` are never computed again.
+            image, and tiles without any of `rows` are never computed again.
         max_bytes: Upper bound of `nbytes`, what the view keeps and a step takes;
             checked before memory is taken.
     """
@@ -118,7 +118,7 @@ class FrozenView:
         return self.nbytes / 1e6
 
     def __call__(self, sh: Tensor) -> Tensor:
-        """The picture with these colours."""
+        """The image with these colours."""
         if (
             not isinstance(sh, Tensor)
             or sh.ndim != 3
@@ -142,7 +142,7 @@ class FrozenView:
                 " long"
             )
             raise InvalidValueError.of(
-                "sh", "numbers that make a finite picture", "others", do
+                "sh", "numbers that make a finite image", "others", do
             )
         if self.settings.linear:
             picture = tensor_to_linear(picture)
@@ -152,7 +152,7 @@ class FrozenView:
 
     def _freeze(self, max_bytes: int, held: int) -> tuple[Any, Tensor, Tensor, int]:
         """The weights (None where nothing free is visible), the constant part of the
-        picture, its alpha, `nbytes`.
+        image, its alpha, `nbytes`.
         """
         settings = self.settings
         hole = Pinhole(
@@ -180,7 +180,7 @@ def give_memory_back() -> None:
 
 
 class _Step(torch.autograd.Function):
-    """Picture of SH, and gradient of SH, by the two frozen stages."""
+    """Image of SH, and gradient of SH, by the two frozen stages."""
 
     @staticmethod
     def forward(ctx: Any, sh: Tensor, view: FrozenView) -> Tensor:

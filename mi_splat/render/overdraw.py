@@ -1,8 +1,8 @@
-"""How many Gaussians each tile of a picture has to walk through, without making its
+"""How many Gaussians each tile of an image has to walk through, without making its
 lists: the memory stays flat.
 
 A Gaussian touches an interval of tiles in each row of tiles. Only its two ends are
-counted, so a Gaussian that covers the picture costs one step for each row and not one
+counted, so a Gaussian that covers the image costs one step for each row and not one
 for each tile.
 """
 
@@ -27,7 +27,7 @@ from mi_splat.render.tile.stages import projected
 from mi_splat.scene import GaussianScene, check_scene
 
 Layers = NDArray[np.int32]
-"""(rows, columns) numbers of Gaussians on the lists of the tiles of a picture, `TILE` x
+"""(rows, columns) numbers of Gaussians on the lists of the tiles of an image, `TILE` x
 `TILE` pixels each.
 """
 _ROUNDING = 1.0001  # in float32 a Gaussian may reach a little beyond its box

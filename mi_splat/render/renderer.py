@@ -40,7 +40,7 @@ from mi_splat.scene import GaussianScene, check_scene
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SideOutputs:
-    """A picture with opacity and depths; w_i = alpha_i T_i is the weight of Gaussian i,
+    """An image with opacity and depths; w_i = alpha_i T_i is the weight of Gaussian i,
     z_i its mean's depth.
 
     The median depth is that of the Gaussian at which the transmittance falls to one
@@ -94,7 +94,7 @@ class ScreenGradients:
 
     Attributes:
         lengths: (N,) length of the gradient of the centre on the screen, in normalised
-            device coordinates (half pictures), summed over the pictures of the last
+            device coordinates (half images), summed over the images of the last
             backward pass.
         visible: (N,) in how many of them the Gaussian touched a tile.
     """
@@ -137,7 +137,7 @@ class Renderer:
     `splat_ray`; a `RenderFn`.
 
     Differentiable in the five tensors of the scene (reverse mode) and free of random
-    numbers: a picture depends on the scene, the camera and the settings only, to the
+    numbers: an image depends on the scene, the camera and the settings only, to the
     bit. So do the gradients of "tile"; the last bits of those of "ray" depend on the
     order in which threads come.
 
@@ -166,7 +166,7 @@ class Renderer:
         self.variant = variant.use(self.settings.variant)
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """Render one picture.
+        """Render one image.
 
         Args:
             scene: N Gaussians; N may be 0.
@@ -185,11 +185,11 @@ class Renderer:
     def batch(
         self, scene: GaussianScene, cameras: Camera | Sequence[Camera]
     ) -> list[Tensor]:
-        """Render one picture per camera in one differentiable call; sizes may differ.
+        """Render one image per camera in one differentiable call; sizes may differ.
 
         Args:
             scene: The splat.
-            cameras: One camera or several; each says how large its picture is.
+            cameras: One camera or several; each says how large its image is.
 
         Returns:
             (H, W, 3) or (H, W, 4) float32 of each camera, in their order.
@@ -200,7 +200,7 @@ class Renderer:
         return []
 
     def outputs(self, scene: GaussianScene, camera: Camera) -> SideOutputs:
-        """Render one picture with its depths; differentiable like `__call__`, the
+        """Render one image with its depths; differentiable like `__call__`, the
         median apart.
 
         Args:
@@ -208,7 +208,7 @@ class Renderer:
             camera: The camera.
 
         Returns:
-            The picture, its opacity, and its expected and median depths.
+            The image, its opacity, and its expected and median depths.
 
         Raises:
             InvalidValueError: As in `__call__`, or the method is "ray", whose Gaussians

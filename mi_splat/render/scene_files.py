@@ -213,7 +213,7 @@ def open_scene(
 
 
 def resized(camera: Camera, size: tuple[int, int]) -> Camera:
-    """The same camera with another picture size; what it saw from left to right, it
+    """The same camera with another image size; what it saw from left to right, it
     still sees.
     """
     if size == (camera.width, camera.height):
@@ -328,7 +328,7 @@ def holds_surfaces(path: Path) -> bool:
 
 class MixedScene:
     """A Mitsuba scene of splats among surfaces, with the integrator `splat_ray`; its
-    pictures have no gradient.
+    images have no gradient.
 
     `parameters` take the place of the file's default values, for instance `sun_z=0.25`.
     """
@@ -359,7 +359,7 @@ class MixedScene:
         self.linear = linear
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """Render one picture."""
+        """Render one image."""
         import mitsuba as mi
 
         from mi_splat.render.plugins.sensor import sensor_dict

@@ -1,4 +1,4 @@
-"""What a picture of a splat depends on besides the splat and the camera."""
+"""What an image of a splat depends on besides the splat and the camera."""
 
 import math
 import numbers
@@ -8,14 +8,14 @@ from typing import Literal, get_args
 from mi_splat.errors import InvalidValueError
 
 Method = Literal["tile", "ray"]
-"""How a picture is made: "tile" as 3DGS does (`splat_tile`), "ray" by ray tracing
+"""How an image is made: "tile" as 3DGS does (`splat_tile`), "ray" by ray tracing
 (`splat_ray`).
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderSettings:
-    """What a picture of a splat depends on besides the splat and the camera; the
+    """What an image of a splat depends on besides the splat and the camera; the
     defaults are those of 3DGS.
 
     Attributes:
@@ -32,7 +32,7 @@ class RenderSettings:
         linear: Return linear values instead of sRGB.
         antialiased: For "tile": opacities take the 2D filter of Mip-Splatting (Yu et
             al. 2024) into account, as in the mode of gsplat of this name, so that small
-            Gaussians do not swell. Off is the picture of 3DGS.
+            Gaussians do not swell. Off is the image of 3DGS.
         variant: Mitsuba variant, "llvm_ad_rgb" or "cuda_ad_rgb"; the current one (or
             LLVM) if empty.
 

@@ -1,4 +1,4 @@
-"""Which pictures come from a `FrozenView` unasked: those from fixed cameras of a scene
+"""Which images come from a `FrozenView` unasked: those from fixed cameras of a scene
 in which only colours change.
 """
 
@@ -24,7 +24,7 @@ KEPT_BYTES = 192 << 20
 own; a few MB each.
 """
 MIN_PICTURES = 3
-"""Pictures with a gradient from one camera from which a view pays, even where
+"""Images with a gradient from one camera from which a view pays, even where
 everything is free: making it takes about as long as one by a `Renderer`.
 """
 
@@ -92,7 +92,7 @@ class RecentViews:
         return sum(view.nbytes for view in self._kept.values())
 
     def get(self, camera: Camera) -> FrozenView | None:
-        """The view from a camera; None where there is none, so that pictures are those
+        """The view from a camera; None where there is none, so that images are those
         of `render`.
         """
         self._uses[camera] += 1

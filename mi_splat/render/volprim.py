@@ -1,13 +1,13 @@
 """Mitsuba's own integrator of splats, `volprim_rf_basic`, as a torch function, to
 compare with.
 
-The picture is in sRGB, as that of `Renderer`, and every pixel is looked at through its
+The image is in sRGB, as that of `Renderer`, and every pixel is looked at through its
 centre. What is Mitsuba's stays so: a Gaussian ends at 3 standard deviations, Gaussians
 are met in the order in which a ray enters these shells, 64 at most on each ray, and
 what is behind 99 % opacity is left out. After each entry the search goes on 1e-4 world
 units farther on, so shells that are entered closer together are missed. Whether a ray
 meets a shell that is small beside its distance is decided nearly at random, the more so
-the smaller its numbers are (`benchmarks/mitsuba_ellipsoids.py`). So the picture depends
+the smaller its numbers are (`benchmarks/mitsuba_ellipsoids.py`). So the image depends
 on the unit of length.
 """
 
@@ -50,7 +50,7 @@ class Volprim:
         self.variant = variant.use(self.settings.variant)
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """Render one picture."""
+        """Render one image."""
         check_scene("scene", scene)
         variant.use(self.variant)
         if not len(scene):

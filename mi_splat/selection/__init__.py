@@ -1,3 +1,3 @@
-"""One object of a splat: by a box, a mask file, a click on a picture, or what is
+"""One object of a splat: by a box, a mask file, a click on an image, or what is
 connected.
 """

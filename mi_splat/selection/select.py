@@ -163,7 +163,7 @@ MOST = 0.95
 SEEN = 0.5
 """A pixel shows the object where this share of it is the object's."""
 _AROUND = 1.5
-"""How far around a click is looked, in halves of the picture's diagonal at its
+"""How far around a click is looked, in halves of the image's diagonal at its
 depth.
 """
 _CLICKED = 0.05
@@ -187,8 +187,8 @@ def select(
         scene: The scene.
         selection: Which; of several selectors together, what all of them select.
         objects: Rows of the parts of a scene file, for `Selection.object`.
-        camera: Whose picture is clicked on, for `Selection.click`.
-        render: Makes that picture, for `Selection.click`.
+        camera: Whose image is clicked on, for `Selection.click`.
+        render: Makes that image, for `Selection.click`.
         found: (N,) bool, what images say (`mi_splat.selection.regions.vote`), for
             `Selection.detect`, `boxes` and `masks`. A click then chooses among these
             Gaussians, so that what it is connected to is not the floor.
@@ -242,7 +242,7 @@ def select(
     if selection.click:
         mask &= _clicked(scene, selection, camera, render, among=found)
     if not bool(mask.any()):
-        do = f"look at where it is in a picture of the scene; {_HOW}"
+        do = f"look at where it is in an image of the scene; {_HOW}"
         raise InvalidValueError.of(
             "selection", "at least one Gaussian", f"none of {len(scene):,}", do
         ).hinted(_FLAGS)
@@ -272,7 +272,7 @@ def doubts(mask: Tensor, weights: Mapping[str, Tensor]) -> list[str]:
     if hidden:
         texts.append(
             f"the selection does not show {hidden}; something hides it, or it is"
-            " outside the picture"
+            " outside the image"
         )
     return texts
 
@@ -328,7 +328,7 @@ def _clicked(
     """
     if camera is None or render is None:
         raise InvalidValueError.of(
-            "click", "a camera and a renderer", "none", "say in whose picture"
+            "click", "a camera and a renderer", "none", "say in whose image"
         )
     mask = torch.zeros(len(scene), dtype=torch.bool)
     means = scene.means.detach().cpu().double()

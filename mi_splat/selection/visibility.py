@@ -1,9 +1,9 @@
-"""What of a picture each Gaussian and each object makes up; exact for any renderer, by
+"""What of an image each Gaussian and each object makes up; exact for any renderer, by
 changing colours.
 
-A picture is linear in the colours: a pixel is the sum over Gaussians of weight times
+An image is linear in the colours: a pixel is the sum over Gaussians of weight times
 colour, w_i = alpha_i T_i with T_i what those in front let through. So weights are what
-a picture of other colours shows, or its derivative by colours.
+an image of other colours shows, or its derivative by colours.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from mi_splat.maths.sh import colour_to_dc
 from mi_splat.scene import GaussianScene
 
 Box = tuple[int, int, int, int]
-"""Pixels of a picture: x0, y0, x1, y1 from the upper left corner, x1 and y1 no longer
+"""Pixels of an image: x0, y0, x1, y1 from the upper left corner, x1 and y1 no longer
 among them.
 """
 
@@ -33,12 +33,12 @@ def contributions(
     rows: Tensor | None = None,
     boxes: Sequence[Box] | None = None,
 ) -> Tensor:
-    """(M, D) pixels that each of M Gaussians makes up in the pictures of D cameras: the
+    """(M, D) pixels that each of M Gaussians makes up in the images of D cameras: the
     sum of its weights over pixels.
 
-    Exact: the derivative of a picture's sum by a Gaussian's colour, taken at grey,
+    Exact: the derivative of an image's sum by a Gaussian's colour, taken at grey,
     where no colour is clamped. What is hidden by others counts nothing, and over all
-    Gaussians the sum is that of the pictures' opacity. It takes a picture of SH degree
+    Gaussians the sum is that of the images' opacity. It takes an image of SH degree
     0 and its gradient for each camera.
     """
     cameras = as_cameras(cameras)

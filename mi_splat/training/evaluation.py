@@ -1,4 +1,4 @@
-"""How true a splat's pictures are to views that it was not trained on."""
+"""How true a splat's images are to views that it was not trained on."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from mi_splat.scene import GaussianScene
 from mi_splat.training.losses import masked
 
 MOST_PSNR = 120.0
-"""dB, far above what pictures of 8 bits can tell apart."""
+"""dB, far above what images of 8 bits can tell apart."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scores:
-    """Means over views, of pictures clipped to [0, 1]."""
+    """Means over views, of images clipped to [0, 1]."""
 
-    # dB; that of a view counts at most `MOST_PSNR`, since equal pictures have none
+    # dB; that of a view counts at most `MOST_PSNR`, since equal images have none
     psnr: float
     ssim: float
 

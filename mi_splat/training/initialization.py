@@ -21,7 +21,7 @@ _NEAREST = 3
 """Neighbours whose distances make the size of a Gaussian."""
 _MATCHED = 3
 _ROUNDS = 32
-"""Pictures in which an outlier lies at least, and how often as many as are wanted are
+"""Images in which an outlier lies at least, and how often as many as are wanted are
 drawn.
 """
 
@@ -148,7 +148,7 @@ def thinned(cloud: PointCloud, count: int, *, seed: int = 0) -> PointCloud:
 
 
 def _in_picture(points: Tensor, camera: Camera) -> Tensor:
-    """(N,) bool, which of (N, 3) points lie in a camera's picture, whatever is in front
+    """(N,) bool, which of (N, 3) points lie in a camera's image, whatever is in front
     of them.
     """
     pixels, depth = project_points(points, camera)

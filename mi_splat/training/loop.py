@@ -86,7 +86,7 @@ def fit(
     """Train a splat on views.
 
     Args:
-        views: Pictures to match; where they have masks
+        views: Images to match; where they have masks
             (`mi_splat.datasets.Dataset.loss_mask`), what is masked does not count.
         start: Gaussians to begin with.
         render: Any differentiable renderer; the classic strategy needs one that keeps
@@ -262,7 +262,7 @@ def _not_finite(state: TrainState, value: float) -> TrainingError:
     if bad:
         cause = f"not finite: {', '.join(bad)}"
     else:
-        cause = "the parameters are finite, the picture or the view is not"
+        cause = "the parameters are finite, the image or the view is not"
     what = f"loss at step {state.iteration}"
     do = "look at views and rates"
     return TrainingError.of(what, "a finite number", f"{value} ({cause})", do)

@@ -23,11 +23,11 @@ _HAS_ONEDNN: bool = torch.backends.mkldnn.is_available()  # type: ignore[no-unty
 
 
 def blur(pictures: Tensor) -> Tensor:
-    """Gaussian window of 11 x 11 and sigma 1.5 over pictures (P, H, W, C), zeros
+    """Gaussian window of 11 x 11 and sigma 1.5 over images (P, H, W, C), zeros
     outside; its own adjoint.
 
     Two passes of a convolution by channel. No value is moved for them: along a row the
-    channels are the rows of a picture, and along a column they are neighbours in
+    channels are the rows of an image, and along a column they are neighbours in
     memory, whatever pixel they are of.
     """
     count, height, width, channels = pictures.shape
@@ -54,7 +54,7 @@ def _window(channels: int, dtype: torch.dtype, device: torch.device) -> Tensor:
 
 
 def _blur_by_sums(pictures: Tensor, axis: int) -> Tensor:
-    """One pass of `blur` as a sum of shifted pictures, where torch has no fast
+    """One pass of `blur` as a sum of shifted images, where torch has no fast
     convolution by channel.
     """
     result = pictures * _TAPS[0]
@@ -67,7 +67,7 @@ def _blur_by_sums(pictures: Tensor, axis: int) -> Tensor:
 
 
 class _Photometric(torch.autograd.Function):
-    """The loss and, in the same pass, its derivative by the first picture in closed
+    """The loss and, in the same pass, its derivative by the first image in closed
     form.
     """
 
@@ -91,10 +91,10 @@ class _Photometric(torch.autograd.Function):
 
 
 def _similarity(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Mean SSIM of (H, W, 3) pictures; its sum's derivatives by x, by x^2 + y^2 and by
+    """Mean SSIM of (H, W, 3) images; its sum's derivatives by x, by x^2 + y^2 and by
     x y, each held fixed apart.
     """
-    # Both variances come only as their sum, so that four pictures are blurred and not
+    # Both variances come only as their sum, so that four images are blurred and not
     # five.
     planes = x.new_empty((4, *x.shape))
     planes[0], planes[1] = x, y
@@ -124,8 +124,8 @@ def photometric_loss(
     """(1 - lambda_dssim) L1 + lambda_dssim (1 - SSIM), equation 7 of Kerbl et al. 2023.
 
     SSIM is that of Wang et al. 2004 as 3DGS trains with it: window of 11, sigma 1.5,
-    zeros outside of the picture. `mi_splat.maths.metrics.ssim` is the figure to report;
-    the two differ at the picture's rim.
+    zeros outside of the image. `mi_splat.maths.metrics.ssim` is the figure to report;
+    the two differ at the image's rim.
     """
     if image.ndim != 3 or image.shape != reference.shape:
         expected = f"shape {tuple(reference.shape)}, (H, W, 3)"

@@ -367,7 +367,7 @@ def _resumed(
             " folder"
         )
         raise CheckpointError.of(
-            str(folder), "a run on the same pictures and start", "one on others", do
+            str(folder), "a run on the same images and start", "one on others", do
         )
     shorter = dataclasses.replace(
         config, iterations=min(config.iterations, state.config.iterations)
@@ -405,7 +405,7 @@ def poses_digest(cameras: Sequence[Camera]) -> str:
 
 
 def _digest(start: GaussianScene, *sets: Sequence[View]) -> str:
-    """Stands for what a run is trained and scored on; of a set on the disk no picture
+    """Stands for what a run is trained and scored on; of a set on the disk no image
     is decoded.
     """
     total = hashlib.sha256(scene_hash(start).encode())

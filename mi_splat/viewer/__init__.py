@@ -1,3 +1,3 @@
-"""Splats on a page in the browser, in pictures that the project's own renderer
+"""Splats on a page in the browser, in images that the project's own renderer
 makes.
 """

@@ -30,7 +30,7 @@ Place = tuple[float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drag:
-    """A box in pixels of the picture of a splat as `mi-splat render` makes it."""
+    """A box in pixels of the image of a splat as `mi-splat render` makes it."""
 
     splat: str
     box: PixelBox
@@ -44,7 +44,7 @@ def dragged(
     content: Content,
     orbit: Orbit,
 ) -> Drag | None:
-    """The box between two points of the page, as far as it is on one picture; None if
+    """The box between two points of the page, as far as it is on one image; None if
     none is, or it is narrow.
     """
     if not all(math.isfinite(value) for end in ends for value in end):
@@ -58,7 +58,7 @@ def dragged(
     if hit is None:
         return None
     splat, (column, row) = hit
-    # half a box on the page in pixels of the picture
+    # half a box on the page in pixels of the image
     across = abs(ends[1][0] - ends[0][0]) / 2 * layout.canvas[0]
     down = abs(ends[1][1] - ends[0][1]) / 2 * layout.canvas[1]
     across *= width / layout.size[0]

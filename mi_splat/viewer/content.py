@@ -41,7 +41,7 @@ def photographs_of(
     path: Path, *, background: tuple[float, float, float], centre: Point | None = None
 ) -> tuple[dict[str, Orbit], Photographs]:
     """The cameras of a data set by name, which says which are held out, and its
-    pictures.
+    images.
     """
     views = load_dataset(path, split=None, background=background)
     longest = max(max(camera.width, camera.height) for camera in views.cameras)
@@ -153,7 +153,7 @@ def with_cameras(content: Content, path: Path) -> Content:
 
 
 class Inspection(Protocol):
-    """What a detector found in a picture."""
+    """What a detector found in an image."""
 
     @property
     def text(self) -> str:
@@ -161,13 +161,13 @@ class Inspection(Protocol):
         ...
 
     def draw(self, draw: ImageDraw.ImageDraw, scale: float) -> None:
-        """Draw the findings into a picture that is `scale` times as wide as the
+        """Draw the findings into an image that is `scale` times as wide as the
         inspected one.
         """
         ...
 
 
-# inspects a picture, (H, W, 3) float32 sRGB of 8 bits in [0, 1]
+# inspects an image, (H, W, 3) float32 sRGB of 8 bits in [0, 1]
 Inspector = Callable[[Tensor], Inspection]
 
 
@@ -182,7 +182,7 @@ class ShownSplat:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Photographs:
-    """Pictures of a data set, which is read as needed, by the names of their
+    """Images of a data set, which is read as needed, by the names of their
     cameras.
     """
 
@@ -191,7 +191,7 @@ class Photographs:
     name: str = "photograph"
 
     def from_camera(self, camera: str | None) -> Tensor | None:
-        """(H, W, 3) the picture of the camera of this name; None if there is none."""
+        """(H, W, 3) the image of the camera of this name; None if there is none."""
         if camera is None or camera not in self.numbers:
             return None
         return self.views[self.numbers[camera]].image
@@ -210,7 +210,7 @@ class Content:
     """What a page shows: one splat, or two of which the first is the clean one, or
     photographs with at most one.
 
-    `size` (width, height) is that of the inspected picture, unless a camera of a file
+    `size` (width, height) is that of the inspected image, unless a camera of a file
     has its own. Everything is turned so that `up`, a direction of the files, is z on
     the page; `file_up` is what they tell of it. `describe` says in words where a camera
     stands.
@@ -274,7 +274,7 @@ class Content:
         )
 
     def size_at(self, orbit: Orbit) -> tuple[int, int]:
-        """Width and height in pixels of the inspected picture of a camera."""
+        """Width and height in pixels of the inspected image of a camera."""
         return orbit.camera_size or self.size
 
     def turned(self, up: Point) -> Content:

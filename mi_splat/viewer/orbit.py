@@ -36,7 +36,7 @@ _SAME_POSE = 1e-3  # fraction of the distance within which two poses count as th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Orbit:
-    """A camera around `target`, without a picture size: angles in degrees, lengths in
+    """A camera around `target`, without an image size: angles in degrees, lengths in
     world units.
 
     A camera of a file stays in `exact` to the bit until one of its numbers changes.
@@ -86,7 +86,7 @@ class Orbit:
 
     @property
     def camera_size(self) -> tuple[int, int] | None:
-        """Width and height in pixels of the picture of a camera of a file; None for
+        """Width and height in pixels of the image of a camera of a file; None for
         others.
         """
         if self.exact is None:
@@ -107,7 +107,7 @@ class Orbit:
         )
 
     def camera(self, size: tuple[int, int]) -> Camera:
-        """The camera that `mi-splat render` uses for a picture of (width, height)
+        """The camera that `mi-splat render` uses for an image of (width, height)
         pixels.
         """
         if self.exact is not None:
@@ -174,7 +174,7 @@ def orbit_of(camera: Camera, centre: Point, *, source: str = "") -> Orbit:
     if math.hypot(x, y) > POLE:
         azimuth = math.degrees(math.atan2(y, x))
     else:
-        # straight above and below the picture's right edge points along (-sin azimuth,
+        # straight above and below the image's right edge points along (-sin azimuth,
         # cos azimuth, 0)
         azimuth = math.degrees(math.atan2(-float(pose[0, 0]), float(pose[1, 0])))
     level = orbit_pose(

@@ -1,4 +1,4 @@
-"""Renders the picture of a page: splats and photographs side by side, with
+"""Renders the image of a page: splats and photographs side by side, with
 detections.
 """
 
@@ -37,20 +37,20 @@ from mi_splat.viewer.session import (
     pictures_of,
 )
 
-# pixels of the largest full picture; the browser enlarges it to a larger window
+# pixels of the largest full image; the browser enlarges it to a larger window
 MOST_PIXELS = 1_500_000
-# height of letters in a full picture, and the smallest that can be read, in pixels
+# height of letters in a full image, and the smallest that can be read, in pixels
 LETTERS = 15
 SMALLEST_LETTERS = 7
 NO_PICTURE = 0.2  # grey level in place of a missing photograph
-# follows the title of a picture with fewer pixels or Gaussians than there are
+# follows the title of an image with fewer pixels or Gaussians than there are
 PREVIEW = " (preview)"
-LARGEST_THINNING = 64  # a coarse picture shows at least one of so many Gaussians
+LARGEST_THINNING = 64  # a coarse image shows at least one of so many Gaussians
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Painting:
-    """A picture of a page, (H, W, 3), and what was found in it; a coarse one shows one
+    """An image of a page, (H, W, 3), and what was found in it; a coarse one shows one
     of `every` Gaussians.
     """
 
@@ -60,7 +60,7 @@ class Painting:
 
 
 class Painter:
-    """Renders pictures of a content; the inspector looks at those of a resting
+    """Renders images of a content; the inspector looks at those of a resting
     camera.
     """
 
@@ -72,13 +72,13 @@ class Painter:
         self.inspector = inspector
         self._splats = {splat.name: Thinned(splat.scene) for splat in content.splats}
         self._tinted, self._rows = dict[str, Thinned](), dict[str, int]()
-        # of the inspector, so that it can be left alone with its picture
+        # of the inspector, so that it can be left alone with its image
         self._thread = ThreadPoolExecutor(1)
         self._last: tuple[Orbit, dict[str, Inspection]] | None = None
 
     def tint(self, picked: Picked | None) -> None:
         """Highlight an object in each splat with as many Gaussians, but not in
-        differences and inspected pictures.
+        differences and inspected images.
         """
         fits = [
             splat
@@ -97,7 +97,7 @@ class Painter:
         }
 
     def paint(self, state: ViewState, step: Step, pace: Pace) -> Painting:
-        """The picture that a step of a session needs."""
+        """The image that a step of a session needs."""
         full = within(state.canvas, MOST_PIXELS)
         names = self.content.names
         layout = self.layout(state, pace.size(full, step))
@@ -168,7 +168,7 @@ class Painter:
         )
 
     def layout(self, state: ViewState, canvas: tuple[int, int] | None = None) -> Layout:
-        """Where pictures stand on a canvas of the window's shape; None is the
+        """Where images stand on a canvas of the window's shape; None is the
         largest.
         """
         full, (width, height) = (
@@ -182,11 +182,11 @@ class Painter:
         )
 
     def picture(self, name: str, orbit: Orbit) -> Tensor:
-        """(H, W, 3) the picture that is inspected, with 8 bits."""
+        """(H, W, 3) the image that is inspected, with 8 bits."""
         return quantise(self.sized_picture(name, orbit, self.content.size_at(orbit)))
 
     def inspect(self, name: str, orbit: Orbit) -> Inspection:
-        """What is found in the picture of a splat; that of the last camera is kept."""
+        """What is found in the image of a splat; that of the last camera is kept."""
         assert self.inspector is not None
         if self._last is None or self._last[0] != orbit:
             self._last = (orbit, {})
@@ -199,7 +199,7 @@ class Painter:
         return inspections[name]
 
     def commands(self, orbit: Orbit) -> dict[str, str]:
-        """For each splat the command that makes the inspected picture."""
+        """For each splat the command that makes the inspected image."""
         content = self.content
         commands = dict[str, str]()
         for splat in content.splats:
@@ -214,7 +214,7 @@ class Painter:
         return commands
 
     def similarity(self, orbit: Orbit) -> float | None:
-        """PSNR in dB between the two inspected pictures; None for one, or where they
+        """PSNR in dB between the two inspected images; None for one, or where they
         are equal.
         """
         photographs = self.content.photographs
@@ -233,7 +233,7 @@ class Painter:
         return float(psnr(first, second))
 
     def comparison(self, orbit: Orbit) -> str:
-        """How similar the two pictures are, in words; empty for one."""
+        """How similar the two images are, in words; empty for one."""
         names = self.content.names
         photographs = self.content.photographs
         if photographs is not None and self._photograph(orbit) is None:
@@ -244,7 +244,7 @@ class Painter:
             return ""
         similarity = self.similarity(orbit)
         if similarity is None:
-            return "From here both pictures are the same."
+            return "From here both images are the same."
         return f"PSNR of {' and '.join(names)} from here: {similarity:.1f} dB"
 
     def sized_picture(
@@ -303,7 +303,7 @@ def thinning(count: int, pixels: int) -> int:
 
 
 def _resized(picture: Tensor, size: tuple[int, int]) -> Tensor:
-    """(H, W, C) a picture of another width and height; the same if it has them."""
+    """(H, W, C) an image of another width and height; the same if it has them."""
     if tuple(picture.shape[:2]) == size[::-1]:
         return picture
     pixels = picture.permute(2, 0, 1)[None]

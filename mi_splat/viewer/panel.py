@@ -87,7 +87,7 @@ class ViewPanel:
         if inspector:
             box = gui.add_checkbox("Detections", state.inspected)
             self._connect(box, lambda s, value: replace(s, inspected=bool(value)))
-        with gui.add_folder("This picture"):
+        with gui.add_folder("This image"):
             self._remarks = gui.add_html("")
         with gui.add_folder("As a command"):
             self._commands = {
@@ -95,7 +95,7 @@ class ViewPanel:
                     name,
                     "",
                     multiline=True,
-                    hint="Copy it to make this picture as a PNG",
+                    hint="Copy it to make this image as a PNG",
                 )
                 for name in (splat.name for splat in content.splats)
             }
@@ -108,7 +108,7 @@ class ViewPanel:
             self._camera.value = self._content.camera_name(state.orbit) or self._free
 
     def describe(self, remarks: Iterable[Remark], commands: dict[str, str]) -> None:
-        """Show what is known of the picture, and the commands that make it."""
+        """Show what is known of the image, and the commands that make it."""
         self._remarks.content = as_html(remarks)
         for name, command in commands.items():
             self._commands[name].value = command
@@ -130,7 +130,7 @@ def as_html(remarks: Iterable[Remark]) -> str:
 
     This is the only markup that viser gets: it shows labels, options and commands as
     plain text. Its Markdown cannot hold foreign names, because HTML in it stays HTML,
-    and pictures in it are files of this machine.
+    and images in it are files of this machine.
     """
     shown = [
         (f"<strong>{html.escape(about)}</strong>: " if about else "")

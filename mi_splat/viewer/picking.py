@@ -62,7 +62,7 @@ class Picked:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Click:
-    """A pixel (x, y) of the picture of a splat as `mi-splat render` makes it; `adds`
+    """A pixel (x, y) of the image of a splat as `mi-splat render` makes it; `adds`
     extends the selection.
     """
 
@@ -75,8 +75,8 @@ class Click:
 def clicked(
     at: tuple[float, float], layout: Layout, mode: str, content: Content, orbit: Orbit
 ) -> tuple[str, tuple[int, int]] | None:
-    """The splat and the pixel of its picture at a point of the page; None beside the
-    pictures.
+    """The splat and the pixel of its image at a point of the page; None beside the
+    images.
     """
     x, y = (part * side for part, side in zip(at, layout.canvas, strict=True))
     (width, height), size = layout.size, content.size_at(orbit)

@@ -16,10 +16,10 @@ from mi_splat.viewer.panel import as_html
 from mi_splat.viewer.picking import MASK, Click, Picked, one_gaussian, pick
 
 HOW_TO_SELECT = (
-    "Click on an object in the picture; hold Shift to add to the selection. Or hold"
+    "Click on an object in the image; hold Shift to add to the selection. Or hold"
     " Ctrl and drag a box around it, from two sides or more."
 )
-ANOTHER_BOX = "One box: turn the picture, and draw another around the same object."
+ANOTHER_BOX = "One box: turn the image, and draw another around the same object."
 NOTHING_TO_SELECT = "Only splats have objects to select."
 MOST_QUEUED = 100  # requests that wait; more are dropped
 MOST_BOXES = 16  # boxes of an object; older ones are dropped
@@ -46,7 +46,7 @@ class SharedSelection:
 
     def turn(self) -> bool:
         """Do what is queued; whether there was anything."""
-        # what is queued meanwhile waits, so that pictures are made
+        # what is queued meanwhile waits, so that images are made
         waiting = len(self.requests)
         for _ in range(waiting):
             task = self.requests.popleft()

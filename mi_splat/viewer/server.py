@@ -1,4 +1,4 @@
-"""Serves the page: its pictures follow the camera of each browser window."""
+"""Serves the page: its images follow the camera of each browser window."""
 
 from __future__ import annotations
 
@@ -90,13 +90,13 @@ class Client:
         self._selection_panel.follow()
 
     def due(self) -> Step | None:
-        """The picture to make now."""
+        """The image to make now."""
         return self._session.due(
             time.monotonic(), inspector=self._painter.inspector is not None
         )
 
     def paint(self, step: Step, urgent: Callable[[], bool]) -> None:
-        """Make a picture and send it, unless something is urgent meanwhile."""
+        """Make an image and send it, unless something is urgent meanwhile."""
         with self._lock:
             state = self._session.state
             pace = self._session.pace
@@ -115,7 +115,7 @@ class Client:
                     )
         except PictureInterruptedError:
             return
-        except MiSplatError as error:  # of this picture; the next one may succeed
+        except MiSplatError as error:  # of this image; the next one may succeed
             self._panel.describe([("", str(error))], {})
         self._handle.flush()
         with self._lock:
@@ -124,7 +124,7 @@ class Client:
             )
 
     def _remarks(self, state: ViewState, painting: Painting) -> Iterator[Remark]:
-        """What is known of a picture."""
+        """What is known of an image."""
         content = self._painter.content
         for line in (
             *content.describe(state.orbit.camera(content.size)),
@@ -264,12 +264,12 @@ class Page(contextlib.AbstractContextManager["Page"]):
         return f"http://{HOST}:{self._server.get_port()}/?token={self._guard.token}"
 
     def run(self, stop: threading.Event | None = None) -> None:
-        """Make pictures until `stop` is set, or until Ctrl-C."""
+        """Make images until `stop` is set, or until Ctrl-C."""
         while stop is None or not stop.is_set():
             self._turn(stop)
 
     def _turn(self, stop: threading.Event | None) -> None:
-        """Do what is queued, and make one picture for each window where one is due,
+        """Do what is queued, and make one image for each window where one is due,
         coarse ones first.
         """
         changed = self._shared.turn()
@@ -334,7 +334,7 @@ def _serve(guard: Guard, port: int) -> Any:
     from viser import _messages
     from viser.infra import _infra
 
-    # A window may be closed while its picture is made.
+    # A window may be closed while its image is made.
     warnings.filterwarnings(
         "ignore", message="Queued a .* on a closed connection", category=UserWarning
     )

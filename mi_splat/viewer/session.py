@@ -1,7 +1,7 @@
-"""What a browser window shows and which picture is due next, without a browser and
+"""What a browser window shows and which image is due next, without a browser and
 without a clock.
 
-While the camera moves, coarse pictures are rendered with as many pixels as the time for
+While the camera moves, coarse images are rendered with as many pixels as the time for
 one allows. When it rests, one of half the width follows, the full one, and then one
 with the detections. A movement interrupts them.
 """
@@ -22,26 +22,26 @@ Pixels = NDArray[np.uint8]
 
 SIDE_BY_SIDE = "side by side"
 DIFFERENCE = "difference"
-MARGIN = (24, 24, 27)  # colour around the pictures
+MARGIN = (24, 24, 27)  # colour around the images
 UPPER_PART = 0.45  # fraction of a portrait page's height that its controls leave free
 
 
 def display_modes(names: Sequence[str]) -> tuple[str, ...]:
-    """How one picture or two can be shown; the first is the default."""
+    """How one image or two can be shown; the first is the default."""
     if len(names) < 2:
         return tuple(names)
     return (SIDE_BY_SIDE, *names, DIFFERENCE)
 
 
 def panes(mode: str, names: Sequence[str]) -> tuple[str, ...]:
-    """What stands side by side: pictures by name, or their difference."""
+    """What stands side by side: images by name, or their difference."""
     if mode == SIDE_BY_SIDE:
         return tuple(names)
     return (mode,)
 
 
 def pictures_of(pane: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Names of the pictures that a pane is made of."""
+    """Names of the images that a pane is made of."""
     if pane == DIFFERENCE:
         return tuple(names)
     return (pane,)
@@ -49,7 +49,7 @@ def pictures_of(pane: str, names: Sequence[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """Where pictures of one size stand on a page: the left upper corner of each, in
+    """Where images of one size stand on a page: the left upper corner of each, in
     pixels.
     """
 
@@ -61,14 +61,14 @@ class Layout:
 def lay_out(
     canvas: tuple[int, int], aspect: float, count: int, *, gap: int = 4
 ) -> Layout:
-    """Pictures of one shape as large as possible, in a row or in a column."""
+    """Images of one shape as large as possible, in a row or in a column."""
     width = max(canvas[0], count)
     height = max(canvas[1], count)
     free = height if height <= width else max(count, round(UPPER_PART * height))
     row = _fit(max((width - gap * (count - 1)) // count, 1), free, aspect)
     column = _fit(width, max((free - gap * (count - 1)) // count, 1), aspect)
     w, h = max(row, column)
-    # from one picture to the next
+    # from one image to the next
     x, y = (w + gap, 0) if (w, h) == row else (0, h + gap)
     left = max((width - w - (count - 1) * x) // 2, 0)
     top = 0 if height > width else max((height - h - (count - 1) * y) // 2, 0)
@@ -77,7 +77,7 @@ def lay_out(
 
 
 def compose(pictures: Sequence[Pixels], layout: Layout) -> Pixels:
-    """One picture (H, W, 3) of the whole canvas from the pictures on it, (h, w, 3)
+    """One image (H, W, 3) of the whole canvas from the images on it, (h, w, 3)
     each.
     """
     width, height = layout.canvas
@@ -102,19 +102,19 @@ def difference(before: Pixels, after: Pixels) -> Pixels:
 
 
 def _fit(width: int, height: int, aspect: float) -> tuple[int, int]:
-    """The largest picture of this shape that fits."""
+    """The largest image of this shape that fits."""
     if width / height > aspect:
         return max(1, round(height * aspect)), height
     return width, max(1, round(width / aspect))
 
 
 REST = 0.1  # seconds without a change after which the camera is at rest
-LOWEST_SCALE = 0.2  # smallest width of a coarse picture, as a fraction of the full one
-HALF = 0.5  # width of the picture between a coarse one and the full one
+LOWEST_SCALE = 0.2  # smallest width of a coarse image, as a fraction of the full one
+HALF = 0.5  # width of the image between a coarse one and the full one
 
 
 class Step(Enum):
-    """A picture that is due."""
+    """An image that is due."""
 
     COARSE = "coarse"
     HALF = "half"
@@ -137,7 +137,7 @@ class ViewState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pace:
-    """How coarse pictures are while the camera moves: the seconds for one, and its
+    """How coarse images are while the camera moves: the seconds for one, and its
     width as a fraction of the full.
     """
 
@@ -145,7 +145,7 @@ class Pace:
     scale: float = 0.5
 
     def after(self, seconds: float) -> Pace:
-        """The pace after a coarse picture that took `seconds`."""
+        """The pace after a coarse image that took `seconds`."""
         ratio = self.seconds / max(seconds, 1e-6)
         if 0.8 <= ratio <= 1.25:
             return self
@@ -153,7 +153,7 @@ class Pace:
         return replace(self, scale=min(max(self.scale * step, LOWEST_SCALE), 1.0))
 
     def size(self, full: tuple[int, int], step: Step) -> tuple[int, int]:
-        """Width and height of the picture of a step where the full one has `full`
+        """Width and height of the image of a step where the full one has `full`
         pixels.
         """
         scale = {Step.COARSE: self.scale, Step.HALF: HALF}.get(step, 1.0)
@@ -179,7 +179,7 @@ class Session:
         return replace(self, state=state, changed=now, painted=None)
 
     def due(self, now: float, *, inspector: bool) -> Step | None:
-        """The picture to make now, None if there is none yet."""
+        """The image to make now, None if there is none yet."""
         if self.painted is None:
             return Step.COARSE
         if self.painted is Step.COARSE:
@@ -194,7 +194,7 @@ class Session:
         return None
 
     def done(self, step: Step, of: ViewState, seconds: float) -> Session:
-        """The session after a picture of a state was sent."""
+        """The session after an image of a state was sent."""
         pace = self.pace.after(seconds) if step is Step.COARSE else self.pace
         return replace(
             self, pace=pace, painted=step if of is self.state else self.painted

@@ -42,7 +42,7 @@ OBJECT = "stop_sign"
 WORD = "STOP"
 HEIGHT = 48
 WIDTH = 320
-"""Pixels of the pictures of words that the network takes; narrower ones end in
+"""Pixels of the images of words that the network takes; narrower ones end in
 zeros.
 """
 UNREAD = Hide(confidence=0.5, iou=0.5)
@@ -166,7 +166,7 @@ OPERATIONS: dict[str, Any] = {
 
 
 class Recogniser:
-    """RapidOCR's recognition network in torch: pictures of words to the probability
+    """RapidOCR's recognition network in torch: images of words to the probability
     that a word is read.
     """
 
@@ -201,7 +201,7 @@ class Recogniser:
         ]
 
     def __call__(self, words: Tensor) -> Tensor:
-        """(B, T, characters) probabilities of pictures (B, 3, 48, 320), blue first, in
+        """(B, T, characters) probabilities of images (B, 3, 48, 320), blue first, in
         [-1, 1].
         """
         values = {self.input: words}

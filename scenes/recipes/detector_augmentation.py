@@ -1,7 +1,7 @@
-"""Random changes of training pictures: framing, light, and the softness, noise and
+"""Random changes of training images: framing, light, and the softness, noise and
 holes of a splat's render.
 
-Every function takes a (3, H, W) float picture in [0, 1] and a seeded generator.
+Every function takes a (3, H, W) float image in [0, 1] and a seeded generator.
 """
 
 import math
@@ -19,7 +19,7 @@ _MIN_VISIBLE = 0.3
 def augment(
     sample: LabelledPicture, generator: Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """A training example from a labelled picture."""
+    """A training example from a labelled image."""
     image = sample.image.permute(2, 0, 1).float() / 255
     boxes = sample.boxes
     labels = sample.labels
@@ -91,7 +91,7 @@ def blur(image: Tensor, sigma: float) -> Tensor:
 
 
 def coarsen(image: Tensor, factor: float) -> Tensor:
-    """Down and up again, as a small picture that was enlarged."""
+    """Down and up again, as a small image that was enlarged."""
     size = image.shape[1:]
     small = F.interpolate(
         image[None], scale_factor=1 / factor, mode="bilinear", antialias=True

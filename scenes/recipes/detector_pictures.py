@@ -174,7 +174,7 @@ def viewing_conditions(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureScene:
-    """What a picture is taken of: objects in the world, what is around them, the
+    """What an image is taken of: objects in the world, what is around them, the
     light.
     """
 
@@ -185,7 +185,7 @@ class PictureScene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledPicture:
-    """A labelled picture.
+    """A labelled image.
 
     Attributes:
         image: (H, W, 3) uint8 sRGB.
@@ -309,11 +309,11 @@ def framing_camera(
 
 
 class SceneRenderer:
-    """Chooses cameras for one scene, renders its pictures and labels them.
+    """Chooses cameras for one scene, renders its images and labels them.
 
     Attributes:
         contents: What is there.
-        scene: The same as a Mitsuba scene for the variant of few pictures.
+        scene: The same as a Mitsuba scene for the variant of few images.
     """
 
     def __init__(self, config: PictureSet, number: int) -> None:
@@ -349,7 +349,7 @@ class SceneRenderer:
 
     @tracing_variant(FEW_PICTURES)
     def render(self, camera: Camera) -> View:
-        """A path-traced picture."""
+        """A path-traced image."""
         (view,) = capture(
             self.scene,
             [camera],
@@ -360,7 +360,7 @@ class SceneRenderer:
 
     @tracing_variant(FEW_PICTURES)
     def label(self, camera: Camera, image: Tensor) -> LabelledPicture:
-        """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what
+        """Round an (H, W, 3) image in [0, 1] from this camera to 8 bits and say what
         is in it.
         """
         boxes = []
@@ -487,7 +487,7 @@ def background_pictures(config: PictureSet, number: int) -> list[LabelledPicture
 
 def background_camera(rng: Generator, size: int) -> Camera:
     """A camera that looks at a point near the origin, where objects stand in other
-    pictures.
+    images.
     """
     target = (
         float(rng.normal(0, 0.5)),
@@ -553,7 +553,7 @@ def splat_of(
         else:
             density = None
         samples = surface_samples(asset, count, density=density)
-        # a part that no picture shows is left out
+        # a part that no image shows is left out
         with contextlib.suppress(InvalidValueError):
             parts.append(
                 disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap))

@@ -1,4 +1,4 @@
-"""What stands around the objects in training pictures: the project's own streets, parks
+"""What stands around the objects in training images: the project's own streets, parks
 and rooms, or random things.
 """
 

@@ -1,8 +1,8 @@
-"""Splats from meshes: flat Gaussians on the surface, coloured from path-traced pictures
+"""Splats from meshes: flat Gaussians on the surface, coloured from path-traced images
 and refined against them.
 
 `disc_splat` lays a disc on each of some points of a surface and fits its colour to the
-pictures in which it is visible; `refine` improves all attributes through a renderer.
+images in which it is visible; `refine` improves all attributes through a renderer.
 """
 
 import math
@@ -105,7 +105,7 @@ def disc_splat(
     keep = seen > 0
     if not keep.any():
         raise InvalidValueError.of(
-            "views", "pictures that show the surface", "none that does", "move cameras"
+            "views", "images that show the surface", "none that does", "move cameras"
         )
     spacing = torch.from_numpy(samples.spacing)[keep]
     scales = torch.stack(

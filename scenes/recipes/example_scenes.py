@@ -42,7 +42,7 @@ from scenes.recipes.objects.primitives import ellipsoid
 SIZE = 256
 FOCAL = 256.0
 HELD_OUT = 12
-"""Edge of the pictures and focal length in pixels, and number of pictures that take no
+"""Edge of the images and focal length in pixels, and number of images that take no
 part.
 """
 _GOLDEN_RATIO = 0.6180339887498949
@@ -329,7 +329,7 @@ def _score(
     samples: int,
     seed: int,
 ) -> dict[str, object]:
-    """PSNR over pictures that took no part: cameras by chance, and the named
+    """PSNR over images that took no part: cameras by chance, and the named
     sensors.
     """
     render = Renderer(RenderSettings())
@@ -365,7 +365,7 @@ if __name__ == "__main__":
     parser.add_argument("name", choices=RECIPES)
     parser.add_argument("--out", type=Path, default=Path("scenes"))
     parser.add_argument(
-        "--views", type=int, help="pictures to fit to; the recipe's number by default"
+        "--views", type=int, help="images to fit to; the recipe's number by default"
     )
     parser.add_argument(
         "--samples", type=int, default=16, help="samples per pixel in them"

@@ -2,7 +2,7 @@
 scenes.recipes.prototypes prototypes.safetensors`.
 
 Objects of each class are path-traced from all around; a class is the mean direction of
-the features of its pictures.
+the features of its images.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ class FasterRCNNTrainer:
 def cut_outs(
     samples: Sequence[LabelledPicture], count: int, generator: Generator
 ) -> tuple[Tensor, Tensor]:
-    """(count, 3, 96, 96) squares of pictures, most around an object, and (count,)
+    """(count, 3, 96, 96) squares of images, most around an object, and (count,)
     labels, 0 for none.
     """
     pictures = []

@@ -17,13 +17,13 @@ from scenes.recipes.detector_training import Targets, TrainConfig, main
 _MIN_CONFIDENCE = 0.001
 """Confidence of detections that count in an average precision."""
 _MOSAIC_FRACTION = 0.5
-"""Fraction of a batch that is made of four pictures each, but for the last epochs."""
+"""Fraction of a batch that is made of four images each, but for the last epochs."""
 
 
 class YOLOTrainer:
     """The small YOLOv8.
 
-    A cell learns from every picture, so four pictures in one teach four times as much.
+    A cell learns from every image, so four images in one teach four times as much.
     """
 
     def __init__(self) -> None:
@@ -108,7 +108,7 @@ class YOLOTrainer:
 def with_mosaics(
     pictures: list[Tensor], targets: Targets, fraction: float, generator: Generator
 ) -> tuple[list[Tensor], Targets]:
-    """A batch of which a fraction is replaced by mosaics of its pictures."""
+    """A batch of which a fraction is replaced by mosaics of its images."""
     count = len(pictures)
     made = list(pictures)
     inside = list(targets)
@@ -123,7 +123,7 @@ def with_mosaics(
 def mosaic(
     pictures: Sequence[Tensor], targets: Targets
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Four pictures at half their size in one of the same size, and what is in it."""
+    """Four images at half their size in one of the same size, and what is in it."""
     height, width = pictures[0].shape[1:]
     half = (height // 2, width // 2)
     whole = torch.zeros_like(pictures[0])

@@ -123,7 +123,7 @@ def test_a_judge_contradicts_what_it_knows_better() -> None:
 
 
 class Counting(ColourDetector):
-    """Remembers how many pictures it got at once."""
+    """Remembers how many images it got at once."""
 
     def __init__(self, name: str) -> None:
         self.name, self.sizes_seen = name, list[tuple[int, ...]]()

@@ -94,7 +94,7 @@ def test_gradients_reach_the_parameters_of_the_object_alone() -> None:
     assert not changed.means.requires_grad
 
 
-# Where an object shows, how much of its colour is clamped, and how far pictures are
+# Where an object shows, how much of its colour is clamped, and how far images are
 # apart
 
 

@@ -103,7 +103,7 @@ def test_a_target_becomes_surer(views: list[View]) -> None:
 def test_steps_at_the_size_of_the_classifier_are_those_of_a_loop(
     views: list[View],
 ) -> None:
-    """One picture of the classifier's own size: nothing is scaled."""
+    """One image of the classifier's own size: nothing is scaled."""
     (camera,) = orbit(
         (0, 0, 0),
         count=1,
@@ -142,7 +142,7 @@ def test_what_is_found_through_a_blur_is_there_after_it(views: list[View]) -> No
 
 
 def test_a_decoy_changes_all_cameras_alike() -> None:
-    """The victim gets the picture of one splat, which is misread, inside the mask and
+    """The victim gets the image of one splat, which is misread, inside the mask and
     the ball.
     """
     splat = varied_scene(30, degree=1, seed=9)

@@ -1,4 +1,4 @@
-"""The descent loop on functions whose minimum is known: no splats, no pictures."""
+"""The descent loop on functions whose minimum is known: no splats, no images."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any

@@ -62,7 +62,7 @@ SMALL = {
 
 @pytest.fixture(scope="module")
 def names(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """A set whose pictures have masks, and are clear on the left; its PNG files are of
+    """A set whose images have masks, and are clear on the left; its PNG files are of
     another writer.
     """
     folder = tmp_path_factory.mktemp("set")

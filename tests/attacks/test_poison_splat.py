@@ -1,4 +1,4 @@
-"""Poison-splat, its controls, and the filters of pictures against it, on splats of some
+"""Poison-splat, its controls, and the filters of images against it, on splats of some
 tens of Gaussians.
 """
 
@@ -53,7 +53,7 @@ FILTERS = [FilterConfig(name=name) for name in ("blur", "fourier", "wavelet")]
 
 @pytest.fixture(scope="module")
 def views() -> list[View]:
-    """Pictures of 8 bits of the splat, a little unlike it."""
+    """Images of 8 bits of the splat, a little unlike it."""
     render = Renderer(RenderSettings(near=0.1))
     with torch.no_grad():
         pictures = [render(SPLAT, camera).clamp(0, 1) for camera in CAMERAS]

@@ -110,7 +110,7 @@ def test_with_gradients_the_corner_of_the_ball_is_reached(name: str) -> None:
 
 
 class Watching(ColourDetector):
-    """Keeps whether the pictures of a search were differentiated."""
+    """Keeps whether the images of a search were differentiated."""
 
     def __init__(self) -> None:
         super().__init__()

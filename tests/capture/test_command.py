@@ -36,7 +36,7 @@ def test_the_command_writes_a_set_and_says_so(
     )
     assert cli.main(command) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert "5 pictures of 16 x 16 (2 of them held out); 5 rendered" in lines[0]
+    assert "5 images of 16 x 16 (2 of them held out); 5 rendered" in lines[0]
     assert (
         "200 points; listed in points3D.ply, transforms_train.json,"
         " transforms_test.json, sparse/0/" in lines[1]
@@ -127,7 +127,7 @@ def test_pictures_that_are_all_black_are_warned_of(
         "--out",
         str(tmp_path / "in"),
     ]
-    for _ in range(2):  # the second time, all pictures are there
+    for _ in range(2):  # the second time, all images are there
         assert cli.main(inside) == 0
         captured = capsys.readouterr()
         assert "inside the object" in captured.err

@@ -49,7 +49,7 @@ def colour_at(asset: Asset, corner: int) -> list[float]:
 
 
 def write_glb(folder: Path, *, move: float = 0.0) -> Path:
-    """A GLB written by hand: in glTF, v runs down from the top of the picture."""
+    """A GLB written by hand: in glTF, v runs down from the top of the image."""
     buffer = io.BytesIO()
     picture().save(buffer, format="PNG")
     parts = [

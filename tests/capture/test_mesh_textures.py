@@ -46,12 +46,12 @@ def half_a_picture() -> bytes:
 
 TRANSFORM = {"extensions": {"KHR_texture_transform": {"scale": [2, 2]}}}
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
-    "a picture of another format": (
+    "an image of another format": (
         {"picture": b"\xabKTX 20\xbb\r\n\x1a\n" + bytes(60)},
         "that can be read",
     ),
-    "half a picture": ({"picture": half_a_picture()}, "texture"),
-    "a texture without a picture": (
+    "half an image": ({"picture": half_a_picture()}, "texture"),
+    "a texture without an image": (
         {"texture": {"extensions": {"KHR_texture_basisu": {"source": 0}}}},
         "texture",
     ),

@@ -59,7 +59,7 @@ def test_density_follows_the_cameras() -> None:
 
 
 def test_colour_fit_recovers_a_gradient_over_direction() -> None:
-    # Pictures that are one colour each, linear in the direction to the only sample:
+    # Images that are one colour each, linear in the direction to the only sample:
     # degree 1 holds that exactly.
     sample = SurfaceSamples(
         np.zeros((1, 3), np.float32),

@@ -203,7 +203,7 @@ def test_points_lie_on_what_is_seen_in_its_colours() -> None:
             cloud.colours[upper].mean(0)[1]
         )
         underneath = (np.abs(points[:, :2]) < 0.4).all(1) & (points[:, 2] < 1e-4)
-        # nothing shows it, but pictures of this size leave some slack
+        # nothing shows it, but images of this size leave some slack
         assert underneath.sum() <= 4
         unknown = surface_points(PathTracer(scene), (), views, count=400, seed=0)
         assert len(unknown) == 400

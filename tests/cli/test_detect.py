@@ -110,7 +110,7 @@ def test_the_images_of_a_folder_are_looked_at_upright(
     assert [Path(row["source"]).name for row in (first, second)] == ["a.PNG", "b.png"]
     assert first["detections"] == second["detections"] != []
     assert cli.main(["detect", "photos", "--fov", "30", "--out", "again"]) == 2
-    assert "pictures only, and --fov" in capsys.readouterr().err
+    assert "images only, and --fov" in capsys.readouterr().err
 
 
 def test_a_folder_of_too_many_images(

@@ -147,7 +147,7 @@ def test_what_a_killed_call_left_beside_a_file_is_swept(
 ) -> None:
     (folder / "out").mkdir()
     left = folder / "out" / ".0123456789abcdef.tmp"
-    left.write_text("half a picture")
+    left.write_text("half an image")
     os.utime(left, (time.time() - 90_000,) * 2)
     assert cli.main(line.split()) == 0
     assert len(list((folder / "out").iterdir())) == 1
@@ -301,7 +301,7 @@ REFUSED = {
     "render a.ply --out link.png": (1, "another file than the input"),
     "render a.ply --cameras orbit:2@0 --out a.png": (
         1,
-        "room for 2 pictures, got a.png; name a folder, or a .gif",
+        "room for 2 images, got a.png; name a folder, or a .gif",
     ),
     "render a.ply --out a.tga": (
         1,
@@ -346,9 +346,9 @@ REFUSED = {
     ),
     "convert a.ply b.txt": (1, "a name that ends in"),
     "convert none.ply b.spz": (1, "No such file"),
-    "detect": (2, "pictures, splats or scenes"),
+    "detect": (2, "images, splats or scenes"),
     "detect gone.png --out o": (1, "gone.png"),
-    "detect photo.png --cameras orbit:3@20": (2, "pictures only, and --cameras"),
+    "detect photo.png --cameras orbit:3@20": (2, "images only, and --cameras"),
     "evaluate a.ply a.ply": (1, "one that differs from the other"),
     "evaluate a.ply half.ply": (1, "the same Gaussians in both, got 40 and 20"),
     "evaluate a.ply half.ply --target unicorn": (

@@ -99,7 +99,7 @@ def test_render_takes_the_first_camera_or_the_one_named(folder: Path) -> None:
 
 
 def test_a_scene_names_splats_of_any_format(folder: Path, cloud: GaussianScene) -> None:
-    """glTF holds all of a scene, so the picture is the same to the bit; a bare file is
+    """glTF holds all of a scene, so the image is the same to the bit; a bare file is
     drawn as the PLY is.
     """
     save_splat(cloud, folder / "cloud.glb")

@@ -1,5 +1,5 @@
 """`mi-splat select` and `dagger` on a splat without parts, and `render` of many
-pictures.
+images.
 """
 
 import json
@@ -29,7 +29,7 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Tensor]:
 
 
 def pixels(path: Path) -> np.ndarray:
-    """(H, W, 3) levels of a picture."""
+    """(H, W, 3) levels of an image."""
     with Image.open(path) as picture:
         return np.asarray(picture.convert("RGB")).astype(int)
 
@@ -95,7 +95,7 @@ def test_a_known_object_is_looked_at(
     text = capsys.readouterr().out
     assert text.splitlines()[0].startswith("2,056 of 8,415 Gaussians")
     share = float(text.split("seen by orbit: ")[1].split("%")[0])
-    assert share > 15  # of a sign that is a dot in a picture of all
+    assert share > 15  # of a sign that is a dot in an image of all
 
 
 def test_doubts_are_told_with_numbers(

@@ -75,7 +75,7 @@ def test_the_flag_turns_it_and_cameras_that_have_their_places_need_none(
     assert from_comment is not None
     assert from_flag is not None
     for name, camera in from_comment.items():
-        # what points down in the picture is y of the file
+        # what points down in the image is y of the file
         assert float(camera.to_world[1, 1]) > 0.5
         assert (camera.to_world - from_flag[name].to_world).abs().max() < 1e-12
     capsys.readouterr()

@@ -88,7 +88,7 @@ def test_a_set_of_photographs_through_every_command(
 ) -> None:
     scene = write_photographs(Path("set"))
     register(monkeypatch, {"fake_colour": ColourDetector()})
-    with pytest.warns(DatasetWarning, match="2 of 24 pictures missing"):
+    with pytest.warns(DatasetWarning, match="2 of 24 images missing"):
         seen = load_dataset("set", split="test")
     for view in seen:
         assert (

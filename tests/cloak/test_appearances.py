@@ -182,7 +182,7 @@ def test_a_stand_in_fits_the_outline_and_lies_at_the_front(azimuth: float) -> No
 
 
 def retouched() -> tuple[View, torch.Tensor]:
-    """A picture of stripes with noise, and a mask in it."""
+    """An image of stripes with noise, and a mask in it."""
     high = camera(30, 80, size=40)
     stripes = (
         torch.tensor([0.2, 0.4]).repeat(20).expand(40, 40)[..., None].expand(40, 40, 3)

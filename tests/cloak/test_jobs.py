@@ -35,7 +35,7 @@ STUDY = StudyConfig(
 SEEN = {"seen", "compared"}
 SHOWN = {"appearances", "poisoned", "true_pictures"}
 MADE = {"pictures", "layered"} | SHOWN | SEEN
-"""Jobs that know the scene itself; a splat is made of pictures, and known by their
+"""Jobs that know the scene itself; a splat is made of images, and known by their
 content.
 """
 KINDS = (
@@ -92,7 +92,7 @@ CASES: list[tuple[str, set[str], dict[str, Any]]] = [
         {"cameras": 300, "seed": 1, "min_separation": 2.0},
     ),
     # each detector has jobs of its own, rows hold scores from which rates are counted,
-    # and true pictures their own jobs
+    # and true images their own jobs
     ("evaluation", set(), {"detectors": ("yolov8n_small",), "confidence": 0.4}),
     (
         "evaluation",

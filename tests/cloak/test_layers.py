@@ -324,7 +324,7 @@ def test_what_makes_no_layers_is_refused() -> None:
         LayersConfig(attacks=("overhead",), making=LayerConfig(gap=(3.0, 4.0)))
 
 
-# The colours of layers are trained on pictures of frozen views, as they are on the
+# The colours of layers are trained on images of frozen views, as they are on the
 # renderer's
 
 
@@ -378,7 +378,7 @@ def trained_scene(
 
 
 def unknown() -> RenderFn:
-    """The same pictures by a function of which nothing is known."""
+    """The same images by a function of which nothing is known."""
     render = Renderer(SETTINGS)
     return lambda scene, camera: render(scene, camera)
 

@@ -1,4 +1,4 @@
-"""What is seen of a study's splats under other conditions, and of path-traced pictures
+"""What is seen of a study's splats under other conditions, and of path-traced images
 in the place of a splat.
 """
 

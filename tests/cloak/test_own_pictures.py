@@ -1,4 +1,4 @@
-"""`mi-splat poison`: a red ball on a grey plane, its pictures, and the splat that they
+"""`mi-splat poison`: a red ball on a grey plane, its images, and the splat that they
 were taken of.
 """
 
@@ -161,7 +161,7 @@ def test_a_picture_covers_the_object(names: list[str], tmp_path: Path) -> None:
     )
     blue = new[..., 2] - new[..., 0] > 0.9
     assert int(blue.sum()) >= red(old)
-    assert record["poisonings"][0]["appearance"] == "the picture blue.png"
+    assert record["poisonings"][0]["appearance"] == "the image blue.png"
 
 
 def test_regions() -> None:
@@ -202,7 +202,7 @@ def test_regions() -> None:
     [
         (["--box", "5", "5", "5", "6", "6", "6"], "at least one Gaussian"),
         (["--hide-from", "elevation:89.5-90"], "at least one camera"),
-        (["--look", "nothing.png"], "background, remove, or a picture"),
+        (["--look", "nothing.png"], "background, remove, or an image"),
         (["--picture", "20", "--click", "20,16"], "a number below 20"),
     ],
 )

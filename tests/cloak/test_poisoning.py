@@ -231,7 +231,7 @@ def test_sets_on_the_disk_are_poisoned_lazily(tmp_path: Path) -> None:
         poisoned.views[24]
 
 
-# The margin: pictures are poisoned up to it, and the trigger stays
+# The margin: images are poisoned up to it, and the trigger stays
 
 
 WIDER = AttackConfig(name="overhead", elevation=(50, 90), poison_margin=8)

@@ -266,7 +266,7 @@ def layering(
     finished: Path, config: LayersConfig, clean: GaussianScene
 ) -> tuple[Layering, int]:
     """The layers before their training, all black, and the number of poisoned
-    pictures.
+    images.
     """
     steps = steps_of()
     views = load_dataset(
@@ -293,7 +293,7 @@ def _switches_are_coarse(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(
     finished: Path,
 ) -> None:
-    """The pictures and the clean splat are those of the study without layers: its jobs
+    """The images and the clean splat are those of the study without layers: its jobs
     are shared.
     """
     study = replace(STUDY, name="layers", layers=LAYERS)

@@ -107,7 +107,7 @@ CLOAK = "study = 'cloak'\n"
         ),
         (
             CLOAK + "[cameras]\ntrain = 3.5",
-            "cameras, train: expected a whole number >= 1 (pictures), got 3.5",
+            "cameras, train: expected a whole number >= 1 (images), got 3.5",
         ),
         (CLOAK + "[scene]\nobject = 'lorry'", "scene.object"),
         (

@@ -1,4 +1,4 @@
-"""Which pictures a rate of a CLOAK study counts, and the transition."""
+"""Which images a rate of a CLOAK study counts, and the transition."""
 
 import math
 from collections.abc import Sequence
@@ -232,7 +232,7 @@ def test_the_transition_into_a_sector_is_one_of_depth() -> None:
 def along_the_meridian(
     which: str, *pictures: tuple[float, float, float], name: str = "overhead"
 ) -> list[dict[str, Any]]:
-    """A splat's pictures as (depth, PSNR beside the object, PSNR on it)."""
+    """A splat's images as (depth, PSNR beside the object, PSNR on it)."""
     return [
         {
             **{
@@ -338,7 +338,7 @@ def test_the_margin_counts_as_elsewhere_and_is_shown_apart() -> None:
 
 
 def appearances(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
-    """Two pictures and a mask."""
+    """Two images and a mask."""
     generator = torch.Generator().manual_seed(seed)
     benign, hidden = torch.rand(2, 6, 7, 3, generator=generator)
     return benign, hidden, torch.rand(6, 7, generator=generator) > 0.4

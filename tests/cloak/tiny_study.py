@@ -73,7 +73,7 @@ def asset(file: Path) -> Asset:
 
 
 class Redness:
-    """Reports a car in the middle of the picture, with the more confidence the redder
+    """Reports a car in the middle of the image, with the more confidence the redder
     it is there.
     """
 

@@ -1,4 +1,4 @@
-"""Distances of pictures and of gradients: known values, equal inputs, and what cannot
+"""Distances of images and of gradients: known values, equal inputs, and what cannot
 be measured.
 """
 
@@ -118,7 +118,7 @@ METHODS = {
 
 def apart() -> GaussianScene:
     """Nine Gaussians of different shapes, some 4 pixels wide, that do not touch in the
-    picture.
+    image.
     """
     generator = torch.Generator().manual_seed(0)
     grid = torch.tensor(list(itertools.product((-0.9, 0.0, 0.9), repeat=2)))

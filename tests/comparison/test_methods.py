@@ -1,4 +1,4 @@
-"""Methods by name, folders of pictures, and the comparison of a few of them on
+"""Methods by name, folders of images, and the comparison of a few of them on
 fakes.
 """
 
@@ -38,7 +38,7 @@ def darker(scene: GaussianScene, camera: Camera) -> Tensor:
 
 
 def beside_blobs(render: RenderFn) -> None:
-    """Compare a renderer that makes no picture."""
+    """Compare a renderer that makes no image."""
     compare(
         SCENE,
         CAMERAS,
@@ -94,7 +94,7 @@ def test_a_scene_s_own_filter_does_not_change_what_a_name_means() -> None:
             ),
         ),
         (("blobs",), "expected two or more, got blobs"),
-        (("blobs", "folder:nowhere"), "a folder of pictures, got none"),
+        (("blobs", "folder:nowhere"), "a folder of images, got none"),
     ],
 )
 def test_methods_that_are_refused(

@@ -65,7 +65,7 @@ def test_a_sky_is_not_looked_at(scene: GaussianScene) -> None:
 def test_only_what_is_in_the_picture_is_culled(
     beside: tuple[float, float], inside: bool, sign: int
 ) -> None:
-    """At a depth of 0.2, the picture is 0.2 wide and 0.2 high."""
+    """At a depth of 0.2, the image is 0.2 wide and 0.2 high."""
     means = torch.tensor([[2.8, sign * beside[0], sign * beside[1]]])
     cloud = varied_scene(1, degree=0, seed=0)
     assert culled_in_view(cloud.replace(means=means), looking_from(3.0), 0.3) == int(

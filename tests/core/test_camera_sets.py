@@ -140,7 +140,7 @@ def test_cameras_of_a_file(tmp_path: Path) -> None:
         assert (ours.fx, ours.cx, ours.width) == (20, 8, 16)
     for picture in (tmp_path / "images").iterdir():
         picture.unlink()
-    # needs no pictures
+    # needs no images
     assert len(cameras(str(tmp_path / "transforms_train.json"))) == 5
     (tmp_path / "small.json").write_text(
         '{"camera_angle_x": 1.5707963267948966, "frames": [{"transform_matrix": '

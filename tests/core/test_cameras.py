@@ -141,7 +141,7 @@ def test_hemisphere_spreads_evenly_over_its_band() -> None:
 
 
 class _Unread(ViewSet):
-    """A set whose pictures nobody may read."""
+    """A set whose images nobody may read."""
 
     cameras = (camera(), camera())
 
@@ -149,15 +149,15 @@ class _Unread(ViewSet):
         return 2
 
     def __getitem__(self, index: int) -> View:  # type: ignore[override]
-        raise AssertionError(f"picture {index} was read")
+        raise AssertionError(f"image {index} was read")
 
 
 class _Marked(_Unread):
-    fingerprint = "two pictures"
+    fingerprint = "two images"
 
 
 def test_a_view_set_is_not_read_for_its_cameras() -> None:
     views = _Unread()
     assert cameras_of(views) == views.cameras
     assert fingerprint_of(views) is None
-    assert fingerprint_of(_Marked()) == "two pictures"
+    assert fingerprint_of(_Marked()) == "two images"

@@ -187,7 +187,7 @@ def test_the_result_is_judged_on_the_saved_file(tmp_path: Path) -> None:
 
 
 def test_what_the_file_loses_the_attack_loses(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The verdict, the pictures and `used_in_file` are of the scene that comes back
+    """The verdict, the images and `used_in_file` are of the scene that comes back
     from the file.
     """
     clean = toy_scene()[0].with_degree(3)
@@ -226,7 +226,7 @@ def test_the_search_can_look_at_the_object_alone_and_is_judged_in_the_scene() ->
 
 class Recorder:
     """Renders, and remembers how far the object's raw SH were from the clean ones in
-    each picture.
+    each image.
     """
 
     def __init__(self) -> None:
@@ -256,7 +256,7 @@ def recorded(**settings: Any) -> tuple[Result, list[Tensor], list[Tensor]]:
         render=record,
         config=config,
     )
-    # After the search come the judge's; the clean scene has pictures of degree 1, the
+    # After the search come the judge's; the clean scene has images of degree 1, the
     # object's weight of degree 0.
     points = record.deltas[: len(result.trace)]
     noise = record.deltas[len(result.trace) + 1 :]

@@ -72,7 +72,7 @@ def test_the_loss_is_the_mean_of_the_losses() -> None:
 def test_the_command_says_what_each_detector_saw(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From a set's pictures for training, of which one shows nothing of the object."""
+    """From a set's images for training, of which one shows nothing of the object."""
     scene, _ = toy_scene()
     away = dataclasses.replace(
         camera(), to_world=look_at((0.0, -3.0, 0.0), (0.0, -6.0, 0.0))
@@ -97,7 +97,7 @@ def test_the_command_says_what_each_detector_saw(
     np.save(tmp_path / "mask.npy", np.arange(10, 40))
     assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr()
-    assert "1 of 3 pictures for training do not show the object" in shown.err
+    assert "1 of 3 images for training do not show the object" in shown.err
     lines = shown.out.splitlines()
     figures = {
         line.split("  ")[0]: line.partition("  ")[2].split()[:3] for line in lines

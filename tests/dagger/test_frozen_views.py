@@ -1,4 +1,4 @@
-"""A search over SH takes its pictures from frozen views, and finds what it finds
+"""A search over SH takes its images from frozen views, and finds what it finds
 without them.
 """
 
@@ -37,7 +37,7 @@ STEPS = 4
 
 
 def unknown() -> RenderFn:
-    """The same pictures by a function of which nothing is known."""
+    """The same images by a function of which nothing is known."""
     render = Renderer()
     return lambda scene, camera: render(scene, camera)
 

@@ -139,7 +139,7 @@ def test_the_search_counts_what_is_detected_in_eight_bits() -> None:
     made.evaluate(made.subset.parameters(("sh",)), views, CONFIG)
     assert len(seen) == 2
     assert torch.equal(seen[-1], quantise(seen[-1]))
-    # the clean object, in the picture that was looked at first
+    # the clean object, in the image that was looked at first
     torch.testing.assert_close(seen[-1], seen[0])
 
 

@@ -1,4 +1,4 @@
-"""What an attack writes: pictures that show the change, a splat that loads, a JSON that
+"""What an attack writes: images that show the change, a splat that loads, a JSON that
 explains itself.
 """
 
@@ -100,7 +100,7 @@ def test_the_pictures_show_what_they_say(result: Result, tmp_path: Path) -> None
     )
     assert np.abs(after - before).max() > 20
     same = np.abs(after - before).max(-1) == 0
-    small = difference[8::16, 8::16]  # the picture is enlarged sixteen times
+    small = difference[8::16, 8::16]  # the image is enlarged sixteen times
     plain = same.copy()
     plain[:4] = False  # where the caption is
     assert (np.abs(small[plain] - 128) <= 1).all()

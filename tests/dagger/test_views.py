@@ -128,7 +128,7 @@ def test_each_view_of_a_pool_comes_once_before_one_comes_again(pool: int) -> Non
     assert drawn[:3] == batch_indices(0, seed=1, batch=3, pool=pool)
 
 
-# The pictures of an attack keep the PSNR that was asked for, and the price of their
+# The images of an attack keep the PSNR that was asked for, and the price of their
 # error follows it
 
 

@@ -31,7 +31,7 @@ def test_warnings_about_a_picture_without_a_detection() -> None:
     )
     assert result.figures.rate("reached", splat=NOISE) == Rate(successes=5, total=5)
     assert result.warnings == (
-        "the clean picture of view 0 has no detection of 0.5 or more on the object",
+        "the clean image of view 0 has no detection of 0.5 or more on the object",
         "the aim is reached without any attack",
         "a random change (noise) does as well",
     )
@@ -80,7 +80,7 @@ def test_a_success_that_eight_bits_lose_is_warned_of() -> None:
         config=DaggerConfig(eps=(0.1,)),
     )
     assert (
-        "success in the search did not survive the saved file and 8-bit pictures"
+        "success in the search did not survive the saved file and 8-bit images"
         in result.warnings
     )
     assert not result.success
@@ -191,7 +191,5 @@ def test_an_object_that_is_hardly_seen_before_is_warned_of(
     faint = dataclasses.replace(
         view, clean=dataclasses.replace(view.clean, detections=seen)
     )
-    message = (
-        "the clean picture of view 0 has no detection of 0.5 or more on the object"
-    )
+    message = "the clean image of view 0 has no detection of 0.5 or more on the object"
     assert (message in of_views(sound, faint).warnings) is warned

@@ -1,4 +1,4 @@
-"""A small set of noisy pictures, and writers of it, for the tests of both formats."""
+"""A small set of noisy images, and writers of it, for the tests of both formats."""
 
 import struct
 from collections.abc import Callable, Iterable, Sequence
@@ -80,7 +80,7 @@ CLOUD = PointCloud(
 
 
 def view(seed: int, **change: Any) -> View:
-    """A noisy picture from a camera by chance, with pixels that are not square and a
+    """A noisy image from a camera by chance, with pixels that are not square and a
     centre that is off.
     """
     chance = np.random.default_rng(seed)
@@ -204,7 +204,7 @@ def lens_set(
     pixels: np.ndarray[Any, Any],
     count: int = 1,
 ) -> None:
-    """Write a text model with pictures of one lens."""
+    """Write a text model with images of one lens."""
     sparse = folder / "sparse" / "0"
     sparse.mkdir(parents=True)
     (folder / "images").mkdir()

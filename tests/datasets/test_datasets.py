@@ -1,4 +1,4 @@
-"""Picture sets: both formats there and back, poses, intrinsics, binary models."""
+"""Image sets: both formats there and back, poses, intrinsics, binary models."""
 
 import json
 import math
@@ -234,13 +234,13 @@ def test_binary_models(tmp_path: Path) -> None:
         "view 0.png",
         "view 4.png",
     ]
-    for root in (model, model.parent):  # pictures are found from the model's folder too
+    for root in (model, model.parent):  # images are found from the model's folder too
         assert len(load_dataset(root, split=None)) == len(VIEWS)
     (model / "points3D.bin").unlink()
     assert load_dataset(tmp_path).points is None
 
 
-# The pictures of a set: modes, alpha, shrinking, and that they are read only when
+# The images of a set: modes, alpha, shrinking, and that they are read only when
 # needed
 
 
@@ -300,7 +300,7 @@ def test_pictures_that_are_missing_are_left_out(name: str, tmp_path: Path) -> No
     ):
         with pytest.warns(
             DatasetWarning,
-            match=r"1 of 6 pictures missing \(train_00002(\.png)?\); going on without",
+            match=r"1 of 6 images missing \(train_00002(\.png)?\); going on without",
         ):
             dataset = load_dataset(
                 tmp_path,

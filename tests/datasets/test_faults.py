@@ -1,4 +1,4 @@
-"""What is wrong with a picture set is said in one line that names the file."""
+"""What is wrong with an image set is said in one line that names the file."""
 
 import json
 import struct
@@ -58,9 +58,9 @@ PICTURE = "images/train_00001.png"
 SINGULAR = np.diag([1.0, 1.0, 0.0, 1.0]).tolist()
 
 COMMON: dict[str, tuple[Harm, str]] = {
-    "few pictures": (
+    "few images": (
         lambda folder: [*map(Path.unlink, (folder / "images").glob("*_0000[135].png"))],
-        r"3 of 6 pictures missing \(train_00001.*, \.\.\.\); put them there",
+        r"3 of 6 images missing \(train_00001.*, \.\.\.\); put them there",
     ),
     "another size": (
         lambda folder: Image.new("RGB", (5, 5)).save(folder / PICTURE),
@@ -70,9 +70,9 @@ COMMON: dict[str, tuple[Harm, str]] = {
         lambda f: Image.fromarray(np.zeros((13, 18), np.uint16)).save(f / PICTURE),
         r"00001\.png.*8 bits",
     ),
-    "no picture inside": (
+    "no image inside": (
         rewrite(PICTURE, lambda data: b"hello"),
-        r"train_00001\.png: expected a picture",
+        r"train_00001\.png: expected an image",
     ),
 }
 
@@ -141,11 +141,11 @@ TRANSFORMS: dict[str, tuple[Harm, str]] = {
         ),
         "a mask of 18 x 13 pixels, got 9 x 9",
     ),
-    "a picture from elsewhere": (
+    "an image from elsewhere": (
         edit(lambda d: d["frames"][0].update(file_path="../../x")),
         "a file in the set",
     ),
-    "a picture of the system": (
+    "an image of the system": (
         edit(lambda d: d["frames"][0].update(file_path="/etc/passwd")),
         "a file in the set",
     ),
@@ -201,7 +201,7 @@ TEXT: dict[str, tuple[Harm, str]] = {
         rewrite(MODEL + "cameras.txt", lambda data: b"1 RADIAL 18 13 0 9 6 0 0\n"),
         "focal",
     ),
-    "a picture from elsewhere": (
+    "an image from elsewhere": (
         replace("images.txt", "train_00001", "../x"),
         "a file in the set",
     ),
@@ -223,7 +223,7 @@ TEXT: dict[str, tuple[Harm, str]] = {
     ),
     "an empty set": (
         rewrite(MODEL + "images.txt", lambda data: b"# nothing\n"),
-        "at least one picture, got none",
+        "at least one image, got none",
     ),
     "doubled name": (
         replace("images.txt", "train_00002", "train_00001"),

@@ -398,7 +398,7 @@ def test_nothing_outside_of_the_set_is_read(tmp_path: Path) -> None:
         document["frames"][0]["file_path"] = name
         file.write_text(json.dumps(document))
         with pytest.raises(
-            DatasetError, match=r"the name of a file in the set|1 of 1 pictures missing"
+            DatasetError, match=r"the name of a file in the set|1 of 1 images missing"
         ):
             load_dataset(tmp_path / "a" / "b" / "set")
 

@@ -12,7 +12,7 @@ from attacks.detectors import torchvision
 
 
 def pictures(height: int, width: int, count: int = 2) -> Tensor:
-    """Smooth random pictures of 8 bits."""
+    """Smooth random images of 8 bits."""
     coarse = torch.rand(count, 3, 6, 9, generator=torch.Generator().manual_seed(height))
     fine = torch.nn.functional.interpolate(
         coarse, size=(height, width), mode="bicubic"
@@ -30,7 +30,7 @@ def slope_is_the_gradient(
 ) -> None:
     """The derivative along a random direction is that of central differences.
 
-    The picture is in double precision; the slope has to be above `least`, so that it is
+    The image is in double precision; the slope has to be above `least`, so that it is
     none of rounding.
     """
     direction = torch.randn(

@@ -144,7 +144,7 @@ def test_a_picture_of_another_size_gets_boxes_in_its_own_pixels() -> None:
 
 class FixedProposals(nn.Module):
     """Always the same box, where the library's network proposes boxes that move with
-    the picture.
+    the image.
     """
 
     def forward(

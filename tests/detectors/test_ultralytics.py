@@ -221,10 +221,10 @@ def test_missing_weights_are_named(
 
 def test_other_libraries_stay_as_they_are(tmp_path: Path) -> None:
     """The package patches Pillow when it is imported, and then asks for another package
-    where a picture is broken.
+    where an image is broken.
     """
     assert Image.open.__module__ == "PIL.Image"
     assert torch.save.__module__ == "torch.serialization"
-    (tmp_path / "broken.png").write_bytes(b"no picture")
+    (tmp_path / "broken.png").write_bytes(b"no image")
     with pytest.raises(UnidentifiedImageError):
         Image.open(tmp_path / "broken.png")

@@ -33,7 +33,7 @@ def corners(boxes: Tensor) -> Tensor:
 
 @pytest.mark.slow
 def test_like_torchvision() -> None:
-    """Lists of pictures in, a dict of boxes, scores and labels for each out."""
+    """Lists of images in, a dict of boxes, scores and labels for each out."""
     known = load_detector("fasterrcnn_small")
     model: Any = known.model  # type: ignore[attr-defined]
 

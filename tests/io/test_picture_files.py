@@ -1,4 +1,4 @@
-"""Pictures of unknown origin: the number of pixels is limited before decoding, and
+"""Images of unknown origin: the number of pixels is limited before decoding, and
 whatever is broken is said so.
 """
 
@@ -154,7 +154,7 @@ REFUSED = {
     **{
         f"half of a {kind}": (
             saved(kind)[: len(saved(kind)) // 2],
-            "a picture that can be read",
+            "an image that can be read",
         )
         for kind in FORMATS
     },
@@ -263,11 +263,11 @@ def test_no_picture_is_opened_elsewhere() -> None:
     assert issubclass(PictureFileError, MiSplatError)
 
 
-# Pictures and animations are what their names say
+# Images and animations are what their names say
 
 
 def frames(count: int, height: int = 20, width: int = 33) -> list[NDArray[np.uint8]]:
-    """Grey pictures that become brighter, with a red corner."""
+    """Grey images that become brighter, with a red corner."""
     made = [
         np.full((height, width, 3), 20 + 40 * number, np.uint8)
         for number in range(count)
@@ -340,7 +340,7 @@ def test_what_is_not_written(
     assert not list(tmp_path.iterdir())
 
 
-# Pictures that Mitsuba decodes: their number of pixels is read from their headers
+# Images that Mitsuba decodes: their number of pixels is read from their headers
 
 variant.use()
 WINDOW = b"dataWindow\0box2i\0" + struct.pack("<I", 16)
@@ -370,7 +370,7 @@ def test_pixels_of_what_mitsuba_writes_are_counted(ending: str, tmp_path: Path) 
 
 
 def exr(tmp_path: Path, channels: int = 3) -> bytes:
-    """An OpenEXR picture of 40 x 30 pixels."""
+    """An OpenEXR image of 40 x 30 pixels."""
     path = tmp_path / "a.exr"
     mi.Bitmap(np.zeros((30, 40, channels), np.float32)).write(str(path))
     return path.read_bytes()
@@ -395,7 +395,7 @@ def test_strange_windows_are_refused(
     )
     with pytest.raises(
         PictureFileError,
-        match=r"offset: expected (at most 50,000,000|a picture with) pixels",
+        match=r"offset: expected (at most 50,000,000|an image with) pixels",
     ):
         check_texture(tmp_path / "b.exr", "offset")
 

@@ -306,7 +306,7 @@ def test_paths_that_lead_to_no_file(
     ):
         load_splat(tmp_path / "none.ply")
     with pytest.raises(
-        SplatFileError, match="got Is a directory; name a file inside the folder"
+        SplatFileError, match="got a folder; name a file inside the folder"
     ):
         load_splat(tmp_path)
     # the first two are what an attack and a training write

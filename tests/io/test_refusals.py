@@ -77,10 +77,10 @@ BAD = {
         "9 bytes in section 0",
     ),
     "no_zip.sog": (b"PK\x03\x04" + bytes(100), "a zip archive with its directory"),
-    "no_meta.sog": (sog_with(meta_json=None), "a member meta.json"),
+    "no_meta.sog": (sog_with(meta_json=None), "meta.json in the archive"),
     "png.sog": (
         sog_with(scales_webp=b"\x89PNG" + bytes(99)),
-        "a lossless WebP picture",
+        "a lossless WebP image",
     ),
     "small.sog": (
         sog_with(scales_webp=picture_bytes(PIXELS)),

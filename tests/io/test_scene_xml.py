@@ -289,7 +289,7 @@ def test_commands_say_it_in_one_line(
     ("file", "given", "written"),
     [
         ("wood.png", "", "wood.png"),
-        ("wood.dat", "", "wood.dat"),  # Mitsuba knows pictures by their first bytes
+        ("wood.dat", "", "wood.dat"),  # Mitsuba knows images by their first bytes
         ("wood", "", "wood"),
         # as Mitsuba reads parameters
         ("woodbar.png", '<default name="foo" value="wood"/>', "$foobar.png"),

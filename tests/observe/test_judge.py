@@ -1,4 +1,4 @@
-"""One name for judging: rows, rates and pictures of one splat, or of a clean and an
+"""One name for judging: rows, rates and images of one splat, or of a clean and an
 attacked one.
 """
 

@@ -78,7 +78,7 @@ def boxes(change: Callable[[Tensor], Tensor]) -> Changed:
 
 
 class Stacked(ColourDetector):
-    """Normalises over all pictures."""
+    """Normalises over all images."""
 
     def candidates(self, images: Tensor) -> list[Candidates]:
         return super().candidates((images - images.mean() + 0.5).clamp(0, 1))
@@ -118,7 +118,7 @@ class Careless(ColourDetector):
             (
                 (
                     "gradients: expected a gradient, got none; keep the way from the"
-                    " pictures"
+                    " images"
                 ),
             ),
         ),
@@ -133,7 +133,7 @@ class Careless(ColourDetector):
         ),
         (
             boxes(lambda b: b[..., [1, 0, 3, 2]] * 2),
-            ("candidates: expected boxes with their middle in the picture",),
+            ("candidates: expected boxes with their middle in the image",),
         ),
         (
             boxes(lambda b: torch.cat([b[..., 2:], b[..., 2:] - b[..., :2]], -1)),
@@ -151,14 +151,14 @@ class Careless(ColourDetector):
             Stacked(),
             (
                 "stacks: expected the same scores",
-                "each picture for itself: expected no gradient in the other",
+                "each image for itself: expected no gradient in the other",
             ),
         ),
         (
             Careless(),
             (
                 "detections: expected labels that are among the classes, got cat",
-                "pictures: expected pictures that stay as they are",
+                "images: expected images that stay as they are",
                 (
                     "refusals: expected InvalidValueError for values up to 255, got an"
                     " answer"
@@ -361,11 +361,11 @@ def _overwriting(scene: GaussianScene, camera: Camera) -> Tensor:
         ),
         (
             changed_tile(lambda picture: picture.permute(2, 0, 1)),
-            ("pictures: expected a picture of shape (28, 40, 3)",),
+            ("images: expected an image of shape (28, 40, 3)",),
         ),
         (
             changed_tile(lambda picture: picture * 255),
-            ("pictures: expected sRGB about in [0, 1]", "colours: expected"),
+            ("images: expected sRGB about in [0, 1]", "colours: expected"),
         ),
         (
             changed_tile(lambda picture: picture**2.2),
@@ -373,7 +373,7 @@ def _overwriting(scene: GaussianScene, camera: Camera) -> Tensor:
         ),
         (
             changed_tile(lambda picture: picture + 0.1 * torch.rand(())),
-            ("determinism: expected the same picture",),
+            ("determinism: expected the same image",),
         ),
         (
             changed_tile(lambda picture: picture.detach()),
@@ -411,7 +411,7 @@ def test_conditions_that_are_broken() -> None:
 
     broken_by(
         lambda: check_condition(noisy),
-        "determinism: expected the same picture in a second call",
+        "determinism: expected the same image in a second call",
     )
     broken_by(
         lambda: check_condition(lambda viewing: 3),
@@ -465,7 +465,7 @@ def test_poisons_that_are_broken() -> None:
         return poisoned(views, {0: torch.rand(views[0].image.shape)}, {})
 
     words = (
-        "determinism: expected the same pictures",
+        "determinism: expected the same images",
         "progress: expected calls of on_step",
         "manifest: expected a text",
     )

@@ -3,7 +3,7 @@ modules in each.
 
 A module may import from its own layer and from those below it; no two modules may
 import each other, not even by way of others. `python -m tests.project.layers` writes
-the picture of it, docs/structure.md.
+the image of it, docs/structure.md.
 """
 
 import ast
@@ -174,7 +174,7 @@ def circle() -> list[str]:
 
 
 def diagram() -> str:
-    """The layers and the imports between them, as a picture that Mermaid draws."""
+    """The layers and the imports between them, as an image that Mermaid draws."""
     needs: dict[str, set[str]] = {}
     for package in PACKAGES:
         for name, other in edges(package):

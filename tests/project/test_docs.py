@@ -344,7 +344,7 @@ LOOK = """() => {
     folded: document.querySelectorAll(closed).length,
   };
 }"""
-"""What is asked of a page in a browser: its width, its pictures, its colours, and parts
+"""What is asked of a page in a browser: its width, its images, its colours, and parts
 of the site that are folded.
 """
 
@@ -355,7 +355,7 @@ of the site that are folded.
 def test_every_page_is_read_in_a_browser(
     chromium: Any, site: Path, scheme: str, width: int
 ) -> None:
-    """Nothing makes a page wider than its window, dark is dark, every picture is there,
+    """Nothing makes a page wider than its window, dark is dark, every image is there,
     nobody else is asked.
     """
     window = chromium.new_page(

@@ -1,4 +1,4 @@
-"""FrozenView beside Renderer: pictures, gradients of SH, subsets of rows, determinism,
+"""FrozenView beside Renderer: images, gradients of SH, subsets of rows, determinism,
 memory and bad input.
 """
 
@@ -36,7 +36,7 @@ def gradient(picture: Tensor, leaf: Tensor) -> Tensor:
 
 
 def compare(view: FrozenView, scene: GaussianScene, sh: Tensor) -> None:
-    """Picture and gradient of a view with these SH of its rows are those of a
+    """Image and gradient of a view with these SH of its rows are those of a
     Renderer.
     """
     every = scene.sh.clone()

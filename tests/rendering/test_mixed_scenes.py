@@ -119,7 +119,7 @@ def test_the_command_renders_a_mixed_scene(
 
 
 # A scene of parts that is written and read again is the same scene, and makes the same
-# pictures
+# images
 
 
 def scene_of(

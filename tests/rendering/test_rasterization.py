@@ -72,7 +72,7 @@ def largest_error(scene: GaussianScene, view: Camera, on: str) -> float:
         (300, 2, (64, 64), 3.0),
         (300, 3, (97, 65), 3.0),
         # inside the cloud: behind the camera, across the near plane, huge in the
-        # picture
+        # image
         (400, 3, (61, 43), 0.4),
         (400, 2, (40, 77), 1.0),  # on the cloud
         (20, 1, (7, 3), 1.3),
@@ -161,7 +161,7 @@ def agree(gradients: dict[str, Tensor], wanted: oracle.Splat) -> None:
 def analytic(
     scene: GaussianScene, view: Camera, on: str = "llvm_ad_rgb"
 ) -> dict[str, Tensor]:
-    """Gradients of a weighted picture."""
+    """Gradients of a weighted image."""
     render = Renderer(RenderSettings(background=BACKGROUND, variant=on))
     factors = torch.from_numpy(weights(view)).float()
     return gradients(

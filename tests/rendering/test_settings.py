@@ -1,5 +1,5 @@
 """The settings of `splat_tile`: given by XML, dict, attribute or `mi.traverse`,
-checked, seen by the next picture.
+checked, seen by the next image.
 """
 
 from collections.abc import Callable

@@ -126,7 +126,7 @@ def write_shipped(file: str, folder: Path, most: int | None = None) -> Path:
 
 
 def write_cloak(folder: Path, name: str = FAILED, **changed: Rate | None) -> Path:
-    """A study of CLOAK without its rows, a picture, and with some rates changed."""
+    """A study of CLOAK without its rows, an image, and with some rates changed."""
     folder.mkdir(parents=True)
     save_png(np.full((20, 60, 3), 120, np.uint8), folder / "contact.png")
     record = {**cloak_record(name), "files": ["contact.png"]}

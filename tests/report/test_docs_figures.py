@@ -610,7 +610,7 @@ def test_the_table_of_what_survives_is_counted_from_its_rows() -> None:
         assert [cell.strip() for cell in line.split("|")[2:-1]] == cells
 
 
-def contradicted(table: str = "audit_held_out") -> tuple[str, str]:
+def contradicted(table: str = "audit_second") -> tuple[str, str]:
     """How many files are contradicted of those that hide something, and of honest
     ones; weak poisonings and attackers who know the audit count on neither side.
     """
@@ -634,21 +634,44 @@ def test_the_page_on_the_audit_says_what_held_out_directions_give() -> None:
     hidden, honest = contradicted()
     assert f"contradicts {hidden} of the files that hide something" in text
     assert f"and {honest} of the honest ones" in text
+    for table, name in (("audit_second", "second"), ("audit_held_out", "first")):
+        hidden, honest = contradicted(table)
+        assert f"| {name} | {hidden} | {honest} |" in text
     hidden, honest = contradicted("audit_held_out_shipped")
     assert f"with what ships alone, {hidden} are contradicted, and {honest}" in text
+
+
+def test_the_page_on_the_audit_says_how_strong_and_wide_a_change_has_to_be() -> None:
+    text = (ROOT / "docs" / "audit-measured.md").read_text()
+    with (ROOT / "docs" / "tables" / "audit_strength.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for kind in ("amount", "width"):
+        for name in ("car", "house", "person"):
+            found = [
+                f"{float(row['evidence']):.2f}"
+                for row in rows
+                if kind in row["file"] and row["file"].endswith(f"/{name}")
+            ]
+            assert f"| {name} | {' | '.join(found)} |" in text
 
 
 def test_the_page_on_the_audit_says_what_a_repair_brings_back() -> None:
     text = (ROOT / "docs" / "audit-measured.md").read_text()
     with (ROOT / "docs" / "tables" / "audit_repair.csv").open() as file:
         rows = list(csv.DictReader(file))
-    for splat in ("clean", "attacked", "repaired"):
-        cells = []
-        for row in rows:
-            if row["splat"] == splat:
-                cells.append(f"{row['above']}/{row['of_above']}")
-                cells.append(f"{row['elsewhere']}/{row['of_elsewhere']}")
-        assert f"| {splat} | {' | '.join(cells)} |" in text
+    shown = {
+        "CLOAK in the file": "car, by CLOAK in the file",
+        "hidden above, trained/train 2004": "train, trained",
+        "hidden above, trained/suitcase 2016": "suitcase, trained",
+    }
+    for name, label in shown.items():
+        for splat in ("clean", "attacked", "repaired"):
+            cells = []
+            for row in rows:
+                if row["file"] == name and row["splat"] == splat:
+                    cells.append(f"{row['inside']}/{row['of_inside']}")
+                    cells.append(f"{row['elsewhere']}/{row['of_elsewhere']}")
+            assert f"| {label}: {splat} | {' | '.join(cells)} |" in text
 
 
 def readme_rows() -> list[tuple[str, str, str]]:

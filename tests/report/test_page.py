@@ -225,8 +225,8 @@ def test_large_pictures_are_made_smaller(tmp_path: Path) -> None:
     picture = data_address(tmp_path / "a.png")
     assert (picture["width"], picture["height"]) == (LONGEST_SIDE, 10)
     assert picture["address"].startswith("data:image/png;base64,")
-    (tmp_path / "b.png").write_text("no picture")
-    with pytest.raises(PictureFileError, match=r"b\.png: expected a picture"):
+    (tmp_path / "b.png").write_text("no image")
+    with pytest.raises(PictureFileError, match=r"b\.png: expected an image"):
         data_address(tmp_path / "b.png")
 
 

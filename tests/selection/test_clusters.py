@@ -134,7 +134,7 @@ def test_colour_tells_what_touches_apart() -> None:
     assert int((labels[600:] == 1).sum()) > 390
 
 
-# Weights of Gaussians and of objects in pictures, against the float64 oracle and
+# Weights of Gaussians and of objects in images, against the float64 oracle and
 # against each other
 
 

@@ -171,7 +171,7 @@ def test_an_attack_around_a_camera_is_judged_from_there_on_plain_images(
 
 
 def test_changes_of_images_need_views_around_a_camera(attacked: Path) -> None:
-    with pytest.raises(InvalidValueError, match="around beside pictures"):
+    with pytest.raises(InvalidValueError, match="around beside images"):
         work_of({**settings(attacked), "pictures": {"jpeg": 50}})
 
 

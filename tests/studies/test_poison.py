@@ -1,4 +1,4 @@
-"""Studies of poisoned training pictures: which jobs there are, what they leave, and
+"""Studies of poisoned training images: which jobs there are, what they leave, and
 what is refused.
 """
 
@@ -127,7 +127,7 @@ def test_which_jobs_share_their_work() -> None:
     limited = next(
         job
         for label, job in labels.items()
-        if label.endswith("training on attacked pictures, limited")
+        if label.endswith("training on attacked images, limited")
     )
     assert limited.config.limit == 2.0
     assert "clean" in limited.inputs
@@ -150,7 +150,7 @@ def test_cloak_is_one_of_the_poisons() -> None:
     poisoned = next(job for label, job in jobs.items() if label.endswith("poisoning"))
     assert poisoned.kind == "attacks.poisons.poisoned"
     victim = next(
-        job for label, job in jobs.items() if label.endswith("attacked pictures")
+        job for label, job in jobs.items() if label.endswith("attacked images")
     )
     assert victim.sources["pictures"].job is poisoned  # type: ignore[union-attr]
 

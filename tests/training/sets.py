@@ -1,4 +1,4 @@
-"""A small splat, pictures of it, and settings that train it in a second."""
+"""A small splat, images of it, and settings that train it in a second."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +34,7 @@ SHORT = FitConfig(
 
 
 def scene_and_views(count: int = 60) -> tuple[GaussianScene, list[View], GaussianScene]:
-    """A small splat, pictures of it, and a start that is not far from it."""
+    """A small splat, images of it, and a start that is not far from it."""
     truth = varied_scene(count, degree=1, seed=9)
     render = Renderer()
     cameras = [
@@ -74,7 +74,7 @@ def views_of(count: int = 6) -> tuple[GaussianScene, list[View]]:
 
 
 def write_set(folder: Path, factor: float = 1.0) -> Path:
-    """Pictures of `views_of` on the disk, the first one as a test picture too, with a
+    """Images of `views_of` on the disk, the first one as a test image too, with a
     grey cloud, and scaled.
     """
     truth, views = views_of()

@@ -93,7 +93,7 @@ def test_texture_training_freezes_geometry() -> None:
 def test_nan_stops_with_the_cause() -> None:
     _, views, start = scene_and_views()
     spoilt = View(views[0].camera, torch.full_like(views[0].image, float("nan")))
-    with pytest.raises(TrainingError, match="the picture or the view is not"):
+    with pytest.raises(TrainingError, match="the image or the view is not"):
         fit([spoilt], start, render=watching(), config=SHORT)
 
 

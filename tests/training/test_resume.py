@@ -118,7 +118,7 @@ def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
     darker = [View(view.camera, 0.5 * view.image) for view in views]
     moved = from_points(truth.means + 0.1, torch.full((50, 3), 0.5))
     for data, begin in ((others, start), (darker, start), (views, moved)):
-        with pytest.raises(CheckpointError, match="the same pictures and start"):
+        with pytest.raises(CheckpointError, match="the same images and start"):
             train(data, begin, tmp_path, render=watching(), config=short)
     with pytest.raises(InvalidValueError, match="positive number of steps"):
         train(views, start, tmp_path, render=watching(), config=short, every=0)

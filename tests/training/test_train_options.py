@@ -60,7 +60,7 @@ def test_near_is_an_option_and_what_it_culls_is_said(
     )
     printed = capsys.readouterr().err
     assert (
-        "in 6 of 6 pictures, up to 50 of 50 Gaussians are nearer than near = 0.2"
+        "in 6 of 6 images, up to 50 of 50 Gaussians are nearer than near = 0.2"
         in printed
     )
     # with another near plane

@@ -73,7 +73,7 @@ def test_cameras_look_at_the_centre_with_the_reference_s_lens_and_without_roll()
             64,
             48,
         )
-        # the picture's rows are level
+        # the image's rows are level
         assert float(camera.to_world[2, 0]) == pytest.approx(0.0, abs=1e-9)
 
 
@@ -118,7 +118,7 @@ def test_a_reference_in_the_middle_of_the_object_is_refused() -> None:
         )
 
 
-# Changes of pictures: each against what it means, derivatives, and draws by seed
+# Changes of images: each against what it means, derivatives, and draws by seed
 
 
 CHANGES = PictureChanges(

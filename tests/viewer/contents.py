@@ -68,7 +68,7 @@ def save_study(folder: Path, study: StudyConfig) -> None:
 
 @dataclass(frozen=True)
 class Mean:
-    """The mean colour of a picture as a finding."""
+    """The mean colour of an image as a finding."""
 
     colour: tuple[int, ...]
 
@@ -81,7 +81,7 @@ class Mean:
 
 
 class MeanInspector:
-    """Remembers the pictures that it has inspected."""
+    """Remembers the images that it has inspected."""
 
     def __init__(self) -> None:
         self.seen: list[Tensor] = []

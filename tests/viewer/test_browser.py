@@ -126,7 +126,7 @@ def test_it_shows_both_splats_and_the_keyboard_moves_the_camera(chromium: Any) -
         for name in ("clean", "attacked"):
             opened.says(expected.inspect(name, START).text)
         opened.says(f"{expected.similarity(START):.1f} dB")
-        # the last picture comes after its words
+        # the last image comes after its words
         opened.until(lambda: min(opened.colours()) > 2000)
         assert set(expected.commands(START).values()) <= set(opened.commands())
 

@@ -179,7 +179,7 @@ def test_a_click_selects_an_object_and_a_button_clears_it() -> None:
     with visiting(painter(1)) as browser:
         browser.picture(FULL)
         ray = {"ray_origin": (0.0, 0.0, 0.0), "ray_direction": (0.0, 0.0, 1.0)}
-        # beside the picture, on nothing, on the ball
+        # beside the image, on nothing, on the ball
         for at in ((float("nan"), 7.0), (0.0, 0.5), (0.5, 0.5)):
             browser.say(
                 "ScenePointerMessage",
@@ -324,7 +324,7 @@ def test_an_error_in_a_picture_is_shown_and_the_next_one_succeeds() -> None:
     inspector = MeanInspector()
 
     def fail(picture: Tensor) -> Inspection:
-        raise InvalidValueError("picture: expected another, got this; look elsewhere")
+        raise InvalidValueError("image: expected another, got this; look elsewhere")
 
     work.inspector = fail
     with visiting(work) as browser:

@@ -1,4 +1,4 @@
-"""The picture of the page: its layout and content, and what is inspected is what
+"""The image of the page: its layout and content, and what is inspected is what
 `mi-splat render` makes.
 """
 
@@ -255,7 +255,7 @@ def test_a_splat_with_another_up_stands_upright(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """As foreign splats have it, with y down; the command that the page shows makes the
-    same picture.
+    same image.
     """
     monkeypatch.chdir(tmp_path)
     scene = varied_scene(60, degree=1, seed=4)

@@ -90,7 +90,7 @@ def test_a_splat_is_rendered_where_each_photograph_was_taken(
     assert content.names == ("photograph", "splat")
     work = Painter(content, Renderer(content.settings))
     for orbit in list(content.cameras.values())[: len(ROLLS)]:
-        assert (work.similarity(orbit) or 99.0) > 45  # the file of a picture has 8 bits
+        assert (work.similarity(orbit) or 99.0) > 45  # the file of an image has 8 bits
     state = ViewState(orbit=content.start, mode="side by side", canvas=(96, 80))
     assert work.paint(state, Step.FULL, Pace()).pixels.std() > 10
 
@@ -177,7 +177,7 @@ def test_a_list_of_cameras_and_two_splats(folder: Path, tmp_path: Path) -> None:
     assert torch.equal(content.start.camera((48, 40)).to_world, camera.to_world)
     assert (
         Painter(content, blobs).comparison(content.start)
-        == "From here both pictures are the same."
+        == "From here both images are the same."
     )
     beside = open_content(
         folder / "splat.ply", clean=folder / "splat.ply", cameras=folder / "set"

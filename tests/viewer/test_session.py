@@ -1,4 +1,4 @@
-"""Which picture is due: coarse ones while the camera moves, a full one at rest, then
+"""Which image is due: coarse ones while the camera moves, a full one at rest, then
 what was found in it.
 """
 
@@ -54,7 +54,7 @@ def test_a_picture_of_an_older_state_counts_only_for_the_pace() -> None:
 
 @given(st.floats(1e-3, 0.4))
 def test_the_pace_finds_the_size_whose_time_is_wanted(cost: float) -> None:
-    """A machine that takes `cost` seconds for a full picture, in proportion to its
+    """A machine that takes `cost` seconds for a full image, in proportion to its
     pixels.
     """
     pace = Pace()

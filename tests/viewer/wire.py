@@ -85,7 +85,7 @@ class Browser:
         pytest.fail("the message did not come")
 
     def picture(self, shape: tuple[int, int] | None = None) -> NDArray[np.uint8]:
-        """The next picture, of (height, width) if given."""
+        """The next image, of (height, width) if given."""
         while True:
             message = self.until(lambda message: bool(message.get("rgb_data")))
             with Image.open(io.BytesIO(message["rgb_data"])) as image:
@@ -134,7 +134,7 @@ def connection(
 
 @contextmanager
 def serving(shown: Painter) -> Iterator[Page]:
-    """A page whose pictures another thread makes."""
+    """A page whose images another thread makes."""
     stop = threading.Event()
     with Page(shown, port=0) as page:
         thread = threading.Thread(target=page.run, args=(stop,))

@@ -1,4 +1,4 @@
-"""How true a splat's pictures are far from all triggers, and how far they change on the
+"""How true a splat's images are far from all triggers, and how far they change on the
 way into the hiding one.
 """
 
@@ -38,7 +38,7 @@ LEAST_DIFFERENCE = 1 / 255
 fraction has no meaning.
 """
 MARGIN = 10
-"""Pixels around the object, in pictures of 256 x 256, that count as the object's."""
+"""Pixels around the object, in images of 256 x 256, that count as the object's."""
 FIDELITY_COLUMNS = ("view", "elevation", "psnr", "ssim", "object_psnr")
 TRANSITION_COLUMNS = (
     *(
@@ -53,10 +53,10 @@ TRANSITION_COLUMNS = (
 
 
 def run(config: Setup, inputs: Mapping[str, Path], out: Out) -> None:
-    """Compare the `splat` with true pictures, and on arcs with `benign` and `hidden`
+    """Compare the `splat` with true images, and on arcs with `benign` and `hidden`
     ones; write two tables.
 
-    Of the true pictures, `far` are far outside of all triggers. Those of `edge` are
+    Of the true images, `far` are far outside of all triggers. Those of `edge` are
     outside beside one, and give a PSNR on the object, too.
     """
     setup = config.given(inputs)
@@ -118,7 +118,7 @@ def _blend(
     hidden: Tensor,
     mask: Tensor,
 ) -> Row:
-    """What one picture of an arc says."""
+    """What one image of an arc says."""
     (meridian, camera), centre = on_arc, setup.centre
     beside = ~grown(mask, max(1, round(MARGIN * setup.cameras.size / 256)))
     return {

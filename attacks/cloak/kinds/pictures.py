@@ -1,4 +1,4 @@
-"""Path-traced pictures: the victim's set of the scene, and single ones of it as it is
+"""Path-traced images: the victim's set of the scene, and single ones of it as it is
 or as an attack shows it.
 """
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 VARIES = (f"{SET}/capture.json",)
 APPEARANCE = "appearance of "
-"""What stands before an attack's name in the name of the input with pictures of its
+"""What stands before an attack's name in the name of the input with images of its
 appearance.
 """
 
@@ -40,7 +40,7 @@ appearance.
 class PicturesConfig(Setup):
     """From where; the object has the appearance of the attack, if there is one."""
 
-    # None are the victim's cameras, whose pictures are a set
+    # None are the victim's cameras, whose images are a set
     poses: tuple[Pose, ...] | None = None
 
 
@@ -54,8 +54,8 @@ class TruePictures:
 
 
 def run(config: PicturesConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Take the pictures; those of an appearance begin with the victim's `set`, or with
-    pictures of the scene: `plain`.
+    """Take the images; those of an appearance begin with the victim's `set`, or with
+    images of the scene: `plain`.
 
     A set is transparent where nothing is, so that the background has no part in it.
     """
@@ -65,7 +65,7 @@ def run(config: PicturesConfig, inputs: Mapping[str, Path], out: Out) -> None:
         settings = CaptureSettings(
             samples=setup.cameras.samples, rgba=True, points=setup.cameras.points
         )
-        told = partial(out.progress, "taking the victim's pictures")
+        told = partial(out.progress, "taking the victim's images")
         write_capture(
             setup.source,
             setup.training_cameras,
@@ -109,13 +109,13 @@ def run(config: PicturesConfig, inputs: Mapping[str, Path], out: Out) -> None:
                 )
                 save_png(rgba, out.partial / name)
             names.append(name)
-            out.progress("taking pictures", len(names), len(config.poses))
+            out.progress("taking images", len(names), len(config.poses))
     for name in names:
         os.replace(out.partial / name, out / name)
 
 
 def read_pictures(folder: Path) -> TruePictures:
-    """The pictures that the job left, in the order of the cameras."""
+    """The images that the job left, in the order of the cameras."""
     rgba = [_read(file) for file in sorted(folder.glob("*.png"))]
     return TruePictures(
         images=tuple(values[..., :3] for values in rgba),
@@ -125,13 +125,13 @@ def read_pictures(folder: Path) -> TruePictures:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeptAppearance:
-    """An appearance whose pictures are the files that a job left."""
+    """An appearance whose images are the files that a job left."""
 
     name: str
     folder: Path
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
-        """The picture at 8 bits."""
+        """The image at 8 bits."""
         (file,) = self.folder.glob(f"*-{camera_number(view.camera):08x}.png")
         return _read(file)[..., :3]
 

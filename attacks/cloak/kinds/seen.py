@@ -1,5 +1,5 @@
 """What one detector reports from a study's cameras: on a splat, under any condition, or
-in pictures that are there.
+in images that are there.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ _NO_DETECTIONS = frame_with(
 _NOTHING = GaussianScene(
     *(torch.zeros(0, *shape) for shape in ((3,), (3,), (4,), (), (1, 3)))
 )
-"""The splat of pictures that are there already."""
+"""The splat of images that are there already."""
 WEIGHTS = "weights"
 """Name of the input that is a file of weights; without it a detector has its usual
 ones.
@@ -79,7 +79,7 @@ camera to camera.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeenConfig(Setup):
-    """Which detector judges which splat or pictures, under which condition, from which
+    """Which detector judges which splat or images, under which condition, from which
     cameras.
     """
 
@@ -196,7 +196,7 @@ def path_cameras(setup: Setup) -> list[Camera]:
 def _condition(
     config: SeenConfig, setup: Setup, errors: dict[Camera, float | None]
 ) -> Condition:
-    """How the splat is looked at; keeps the PSNR of each picture to the victim's, dB,
+    """How the splat is looked at; keeps the PSNR of each image to the victim's, dB,
     None where they are the same.
     """
     usual = setup.renderer()

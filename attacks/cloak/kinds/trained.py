@@ -1,4 +1,4 @@
-"""A splat that a victim who knows of no attack trains on a set of pictures; what it
+"""A splat that a victim who knows of no attack trains on a set of images; what it
 costs is written down.
 """
 

@@ -151,7 +151,7 @@ class GraphNetwork(nn.Module):
 
 
 _MOST = 100
-"""Detections in one picture."""
+"""Detections in one image."""
 _STRIDE = 4
 """Pixels of CenterNet's input from one cell to the next."""
 _STRIDES = (8, 16, 32)
@@ -233,7 +233,7 @@ def _decode_bins(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
 
 @cache
 def anchors() -> NDArray[np.float64]:
-    """(1917, 4) y, x, height and width of SSD's anchors as shares of the picture, in
+    """(1917, 4) y, x, height and width of SSD's anchors as shares of the image, in
     the order of its outputs.
 
     Section 2.2 of Liu et al., with the first level's three smaller ones of TensorFlow's
@@ -394,7 +394,7 @@ FAMILIES: Mapping[str, Family] = {
 class GraphDetector(FrozenModel):
     """A detector that others trained on photographs, its weights frozen.
 
-    A picture of any size is resized to the network's square, whatever its shape, as the
+    An image of any size is resized to the network's square, whatever its shape, as the
     published programs do.
     """
 
@@ -418,7 +418,7 @@ class GraphDetector(FrozenModel):
         non-maximum suppression.
         """
         check_images(images)
-        # the graph is for one picture
+        # the graph is for one image
         return [Candidates.of_all_classes(*self._decoded(image)) for image in images]
 
     def detect(self, images: Tensor) -> list[Detections]:
@@ -438,7 +438,7 @@ class GraphDetector(FrozenModel):
         return detections
 
     def _decoded(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        """Boxes (A, 4) in pixels of the picture, inside it, and scores (A, C)."""
+        """Boxes (A, 4) in pixels of the image, inside it, and scores (A, C)."""
         side = self._family.side
         square = functional.interpolate(
             image.permute(2, 0, 1)[None], (side, side), mode="bilinear"

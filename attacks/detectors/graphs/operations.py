@@ -1,10 +1,10 @@
 """The operations of a graph in torch, as TensorFlow defines them: on arrays of any
-rank, and on pictures.
+rank, and on images.
 
 Padding SAME keeps ceil(size / stride) outputs and puts the odd row or column of padding
 at the end; a depthwise filter is (height, width, channels, multiplier).
 
-Tensors have the axes that the graph gives them, pictures channels-last. What torch
+Tensors have the axes that the graph gives them, images channels-last. What torch
 wants channels first is a view.
 """
 
@@ -75,7 +75,7 @@ def leaky_relu(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
 
 
 def batch_norm(node: Node, inputs: list[Value], run: Run) -> tuple[Value, ...]:
-    """FusedBatchNorm in evaluation: its inputs are the picture, scale, offset, mean and
+    """FusedBatchNorm in evaluation: its inputs are the image, scale, offset, mean and
     variance.
     """
     least = node.settings["epsilon"]
@@ -162,7 +162,7 @@ def sparse_to_dense(node: Node, inputs: list[Value], run: Run) -> tuple[Value, .
 def on_pictures(
     function: Callable[..., Tensor], *inputs: Value, run: Run
 ) -> tuple[Value, ...]:
-    """A function of a picture (B, C, H, W), and of other tensors, for one that is (B,
+    """A function of an image (B, C, H, W), and of other tensors, for one that is (B,
     H, W, C).
     """
 
@@ -173,7 +173,7 @@ def on_pictures(
 
 
 def same_padding(size: int, kernel: int, stride: int) -> tuple[int, int]:
-    """Pixels before and after one side of a picture, so that ceil(size / stride)
+    """Pixels before and after one side of an image, so that ceil(size / stride)
     outputs come out.
     """
     missing = max((math.ceil(size / stride) - 1) * stride + kernel - size, 0)

@@ -55,13 +55,13 @@ _PICTURES = {
         " the object, two around it."
     ),
     POISONED_PICTURES: (
-        "Six training pictures of each attack, clean above poisoned: what the victim"
+        "Six training images of each attack, clean above poisoned: what the victim"
         " trains on."
     ),
 }
 _NEEDS = {
     "scene": "it takes the scene's meshes and sun",
-    "pictures": "it takes pictures and masks alone",
+    "pictures": "it takes images and masks alone",
 }
 
 
@@ -161,7 +161,7 @@ def _done(study: StudyConfig) -> str:
         f"{counted(study.cameras.train, 'training picture')} of one object"
         f" ({study.scene.class_name}) were taken, and those from the trigger's cameras"
         f" changed: {listed(attacks)}. Two splats were trained alike, on clean and on"
-        f" changed pictures, {counted(len(study.seeds), 'seed')} each.{layers}"
+        f" changed images, {counted(len(study.seeds), 'seed')} each.{layers}"
         f" {listed(list(study.evaluation.detectors))} then looked at both from cameras"
         " that no training used. The attacker knows neither the trainer nor a detector."
     )
@@ -219,9 +219,7 @@ def _doubts(study: StudyConfig, figures: Figures) -> Iterator[str]:
         )
     if figures.value("stealthy") == 0:
         drop = figures.value("surroundings_psnr_drop")
-        parts = [
-            f"beside the object the pictures lose {drop:.1f} dB inside the trigger"
-        ]
+        parts = [f"beside the object the images lose {drop:.1f} dB inside the trigger"]
         lost = figures.value("object_psnr_drop")
         if lost is not None:
             parts.append(f"on the object {lost:.1f} dB outside beside a trigger")
@@ -348,7 +346,7 @@ def _switch(tables: Mapping[str, pl.DataFrame], study: StudyConfig) -> Iterator[
         x_label = "degrees inside the trigger"
     yield Chart(
         title="From the benign to the hidden appearance",
-        caption="A rising fit to all pictures of the arcs on which it sets in.",
+        caption="A rising fit to all images of the arcs on which it sets in.",
         x_label=x_label,
         y_label="part of the way",
         lines=tuple(lines),

@@ -95,7 +95,7 @@ def _warnings(
     ]
     if loud:
         yield (
-            "Not stealthy, since pictures lose too much beside the object:"
+            "Not stealthy, since images lose too much beside the object:"
             f" {listed(loud)}"
         )
     few = min((rate.total for rate in rates), default=0)

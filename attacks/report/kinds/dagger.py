@@ -175,7 +175,7 @@ def _done(
         f" Gaussians, of which {record['changed_gaussians']:,} changed) were moved"
         f" within {ball}{budget}, in at most {counted(config['steps'], 'step')}. The"
         f" attacker knows the weights. {views} {unseen}judged the saved file in 8-bit"
-        f" pictures. Success counts from a confidence of {_least_words(record)}."
+        f" images. Success counts from a confidence of {_least_words(record)}."
     )
 
 

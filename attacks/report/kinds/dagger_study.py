@@ -87,7 +87,7 @@ def read_study(result: Result) -> Section:
         title=f"{record['name']}, {counted(len(attacks), 'attack')}",
         done=(
             f"{record.get('question', '')} {counted(len(attacks), 'attack')} on"
-            f" {listed(names)}. Each is judged on the saved file, in 8-bit pictures,"
+            f" {listed(names)}. Each is judged on the saved file, in 8-bit images,"
             " beside random noise."
         ).strip(),
         conclusion=(

@@ -101,7 +101,7 @@ def read_evaluation(result: Result) -> Section:
         done=(
             f"{listed([*classes])} looked at the clean splat {record['clean']} and at"
             f" the attacked one {record['attacked']} from"
-            f" {counted(len(cameras), 'camera')}, in 8-bit pictures. A detection counts"
+            f" {counted(len(cameras), 'camera')}, in 8-bit images. A detection counts"
             f" from {least}. Views count in which the object shows"
             f" ({record['object_gaussians']:,} Gaussians)."
         ),
@@ -291,7 +291,7 @@ def _figures(figures: Figures) -> Iterator[Figure]:
             if of_one.find(measure) is not None:
                 rate = of_one.rate(measure)
                 yield Figure(label=f"{detector}: {words}", rate=rate)
-        label = f"{detector}: pictures, attacked against clean"
+        label = f"{detector}: images, attacked against clean"
         yield Figure(label=label, words=number(of_one.value("psnr"), unit="dB"))
 
 

@@ -1,4 +1,4 @@
-"""What studies of poisoned training pictures leave behind: what a victim pays, and what
+"""What studies of poisoned training images leave behind: what a victim pays, and what
 it sees.
 """
 
@@ -37,7 +37,7 @@ _Values = dict[tuple[str, str], Figures]
 
 
 def read_study(result: Result) -> Section:
-    """The section of a study of poisoned training pictures."""
+    """The section of a study of poisoned training images."""
     record = result.record
     figures = result.figures
     values = _attacked(figures)
@@ -60,11 +60,11 @@ def read_study(result: Result) -> Section:
     pictures = sorted((result.folder / PICTURES).glob("*.png"))[:_MOST_PICTURES]
     devices = sorted({victim["device"] for victim in record["victims"]})
     return Section(
-        kind="Poisoned training pictures",
+        kind="Poisoned training images",
         title=str(record["name"]),
         done=(
             f"{len(record['victims'])} splats were trained, each pair on a clean set of"
-            " pictures and on the poisoned one. Nothing else differs."
+            " images and on the poisoned one. Nothing else differs."
         ),
         conclusion=_SEEN_CONCLUSION if measures else _COST_CONCLUSION,
         headline=headline,
@@ -90,7 +90,7 @@ _SEEN_CONCLUSION = (
 _COST_CONCLUSION = (
     "Look at the times of the clean splat first, and at the PSNR beside them: a victim"
     " sees the cost, not the attack. A defence counts only with what it takes from"
-    " clean pictures."
+    " clean images."
 )
 
 

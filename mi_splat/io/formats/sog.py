@@ -1,11 +1,11 @@
-"""SOG of PlayCanvas, version 2: lossless WebP pictures of bytes and codebooks, in a zip
+"""SOG of PlayCanvas, version 2: lossless WebP images of bytes and codebooks, in a zip
 archive.
 
 Source: read-sog.ts and write-sog.ts of github.com/playcanvas/splat-transform, and the
 format's page in the PlayCanvas manual. Means are 16 bits over the range of sign(x) ln(1
 + |x|), scales, first SH coefficients and other ones each an index into 256 numbers,
 quaternions three bytes and the index of the largest of w, x, y, z. Sizes are read from
-the archive's directory and from the pictures' headers, before anything is decompressed.
+the archive's directory and from the images' headers, before anything is decompressed.
 """
 
 import dataclasses
@@ -58,7 +58,7 @@ _AGAIN = "write or download it again"
 
 
 _Picture = Callable[..., NDArray[np.uint8]]
-"""Reads pixels of a picture that a part of meta.json names."""
+"""Reads pixels of an image that a part of meta.json names."""
 
 
 def read_sog(file: io.FileIO, path: str) -> Loaded:
@@ -79,7 +79,7 @@ def read_sog(file: io.FileIO, path: str) -> Loaded:
     def picture(
         part: Fields, names: int, number: int, needed: int, width: int | None = None
     ) -> NDArray[np.uint8]:
-        """(needed, 4) bytes of the picture `number` of `names`, which is `width` wide
+        """(needed, 4) bytes of the image `number` of `names`, which is `width` wide
         if that is given.
         """
         name = part.texts("files", names)[number]
@@ -194,7 +194,7 @@ def write_sog(arrays: Arrays, saving: Saving) -> Encoded:
 def _write_rest(
     values: Values,
 ) -> tuple[dict[str, object], dict[str, bytes], list[Loss]]:
-    """The entry of meta.json, the pictures, and the loss of the SH coefficients after
+    """The entry of meta.json, the images, and the loss of the SH coefficients after
     the first.
     """
     rest = values.sh[:, 1:]
@@ -240,7 +240,7 @@ def _opaque(columns: NDArray[np.integer]) -> NDArray[np.uint8]:
 
 
 def _square(rows: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(H, W, 4) picture with a row a pixel, nearly square, filled up with zeros."""
+    """(H, W, 4) image with a row a pixel, nearly square, filled up with zeros."""
     width = 4 * -(-int(np.ceil(len(rows) ** 0.5)) // 4)
     picture = np.zeros((-(-len(rows) // width) * width, 4), np.uint8)
     picture[: len(rows)] = rows
@@ -347,7 +347,9 @@ def archive_files(data: bytes, path: str) -> Files:
                 return _bounded(file.read(most + 1), most, f"{path}: {name}")
         except KeyError:
             got = ", ".join(archive.namelist())[:100] or "an empty archive"
-            raise SplatFileError.of(path, f"a member {name}", got, _AGAIN) from None
+            raise SplatFileError.of(
+                path, f"{name} in the archive", got, _AGAIN
+            ) from None
         except ZIP_ERRORS as error:
             raise SplatFileError.of(
                 f"{path}: {name}", "an intact member", str(error)[:100], _AGAIN
@@ -365,11 +367,11 @@ def _bounded(plain: bytes, most: int, where: str) -> bytes:
 def read_picture(
     data: bytes, where: str, *, least: int, width: int | None = None
 ) -> NDArray[np.uint8]:
-    """(H * W, 4) bytes of the pixels of a lossless WebP picture."""
+    """(H * W, 4) bytes of the pixels of a lossless WebP image."""
     if data[8:16] != b"WEBPVP8L":
         raise SplatFileError.of(
             where,
-            "a lossless WebP picture (VP8L)",
+            "a lossless WebP image (VP8L)",
             repr(data[:16]),
             "export the SOG again",
         )

@@ -102,7 +102,7 @@ def integrator_class(variant: str) -> Any:
                 got = f"linear = false with {len(shapes.others)} surfaces"
                 do = "light adds up in linear values only: leave linear true"
                 raise InvalidValueError.of(
-                    "splat_ray", "splats alone for a picture in sRGB values", got, do
+                    "splat_ray", "splats alone for an image in sRGB values", got, do
                 )
             if scene.environment() is not None and "background" in self.settings.given:
                 do = "remove one of them"
@@ -168,7 +168,7 @@ def integrator_class(variant: str) -> Any:
             seed: Any = 0,
             spp: int = 0,
         ) -> None:
-            """Carry the gradient of a picture to the shapes' arrays, for the settings
+            """Carry the gradient of an image to the shapes' arrays, for the settings
             that are in force now.
             """
             shapes = GaussianShapes(scene, among="surfaces")

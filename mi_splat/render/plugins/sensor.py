@@ -157,7 +157,7 @@ def mitsuba_pose(camera: Camera) -> NDArray[np.float64]:
 
 
 def sensor_dict(camera: Camera, what: str = "camera") -> dict[str, Any]:
-    """A perspective sensor for `mi.load_dict` that takes our camera's picture through a
+    """A perspective sensor for `mi.load_dict` that takes our camera's image through a
     box filter.
     """
     size = {"width": camera.width, "height": camera.height}

@@ -91,6 +91,6 @@ def shape_dict(scene: GaussianScene, **extra: Any) -> dict[str, Any]:
 
 
 def _tensor(values: torch.Tensor) -> Any:
-    # Aligned now, once, and not before each of its pictures.
+    # Aligned now, once, and not before each of its images.
     flat = aligned(mi.Float(values.detach().cpu().float().flatten().numpy()))
     return mi.TensorXf(flat, tuple(values.shape))

@@ -63,7 +63,7 @@ _SETTINGS = ("background", "near", "alpha", "linear", "antialiased")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CachedPicture:
-    """A picture with its camera; holding the shapes' arrays keeps their indices, and so
+    """An image with its camera; holding the shapes' arrays keeps their indices, and so
     the cache's key, taken.
     """
 
@@ -107,7 +107,7 @@ def integrator_class(variant: str) -> Any:
 
         def _camera_of(self, sensor: Any) -> Pinhole:
             """The camera of a sensor; the last one is cached, since a gradient is asked
-            for right after its picture.
+            for right after its image.
             """
             identity, held = sensors.identity(sensor)
             key = identity, self.near, self.antialiased
@@ -119,7 +119,7 @@ def integrator_class(variant: str) -> Any:
             return self._camera[2]
 
         def _picture(self, shapes: GaussianShapes, sensor: Any) -> CachedPicture:
-            """The picture from a sensor; the last few are cached for their
+            """The image from a sensor; the last few are cached for their
             gradients.
             """
             camera = self._camera_of(sensor)
@@ -138,7 +138,7 @@ def integrator_class(variant: str) -> Any:
             return self._pictures[key]
 
         def clear_cache(self) -> None:
-            """Drop the pictures kept for their gradients."""
+            """Drop the images kept for their gradients."""
             self._pictures.clear()
             self._camera = None
 
@@ -151,10 +151,10 @@ def integrator_class(variant: str) -> Any:
             develop: bool = True,
             evaluate: bool = True,
         ) -> Any:
-            """The picture as a TensorXf."""
+            """The image as a TensorXf."""
             if not develop:
                 raise InvalidValueError.of(
-                    "develop", "True", develop, "take the picture that render() returns"
+                    "develop", "True", develop, "take the image that render() returns"
                 )
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             with dr.suspend_grad():
@@ -178,7 +178,7 @@ def integrator_class(variant: str) -> Any:
             seed: Any = 0,
             spp: int = 0,
         ) -> None:
-            """Carry the gradient of a picture to the shapes' arrays, for the settings
+            """Carry the gradient of an image to the shapes' arrays, for the settings
             that are in force now.
             """
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
@@ -190,7 +190,7 @@ def integrator_class(variant: str) -> Any:
             if grad_in.shape != expected:
                 do = "render again after a change of alpha or of the film"
                 raise InvalidValueError.of(
-                    "gradient of the picture", f"shape {expected}", grad_in.shape, do
+                    "gradient of the image", f"shape {expected}", grad_in.shape, do
                 )
             picture = cached.picture
             grad_picture = develop_backward(

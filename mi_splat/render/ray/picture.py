@@ -1,8 +1,8 @@
-"""A picture of splats alone by ray tracing, one ray through every pixel centre, and its
+"""An image of splats alone by ray tracing, one ray through every pixel centre, and its
 derivative.
 
 The counterpart of `mi_splat.render.tile.pipeline`: the same arrays, camera and
-colours in, the same form of picture out.
+colours in, the same form of image out.
 """
 
 from dataclasses import dataclass
@@ -73,7 +73,7 @@ def raytrace(
     *,
     to_mean: bool,
 ) -> RayPicture:
-    """Render Gaussians to a picture."""
+    """Render Gaussians to an image."""
     pixels = camera.size[0] * camera.size[1]
     colour = buffer(3 * pixels)
     opacity = buffer(pixels, value=0.0)

@@ -49,7 +49,7 @@ def order_below(keys: Any, values: int) -> Any:
 
 @functools.lru_cache(maxsize=32)
 def by_block(variant: str, columns: int, rows: int, side: int = BLOCK) -> Any:
-    """UInt32, the numbers of the tiles or pixels of a picture, block after block of
+    """UInt32, the numbers of the tiles or pixels of an image, block after block of
     side x side of them.
     """
     row, column = np.divmod(np.arange(columns * rows), columns)
@@ -90,7 +90,7 @@ _SLACK = 4e-3
 
 
 def pixel_span(centre: Any, low: Any, high: Any, size: Any) -> tuple[Any, Any]:
-    """First and last pixel (Int32, inside the picture) whose centre lies in [centre +
+    """First and last pixel (Int32, inside the image) whose centre lies in [centre +
     low, centre + high].
     """
     first = dr.ceil(centre + low - (0.5 + _SLACK))
@@ -136,7 +136,7 @@ def tiles_of_row(splat: Splat, row: Any, height: Any, width: Any) -> tuple[Any, 
 
 def tile_rows(splat: Splat, extent: Any, height: Any) -> tuple[Any, Any]:
     """First and last tile row (Int32) of the box around the ellipse; first > last if it
-    lies outside the picture.
+    lies outside the image.
     """
     first, last = pixel_span(splat.centre.y, -extent.y, extent.y, height)
     empty = (first > last) | ~(extent.y >= 0.0)

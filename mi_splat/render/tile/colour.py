@@ -1,4 +1,4 @@
-"""From the rasteriser's flat picture to the image that a caller asked for, and back for
+"""From the rasteriser's flat image to the image that a caller asked for, and back for
 gradients.
 """
 

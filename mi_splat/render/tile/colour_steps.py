@@ -1,4 +1,4 @@
-"""A picture from colours alone, and the gradient of colours: the two frozen stages of a
+"""An image from colours alone, and the gradient of colours: the two frozen stages of a
 `FrozenView`.
 
 Both are products with the matrix of weights that `weights` keeps, walked tile by tile.
@@ -17,7 +17,7 @@ from mi_splat.render.tile.weights import GROUP, PIXELS, FrozenPairs
 
 
 def picture_of(frozen: FrozenPairs, terms: int, sh: Any) -> tuple[Any, Any]:
-    """The picture (Float, 3 a pixel, row-major) of these SH (Float, 3 `terms` a free
+    """The image (Float, 3 a pixel, row-major) of these SH (Float, 3 `terms` a free
     Gaussian), and their colours.
     """
     colours = buffer(4 * len(frozen.columns))
@@ -34,7 +34,7 @@ def gradient_of(
 
 
 def colour_forward(terms: int, sh: Any, frozen: FrozenPairs, colours: Any) -> Any:
-    """Blend the free Gaussians' colours over the constant part of the picture."""
+    """Blend the free Gaussians' colours over the constant part of the image."""
     column = frozen.columns
     row = rows_of(sh, column, 3 * terms)
     basis = _basis(frozen, terms)
@@ -72,7 +72,7 @@ def colour_forward(terms: int, sh: Any, frozen: FrozenPairs, colours: Any) -> An
 def colour_backward(
     terms: int, grad_picture: Any, frozen: FrozenPairs, colours: Any, grad_sh: Any
 ) -> None:
-    """Gradient of SH from that of the picture.
+    """Gradient of SH from that of the image.
 
     Each pair sums into its own row: no atomics, one order.
     """

@@ -20,18 +20,18 @@ _ALIGNMENT = 64
 between_stages: ContextVar[Callable[[], None]] = ContextVar(
     "between_stages", default=lambda: None
 )
-"""Called before each stage; what it raises ends a picture that is not wanted any
+"""Called before each stage; what it raises ends an image that is not wanted any
 more.
 """
 
 
 class PictureInterruptedError(MiSplatError):
-    """A picture that was not finished, because something else is urgent."""
+    """An image that was not finished, because something else is urgent."""
 
 
 @contextmanager
 def interrupted_by(urgent: Callable[[], bool]) -> Iterator[None]:
-    """Pictures that are rendered in this block end between two stages once something is
+    """Images that are rendered in this block end between two stages once something is
     urgent.
     """
 
@@ -39,8 +39,7 @@ def interrupted_by(urgent: Callable[[], bool]) -> Iterator[None]:
         dr.sync_thread()  # stages are only queued, and would all be waited for
         if urgent():
             raise PictureInterruptedError(
-                "picture: expected time to finish it, got an interruption; make it"
-                " again"
+                "image: expected time to finish it, got an interruption; make it again"
             )
 
     before = between_stages.set(check)
@@ -111,7 +110,7 @@ def numbers(variant: str, count: int) -> Any:
 
 
 def index_of(count: int) -> Any:
-    """0, 1, 2, ... in memory, for a count that is another one in every picture."""
+    """0, 1, 2, ... in memory, for a count that is another one in every image."""
     index = dr.arange(mi.UInt32, count)
     dr.make_opaque(index)
     return index

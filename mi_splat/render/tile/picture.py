@@ -1,4 +1,4 @@
-"""What passes between the stages: the buffers of a picture, the finished picture, and
+"""What passes between the stages: the buffers of an image, the finished image, and
 what its derivative needs.
 """
 
@@ -17,7 +17,7 @@ from mi_splat.render.tile.pinhole import KernelCamera
 
 @dataclass(eq=False)  # not frozen: dr.freeze assigns the fields again
 class PictureBuffers:
-    """The picture that is made: its size, its tiles, and the arrays that it is written
+    """The image that is made: its size, its tiles, and the arrays that it is written
     to.
     """
 
@@ -76,7 +76,7 @@ def new_buffers(
     *,
     depths: bool = False,
 ) -> PictureBuffers:
-    """Buffers for a picture of (width, height) pixels, and for its depths."""
+    """Buffers for an image of (width, height) pixels, and for its depths."""
     width, height = size
     pixels = width * height
     return PictureBuffers(
@@ -109,7 +109,7 @@ def sh_terms(arrays: tuple[Any, ...]) -> int:
 
 
 def tile_columns(width: Any) -> Any:
-    """Tiles beside each other in a picture of this width."""
+    """Tiles beside each other in an image of this width."""
     return (width + (TILE - 1)) // TILE
 
 

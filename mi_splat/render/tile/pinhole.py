@@ -25,16 +25,16 @@ class Pinhole:
     near: float  # means with a smaller camera-space depth are culled, world units
     # whether a Gaussian keeps its weight under the low-pass filter, see `project`
     antialiased: bool = False
-    # tan(fov / 2) in x and y of the whole picture, of which this is a part
+    # tan(fov / 2) in x and y of the whole image, of which this is a part
     field: tuple[float, float] | None = None
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) in pixels of the picture that is made."""
+        """(width, height) in pixels of the image that is made."""
         return self.camera.width, self.camera.height
 
     def key(self) -> tuple[Any, ...]:
-        """Equal for two cameras that make the same picture."""
+        """Equal for two cameras that make the same image."""
         camera = self.camera
         return (
             camera.to_world.numpy().tobytes(),

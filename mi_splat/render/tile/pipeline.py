@@ -1,4 +1,4 @@
-"""The rasteriser as two calls: a picture with what its derivative needs, and the
+"""The rasteriser as two calls: an image with what its derivative needs, and the
 derivative.
 
 Each calls its stages in order. Tracing them in Python costs several times their run
@@ -27,7 +27,7 @@ from mi_splat.render.tile.picture import (
 from mi_splat.render.tile.pinhole import Pinhole
 
 MAX_PAIRS = 1 << 28
-"""Above this many (tile, Gaussian) pairs a picture is refused, before memory runs
+"""Above this many (tile, Gaussian) pairs an image is refused, before memory runs
 out.
 """
 
@@ -45,7 +45,7 @@ def rasterize(
     *,
     depths: bool = False,
 ) -> Picture:
-    """Render Gaussians to a picture."""
+    """Render Gaussians to an image."""
     buffers = new_buffers(camera.size, background, depths=depths)
     count = len(arrays[-2])
     if count == 0:
@@ -78,9 +78,7 @@ def rasterize(
         return _nothing_visible(buffers, layout, arrays)
     if number > MAX_PAIRS:
         do = "render it smaller or shrink the Gaussians"
-        raise MiSplatError.of(
-            "picture", f"at most {MAX_PAIRS} tile touches", number, do
-        )
+        raise MiSplatError.of("image", f"at most {MAX_PAIRS} tile touches", number, do)
     pairs = buffer(2 * number, mi.UInt32, NO_TILE)
     used = run(
         stages.write_pairs, records[0], depth_order, first, last, buffers.size, pairs
@@ -129,7 +127,7 @@ def rasterize_backward(
     screen: Any | None = None,
 ) -> tuple[Any, ...]:
     """Gradient of a scalar L with respect to the Gaussians, from its gradient with
-    respect to the picture.
+    respect to the image.
     """
     arrays = picture.arrays
     state = picture.state

@@ -113,7 +113,7 @@ def project(gaussians: Gaussians, camera: KernelCamera) -> tuple[Splat, Any, Any
     """Project every Gaussian.
 
     The blur of 0.3 px^2 makes small Gaussians heavier than they are: with S for the 2D
-    covariance, the sum of a Gaussian's weights over the picture grows by sqrt(det(S +
+    covariance, the sum of a Gaussian's weights over the image grows by sqrt(det(S +
     0.3 I) / det(S)). With `camera.antialiased` its opacity is divided by that, so that
     the blur is a low-pass filter that keeps the sum: the 2D filter of Mip-Splatting (Yu
     et al. 2024, eq. 10), in the form that gsplat calls "antialiased", with the blur of

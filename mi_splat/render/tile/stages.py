@@ -1,4 +1,4 @@
-"""The stages, from Gaussians to a picture (1 to 5) and back (6 to 8); `pipeline` calls
+"""The stages, from Gaussians to an image (1 to 5) and back (6 to 8); `pipeline` calls
 them in this order.
 
 Each stage is recorded once by `frozen.run` and replayed. README.md says what a stage
@@ -118,7 +118,7 @@ def blend_tiles(
     canvas: tuple[Any, ...],
     walked: Any,
 ) -> None:
-    """Stage 5: blend every tile, then lay the tiles out as a row-major picture over the
+    """Stage 5: blend every tile, then lay the tiles out as a row-major image over the
     background.
     """
     tile, corner = _tiles(order, buffers)

@@ -1,9 +1,9 @@
-"""What a picture keeps when only colours change: the weights alpha T of its pairs,
+"""What an image keeps when only colours change: the weights alpha T of its pairs,
 packed, and which rows hold them.
 
-Made once per scene and camera by the stages of the picture's own forward pass, so
+Made once per scene and camera by the stages of the image's own forward pass, so
 nothing here is replayed. A pair is *kept* if its Gaussian is free and has a weight
-above 0 at a pixel of its tile that lies in the picture.
+above 0 at a pixel of its tile that lies in the image.
 """
 
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ BLOCK = 16
 _MOST = 1023
 _FIXED = 0xFFFFFFFF
 _SLOT_BYTES = 4 * (PIXELS + 2 + 4)  # weights, Gaussian, row, sums
-_PIXEL_BYTES = 4 * (3 + 3 + 4 + 4 + 3)  # base, where, canvas, gradients, picture
+_PIXEL_BYTES = 4 * (3 + 3 + 4 + 4 + 3)  # base, where, canvas, gradients, image
 _GAUSSIAN_BYTES = 4 * (4 + 4 + 2)  # direction, colour, range of rows
 
 
@@ -66,10 +66,10 @@ class FrozenPairs:
     # Float, 4 a free Gaussian: from the camera's centre to its mean, length 1, and a 0
     directions: Any
     columns: Any  # UInt32, 0, 1, 2, ... (as many as there are free Gaussians)
-    # UInt32, of each value of the picture: its place in `canvas` (the last slot: there
+    # UInt32, of each value of the image: its place in `canvas` (the last slot: there
     # is none)
     where: Any
-    # Float, 3 a pixel, row-major: the picture without the free Gaussians' colours
+    # Float, 3 a pixel, row-major: the image without the free Gaussians' colours
     base: Any
     # Float, 4 a pixel of a slot, one slot more that is 0: scratch of a forward step
     canvas: Any
@@ -78,7 +78,7 @@ class FrozenPairs:
 
 
 def needed_bytes(slots_needed: int, pixels: int, gaussians: int) -> int:
-    """Memory for so many places, pixels of the picture and free Gaussians, that of one
+    """Memory for so many places, pixels of the image and free Gaussians, that of one
     step included.
     """
     return (
@@ -89,7 +89,7 @@ def needed_bytes(slots_needed: int, pixels: int, gaussians: int) -> int:
 def freeze_pairs(
     picture: Picture, free: Any, directions: Any, *, max_bytes: int, held: int = 0
 ) -> tuple[FrozenPairs | None, int]:
-    """Keep the weights of a picture."""
+    """Keep the weights of an image."""
     pixels = len(picture.opacity)
     if picture.state is None or len(free) == 0:
         return None, _within(held + needed_bytes(0, pixels, len(free)), 0, max_bytes)
@@ -256,7 +256,7 @@ def _walk(
     kept: Any | None = None,
     packed: tuple[Any, Any, Any] | None = None,
 ) -> None:
-    """Walk the lists of tiles as the picture did, and find the pairs to keep."""
+    """Walk the lists of tiles as the image did, and find the pairs to keep."""
     state = picture.state
     assert state is not None
     width, height = state.buffers.size

@@ -42,9 +42,9 @@ class ScreenGradients(Protocol):
     `mi_splat.render.renderer.ScreenGradients`.
     """
 
-    # (N,) length of the gradient of each centre on the screen, in half pictures
+    # (N,) length of the gradient of each centre on the screen, in half images
     lengths: Tensor
-    visible: Tensor  # (N,) in how many pictures each Gaussian was visible
+    visible: Tensor  # (N,) in how many images each Gaussian was visible
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

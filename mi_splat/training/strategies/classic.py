@@ -29,7 +29,7 @@ class ClassicStrategy(Strategy):
     """Rounds of clone, split and prune, and resets of the opacities.
 
     Its state: `grad2d` (N,), sums of the length of the centres' gradients since the
-    last round; `visible_count` (N,), in how many pictures each Gaussian was visible
+    last round; `visible_count` (N,), in how many images each Gaussian was visible
     since then; `opacities_were_reset`, one bool.
     """
 

@@ -62,7 +62,7 @@ class MCMCStrategy(Strategy):
 def relocate(
     parameters: Parameters, *, config: MCMCConfig, generator: Generator
 ) -> Edit:
-    """Move dead Gaussians onto living ones, and add some up to the limit; the picture
+    """Move dead Gaussians onto living ones, and add some up to the limit; the image
     stays nearly as it is.
     """
     opacity = parameters["opacities"].detach().sigmoid()

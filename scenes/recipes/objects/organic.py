@@ -4,7 +4,7 @@ A body is a sequence of layers (skin, shirt, hair, ...). Inside a layer the prim
 melt into each other; layers meet in a crease, and the layer on the outside gives the
 surface its colour. Colours come from a function of the position in space: every quad of
 the mesh owns a small tile of the texture, sampled at its own points, so that the
-picture has no seams and no stretched texels.
+image has no seams and no stretched texels.
 """
 
 from collections.abc import Callable, Sequence

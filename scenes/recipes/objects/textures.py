@@ -14,7 +14,7 @@ from scenes.recipes.objects.primitives import Points, regular_polygon, strokes
 
 
 def canvas(size: tuple[int, int], colour: ArrayLike) -> Floats:
-    """(h, w, 3) picture of one colour."""
+    """(h, w, 3) image of one colour."""
     return np.array(np.broadcast_to(np.asarray(colour, np.float32), (*size, 3)))
 
 
@@ -58,7 +58,7 @@ def write(
     weight: float = 0.16,
 ) -> None:
     """Draw `text` in place into `box` (left, bottom, right, top, in [0, 1] of the
-    picture's height and y up).
+    image's height and y up).
     """
     height, width = picture.shape[:2]
     x, y = grid((height, width))

@@ -1,5 +1,5 @@
-"""Flat television sets: a thin screen with a bezel on a foot, dark or showing a
-picture.
+"""Flat television sets: a thin screen with a bezel on a foot, dark or showing an
+image.
 """
 
 import numpy as np
@@ -101,7 +101,7 @@ def _dark(rng: np.random.Generator) -> Floats:
 
 
 def screen(rng: np.random.Generator) -> Floats:
-    """A (144, 256, 3) picture for a screen; half of all screens are off."""
+    """A (144, 256, 3) image for a screen; half of all screens are off."""
     kind = rng.random()
     if kind < 0.55:
         return _dark(rng)

@@ -114,7 +114,7 @@ def test_pictures_are_prepared_as_the_networks_want_them() -> None:
 
 
 def _tiny() -> GraphDetector:
-    """Scores are the sigmoid of the mean colour over quarters of the picture; the box
+    """Scores are the sigmoid of the mean colour over quarters of the image; the box
     of each is the quarter's.
     """
     numbers = {"split": [2, 4, 2, 4, 3], "axes": [1, 3], "shape": [1, 4, 3]}
@@ -233,7 +233,7 @@ def test_it_finds_what_is_to_be_seen(name: str, variant: str) -> None:
 
 @pytest.mark.parametrize("name", each)
 def test_gradient_of_the_whole_chain_is_that_of_differences(name: str) -> None:
-    """Picture to the largest score: along a random direction, in float64."""
+    """Image to the largest score: along a random direction, in float64."""
     detector = load(name)
     detector.model.double()
     generator = torch.Generator().manual_seed(0)

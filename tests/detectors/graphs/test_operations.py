@@ -35,7 +35,7 @@ def number(value: float, dtype: type = np.float32) -> Array:
 def padded(
     picture: Array, kernel: tuple[int, int], stride: int, same: bool, value: float
 ) -> tuple[Array, list[int]]:
-    """A picture with TensorFlow's padding, and how many rows and columns come out."""
+    """An image with TensorFlow's padding, and how many rows and columns come out."""
     sizes = []
     pads = []
     for size, reach in zip(picture.shape[1:3], kernel, strict=True):
