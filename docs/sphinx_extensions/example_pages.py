@@ -1,9 +1,8 @@
 """A page for every script of docs/examples, written when the site is built: its
-docstring, its image, its code.
+docstring, its image, its code, and what it prints.
 
-The images are in docs/images/examples; `python docs/sphinx_extensions/example_pages.py`
-runs the scripts and makes them anew. tests/project/test_examples.py runs the scripts,
-too, and compares.
+Images and prints are in docs/images/examples, and this file, run as a script, makes
+them anew. tests/project/test_examples.py runs the examples, too, and compares.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,8 +69,21 @@ def page(script: Path) -> str:
             code.strip(),
             "```",
             "",
+            *printed(script),
         ]
     )
+
+
+def printed(script: Path) -> Iterator[str]:
+    """What an example prints, if anything."""
+    path = kept(script, "txt")
+    if path.is_file():
+        yield from ("It prints:", "", "```text", path.read_text().strip(), "```", "")
+
+
+def kept(script: Path, ending: str) -> Path:
+    """Where the image or the print of an example is kept."""
+    return DOCS / "images" / "examples" / f"{script.stem}.{ending}"
 
 
 def parts(script: Path) -> tuple[str, str]:
@@ -92,13 +105,19 @@ def page_image(path: Path) -> Image.Image:
 
 
 def main() -> None:
-    """Run all examples in the folder of the repository, and keep their images."""
-    folder = DOCS / "images" / "examples"
-    folder.mkdir(exist_ok=True)
+    """Run all examples in the folder of the repository, and keep what they make."""
     for script in scripts():
-        subprocess.run([sys.executable, script], cwd=DOCS.parent, check=True)
+        done = subprocess.run(
+            [sys.executable, script],
+            cwd=DOCS.parent,
+            check=True,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        if done.stdout:
+            kept(script, "txt").write_text(done.stdout)
         image = page_image(DOCS.parent / "out" / f"{script.stem}.png")
-        image.save(folder / f"{script.stem}.jpg", quality=88)
+        image.save(kept(script, "jpg"), quality=88)
 
 
 if __name__ == "__main__":

@@ -54,8 +54,7 @@ _TOUCH = 0.4  # Radii that an object may be above its ground,
 _ONE_SIDE = 0.95  # share of it that is above the ground,
 _UNDER = 0.15  # but for so many radii,
 _BEYOND = 1.3  # and radii that a ground reaches from its middle.
-# Radius of a whole splat, by the distance from its middle within which half of it
-# lies.
+# Radius of the core of a splat, by that within which most of its small Gaussians lie.
 _WHOLE_MARGIN = 1.2
 
 
@@ -95,12 +94,9 @@ class Target:
     radius: float  # of a ball that holds nearly all of it
     # (3,) float64 unit vector away from the ground; None if it stands on none
     up: Tensor | None
-    cells: int = 48  # pieces of surface along its diameter
     # whether it is what is around another, such as a sky: cameras stand within, if at
     # all
     surrounds: bool = False
-    # whether it is the core of something larger, which then is around it and covers it
-    core: bool = False
 
     def above(self, scene: GaussianScene, points: Tensor, gap: float) -> Tensor:
         """(...) bool, which (..., 3) points lie so many radii above its foot; all of
@@ -189,7 +185,7 @@ def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Targe
         target.up is None and core.radius * _LOOSE < target.radius for target in chosen
     )
     if is_loose:
-        chosen.append(dataclasses.replace(core, core=bool(chosen)))
+        chosen.append(core)
     chosen = _parted(chosen)
     ground = _ground_of(chosen)
     if ground is None:
@@ -255,15 +251,6 @@ def _surrounds(target: Target, other: Target) -> bool:
 
 def _holds(target: Target, point: Tensor) -> bool:
     return float((point - target.centre).norm()) < target.radius
-
-
-def whole(scene: GaussianScene) -> Target:
-    """All of a splat as one object."""
-    rows = (scene.opacities > SOLID).nonzero()[:, 0]
-    points = scene.means[rows].double()
-    centre = points.median(0).values
-    radius = _WHOLE_MARGIN * quantile((points - centre).norm(dim=1), 0.5)
-    return Target(rows=rows, centre=centre, radius=radius, up=None)
 
 
 def _normal_of_flat(points: Tensor) -> Tensor | None:

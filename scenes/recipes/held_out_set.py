@@ -31,7 +31,7 @@ from scenes.recipes.audit_set import (
 
 SETS: dict[str, Callable[[], Iterator[tuple[str, Item]]]] = {
     "random": partial(drawn, 2000, 2018),
-    "second": partial(drawn, 2018, 2058),
+    "second": partial(drawn, 2018, 2063),
     "strength": strength,
     "attackers": attackers,
 }

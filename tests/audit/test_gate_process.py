@@ -67,7 +67,7 @@ def test_what_is_no_file_of_a_disk_or_too_large_is_not_read(
         told, error = verdict(judge, tmp_path / name)
         assert told == "not judged", name
         assert why in error
-    assert time.monotonic() - started < 30
+    assert time.monotonic() - started < 120  # reading one would never end
 
 
 def test_a_record_belongs_to_a_content_and_knows_no_name(

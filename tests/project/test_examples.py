@@ -27,18 +27,11 @@ SCRIPTS = sorted(FOLDER.glob("*.py"))
 CHAINS = (("01",), ("02",), ("03",), ("04", "05"), ("06", "07"), ("08",))
 """Examples that are run one after the other, because one reads what another writes."""
 MOST_LINES = 59
+FRACTION = re.compile(r"\d+\.\d+")
 CLOSE = 2.5
 """Mean difference of two small images, of 255. Another processor may move a box by a
 pixel; an attack that fails moves more.
 """
-PRINTED = {
-    "04_attack_one_view": (
-        "attack: success\nnoise: 0 of 8 draws succeed\nPSNR on the car: 34.0 dB\n"
-    ),
-    "05_views_and_conditions": "as attacked: person in 1 of 6 views\n",
-    "07_audit_a_file": "clean: consistent\ncloaked: contradicted\n",
-}
-"""What an example prints first."""
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +53,14 @@ def listed() -> set[str]:
 
 def small(image: Image.Image) -> NDArray[np.float64]:
     return np.asarray(image.convert("RGB").resize((96, 48)), dtype=np.float64)
+
+
+def assert_printed(made: str, path: Path) -> None:
+    """That a text is the one of a file, but for the last digits of its fractions."""
+    shown = path.read_text() if path.is_file() else ""
+    assert FRACTION.sub("#", made) == FRACTION.sub("#", shown)
+    for one, other in zip(FRACTION.findall(made), FRACTION.findall(shown), strict=True):
+        assert float(one) == pytest.approx(float(other), rel=0.05, abs=0.02)
 
 
 def imports(tree: ast.AST) -> Iterator[tuple[str, str]]:
@@ -119,7 +120,7 @@ def test_an_example_makes_the_image_of_its_page(
     for script in SCRIPTS:
         if script.stem.startswith(chain):
             runpy.run_path(str(script), run_name="__main__")
-            assert capsys.readouterr().out.startswith(PRINTED.get(script.stem, ""))
+            assert_printed(capsys.readouterr().out, IMAGES / f"{script.stem}.txt")
             made = pages["page_image"](tmp_path / "out" / f"{script.stem}.png")
             shown = Image.open(IMAGES / f"{script.stem}.jpg")
             assert made.size == shown.size
