@@ -22,7 +22,7 @@ import conformance_probes as probes
 from mi_splat.cli.conform_browser import draw_in_browser
 from mi_splat.conformance import Report, compare, conformance_scenes
 
-PROFILES = ("3dgs", "webgl")
+PROFILE = "webgl"
 
 
 def measured(adapter: Path) -> dict[str, Any]:
@@ -35,12 +35,12 @@ def measured(adapter: Path) -> dict[str, Any]:
     with TemporaryDirectory() as made:
         images = Path(made) / "images"
         draw_in_browser(adapter, images, scenes)
-        reports = {profile: compare(images, profile) for profile in PROFILES}
+        report = compare(images, PROFILE)
     return {
         "packages": _packages(adapter.parent),
         "browser": _browser(),
         "probes": probes.measured(probes.drawn_in_browser(adapter)),
-        "profiles": {name: _counted(report) for name, report in reports.items()},
+        "images": _counted(report),
     }
 
 

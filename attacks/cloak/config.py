@@ -502,6 +502,8 @@ class StudyConfig:
         training: How splats are trained.
         layers: How the finished file is changed; None: only the training images are.
         evaluation: How they are looked at.
+        robust: Whether the victim audits the images and leaves out those that are
+            named, as `mi-splat train --robust` does.
     """
 
     name: str
@@ -512,6 +514,7 @@ class StudyConfig:
     training: TrainingConfig = field(default_factory=TrainingConfig)
     layers: LayersConfig | None = None
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    robust: bool = False
 
     def __post_init__(self) -> None:
         check(self)
@@ -519,6 +522,13 @@ class StudyConfig:
         check_once("seeds", self.seeds, "add one")
         if names:  # poisons of other kinds have a scene without one
             check_once("names of attacks", names, "give each a name of its own")
+        if self.robust and self.layers is not None:
+            raise InvalidValueError.of(
+                "robust",
+                "no layers, which change the finished file",
+                "both",
+                "omit one",
+            )
         if self.layers is not None and not (
             self.layers.attacks and set(self.layers.attacks) <= set(names)
         ):

@@ -21,6 +21,7 @@ from attacks.cloak.config import (
     switching,
 )
 from attacks.cloak.kinds.pictures import APPEARANCE, PicturesConfig
+from attacks.cloak.kinds.robust import RobustConfig
 from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
 from attacks.cloak.kinds.trained import TrainedConfig
 from attacks.cloak.layers import LayeredConfig
@@ -157,7 +158,7 @@ class StudySteps:
         poisoned = self.poisoned(seed)
         layers = self.study.layers
         if layers is None:
-            return self.trained_on(poisoned, seed)
+            return self.trained_on(poisoned, seed, robust=self.study.robust)
         shown = [
             attack for attack in self.study.attack if attack.name in layers.attacks
         ]
@@ -181,18 +182,24 @@ class StudySteps:
         seed: int,
         training: TrainingConfig | None = None,
         clean: Job | None = None,
+        robust: bool = False,
         **limits: Any,
     ) -> Job:
         """A training, which knows nothing of the scene but its images; limits are
-        those of `TrainedConfig`.
+        those of `TrainedConfig`. A robust one leaves out images that the audit names.
         """
         recipe = replace(training or self.study.training, near=None)
-        config = TrainedConfig(**self.splat_job(), training=recipe, seed=seed, **limits)
+        kind = "trained"
+        made: type[TrainedConfig] = TrainedConfig
+        if robust:
+            kind = "robust"
+            made = RobustConfig
+        config = made(**self.splat_job(), training=recipe, seed=seed, **limits)
         inputs = {
             "pictures": pictures.part(PICTURES),
             **({} if clean is None else {"clean": clean.part(SPLAT)}),
         }
-        return Job(kind=f"{_KINDS}.trained", config=config, inputs=inputs)
+        return Job(kind=f"{_KINDS}.{kind}", config=config, inputs=inputs)
 
     def seen(
         self,

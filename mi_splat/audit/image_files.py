@@ -54,6 +54,7 @@ def document_of_images(audit: ImageAudit, names: Sequence[str]) -> dict[str, Any
             "edge": split.edge,
             "difference": split.difference,
             "gain": split.gain,
+            "agreement": split.agreement,
         }
         scores = dict(zip(names, split.scores.tolist(), strict=True))
     return {
@@ -85,6 +86,12 @@ def summary_of(audit: ImageAudit, names: Sequence[str]) -> list[str]:
             f" {strength})",
             "a change that nearly all images show, that sets in gradually, or that one"
             " image shows, is not found",
+        ]
+    if audit.verdict == "not judged":
+        return [
+            "not judged: images contradict each other, but several divisions into two"
+            f" groups explain that about as well ({compared}; {strength}), so that no"
+            " image is named"
         ]
     larger, smaller = audit.groups
     usual = int(larger.sum())

@@ -39,6 +39,16 @@ class Observations:
     # are angles in radians where both are as far away
     separation: Tensor
 
+    def of(self, images: Tensor) -> "Observations":
+        """What some images show of the points that enough of them see; (V,) bool."""
+        kept = self.seen[images].sum(0) >= _LEAST_IMAGES
+        return Observations(
+            colours=self.colours[images][:, kept],
+            seen=self.seen[images][:, kept],
+            directions=self.directions[images],
+            separation=self.separation[images][:, images],
+        )
+
 
 def observe(views: Sequence[View], cloud: Tensor, *, most: int) -> Observations:
     """Look up points in all images.

@@ -40,9 +40,9 @@ causes may be less exact.
 _HARD = 3
 _BREADTH = 4
 _NEARER = 0.1
-"""Images to which combinations are fitted where no deviation alone explains more;
-combinations that each of these goes on with; by how much each deviation lowers the
-logarithm of the error.
+"""Images to which combinations are fitted where no deviation alone explains more, those
+that one more brings nearest; combinations that each of these goes on with; by how much
+each deviation lowers the logarithm of the error.
 """
 
 Keys = frozenset[str]
@@ -93,6 +93,7 @@ class _Search:
     ) -> None:
         self.setups = setups
         self.tolerances = dict(tolerances)
+        self.least = tolerances  # before more is expected of some
         self.pixels = {name: sampled(image) for name, image in images.items()}
         self.images = {
             name: image[np.ix_(*self.pixels[name])] for name, image in images.items()
@@ -176,7 +177,7 @@ class _Search:
         gained = sum(self.nears(name, before, after) >= _CLEARLY for name in fitted)
         if gained < max(1, len(after - before)):
             return 0
-        if not all(self.holds(name, after) for name in held):
+        if not all(self.least[name].holds(self.error(name, after)) for name in held):
             return 0
         rest = [name for name in left if name not in fitted]
         if any(self.nears(name, before, after) < -_HARDLY for name in rest):
@@ -242,7 +243,10 @@ class _Search:
         """Two or three deviations more that explain an image which no single one
         explains.
         """
-        nearest = sorted(left, key=lambda name: self.cost([name], chosen))
+        single = [_with(chosen, key) for key in self.keys]
+        nearest = sorted(
+            left, key=lambda name: min(self.cost([name], each) for each in single)
+        )
         found = []
         for name in nearest[:_HARD]:
             keys = [key for key in self.keys if self.shows(name, key)]

@@ -187,6 +187,26 @@ _add(
     "wrong",
     _setup(scales=lambda logarithms: np.exp(0.5 * logarithms)),
 )
+
+
+def _stepped(steps: int) -> Callable[[Splat], Splat]:
+    """Logarithms of scales in steps, which viewers store in 8 bits."""
+    step = 21 / steps
+
+    def change(splat: Splat) -> Splat:
+        numbers = np.clip(np.round((splat.scales + 12) / step), 0, steps)
+        return splat._replace(scales=(numbers * step - 12).astype(np.float32))
+
+    return change
+
+
+for _steps in (254, 255):
+    _add(
+        f"scales={_steps}-steps",
+        f"logarithms of scales in {_steps} steps from -12 to 9",
+        "another choice",
+        _file(_stepped(_steps)),
+    )
 _add(
     "opacities=linear",
     "opacities not through a sigmoid",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -279,24 +280,25 @@ def _causes(
     floors: Mapping[str, float],
 ) -> list[GradientCause]:
     """What explains each attribute in every scene: a factor, or a known mistake."""
+
+    @cache
+    def made_by(mistake: str) -> dict[str, Gradients]:
+        make = _MISTAKES[mistake]
+        return {name: make(scenes[name].setup)._asdict() for name in given}
+
     causes = []
-    left = list(wrong)
     for key in wrong:
         names = [name for name in given if _matches(given[name], exact[name], key)]
         factor = _factor([(given[name][key], exact[name][key]) for name in names])
         scaled = {name: {key: factor * exact[name][key]} for name in names}
-        if names and _explains(key, scaled, given, floors):
+        if _explains(key, scaled, given, floors):
             causes.append(GradientCause(key, _factor_text(factor)))
-            left.remove(key)
-    for text, mistake in _MISTAKES.items():
-        if not left:
-            break
-        made = {name: mistake(scenes[name].setup)._asdict() for name in given}
-        for key in list(left):
-            names = [name for name in given if _matches(given[name], exact[name], key)]
-            if _explains(key, {name: made[name] for name in names}, given, floors):
-                causes.append(GradientCause(key, text))
-                left.remove(key)
+            continue
+        for mistake in _MISTAKES:
+            made = {name: made_by(mistake)[name] for name in names}
+            if _explains(key, made, given, floors):
+                causes.append(GradientCause(key, mistake))
+                break
     return causes
 
 

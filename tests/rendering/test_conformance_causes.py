@@ -269,6 +269,19 @@ def test_listed_mistakes_are_named(keys: tuple[str, ...]) -> None:
     assert counts == sorted(counts, reverse=True)
 
 
+@pytest.mark.parametrize(
+    "keys",
+    [
+        ("falloff=normalised", "low-pass=0.075", "scales=255-steps"),
+        ("compensation=on", "scales=254-steps"),
+    ],
+    ids=", ".join,
+)
+def test_mistakes_that_hide_each_other_are_named(keys: tuple[str, ...]) -> None:
+    """As web viewers make them: alone, none of the first three explains much."""
+    assert causes(drawn_with(*keys)) == set(keys)
+
+
 def test_a_right_renderer_has_no_causes() -> None:
     report = judged(image_of, FEW)
     assert report.conforms

@@ -37,15 +37,14 @@ def viewer_row(adapter: Path) -> str:
     versions = [f"{name} {version}" for name, version in result["packages"].items()]
     shape = result["probes"]["shape"]
     compensated = ", compensated" if shape["compensated"] else ""
-    webgl = result["profiles"]["webgl"]
-    causes = [f"`{key}` ({len(found)})" for key, found in webgl["causes"].items()]
+    images = result["images"]
+    causes = [f"`{key}` ({len(found)})" for key, found in images["causes"].items()]
     cells = [
         f"`{adapter}`: {', '.join(versions)}",
-        str(len(result["profiles"]["3dgs"]["conform"])),
-        str(len(webgl["conform"])),
+        str(len(images["conform"])),
         f"{shape['low_pass']:g}{compensated}; {shape['falloff']}; {shape['rms']:.4f}",
         ", ".join(causes),
-        str(len(webgl["unexplained"])),
+        str(len(images["unexplained"])),
     ]
     return f"| {' | '.join(cells)} |"
 
@@ -67,11 +66,11 @@ def test_rows_about_viewers_are_those_of_results(adapter: Path) -> None:
     package = json.loads((FOLDER / adapter).with_name("package.json").read_text())
     assert result["packages"] == package["dependencies"]
     assert result["probes"]["adapter_is_right"]
-    for found in result["profiles"].values():
-        assert {*found["conform"], *found["differ"], *found["missing"]} == NAMES
-        explained = {name for names in found["causes"].values() for name in names}
-        assert explained | {*found["unexplained"]} <= {*found["differ"]}
-        assert set(found["causes"]) <= set(DEVIATIONS)
+    found = result["images"]
+    assert {*found["conform"], *found["differ"], *found["missing"]} == NAMES
+    explained = {name for names in found["causes"].values() for name in names}
+    assert explained | {*found["unexplained"]} <= {*found["differ"]}
+    assert set(found["causes"]) <= set(DEVIATIONS)
 
 
 @pytest.mark.parametrize("name", CONVERTERS)

@@ -33,7 +33,8 @@ from mi_splat import provenance
 from mi_splat.audit.files import write as write_files
 from mi_splat.audit.image_files import document_of_images, image_names
 from mi_splat.audit.image_files import write_image_audit as write_images
-from mi_splat.audit.images import ImageAudit, Split
+from mi_splat.audit.image_splits import Split
+from mi_splat.audit.images import ImageAudit
 from mi_splat.datasets import load_dataset
 from mi_splat.io import save_splat
 from mi_splat.io.documents import save_json, save_png

@@ -30,6 +30,7 @@ COUNTS = {
     "cloak_design": (17, 0),
     "cloak_elsewhere": (1, 132),
     "cloak_new_cars": (5, 0),
+    "cloak_robust": (2, 0),
     "cloak_second_car": (1, 0),
     "coco": (72, 0),
     "coco_demo": (12, 0),

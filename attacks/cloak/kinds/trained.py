@@ -17,7 +17,7 @@ import torch
 from attacks.cloak.config import TrainingConfig, fit_config
 from attacks.cloak.setup import SET, SplatJob
 from mi_splat.cameras.camera import RenderFn, View
-from mi_splat.datasets import load_dataset
+from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.io import load_splat
 from mi_splat.io.documents import save_json
 from mi_splat.scene import GaussianScene
@@ -46,10 +46,17 @@ def run(config: TrainedConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Train on the `pictures`, or go on; `COST` says what an uninterrupted training has
     taken.
     """
-    training = config.training
     views = load_dataset(
         inputs["pictures"] / SET, split="train", background=config.background
     )
+    train_on(views, config, inputs, out)
+
+
+def train_on(
+    views: Dataset, config: TrainedConfig, inputs: Mapping[str, Path], out: Out
+) -> None:
+    """Train on some images, or go on."""
+    training = config.training
     assert views.points is not None  # a capture writes them
     cloud = with_outliers(views.points, views, training.outliers, seed=config.seed)
     if config.limit is not None:

@@ -1,0 +1,352 @@
+"""Two groups of images that contradict each other, from what they show of the same
+points.
+
+From many starting splits, the median colour of each point in each group and the group
+that each image contradicts less are found in turn, until nothing changes. Parts of the
+set that share few points, such as cameras in front of a thin sheet and behind it, can
+be matched either way by that. The side of each part is therefore the one on which
+neighbouring images agree.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from mi_splat.audit.observations import Observations, median_of
+from mi_splat.maths.sh import even_directions
+
+FIRST_POINTS = 800  # that the starting splits see
+STARTS = 16  # directions from which images are split in two ways each
+CAP = 0.15  # sRGB above which a larger difference counts no more
+ROUNDS = 20
+LEAST_SEEN = 2  # images of a group that have to see a point
+NOISE = 0.02  # sRGB by which honest images differ
+NEIGHBOURS = 8  # nearest images in which the noise of a point is looked for
+UNDECIDED = 0.15
+"""Share of the usual evidence, and difference of the two costs in their sum, below
+which an image belongs to neither group.
+"""
+TYPICAL = 0.5  # share of the usual score of a group below which nothing is named
+LEAST_POINTS = 50
+BESIDE = 0.5  # separation up to which two images are side by side
+NEAREST = 0.15  # share of these pairs, the nearest, that say how sharp the edge is
+LEAST_PAIRS = 4
+ALIKE = 15  # pairs of one group as far apart, with which each is compared
+FLOOR = 0.01  # sRGB that images of one group differ by at least
+SHARED = 0.3  # of what an image sees, that another has to see to be compared with it
+AGREEING = 6  # nearest images with which an image should agree
+AGREEMENT = 0.1  # what this counts, next to what the images show
+ALIGNMENTS = 5  # rounds
+RIVAL = 0.6  # share of the strength from which another split disputes a group
+LITTLE = 0.05  # of the usual evidence, that an image without any has
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Split:
+    """Two groups of V images, and how much they contradict each other."""
+
+    smaller: Tensor  # (V,) bool, images of the smaller group; the others are the larger
+    decided: Tensor  # (V,) bool, images that see enough to belong to one of the two
+    # (V,) in [-1, 1], by how much less an image contradicts the smaller group
+    scores: Tensor
+    # 20 % quantile over the smaller group of its images' scores
+    sharpness: float
+    # sRGB by which an image differs less from its own group than from the other, in the
+    # mean over all points that it sees
+    gain: float
+    # difference of images of the two groups that were taken side by side, by that of
+    # images of one group that are as far apart
+    edge: float
+    difference: float  # sRGB of the former less that of the latter
+    pair: tuple[int, int] | None  # images side by side, of the smaller and the larger
+    agreement: float = 1.0  # share of the smaller group that no similar split disputes
+
+    @property
+    def sides(self) -> Tensor:
+        """(V,) 1 for images of the smaller group, -1 for the larger, 0 for neither."""
+        larger = self.decided & ~self.smaller
+        return self.smaller.float() - larger.float()
+
+    @property
+    def strength(self) -> float:
+        """What splits are compared by; 0 where images side by side differ no more
+        across the groups than within them, as those of gloss do.
+        """
+        excess = max(self.edge - 1, 0.0)
+        return excess**2 * self.sharpness * self.gain
+
+
+def split_images(observed: Observations) -> Split | None:
+    """The two groups of images that contradict each other most; None if images share
+    too few points.
+    """
+    if observed.seen.shape[1] < LEAST_POINTS:
+        return None
+    noise = _noise(observed)
+    few = _some(observed, FIRST_POINTS)
+    even = torch.zeros(few.seen.shape[1])
+    found = _distinct(_alternated(few, start, even, False) for start in _starts(few))
+    found = _distinct(_alternated(observed, start, noise, True) for start in found)
+    near = _neighbourhood(observed)
+    found = _distinct(_aligned(observed, start, noise, near) for start in found)
+    splits = [_measured(observed, smaller, noise) for smaller in found]
+    judged = [split for split in splits if split is not None]
+    if not judged:
+        return None
+    best = max(judged, key=lambda split: split.strength)
+    return _undisputed(best, judged)
+
+
+def _undisputed(best: Split, others: list[Split]) -> Split:
+    """A split in whose smaller group are only images that all others that are nearly as
+    strong have there, too.
+    """
+    agreed = best.smaller.clone()
+    for other in others:
+        if other.strength < RIVAL * best.strength:
+            continue
+        sides = other.sides
+        if float(sides @ best.sides) < 0:
+            sides = -sides
+        agreed &= sides >= 0
+    share = int(agreed.sum()) / int(best.smaller.sum())
+    decided = best.decided & (agreed | ~best.smaller)
+    return dataclasses.replace(best, smaller=agreed, decided=decided, agreement=share)
+
+
+def _starts(observed: Observations) -> Iterator[Tensor]:
+    """Splits to begin with: by direction, every other image, and by number."""
+    ways = torch.from_numpy(even_directions(STARTS)).float()
+    along = observed.directions @ ways.T
+    for share in (0.5, 0.8):
+        yield from (along > along.quantile(share, dim=0)).T
+    numbers = torch.arange(len(along))
+    yield numbers % 2 == 0
+    yield numbers < len(along) / 2
+
+
+def _distinct(splits: Iterator[Tensor | None]) -> list[Tensor]:
+    """Each split once, whichever group is called the smaller one."""
+    found: dict[tuple[bool, ...], Tensor] = {}
+    for split in splits:
+        if split is not None:
+            side = split ^ split[0]
+            found[tuple(side.tolist())] = side
+    return list(found.values())
+
+
+def _some(observed: Observations, count: int) -> Observations:
+    """The observations of some points."""
+    generator = torch.Generator().manual_seed(0)
+    rows = torch.randperm(observed.seen.shape[1], generator=generator)[:count]
+    return dataclasses.replace(
+        observed, colours=observed.colours[:, rows], seen=observed.seen[:, rows]
+    )
+
+
+def _noise(observed: Observations) -> Tensor:
+    """(P,) median difference of an image to the nearest one that sees a point, too."""
+    order = observed.separation.argsort(1)
+    differences = torch.full(observed.seen.shape, torch.nan)
+    for rank in range(1, min(1 + NEIGHBOURS, len(order))):
+        other = order[:, rank]
+        both = observed.seen & observed.seen[other] & differences.isnan()
+        change = (observed.colours - observed.colours[other]).abs().mean(-1)
+        differences = torch.where(both, change, differences)
+    return torch.nanmedian(differences, 0).values.nan_to_num(nan=CAP)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Costs:
+    """How much V images contradict two groups."""
+
+    first: Tensor  # (V,)
+    second: Tensor  # (V,)
+    seen: Tensor  # (V,) weight of the points that an image sees
+    weights: Tensor  # (P,)
+
+    @property
+    def scores(self) -> Tensor:
+        """(V,) in [-1, 1], positive where an image belongs to the first group."""
+        both = self.first + self.second
+        return (self.second - self.first) / both.clamp(min=1e-9)
+
+
+def _costs(
+    observed: Observations, group: Tensor, noise: Tensor, is_weighted: bool
+) -> _Costs:
+    """The costs of a group, the first, and of all others; weights are larger where the
+    groups differ by more than noise.
+    """
+    weights, medians = _medians(observed, group, noise, is_weighted)
+    weight = observed.seen * weights
+    costs = [(_departure(observed, median) * weight).sum(1) for median in medians]
+    return _Costs(first=costs[0], second=costs[1], seen=weight.sum(1), weights=weights)
+
+
+def _medians(
+    observed: Observations, group: Tensor, noise: Tensor, is_weighted: bool
+) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+    """(P,) weights, and the median colours of a group and of all others."""
+    weights = torch.ones(observed.seen.shape[1])
+    medians = []
+    for members in (group, ~group):
+        seen = observed.seen[members]
+        medians.append(median_of(observed.colours[members], seen).nan_to_num())
+        weights = weights * (seen.sum(0) >= LEAST_SEEN)
+    if is_weighted:
+        gap = (medians[0] - medians[1]).abs().mean(-1)
+        weights = weights * gap / (gap + 2 * noise + NOISE)
+    return weights, (medians[0], medians[1])
+
+
+def _departure(observed: Observations, median: Tensor) -> Tensor:
+    """(V, P) sRGB by which images depart from the colour of each point, up to a cap."""
+    return (observed.colours - median).abs().mean(-1).clamp(max=CAP)
+
+
+def _alternated(
+    observed: Observations, group: Tensor, noise: Tensor, is_weighted: bool
+) -> Tensor | None:
+    """The split in which every image is in the group that it contradicts less; None
+    where a group has run empty.
+    """
+    for _ in range(ROUNDS):
+        costs = _costs(observed, group, noise, is_weighted)
+        moved = torch.where(costs.seen > 0, costs.first < costs.second, group)
+        if min(int(moved.sum()), int((~moved).sum())) < LEAST_SEEN:
+            return None
+        if torch.equal(moved, group):
+            break
+        group = moved
+    return group
+
+
+def _neighbourhood(observed: Observations) -> Tensor:
+    """(V, V) positive between an image and its nearest ones; rows are as large as those
+    of a normalised graph.
+    """
+    apart = observed.separation + torch.eye(len(observed.separation)) * 1e9
+    count = min(AGREEING, len(apart) - 1)
+    nearest = apart.topk(count, dim=1, largest=False).indices
+    edges = torch.zeros_like(apart).scatter_(1, nearest, 1.0)
+    edges = torch.maximum(edges, edges.T)
+    scale = edges.sum(1).rsqrt()
+    return scale[:, None] * edges * scale
+
+
+def _aligned(
+    observed: Observations, group: Tensor, noise: Tensor, near: Tensor
+) -> Tensor | None:
+    """The split in which images that show the same points alike, and neighbours, are on
+    one side; None where a group has run empty.
+
+    Which images of a part belong together follows from the points that they share. If
+    two parts share hardly any, then the larger number of neighbours that agree decides
+    which groups of theirs are one.
+    """
+    for _ in range(ALIGNMENTS):
+        shown = _shown(observed, group, noise)
+        alike = shown @ shown.T
+        alike.fill_diagonal_(0.0)
+        evidence = alike.abs().sum(1)
+        evidence = evidence + LITTLE * evidence.median() + 1e-9
+        alike = alike / (evidence[:, None] * evidence).sqrt()
+        graph = (alike + AGREEMENT * near).double()
+        moved = torch.linalg.eigh(graph).eigenvectors[:, -1] > 0
+        if int((moved ^ group).sum()) * 2 > len(group):
+            moved = ~moved
+        if min(int(moved.sum()), int((~moved).sum())) < LEAST_SEEN:
+            return None
+        if torch.equal(moved, group):
+            break
+        group = moved
+    return group
+
+
+def _shown(observed: Observations, group: Tensor, noise: Tensor) -> Tensor:
+    """(V, P) by how much each image shows each point as a group does rather than as all
+    others do.
+    """
+    weights, medians = _medians(observed, group, noise, True)
+    first, second = (_departure(observed, median) for median in medians)
+    return (second - first) * observed.seen * weights.sqrt()
+
+
+def _measured(observed: Observations, group: Tensor, noise: Tensor) -> Split | None:
+    """What a split is worth; None where too few images are decided."""
+    costs = _costs(observed, group, noise, True)
+    evidence = costs.seen / costs.seen.median().clamp(min=1e-9)
+    scores = costs.scores * evidence.clamp(max=1)
+    decided = (evidence > UNDECIDED) & (costs.scores.abs() > UNDECIDED)
+    if int((group & decided).sum()) > int((~group & decided).sum()):
+        group = ~group
+        scores = -scores
+    decided &= group == (scores > 0)
+    members = group & decided
+    if int(members.sum()) < LEAST_SEEN:
+        return None
+    usual = float(scores[members].median())
+    named = members & (scores > TYPICAL * usual)
+    own = (costs.first - costs.second).abs()
+    edge = _edge(observed, costs.weights, group, decided)
+    return Split(
+        smaller=named,
+        decided=named | (decided & ~group),
+        scores=scores,
+        sharpness=float(costs.scores.abs()[members].quantile(0.2)),
+        gain=float(own.sum() / observed.seen.sum()),
+        edge=edge[0],
+        difference=edge[1],
+        pair=edge[2],
+    )
+
+
+def _edge(
+    observed: Observations, weights: Tensor, group: Tensor, decided: Tensor
+) -> tuple[float, float, tuple[int, int] | None]:
+    """`Split.edge`, `difference` and `pair`."""
+    apart = _differences(observed, weights)
+    known = ~apart.isnan() & decided[:, None] & decided[None]
+    known &= torch.ones_like(known).triu(1)
+    is_same = group[:, None] == group[None]
+    across = (known & ~is_same & (observed.separation < BESIDE)).nonzero()
+    within = (known & is_same).nonzero()
+    if min(len(across), len(within)) < LEAST_PAIRS:
+        return 0.0, 0.0, None
+    gaps = observed.separation[across[:, 0], across[:, 1]]
+    count = min(len(gaps), max(LEAST_PAIRS, round(NEAREST * len(gaps))))
+    across = across[gaps.argsort()[:count]]
+    gaps = observed.separation[across[:, 0], across[:, 1]]
+    usual_gaps = observed.separation[within[:, 0], within[:, 1]]
+    count = min(ALIKE, len(within))
+    alike = (gaps[:, None] - usual_gaps[None]).abs().topk(count, 1, largest=False)
+    differences = apart[across[:, 0], across[:, 1]]
+    usual = apart[within[:, 0], within[:, 1]][alike.indices].mean()
+    best = across[differences.argmax()].tolist()
+    one, other = sorted(best, key=lambda number: not bool(group[number]))
+    mean = float(differences.mean())
+    return mean / (float(usual) + FLOOR), mean - float(usual), (one, other)
+
+
+def _differences(observed: Observations, weights: Tensor) -> Tensor:
+    """(V, V) weighted difference of what two images show of the points that both see;
+    NaN where these are few.
+    """
+    kept = weights > 0.1
+    colours = observed.colours[:, kept]
+    weight = observed.seen[:, kept] * weights[kept]
+    total = weight.sum(1)
+    result = torch.full((len(total), len(total)), torch.nan)
+    for index in range(len(total)):
+        rows = weight[index] > 0
+        shared = weight[:, rows] * (weight[index, rows] > 0)
+        change = (colours[:, rows] - colours[index, rows]).abs().mean(-1)
+        both = shared.sum(1)
+        enough = both > SHARED * torch.minimum(total, total[index])
+        mean = (change.clamp(max=2 * CAP) * shared).sum(1) / both.clamp(min=1e-9)
+        result[index] = torch.where(enough & (both > 0), mean, torch.nan)
+    return result

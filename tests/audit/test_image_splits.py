@@ -1,0 +1,121 @@
+"""Splits of made-up observations: two sides that share no point, gradual changes, and a
+poison of two parts.
+"""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from mi_splat.audit import image_splits, images
+from mi_splat.audit.image_files import summary_of
+from mi_splat.audit.image_splits import Split, split_images
+from mi_splat.audit.images import CALLED, ImageAudit, called_groups
+from mi_splat.audit.observations import Observations
+from mi_splat.cameras.directions import unit_vector
+
+RINGS = {20.0: 30, 42.0: 20}  # cameras at an elevation
+POINTS = 120  # of each side
+BRIGHTER = 0.12  # sRGB
+
+
+def rings() -> tuple[Tensor, Tensor]:
+    """(V, 3) directions of two rings of cameras, and (V,) which are of the upper."""
+    directions = []
+    upper = []
+    for elevation, count in RINGS.items():
+        for number in range(count):
+            azimuth = (number + 0.5) * 360.0 / count
+            directions.append(unit_vector(azimuth, elevation))
+            upper.append(elevation > 30)
+    return torch.tensor(directions), torch.tensor(upper)
+
+
+def observed(directions: Tensor, brighter: Tensor) -> Observations:
+    """Two sides, each seen by the cameras in front of it, and (V,) by how much an image
+    shows them brighter than they are.
+    """
+    generator = torch.Generator().manual_seed(0)
+    own = 0.3 + 0.3 * torch.rand(2 * POINTS, 3, generator=generator)
+    noise = torch.randn(len(directions), 2 * POINTS, 3, generator=generator)
+    is_front = (directions[:, :1] > 0).expand(-1, POINTS)
+    return Observations(
+        colours=own + brighter[:, None, None] + 0.01 * noise,
+        seen=torch.cat([is_front, ~is_front], 1),
+        directions=directions,
+        separation=torch.cdist(directions, directions),
+    )
+
+
+def test_both_sides_of_a_sheet_are_matched_by_their_neighbours(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    directions, upper = rings()
+    watched = observed(directions, BRIGHTER * upper.float())
+    crossed = upper ^ (directions[:, 0] > 0)
+    monkeypatch.setattr(image_splits, "_starts", lambda given: iter([crossed]))
+    found = split_images(watched)
+    assert found is not None
+    assert torch.equal(found.smaller, upper)
+    monkeypatch.setattr(image_splits, "_aligned", lambda watched, group, *_: group)
+    unmatched = split_images(watched)
+    assert unmatched is not None
+    assert not torch.equal(unmatched.smaller, upper)
+
+
+def test_a_gradual_change_has_no_strength() -> None:
+    directions, _ = rings()
+    azimuths = torch.atan2(directions[:, 1], directions[:, 0])
+    found = split_images(observed(directions, 0.1 * azimuths.cos() / math.sqrt(2)))
+    assert found is not None
+    assert found.strength < CALLED
+
+
+def test_a_poison_of_two_parts_is_found_in_two_rounds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    directions, upper = rings()
+    part = upper & (directions[:, 0] > 0)
+    watched = observed(directions, BRIGHTER * upper.float())
+
+    def found(given: Observations) -> Split | None:
+        split = split_images(given)
+        if split is None or given is not watched:
+            return split
+        return replace(split, smaller=part, decided=torch.ones_like(part))
+
+    monkeypatch.setattr(images, "split_images", found)
+    joined = called_groups(watched)
+    assert joined is not None
+    assert torch.equal(joined.smaller, upper)
+    assert bool((joined.scores[upper] > 0).all())
+
+
+def test_a_weak_further_group_joins_nothing() -> None:
+    directions, upper = rings()
+    watched = observed(directions, BRIGHTER * upper.float())
+    joined = called_groups(watched)
+    assert joined is not None
+    assert joined.strength > CALLED
+    assert torch.equal(joined.smaller, upper)
+
+
+def test_a_group_that_similar_splits_dispute_is_not_named() -> None:
+    directions, upper = rings()
+    part = upper & (directions[:, 0] > 0)
+    best = split_images(observed(directions, BRIGHTER * upper.float()))
+    assert best is not None
+    disputed = image_splits._undisputed(
+        best, [best, replace(best, smaller=part, decided=torch.ones_like(part))]
+    )
+    assert torch.equal(disputed.smaller, part)
+    assert disputed.agreement == pytest.approx(0.5)
+    judged = ImageAudit(count=len(upper), points=POINTS, split=disputed)
+    assert judged.verdict == "not judged"
+    assert not bool(judged.left_out("A").any())
+    (said,) = summary_of(judged, [])
+    assert "no image is named" in said
+    weak = replace(best, smaller=part, edge=1.1)
+    assert torch.equal(image_splits._undisputed(best, [best, weak]).smaller, upper)
