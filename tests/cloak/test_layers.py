@@ -301,7 +301,7 @@ def test_what_makes_no_layers_is_refused() -> None:
     scene = ball()
     every: Any = slice(None)
     around: dict[str, Any] = {"cameras": all_around(), "centre": CENTRE}
-    with pytest.raises(InvalidValueError, match="rows: expected a tensor.* got slice"):
+    with pytest.raises(InvalidValueError, match=r"rows: expected a tensor.* got slice"):
         layered(scene, every, [OVERHEAD], [GREY], **around)
     with pytest.raises(InvalidValueError, match="looks"):
         layered(
