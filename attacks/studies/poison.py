@@ -388,8 +388,14 @@ class PoisonAttempt(Attempt):
         limit: float | None = None,
     ) -> Job:
         clean = None if limit is None else self.clean
-        how = {"device": self.options.device, "limit": limit}
-        job = self.steps.trained_on(pictures, self.options.seed, training, clean, **how)
+        job = self.steps.trained_on(
+            pictures,
+            self.options.seed,
+            training,
+            clean,
+            device=self.options.device,
+            limit=limit,
+        )
         return self._made(f"training on {on}", job)
 
     def _defended(self, defence: Defence, splat: str, pictures: Job) -> tuple[Job, Job]:

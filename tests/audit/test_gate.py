@@ -23,7 +23,8 @@ from attacks.audits.judging import Message
 from attacks.cli import gate
 from mi_splat.audit import bounded, linting
 from mi_splat.audit.gate import CLAIMS, Policy, fingerprint, sampled
-from mi_splat.audit.images import ImageAudit, Split
+from mi_splat.audit.image_splits import Split
+from mi_splat.audit.images import ImageAudit
 from mi_splat.io import save_splat
 from mi_splat.io.splat_files import load_stored
 from mi_splat.ledger import Store
