@@ -79,6 +79,11 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "cloak_design_object",
         ),
     ),
+    "cloak_robust": (
+        "CLOAK on a victim who audits the images",
+        "[Audit training images for data poisoning](../audit-images.md)",
+        ("cloak_robust",),
+    ),
     "attack_zoo": (
         "Comparing attack algorithms",
         (

@@ -295,6 +295,10 @@ class Consensus:
                         gain = float(found) - score
                         prediction = candidate
                         is_peeled = candidate is without_lid
+            # the view that departs most comes first
+            order = (predicted * own).sum(1).argsort().tolist()
+            chosen = [chosen[index] for index in order]
+            prediction = prediction[order]
             distance = recogniser.scale * (1 - float((predicted * own).sum(1).mean()))
             rise = recogniser.scale * float(nearest_predicted - nearest_own)
             evidence = self.config.evidence(
