@@ -7,6 +7,7 @@ from __future__ import annotations
 import io
 import math
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Mapping
@@ -37,7 +38,9 @@ _DAMAGED = (
     zipfile.BadZipFile,
     zlib.error,
     struct.error,
-    SyntaxError,  # a header of an array that is no Python literal
+    # a header of an array that is no Python literal
+    SyntaxError,
+    tokenize.TokenError,
 )
 """What reading a damaged file raises."""
 

@@ -258,7 +258,7 @@ def _claim(path: Path) -> None:
 _CERTIFICATE = {"eps": 0.05, "beyond": 0, "scene_hash": "0" * 64}
 _POLICY = (
     b'seconds = 5\nmegabytes = 900\nclaims = ["readable", "numbers"]\n[rules]\nerror ='
-    b' "refuse"\noccluder = "accept"\n'
+    b' "refuse"\ndiffers = "accept"\n'
 )
 _LINES = b'"a.ply"\n{"file": "b.ply", "against": "a.ply"}\n"\\u00e9.spz"\nnot JSON\n'
 

@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 
 from mi_splat.conformance.files import read_images
+from mi_splat.errors import InvalidValueError
 from tests.project.layers import ROOT, imports, modules
 
 ONLY_NUMPY = """
@@ -179,3 +180,12 @@ def test_png_is_read_as_pillow_reads_it(mode: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(found.values, expected[..., :count], atol=1e-12)
     assert count == (4 if "A" in mode else 3)
     assert found.bits == 8
+
+
+def test_an_array_with_an_unfinished_header_is_refused(tmp_path: Path) -> None:
+    header = b"{'descr': ("
+    magic = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little")
+    path = tmp_path / "lone.npy"
+    path.write_bytes(magic + header)
+    with pytest.raises(InvalidValueError, match=r"lone.npy: expected an image"):
+        read_images(tmp_path, ["lone"])
