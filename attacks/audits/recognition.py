@@ -20,8 +20,8 @@ _PREPARE = Preparation(size=128)
 _NEAR = 0.35  # sides from the middle within which a box is the object's
 _LEAST = 0.25  # sides of the longer side of its box
 _BATCH = 8
-# by which features of the backbone are further apart, chosen on the splats on which the
-# thresholds for MobileNetV2 were chosen
+# factor for cosine distances of backbone features, chosen on the development splats on
+# which the thresholds for MobileNetV2 were chosen
 _OF_BACKBONE = 2.2
 
 

@@ -81,7 +81,10 @@ def audit(
         objects.append(item)
         worst = item.clearest
         if worst is not None:
-            found = item.consensus.departures(worst.inside, peeled=worst.peeled)
+            predicted = item.consensus.predicted(worst.inside)
+            found = item.consensus.departures(
+                predicted, worst.inside, peeled=worst.peeled
+            )
             heat[item.consensus.rows] = heat[item.consensus.rows].maximum(found)
     return Audit(
         objects=tuple(objects),

@@ -49,8 +49,8 @@ class Recogniser(Protocol):
 
     @property
     def scale(self) -> float:
-        """Times which cosine distances of features are those of MobileNetV2, for which
-        thresholds were chosen.
+        """Factor that brings cosine distances of its features to the scale of those of
+        MobileNetV2, for which the thresholds were chosen.
         """
         ...
 
@@ -229,11 +229,12 @@ class Consensus:
         middle = ((seen.sum(1) - 1) // 2)[:, None, None].expand(-1, 1, 3)
         return ordered.gather(1, middle)[:, 0]
 
-    def departures(self, inside: Tensor, *, peeled: bool) -> Tensor:
+    def departures(
+        self, predicted: Prediction, inside: Tensor, *, peeled: bool
+    ) -> Tensor:
         """(M,) by how much each Gaussian makes images from inside differ from the
         prediction: pixels times sRGB; all of what a lid shows, where it is peeled.
         """
-        predicted = self.predicted(inside)
         found = []
         for part in self.parts():
             shown = self.colours(part, inside)

@@ -93,7 +93,8 @@ def _repaired_once(
         if keep == "outside" and float((~replaced).double().mean()) < _AGREED:
             continue
         predicted = item.consensus.predicted(replaced)
-        departs = item.consensus.departures(replaced, peeled=False) > _LEAST
+        found = item.consensus.departures(predicted, replaced, peeled=False)
+        departs = found > _LEAST
         if worst.peeled:
             # what shows again below a lid departs though nothing of it was seen
             departs |= item.consensus.own
