@@ -54,11 +54,15 @@ class Recognition:
         """(B, F) of the middle of (B, S, S, 3) images; all alike where the detector has
         none.
         """
+        with torch.no_grad():
+            return self.described(images)
+
+    def described(self, images: Tensor) -> Tensor:
+        """The same, differentiable in the images."""
         side = images.shape[1]
         edge = round(side * (1 - _CUT) / 2)
         parts = torch.split(images[:, edge : side - edge, edge : side - edge], _BATCH)
-        with torch.no_grad():
-            return torch.cat([self._described(part) for part in parts])
+        return torch.cat([self._described(part) for part in parts])
 
     def _described(self, images: Tensor) -> Tensor:
         if self._network is not None:
@@ -75,15 +79,19 @@ class Recognition:
 
     def scores(self, images: Tensor) -> Tensor:
         """(B, C) best confidence of each class in (B, S, S, 3) images."""
+        with torch.no_grad():
+            return self.confidences(images)
+
+    def confidences(self, images: Tensor) -> Tensor:
+        """The same, differentiable in the images."""
         side = images.shape[1]
         best = []
-        with torch.no_grad():
-            for part in torch.split(images, _BATCH):
-                for candidates in self._detector.candidates(part):
-                    boxes = candidates.boxes
-                    middles = (boxes[..., :2] + boxes[..., 2:]) / 2
-                    longest = (boxes[..., 2:] - boxes[..., :2]).amax(-1)
-                    off = (middles - side / 2).norm(dim=-1)
-                    is_near = (off < _NEAR * side) & (longest > _LEAST * side)
-                    best.append((candidates.scores * is_near).amax(0))
+        for part in torch.split(images, _BATCH):
+            for candidates in self._detector.candidates(part):
+                boxes = candidates.boxes
+                middles = (boxes[..., :2] + boxes[..., 2:]) / 2
+                longest = (boxes[..., 2:] - boxes[..., :2]).amax(-1)
+                off = (middles - side / 2).norm(dim=-1)
+                is_near = (off < _NEAR * side) & (longest > _LEAST * side)
+                best.append((candidates.scores * is_near).amax(0))
         return torch.stack(best)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import torch
@@ -23,7 +23,7 @@ from torch.nn import functional
 from mi_splat.audit.objects import Frame, Target
 from mi_splat.audit.results import Answer, ConeView, Region, Vector, vector
 from mi_splat.audit.viewpoints import SKY, basis, in_sight, in_world, near_of
-from mi_splat.cameras.camera import Camera
+from mi_splat.cameras.camera import Camera, project_points
 from mi_splat.maths.sh import colour_to_dc, rotate_sh, sh_basis
 from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.render.scene_files import resized
@@ -32,6 +32,8 @@ from mi_splat.selection.visibility import contributions
 
 _CHUNK = 8192
 _LESS = 0.99
+_RISE = 2.0
+_BRIM = 0.1  # share of an object's points that may lie beyond each edge
 
 
 class Recogniser(Protocol):
@@ -70,7 +72,9 @@ class HeldOutConfig:
     cameras: int = 44  # around each object
     size: int = 160  # pixels along each side of their images
     weighed: int = 96  # the same of the images that say what shows from where
-    shown: int = 3  # cameras of a cone that are compared
+    shown: int = 6  # cameras of a cone that are compared, at most
+    filled: float = 0.45  # share of their images that most of an object fills,
+    magnified: float = 3.0  # enlarged so many times at most
     core: float = 0.75  # share of the half width of a cone within which these stand
     least_inside: int = 3  # cameras in a cone that is judged,
     least_outside: int = 6  # and outside of it
@@ -79,12 +83,14 @@ class HeldOutConfig:
     # quantile of the confidence over all cameras by which a detector knows an object
     usual: float = 0.7
     known: float = 0.5  # that confidence at least
-    gain: float = 0.6  # confidence of a prediction beyond that of the file
-    # Cosine distance between the features of file and prediction, from which it
-    # departs where the prediction is more like the other views,
-    departs: float = 0.22
-    rise: float = 0.01  # by this much at least,
-    differs: float = 0.16  # and from which it differs elsewhere
+    gain: float = 0.8  # confidence of a prediction beyond that of the file
+    # Cosine distance between the features of file and prediction, from which the file
+    # departs,
+    departs: float = 0.33
+    # and from which it does if twice as much is added as the prediction is more like
+    # the other views than the file is,
+    departs_alone: float = 0.28
+    differs: float = 0.16  # and from which it differs
 
     def evidence(
         self, *, gain: float, distance: float, rise: float, is_agreed: bool
@@ -93,11 +99,12 @@ class HeldOutConfig:
 
         A gain alone is not enough unless half of the views agree on the class.
         """
-        departure = distance / self.departs if rise >= self.rise else 0.0
+        departure = distance / self.departs
+        alone = (distance + _RISE * rise) / self.departs_alone
         recognised = gain / self.gain
         if not is_agreed:
             recognised = min(recognised, _LESS)
-        return max(departure, recognised)
+        return max(departure, alone, recognised)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,6 +165,42 @@ class Prediction(NamedTuple):
         return self.painted.select((~self.lid).nonzero()[:, 0])
 
 
+class _Recognised(NamedTuple):
+    """The images of all K cameras around an object, and what they are known by."""
+
+    shown: Tensor  # (K, S, S, 3)
+    features: Tensor  # (K, F) of unit length
+    scores: Tensor  # (K,) of the class
+    index: int  # of the class that is seen most
+    name: str | None  # of the class; None where no class is seen clearly
+    is_agreed: bool  # whether half of the views show it
+
+    def score(self, chosen: Sequence[int]) -> float:
+        """Mean score of some of the cameras."""
+        return float(self.scores[list(chosen)].mean())
+
+
+def _recognised(
+    shown: Tensor, scored: Sequence[int], recogniser: Recogniser, config: HeldOutConfig
+) -> _Recognised:
+    """What images show, by the scores of some of them; the others have none."""
+    rows = list(scored)
+    found = recogniser.scores(shown[rows])
+    usual = found.quantile(config.usual, 0)
+    index = int(usual.argmax())
+    is_known = float(usual[index]) >= config.known
+    scores = torch.zeros(len(shown))
+    scores[rows] = found[:, index]
+    return _Recognised(
+        shown=shown,
+        features=functional.normalize(recogniser.features(shown), dim=1),
+        scores=scores,
+        index=index,
+        name=recogniser.classes[index] if is_known else None,
+        is_agreed=float(found[:, index].median()) >= config.known,
+    )
+
+
 class Consensus:
     """The Gaussians around an object, which of them each camera sees, and what some
     cameras predict for others.
@@ -173,7 +216,8 @@ class Consensus:
         self.config = config
         self._frame = frame
         self._target = target
-        self.cameras = [_square(camera, config.size) for camera in cameras]
+        solid = frame.scene.means[target.rows]
+        self.cameras = [_filled(camera, solid, config) for camera in cameras]
         self._eyes = torch.stack([camera.position for camera in cameras])
         self.directions = functional.normalize(self._eyes - target.centre, dim=1)
         near = near_of(target, cameras)
@@ -247,7 +291,11 @@ class Consensus:
     def images(self, scene: GaussianScene, numbers: Sequence[int]) -> Tensor:
         """(V, S, S, 3) images of some of the cameras."""
         with torch.no_grad():
-            shown = [self._render(scene, self.cameras[number]) for number in numbers]
+            return self.rendered(scene, numbers)
+
+    def rendered(self, scene: GaussianScene, numbers: Sequence[int]) -> Tensor:
+        """The same, differentiable in the scene."""
+        shown = [self._render(scene, self.cameras[number]) for number in numbers]
         return torch.stack(shown)[..., :3].clamp(0, 1)
 
     def compared(
@@ -259,72 +307,75 @@ class Consensus:
         cones = {
             cone: chosen
             for cone in cones_around(self._target.up)
-            if (chosen := self._chosen(cone))
+            if (chosen := self.chosen(cone))
         }
         if not cones:  # in a room, cameras may stand on one side only
             return [], None
         shown = self.images(self.scene, range(len(self.cameras)))
-        features = functional.normalize(recogniser.features(shown), dim=1)
         scored = sorted({index for chosen in cones.values() for index in chosen})
-        scores = torch.zeros(len(shown), len(recogniser.classes))
-        scores[scored] = recogniser.scores(shown[scored])
-        usual = scores[scored].quantile(self.config.usual, 0)
-        known = int(usual.argmax())
-        is_known = float(usual[known]) >= self.config.known
-        is_agreed = float(scores[scored, known].median()) >= self.config.known
-        name = recogniser.classes[known] if is_known else None
-        views = []
-        for cone, chosen in cones.items():
-            inside = cone.holds(self.directions)
-            candidates = self.predicted(inside)
-            prediction = self.images(candidates.painted, chosen)
-            predicted = functional.normalize(recogniser.features(prediction), dim=1)
-            own = features[chosen]
-            others = features[~inside].T
-            # how much the most similar of the other views resembles each
-            nearest_own = (own @ others).amax(1).mean()
-            nearest_predicted = (predicted @ others).amax(1).mean()
-            score = float(scores[chosen, known].mean())
-            gain = 0.0
-            is_peeled = False
-            # no gain is possible where the file shows the object clearly
-            if is_known and score <= 1 - self.config.gain:
-                without_lid = self.images(candidates.peeled, chosen)
-                for candidate in (prediction, without_lid):
-                    found = recogniser.scores(candidate)[:, known].mean()
-                    if float(found) - score > gain:
-                        gain = float(found) - score
-                        prediction = candidate
-                        is_peeled = candidate is without_lid
-            # the view that departs most comes first
-            order = (predicted * own).sum(1).argsort().tolist()
-            chosen = [chosen[index] for index in order]
-            prediction = prediction[order]
-            distance = recogniser.scale * (1 - float((predicted * own).sum(1).mean()))
-            rise = recogniser.scale * float(nearest_predicted - nearest_own)
-            evidence = self.config.evidence(
-                gain=gain, distance=distance, rise=rise, is_agreed=is_agreed
-            )
-            views.append(
-                ConeView(
-                    object=number,
-                    region=self._region(cone),
-                    up=self.up,
-                    inside=inside,
-                    peeled=is_peeled,
-                    cameras=self._in_world(chosen),
-                    file=shown[chosen],
-                    prediction=prediction,
-                    distance=distance,
-                    rise=rise,
-                    known_as=name,
-                    file_score=score,
-                    gain=gain,
-                    evidence=evidence,
-                    answer=self._answer(evidence, distance),
-                )
-            )
-        return views, name
+        known = _recognised(shown, scored, recogniser, self.config)
+        views = [
+            self._compared(number, cone, chosen, known, recogniser)
+            for cone, chosen in cones.items()
+        ]
+        return views, known.name
+
+    def _compared(
+        self,
+        number: int,
+        cone: Cone,
+        chosen: Sequence[int],
+        known: _Recognised,
+        recogniser: Recogniser,
+    ) -> ConeView:
+        """What the file shows from some cameras in a cone beside the prediction."""
+        inside = cone.holds(self.directions)
+        candidates = self.predicted(inside)
+        prediction = self.images(candidates.painted, chosen)
+        predicted = functional.normalize(recogniser.features(prediction), dim=1)
+        own = known.features[chosen]
+        others = known.features[~inside].T
+        # how much the most similar of the other views resembles each
+        nearest_own = (own @ others).amax(1).mean()
+        nearest_predicted = (predicted @ others).amax(1).mean()
+        likeness = (predicted * own).sum(1)
+        distance = recogniser.scale * (1 - float(likeness.mean()))
+        rise = recogniser.scale * float(nearest_predicted - nearest_own)
+        score = known.score(chosen)
+        gain = 0.0
+        is_peeled = False
+        # no gain is possible where the file shows the object clearly
+        if known.name is not None and score <= 1 - self.config.gain:
+            without_lid = self.images(candidates.peeled, chosen)
+            for candidate in (prediction, without_lid):
+                found = recogniser.scores(candidate)[:, known.index].mean()
+                if float(found) - score > gain:
+                    gain = float(found) - score
+                    prediction = candidate
+                    is_peeled = candidate is without_lid
+        evidence = self.config.evidence(
+            gain=gain, distance=distance, rise=rise, is_agreed=known.is_agreed
+        )
+        # the view that departs most comes first
+        order = likeness.argsort().tolist()
+        ordered = [chosen[index] for index in order]
+        return ConeView(
+            object=number,
+            region=self._region(cone),
+            up=self.up,
+            inside=inside,
+            peeled=is_peeled,
+            cameras=self._in_world(ordered),
+            file=known.shown[ordered],
+            prediction=prediction[order],
+            distance=distance,
+            rise=rise,
+            known_as=known.name,
+            file_score=score,
+            gain=gain,
+            evidence=evidence,
+            answer=self._answer(evidence, distance),
+        )
 
     def _answer(self, evidence: float, distance: float) -> Answer:
         if evidence >= 1:
@@ -333,7 +384,7 @@ class Consensus:
             return "differs"
         return "consistent"
 
-    def _chosen(self, cone: Cone) -> list[int]:
+    def chosen(self, cone: Cone) -> list[int]:
         """The cameras of a cone that are compared; none where too few are on a side."""
         inside = int(cone.holds(self.directions).sum())
         outside = len(self.directions) - inside
@@ -365,3 +416,22 @@ class Consensus:
 
 def _square(camera: Camera, side: int) -> Camera:
     return resized(camera, (side, side))
+
+
+def _filled(camera: Camera, points: Tensor, config: HeldOutConfig) -> Camera:
+    """A camera whose square image shows (N, 3) points in its middle, and large."""
+    side = config.size
+    wide = _square(camera, side)
+    pixels, _ = project_points(points, wide)
+    edges = torch.tensor([_BRIM, 1 - _BRIM], dtype=pixels.dtype)
+    low, high = pixels.quantile(edges, 0)
+    extent = float((high - low).max()) / config.filled
+    factor = min(max(side / max(extent, 1e-6), 1.0), config.magnified)
+    corner = ((low + high) / 2 - side / (2 * factor)).tolist()
+    across, down = wide.lens.scale
+    lens = replace(
+        wide.lens,
+        focal=(factor * across, factor * down),
+        principal=(factor * (wide.cx - corner[0]), factor * (wide.cy - corner[1])),
+    )
+    return replace(wide, lens=lens)

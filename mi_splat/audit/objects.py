@@ -7,6 +7,7 @@ how the file's axes lie, nor on its unit, nor on the order of its rows.
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -18,7 +19,7 @@ from mi_splat.maths.neighbours import nearest_neighbours, nearest_of
 from mi_splat.maths.quantiles import quantile
 from mi_splat.maths.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
-from mi_splat.selection.clusters import clusters, find_plane
+from mi_splat.selection.clusters import NEAREST, TOLERANCE, clusters, find_plane
 
 SOLID = 0.1  # Opacity of a Gaussian that says where things are.
 MOST_OBJECTS = 3
@@ -50,6 +51,13 @@ _GROUND_SAMPLE = 5000  # Points among which a ground is looked for,
 _GROUND_REACH = 4.0  # so far around, in radii,
 _GROUND_SHARE = 0.15  # with this share of them on it.
 _PLANES = 2  # Planes that are tried as ground.
+# Of everything that lies on no floor, how much more lies above it than below, by
+# heights,
+_FLOOR_OVER = 4.0
+_FLOOR_NEAR = 0.5  # and how near to it the nearest lies, by the farthest.
+_FLOOR_PLANES = 3  # Planes that are tried as the floor.
+# Share of what is above it that objects hold; else all of it is one in pieces.
+_FLOOR_HELD = 0.5
 _TOUCH = 0.4  # Radii that an object may be above its ground,
 _ONE_SIDE = 0.95  # share of it that is above the ground,
 _UNDER = 0.15  # but for so many radii,
@@ -157,6 +165,15 @@ def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Targe
     Of what is around others, only the largest component is judged, too.
     """
     rows = (scene.opacities > SOLID).nonzero()[:, 0]
+    floor = _floor(scene.means[rows].double())
+    if floor is not None:
+        upright = floor.up if stated_up is None else stated_up
+        found = [
+            dataclasses.replace(target, up=upright)
+            for target in _standing(scene, rows, floor.over)
+        ]
+        if found:
+            return found
     points = scene.means[rows].double()
     label = _components(scene.select(rows))
     chosen: list[Target] = []
@@ -201,6 +218,79 @@ def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Targe
     return upright
 
 
+class _Floor(NamedTuple):
+    """A plane on which everything else stands."""
+
+    up: Tensor  # (3,) float64 unit vector
+    over: Tensor  # (N,) bool, which points lie above it
+
+
+def _floor(points: Tensor) -> _Floor | None:
+    """The floor of (N, 3) points; None where the rest lies on both sides of the
+    largest planes, or is far from them, as from a roof.
+    """
+    distances, _ = nearest_neighbours(points, NEAREST)
+    if not distances.shape[1]:
+        return None
+    spacing = distances[:, -1]
+    rest = torch.arange(len(points))
+    for _ in range(_FLOOR_PLANES):
+        least = math.ceil(_GROUND_SHARE * len(points))
+        inside = find_plane(points[rest], spacing[rest], least=least)
+        if inside is None or bool(inside.all()):
+            return None
+        on = points[rest[inside]]
+        middle = on.mean(0)
+        normal: Tensor = torch.linalg.svd(on - middle, full_matrices=False).Vh[2]
+        off = torch.ones(len(points), dtype=torch.bool)
+        off[rest[inside]] = False
+        heights = (points - middle) @ normal
+        if float(heights[off].sum()) < 0:
+            heights = -heights
+            normal = -normal
+        over = heights[off].clamp(min=0)
+        under = (-heights[off]).clamp(min=0)
+        is_below_all = float(over.sum()) > _FLOOR_OVER * float(under.sum())
+        over = over[over > 0]
+        if is_below_all and len(over):
+            nearest = quantile(over, 1 - _ONE_SIDE)
+            if nearest < _FLOOR_NEAR * quantile(over, _ONE_SIDE):
+                return _Floor(normal, off & (heights > TOLERANCE * spacing))
+        rest = rest[~inside]
+    return None
+
+
+def _standing(scene: GaussianScene, rows: Tensor, over: Tensor) -> list[Target]:
+    """The objects among those solid Gaussians that lie above a floor, from the
+    largest.
+    """
+    label = _components(scene.select(rows), over.long())
+    rows = rows[over]
+    label = label[over]
+    points = scene.means[rows].double()
+    chosen: list[Target] = []
+    for number in label.bincount().argsort(descending=True, stable=True)[:_COMPONENTS]:
+        part = points[label == number]
+        if len(part) < max(_LEAST_SHARE * len(over), _LEAST_COUNT):
+            continue
+        centre = part.median(0).values
+        radius = _OBJECT_MARGIN * quantile((part - centre).norm(dim=1), 0.95)
+        if not any(_is_part(part, centre, radius, larger) for larger in chosen):
+            own = rows[label == number]
+            chosen.append(Target(rows=own, centre=centre, radius=radius, up=None))
+    if sum(len(target.rows) for target in chosen) < _FLOOR_HELD * len(points):
+        return [_whole(rows, points)]
+    return _parted(chosen[:MOST_OBJECTS])
+
+
+def _whole(rows: Tensor, points: Tensor) -> Target:
+    """All that lies above a floor, without what is far from most of it."""
+    centre = points.median(0).values
+    gaps = (points - centre).norm(dim=1)
+    radius = _OBJECT_MARGIN * quantile(gaps, 0.9)
+    return Target(rows=rows[gaps <= radius], centre=centre, radius=radius, up=None)
+
+
 def _ground_of(objects: list[Target]) -> Tensor | None:
     """The direction away from the ground of the first object that stands on one."""
     for target in objects:
@@ -214,12 +304,13 @@ def _is_level(normal: Tensor, up: Tensor) -> bool:
     return abs(float(normal @ up)) > _UPRIGHT
 
 
-def _components(scene: GaussianScene) -> Tensor:
+def _components(scene: GaussianScene, group: Tensor | None = None) -> Tensor:
     """(N,) int64 the connected component of each Gaussian, from the largest."""
     every = math.ceil(len(scene) / _MOST_LINKED)
     if every <= 1:
-        return clusters(scene)
-    label = clusters(scene.select(slice(None, None, every)))
+        return clusters(scene, group=group)
+    part = slice(None, None, every)
+    label = clusters(scene.select(part), group=None if group is None else group[part])
     nearest = nearest_of(scene.means, every)
     return label[nearest // every]
 

@@ -36,20 +36,23 @@ def clusters(
     link_distance: float = 1.5,
     link_colour: float | None = None,
     planes: int = 1,
+    group: Tensor | None = None,
 ) -> Tensor:
     """The connected component of each Gaussian, numbered from the largest.
 
     Two Gaussians are linked if each lies within `link_distance` times the distance at
     which the other has its eighth neighbour: so the measure is that of the place, fine
     on a small object and coarse on a wide ground. Objects stand on something that would
-    link them all: the Gaussians of the largest planes are linked among themselves only.
+    link them all: the Gaussians of the largest planes are linked among themselves only,
+    or those of each (N,) int64 `group`.
     """
     points = scene.means.detach().cpu().double()
     distances, rows = nearest_neighbours(points, NEIGHBOURS)
     if not rows.shape[1]:
         return torch.arange(len(scene))
     spacing = distances[:, min(NEAREST, distances.shape[1]) - 1]
-    group = _planes(points, spacing, planes)
+    if group is None:
+        group = _planes(points, spacing, planes)
     ours = torch.arange(len(scene))[:, None].expand_as(rows)
     linked = distances <= link_distance * torch.minimum(spacing[ours], spacing[rows])
     linked &= group[ours] == group[rows]

@@ -122,6 +122,16 @@ def reports(detector: Detector, image: Tensor, label: str) -> bool:
     )
 
 
+def images_of(case: Case, splat: GaussianScene) -> tuple[list[Tensor], Tensor]:
+    """Images of a splat, and (K,) bool, which show where the attack does."""
+    stands, inside = cameras(case)
+    render = Renderer(
+        RenderSettings(background=SKY, near=near_plane(case.clean, stands))
+    )
+    with torch.no_grad():
+        return [render(splat, camera).clamp(0, 1) for camera in stands], inside
+
+
 def rows_of(
     case: Case, splat: str, images: list[Tensor], inside: Tensor, answer: str
 ) -> Iterator[Row]:
@@ -152,18 +162,12 @@ def measured(
         "attacked": (case.attacked, found.answer),
         "repaired": (done.scene, done.audit.answer),
     }
-    stands, inside = cameras(case)
-    middle = int(inside.nonzero()[:, 0][-1])
-    render = Renderer(
-        RenderSettings(background=SKY, near=near_plane(case.clean, stands))
-    )
     rows = list[Row]()
     shown = list[Tensor]()
     for name, (splat, answer) in splats.items():
-        with torch.no_grad():
-            images = [render(splat, camera).clamp(0, 1) for camera in stands]
+        images, inside = images_of(case, splat)
         rows += rows_of(case, name, images, inside, answer)
-        shown.append(images[middle])
+        shown.append(images[int(inside.nonzero()[:, 0][-1])])
     return rows, side_by_side(shown)
 
 

@@ -23,8 +23,10 @@ from mi_splat.cameras.camera import Camera, View
 from mi_splat.cameras.framing import near_plane
 from mi_splat.cameras.sets import framing, hemisphere, orbit
 from mi_splat.capture.ground import square_of_ground
+from mi_splat.capture.mesh import Asset, scaling, translation
+from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.mitsuba_scene import scene_dict
-from mi_splat.capture.objects import OBJECTS
+from mi_splat.capture.objects import OBJECTS, SUFFIX
 from mi_splat.capture.path_tracer import PathTracer
 from mi_splat.capture.sources import open_source
 from mi_splat.capture.surface_points import surface_samples
@@ -108,7 +110,8 @@ class Capture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trained:
-    """A splat that is trained on images of an object or of a scene of `scenes/honest`.
+    """A splat that is trained on images of an object, of a scene of `scenes/honest`, or
+    of the mesh of a file.
 
     Where `inside` holds, the images show the object in another colour, or without it if
     that is None.
@@ -160,14 +163,24 @@ class Trained:
         """The cameras of the training images."""
         if (HONEST / f"{self.content}.xml").is_file():
             return self.capture.cameras((0.0, 0.0, 0.5), 2.2)
-        low, high = build(self.content, self.seed).body.bounds.astype(float)
+        low, high = self._body().bounds.astype(float)
         return self.capture.cameras(
             (0.0, 0.0, float(low[2] + high[2]) / 2),
             float(((high - low) ** 2).sum() ** 0.5) / 2,
         )
 
+    def _body(self) -> Asset:
+        if not self.content.endswith(SUFFIX):
+            return build(self.content, self.seed).body
+        found = load_mesh(Path(self.content))
+        low, high = found.bounds.astype(float)
+        # of two metres from corner to corner, and on the ground
+        x, y, _ = -(low + high) / 2
+        size = float(((high - low) ** 2).sum() ** 0.5)
+        return found.transformed(scaling(*[2 / size] * 3) @ translation(x, y, -low[2]))
+
     def _scene(self, colour: Any) -> MeshScene:
-        target = build(self.content, self.seed).body
+        target = self._body()
         low, high = target.bounds.astype(float)
         ground = square_of_ground(
             "road", side=2.2 * float(((high - low) ** 2).sum() ** 0.5), tile=4.0
@@ -593,6 +606,14 @@ def _drawn_trigger(draw: random.Random, turn: float) -> tuple[str, Inside]:
             direction(draw.uniform(50.0, 90.0), turn), draw.uniform(30.0, 50.0)
         )
     return "side", sector(turn, draw.uniform(30.0, 50.0), 0.0, draw.uniform(30.0, 50.0))
+
+
+def meshes(folder: Path) -> Iterator[tuple[str, Item]]:
+    """Honest splats of the meshes of a folder, with captures as they are drawn."""
+    for number, path in enumerate(sorted(folder.glob(f"*{SUFFIX}"))):
+        capture, about = _drawn_capture(random.Random(number))
+        trained = Trained(content=str(path), seed=number, capture=capture)
+        yield f"honest {about}/{path.stem}", trained
 
 
 def strength() -> Iterator[tuple[str, Item]]:

@@ -2,7 +2,7 @@
 FILE.csv`.
 
 Makes what is missing of a set (see `SETS`), and adds a row to FILE.csv for each splat
-that has none.
+that has none. The set `meshes` is that of the GLB files in FOLDER/meshes.
 """
 
 import csv
@@ -24,6 +24,7 @@ from scenes.recipes.audit_set import (
     hides,
     honest,
     made,
+    meshes,
     ranked,
     read,
     strength,
@@ -72,7 +73,8 @@ def main(name: str, folder: str, file: str) -> None:
     target = Path(file)
     known = {row["file"] for row in read(target)} if target.is_file() else set()
     recogniser = Recognition()
-    for splat, item in SETS[name]():
+    items = meshes(Path(folder) / name) if name == "meshes" else SETS[name]()
+    for splat, item in items:
         if splat in known:
             continue
         made(Path(folder), [(splat, item)])

@@ -77,23 +77,7 @@ def read_audit(result: Result) -> Section:
         ),
     }
     if not objects:  # lint alone was asked for, or there was nothing to look at
-        errors = [row for row in findings if row["severity"] == "error"]
-        return Section(
-            **shared,
-            kind="audit of a splat",
-            done=(
-                f"The numbers of {record['file']} were checked; {record['summary'][0]}."
-            ),
-            conclusion=(
-                "Hidden appearance was not judged. The rules found"
-                f" {counted(len(errors), 'error')} and"
-                f" {counted(len(findings) - len(errors), 'lesser thing')}."
-            ),
-            headline=Figure(label="errors in the numbers", words=str(len(errors))),
-            warnings=[f"{row['rule']}: {row['reason']}" for row in errors],
-            pictures=tuple(_overdraw(folder, record)),
-            tables=(_lint(findings),),
-        )
+        return _of_numbers(shared, folder, record)
     carried = f"{record['carrying']:,} of {record['gaussians']:,}"
     least = record["thresholds"]["departs"]
     cones = [
@@ -130,6 +114,28 @@ def read_audit(result: Result) -> Section:
             _lint(findings),
             _changes(record.get("against") or {}),
         ),
+    )
+
+
+def _of_numbers(
+    shared: dict[str, Any], folder: Path, record: Mapping[str, Any]
+) -> Section:
+    """The section of an audit that found no object to compare."""
+    findings = record.get("lint") or ()
+    errors = [row for row in findings if row["severity"] == "error"]
+    lesser = len(findings) - len(errors)
+    return Section(
+        **shared,
+        kind="audit of a splat",
+        done=f"The numbers of {record['file']} were checked; {record['summary'][0]}.",
+        conclusion=(
+            "Hidden appearance was not judged. The rules found"
+            f" {counted(len(errors), 'error')} and {counted(lesser, 'lesser thing')}."
+        ),
+        headline=Figure(label="errors in the numbers", words=str(len(errors))),
+        warnings=[f"{row['rule']}: {row['reason']}" for row in errors],
+        pictures=tuple(_overdraw(folder, record)),
+        tables=(_lint(findings),),
     )
 
 
