@@ -33,10 +33,11 @@ from scenes.recipes.audit_set import (
 SETS: dict[str, Callable[[], Iterator[tuple[str, Item]]]] = {
     "random": partial(drawn, 2000, 2018),
     "second": partial(drawn, 2018, 2063),
+    "third": partial(drawn, 2063, 2108),
     "strength": strength,
     "attackers": attackers,
 }
-"""Sets by name; no threshold was chosen on the second one."""
+"""Sets by name; nothing was chosen on the third one."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,12 +20,12 @@ from mi_splat.audit import Audit, HeldOutConfig, audit
 from mi_splat.audit.files import document
 from mi_splat.audit.held_out import cones_around
 from mi_splat.audit.objects import frame_of, targets
-from mi_splat.cameras.camera import Camera, look_at
+from mi_splat.cameras.camera import Camera, look_at, project_points
 from mi_splat.cameras.lens import Lens
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.maths.rotation import to_matrix
-from mi_splat.scene import Similarity
+from mi_splat.scene import Similarity, merge
 from tests.audit import scenes
 from tests.audit.recogniser import Painted, judged, painted
 from tests.audit.scenes import (
@@ -243,6 +243,53 @@ def test_a_thin_sign_is_an_object_and_not_the_ground_of_its_pole() -> None:
     for item in targets(frame.scene, frame.own((0.0, -3.0, 0.0))):
         assert item.up is not None
         assert frame.direction(item.up).tolist() == pytest.approx([0, -1, 0], abs=1e-6)
+
+
+def rough(made: Made) -> Made:
+    """With a ground that trembles, as a training leaves it."""
+    generator = torch.Generator().manual_seed(1)
+    scene = made.scene
+    means = scene.means.clone()
+    count = int((~made.rows).sum())
+    means[~made.rows, 2] += 0.06 * torch.randn(count, generator=generator)
+    return replace(made, scene=scene.replace(means=means))
+
+
+@pytest.mark.parametrize("name", ["suitcase", "person", "fire hydrant"])
+def test_a_rough_ground_is_no_object(name: str) -> None:
+    made = rough(standing(name, count=1200))
+    frame = frame_of(made.scene)
+    (found,) = targets(frame.scene)
+    assert found.up is not None
+    assert frame.direction(found.up).tolist() == pytest.approx([0, 0, 1], abs=0.02)
+    own = made.rows[frame.order[found.rows]]
+    assert float(own.double().mean()) > 0.9
+    # the feet are within what the ground is known to
+    assert int(own.sum()) > 0.7 * int(made.rows.sum())
+
+
+def test_a_roof_far_above_is_no_floor() -> None:
+    made = standing("car", count=1200)
+    roof = scenes.ground(3.0, 4000)
+    lifted = roof.replace(means=roof.means + torch.tensor([0.0, 0.0, 8.0]))
+    frame = frame_of(merge(made.scene, lifted))
+    ups = [found.up for found in targets(frame.scene)]
+    assert ups
+    for up in ups:
+        assert up is not None
+        assert frame.direction(up).tolist() == pytest.approx([0, 0, 1], abs=0.02)
+
+
+def test_the_compared_images_show_the_object_large() -> None:
+    made = standing("person", count=1200)
+    above = max(judged(made.scene).views, key=lambda view: view.region.axis[2])
+    for camera in above.cameras:
+        pixels, _ = project_points(made.scene.means[made.rows], camera)
+        low, high = pixels.quantile(torch.tensor([0.1, 0.9]), 0)
+        side = camera.width
+        middle = ((low + high) / 2).tolist()
+        assert middle == pytest.approx([side / 2] * 2, abs=0.1 * side)
+        assert float((high - low).max()) > 0.35 * side
 
 
 def test_what_cannot_be_judged_gets_no_answer(clean: Made) -> None:

@@ -79,7 +79,8 @@ def read_audit(result: Result) -> Section:
     if not objects:  # lint alone was asked for, or there was nothing to look at
         return _of_numbers(shared, folder, record)
     carried = f"{record['carrying']:,} of {record['gaussians']:,}"
-    least = record["thresholds"]["departs"]
+    limits = record["thresholds"]
+    least = f"{limits['departs_alone']:g} or {limits['departs']:g}"
     cones = [
         {"number": number, **cone}
         for number, item in enumerate(objects, 1)
@@ -95,7 +96,7 @@ def read_audit(result: Result) -> Section:
             words=record["verdict"] or "not compared",
             note=(
                 f"evidence {record['evidence']:.2f}, contradicted from 1: features"
-                f" {least:g} apart, or the object recognised in the prediction alone"
+                f" {least} apart, or the object recognised in the prediction alone"
             ),
         ),
         figures=Figure.each(
