@@ -611,7 +611,7 @@ def test_the_table_of_what_survives_is_counted_from_its_rows() -> None:
         assert [cell.strip() for cell in line.split("|")[2:-1]] == cells
 
 
-def contradicted(table: str = "audit_second") -> tuple[str, str]:
+def contradicted(table: str = "audit_third") -> tuple[str, str]:
     """How many files are contradicted of those that hide something, and of honest
     ones; weak poisonings and attackers who know the audit count on neither side.
     """
@@ -635,7 +635,12 @@ def test_the_page_on_the_audit_says_what_held_out_directions_give() -> None:
     hidden, honest = contradicted()
     assert f"contradicts {hidden} of the files that hide something" in text
     assert f"and {honest} of the honest ones" in text
-    for table, name in (("audit_second", "second"), ("audit_held_out", "first")):
+    sets = (
+        ("audit_third", "third"),
+        ("audit_second", "second"),
+        ("audit_held_out", "first"),
+    )
+    for table, name in sets:
         hidden, honest = contradicted(table)
         assert f"| {name} | {hidden} | {honest} |" in text
     hidden, honest = contradicted("audit_held_out_shipped")
