@@ -33,6 +33,7 @@ from mi_splat.selection.visibility import contributions
 _CHUNK = 8192
 _LESS = 0.99
 _RISE = 2.0
+_AROUND = 2.2  # radii from the middle within which a lid may lie
 _BRIM = 0.1  # share of an object's points that may lie beyond each edge
 
 
@@ -171,7 +172,7 @@ class _Recognised(NamedTuple):
     shown: Tensor  # (K, S, S, 3)
     features: Tensor  # (K, F) of unit length
     scores: Tensor  # (K,) of the class
-    index: int  # of the class that is seen most
+    kind: int  # number of the class that is seen most
     name: str | None  # of the class; None where no class is seen clearly
     is_agreed: bool  # whether half of the views show it
 
@@ -187,17 +188,17 @@ def _recognised(
     rows = list(scored)
     found = recogniser.scores(shown[rows])
     usual = found.quantile(config.usual, 0)
-    index = int(usual.argmax())
-    is_known = float(usual[index]) >= config.known
+    kind = int(usual.argmax())
+    is_known = float(usual[kind]) >= config.known
     scores = torch.zeros(len(shown))
-    scores[rows] = found[:, index]
+    scores[rows] = found[:, kind]
     return _Recognised(
         shown=shown,
         features=functional.normalize(recogniser.features(shown), dim=1),
         scores=scores,
-        index=index,
-        name=recogniser.classes[index] if is_known else None,
-        is_agreed=float(found[:, index].median()) >= config.known,
+        kind=kind,
+        name=recogniser.classes[kind] if is_known else None,
+        is_agreed=float(found[:, kind].median()) >= config.known,
     )
 
 
@@ -233,7 +234,7 @@ class Consensus:
         self.seen = self.weights > config.seen * most
         points = self.scene.means
         gaps = (points - target.centre.float()).norm(dim=1)
-        own = gaps < 1.6 * target.radius
+        own = gaps < _AROUND * target.radius
         # (M,) bool, of the object and what lies on it
         self.own = own & target.above(frame.scene, points, 0.02)
 
@@ -348,7 +349,7 @@ class Consensus:
         if known.name is not None and score <= 1 - self.config.gain:
             without_lid = self.images(candidates.peeled, chosen)
             for candidate in (prediction, without_lid):
-                found = recogniser.scores(candidate)[:, known.index].mean()
+                found = recogniser.scores(candidate)[:, known.kind].mean()
                 if float(found) - score > gain:
                     gain = float(found) - score
                     prediction = candidate

@@ -636,7 +636,7 @@ def strength() -> Iterator[tuple[str, Item]]:
 
 def attackers() -> Iterator[tuple[str, Item]]:
     """Edits of an honest car by attackers who know how directions are held out."""
-    base, car = dict(drawn(2012, 2013)).popitem()
+    base, car = next(drawn(2012, 2013))
     yield base, car
     top = direction(90.0, 0.0)
     beside = cone(direction(45.0, 230.0), 25.0)

@@ -72,8 +72,6 @@ def test_a_hidden_object_contradicts_the_other_directions(above: Made) -> None:
 def test_layers_rank_high_though_half_of_the_views_show_them(clean: Made) -> None:
     found = judged(layered(clean).scene)
     assert found.evidence > 0.9
-    # which half is true, held-out directions cannot tell
-    assert found.answer != "contradicted"
     assert judged(clean.scene).evidence < 0.1
 
 

@@ -3,6 +3,8 @@ honest one stays as it is.
 """
 
 import json
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,7 +13,7 @@ from torch import Tensor
 
 from attacks import cli
 from attacks.audits import recognition
-from mi_splat.audit import Audit, Repair, repaired
+from mi_splat.audit import Audit, Repair, audit, repaired
 from mi_splat.cameras.camera import Camera, look_at
 from mi_splat.cameras.lens import Lens
 from mi_splat.io import load_splat, save_splat
@@ -19,7 +21,7 @@ from mi_splat.maths.metrics import psnr
 from mi_splat.render.renderer import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from tests.audit.accounts import account, cone
-from tests.audit.recogniser import Painted, judged, painted
+from tests.audit.recogniser import CONFIG, Painted, judged, painted
 from tests.audit.scenes import ROAD, Made, direction, hidden, leaves
 from tests.audit.scenes import cone as within
 
@@ -92,18 +94,23 @@ def test_an_honest_splat_is_returned_as_it_is(honest: Made) -> None:
     assert repaired(honest.scene, nothing, judged).scene is honest.scene
 
 
-def test_a_lid_that_hides_an_object_is_left_out(honest: Made) -> None:
+def test_a_lid_that_hides_an_object_is_left_out() -> None:
+    honest = painted("suitcase", count=1200)
     covered = leaves(honest, lowest=50.0, near=1.2)
-    found = judged(covered.scene)
+    # some of it shows between the leaves
+    again = partial(audit, recogniser=Painted(), config=replace(CONFIG, gain=0.5))
+    found = again(covered.scene)
     assert found.answer == "contradicted"
     assert found.contradicted[0].peeled
-    done = repaired(covered.scene, found, judged)
-    assert done.left_out > 1000
+    done = repaired(covered.scene, found, again)
+    assert done.left_out > 100
     wanted, before, after = (
         image(scene, found, 85.0, 0.0)
         for scene in (honest.scene, covered.scene, done.scene)
     )
-    assert psnr(after, wanted) > psnr(before, wanted) + 5
+    # what also shows from the side stays, so the object comes back in part
+    assert psnr(after, wanted) > psnr(before, wanted)
+    assert done.audit.answer != "contradicted"
 
 
 def test_the_command_repairs_what_it_finds(

@@ -661,6 +661,19 @@ def test_the_page_on_the_audit_says_how_strong_and_wide_a_change_has_to_be() -> 
             assert f"| {name} | {' | '.join(found)} |" in text
 
 
+def test_the_page_on_the_audit_says_what_an_attack_on_it_costs() -> None:
+    text = (ROOT / "docs" / "audit.md").read_text()
+    with (ROOT / "docs" / "tables" / "audit_attack.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for weight in sorted({row["weight"] for row in rows}):
+        under = [row for row in rows if row["weight"] == weight]
+        cells = [under[0]["answer"]]
+        for row in under:
+            cells.append(f"{row['inside']}/{row['of_inside']}")
+            cells.append(f"{row['elsewhere']}/{row['of_elsewhere']}")
+        assert f"| {weight} | {' | '.join(cells)} |" in text
+
+
 def test_the_page_on_the_audit_says_what_a_repair_brings_back() -> None:
     text = (ROOT / "docs" / "audit.md").read_text()
     with (ROOT / "docs" / "tables" / "audit_repair.csv").open() as file:
