@@ -167,9 +167,9 @@ def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Targe
     rows = (scene.opacities > SOLID).nonzero()[:, 0]
     floor = _floor(scene.means[rows].double())
     if floor is not None:
-        up = floor.up if stated_up is None else stated_up
+        level = floor.up if stated_up is None else stated_up
         found = [
-            dataclasses.replace(target, up=up)
+            dataclasses.replace(target, up=level)
             for target in _standing(scene, rows, floor.over)
         ]
         if found:
