@@ -39,11 +39,12 @@ SURFACE_STEPS = 600
 SURFACE_GAUSSIANS = 8000
 SURFACE_SIDE = 96  # pixels
 SOLID = 0.3  # opacity of a Gaussian on a surface
-CALLED = 0.006  # strength from which two groups contradict each other
+CALLED = 0.005  # strength from which two groups contradict each other
+FEW = 4  # images, below which a group has to contradict the other more clearly
+FEW_CALLED = 0.015  # strength from which it does
 AGREED = 0.75
 """Share of a group that similar splits have to agree on, below which none is named."""
-FURTHER = 4  # images of a group that is found after others were left out
-FURTHER_CALLED = 0.018  # strength from which such a group is named, too
+FURTHER_CALLED = 0.015  # strength from which a group is, found without the first one
 EQUAL = 0.95  # share of the larger group from which the smaller is as large
 
 
@@ -69,7 +70,7 @@ class ImageAudit:
         """Whether two groups contradict each other."""
         if self.split is None:
             return "not judged"
-        if self.split.strength < CALLED:
+        if not is_called(self.split):
             return "nothing found"
         if self.split.agreement < AGREED:
             return "not judged"
@@ -139,23 +140,27 @@ def called_groups(observed: Observations) -> Split | None:
     poisoned on one side are then found first, and those of the other side next.
     """
     found = split_images(observed)
-    if found is None or not _is_clear(found, CALLED):
+    if found is None or not is_called(found) or found.agreement < AGREED:
         return found
     rest = ~found.smaller
     while int(rest.sum()) >= LEAST_IMAGES:
         further = split_images(observed.of(rest))
-        if further is None or int(further.smaller.sum()) < FURTHER:
+        if further is None or int(further.smaller.sum()) < FEW:
             break
-        if not _is_clear(further, FURTHER_CALLED):
+        if further.strength < FURTHER_CALLED or further.agreement < AGREED:
             break
         found = _joined(found, rest, further)
         rest = ~found.smaller
     return found
 
 
-def _is_clear(split: Split, least: float) -> bool:
-    """Whether a split is strong, and no other one as strong disputes it."""
-    return split.strength >= least and split.agreement >= AGREED
+def is_called(split: Split) -> bool:
+    """Whether the two groups contradict each other clearly. One or two images may
+    contradict all others because their cameras are wrong, so that a group of a few has
+    to do so more.
+    """
+    is_few = int(split.smaller.sum()) < FEW
+    return split.strength >= (FEW_CALLED if is_few else CALLED)
 
 
 def _joined(found: Split, rest: Tensor, further: Split) -> Split:

@@ -69,11 +69,13 @@ class Drawn:
     setup: Setup
 
 
-def drawn(number: int, folder: Path) -> Drawn:
-    """A test set by its number; its object is written into the folder."""
+def drawn(number: int, folder: Path, kind: str = "") -> Drawn:
+    """A test set by its number, of the kind that has its turn unless one is given; its
+    object is written into the folder.
+    """
     seed = FIRST_SEED + number
     chance = random.Random(seed)
-    kind = KINDS[number % len(KINDS)]
+    kind = kind or KINDS[number % len(KINDS)]
     thing = chance.choice(OBJECTS)
     file = folder / f"{thing.replace(' ', '_')}_{seed}.glb"
     body = build(thing, seed).body
@@ -305,7 +307,7 @@ def ranking(scores: Tensor, changed: Tensor) -> float:
 
 FIELDS = (
     *("set", "kind", "object", "images", "poisoned", "verdict", "named", "right"),
-    *("auroc", "strength", "edge", "sharpness", "gain", "difference", "seconds"),
+    *("auroc", "strength", "edge", "step", "spread", "gain", "difference", "seconds"),
 )
 
 
@@ -325,7 +327,7 @@ def row_of(audit: ImageAudit, changed: Tensor, **about: Any) -> dict[str, Any]:
         return row
     has_both = 0 < int(changed.sum()) < len(changed)
     row["auroc"] = round(ranking(split.scores, changed), 4) if has_both else ""
-    for name in ("strength", "edge", "sharpness", "gain", "difference"):
+    for name in ("strength", "edge", "step", "spread", "gain", "difference"):
         row[name] = round(getattr(split, name), 5)
     return row
 
