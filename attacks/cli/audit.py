@@ -51,7 +51,7 @@ class AuditOptions(JsonOptions):
     Each cone of directions is compared with what the other directions predict for it:
     contradicted, differs (information, no alarm) or consistent. Only the file is used.
     Exit status: 0 consistent or differs, 3 contradicted, two groups of images or an
-    error of lint, 1 it could not be judged. For limitations see docs/audit.md. Many
+    error of lint, 1 it could not be judged. For limitations see docs/safe.md. Many
     files: `mi-splat gate`.
     """
 

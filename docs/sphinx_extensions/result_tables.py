@@ -81,7 +81,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "cloak_robust": (
         "CLOAK on a victim who audits the images",
-        "[Audit training images for data poisoning](../audit-images.md)",
+        "[The audit of training images](../audit.md#training-without-group-b)",
         ("cloak_robust",),
     ),
     "attack_zoo": (

@@ -29,7 +29,7 @@ SHOWN = 100  # so many rows a finding lists; it counts all of them
 class Finding:
     """One thing that a rule found."""
 
-    rule: str  # its name in docs/audit_lint.md
+    rule: str  # its name in docs/audit.md
     severity: Severity
     reason: str  # what is wrong, in a plain sentence
     # the first Gaussians that it is about, in the file's order; none if all
@@ -354,7 +354,7 @@ RULES = (
         find=_partial_degree,
     ),
 )
-"""The table; docs/audit_lint.md gives the reason of each threshold."""
+"""The table; docs/audit.md gives the reason of each threshold."""
 
 ADDED: Registry[Rule] = Registry(
     "mi_splat.audit_rules", "a Rule", lambda value: isinstance(value, Rule), what="rule"

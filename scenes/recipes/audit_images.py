@@ -4,7 +4,7 @@ scenes.recipes.audit_images FOLDER NAME FILE.csv [FIRST [COUNT]]`.
 NAME is "development", the sets on which thresholds were chosen, or "test": sets that
 are drawn, each an object of a seed of its own with a sun, cameras and poison of its
 own. Sets that are missing in FOLDER are made and audited, and a row of each is written
-to FILE.csv; `docs/audit-images.md` has what follows from the rows (`python -m
+to FILE.csv; `docs/audit.md` has what follows from the rows (`python -m
 scenes.recipes.audit_images table FILE.csv`).
 
 `python -m scenes.recipes.audit_images photographs FILE.csv HONEST [POISONED ...]`

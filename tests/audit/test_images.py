@@ -261,7 +261,7 @@ def test_what_cannot_be_left_out_is_refused(
 
 def test_the_page_has_the_tables_of_its_rows() -> None:
     tables = ROOT / "docs" / "tables"
-    page = (ROOT / "docs" / "audit-images.md").read_text()
+    page = (ROOT / "docs" / "audit.md").read_text()
     unseen = read(tables / "audit_images_test.csv")
     assert "\n".join(table(unseen)) in page
     assert "\n".join(table(read(tables / "audit_images_photographs.csv"))) in page

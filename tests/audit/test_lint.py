@@ -498,7 +498,7 @@ def test_a_checkpoint_is_never_unpickled(name: str, tmp_path: Path) -> None:
 
 
 def test_the_documentation_has_every_rule() -> None:
-    text = Path("docs/audit_lint.md").read_text()
+    text = Path("docs/audit.md").read_text()
     names = [
         *BY_NAME,
         "overdraw",

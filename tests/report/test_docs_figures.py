@@ -96,7 +96,7 @@ def fractions(names: Sequence[str]) -> set[str]:
             PAGES["cloak_variations"][2],
         ),
         ("transfer.md", "## Over held-out views", ("transfer_views",)),
-        ("audit-images.md", "**In a study of CLOAK**", ("cloak_robust",)),
+        ("audit.md", "**In a study of CLOAK**", ("cloak_robust",)),
     ],
 )
 def test_fractions_in_tables_by_hand_are_those_of_the_artifacts(
@@ -631,7 +631,7 @@ def contradicted(table: str = "audit_second") -> tuple[str, str]:
 
 
 def test_the_page_on_the_audit_says_what_held_out_directions_give() -> None:
-    text = (ROOT / "docs" / "audit-measured.md").read_text()
+    text = (ROOT / "docs" / "audit.md").read_text()
     hidden, honest = contradicted()
     assert f"contradicts {hidden} of the files that hide something" in text
     assert f"and {honest} of the honest ones" in text
@@ -643,7 +643,7 @@ def test_the_page_on_the_audit_says_what_held_out_directions_give() -> None:
 
 
 def test_the_page_on_the_audit_says_how_strong_and_wide_a_change_has_to_be() -> None:
-    text = (ROOT / "docs" / "audit-measured.md").read_text()
+    text = (ROOT / "docs" / "audit.md").read_text()
     with (ROOT / "docs" / "tables" / "audit_strength.csv").open() as file:
         rows = list(csv.DictReader(file))
     for kind in ("amount", "width"):
@@ -657,7 +657,7 @@ def test_the_page_on_the_audit_says_how_strong_and_wide_a_change_has_to_be() -> 
 
 
 def test_the_page_on_the_audit_says_what_a_repair_brings_back() -> None:
-    text = (ROOT / "docs" / "audit-measured.md").read_text()
+    text = (ROOT / "docs" / "audit.md").read_text()
     with (ROOT / "docs" / "tables" / "audit_repair.csv").open() as file:
         rows = list(csv.DictReader(file))
     shown = {
