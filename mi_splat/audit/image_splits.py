@@ -34,6 +34,8 @@ TYPICAL = 0.5  # share of the usual score of a group below which nothing is name
 LEAST_POINTS = 50
 BESIDE = 0.5  # separation up to which two images are side by side
 SPACINGS = 3.0  # median distance to the nearest image, up to which they are, too
+SEES = 0.5  # of what the smaller group usually sees of the disputed points
+CLEAR = 0.2  # from the middle between the colours of both groups
 LOWER = 0.25  # quantile of these pairs that has to differ
 SPREAD = 0.1  # that images of one group have at least
 NEAREST = 0.15  # share of these pairs, the nearest, that say how sharp the edge is
@@ -71,6 +73,9 @@ class Split:
     spread: float = 0.0  # the same of images of one group
     # images side by side, of the smaller and the larger
     pair: tuple[int, int] | None = None
+    # images of the larger group that clearly are on its side of what is disputed; None
+    # counts all of them
+    opposed: int | None = None
     agreement: float = 1.0  # share of the smaller group that no similar split disputes
 
     @property
@@ -351,11 +356,8 @@ def _measured(observed: Observations, group: Tensor, noise: Tensor) -> Split | N
     named = _reached(observed, named, edge.compared)
     if int(named.sum()) < LEAST_SEEN:
         return None
-    step, spread = 0.0, 0.0
-    if edge.ratio > 1:
-        step, spread = _step(observed, group, noise)
     is_unclear = split.smaller & ~named
-    return dataclasses.replace(
+    split = dataclasses.replace(
         split,
         smaller=named,
         decided=named | (decided & ~group),
@@ -363,9 +365,8 @@ def _measured(observed: Observations, group: Tensor, noise: Tensor) -> Split | N
         edge=edge.ratio,
         difference=edge.difference,
         pair=edge.pair,
-        step=step,
-        spread=spread,
     )
+    return _stepped(observed, split, group, noise) if edge.ratio > 1 else split
 
 
 def _reached(observed: Observations, group: Tensor, compared: Tensor) -> Tensor:
@@ -457,18 +458,25 @@ def _edge(
     )
 
 
-def _step(observed: Observations, group: Tensor, noise: Tensor) -> tuple[float, float]:
-    """`Split.step` and `spread`."""
+def _stepped(
+    observed: Observations, split: Split, group: Tensor, noise: Tensor
+) -> Split:
+    """A split with `step`, `spread` and `opposed`."""
     places, evidence = _places(observed, group, noise)
+    sees = evidence > SEES * evidence[split.smaller].median()
+    opposed = int((~group & sees & (places < -CLEAR)).sum())
     evident = evidence > UNDECIDED * evidence.median()
     pairs = _pairs(observed, group, evident[:, None] & evident[None])
     if pairs is None:
-        return 0.0, 0.0
+        return dataclasses.replace(split, opposed=opposed)
     first, second = places[pairs.across].unbind(-1)
     is_first = group[pairs.across[:, 0]]
     steps = torch.where(is_first, first - second, second - first)
     one, other = places[pairs.within].unbind(-1)
-    return float(steps.mean()), float((one - other).abs().mean())
+    spread = float((one - other).abs().mean())
+    return dataclasses.replace(
+        split, step=float(steps.mean()), spread=spread, opposed=opposed
+    )
 
 
 def _places(

@@ -45,6 +45,7 @@ FEW_CALLED = 0.015  # strength from which it does
 AGREED = 0.75
 """Share of a group that similar splits have to agree on, below which none is named."""
 FURTHER_CALLED = 0.015  # strength from which a group is, found without the first one
+MORE = 2  # images by which the larger group has to be larger
 EQUAL = 0.95  # share of the larger group from which the smaller is as large
 
 
@@ -89,9 +90,13 @@ class ImageAudit:
 
     @property
     def is_nearly_equal(self) -> bool:
-        """Whether neither group is larger than the other by much."""
+        """Whether neither group is larger than the other by much. Images that hardly
+        see what is disputed belong to the larger one by chance, and do not count.
+        """
         larger, smaller = (int(group.sum()) for group in self.groups)
-        return smaller > EQUAL * larger
+        if self.split is not None and self.split.opposed is not None:
+            larger = min(larger, self.split.opposed)
+        return smaller > 0 and smaller > min(EQUAL * larger, larger - MORE)
 
     def left_out(self, trusted: Group) -> Tensor:
         """(V,) bool, the images of the group that is not trusted."""
@@ -170,8 +175,15 @@ def _joined(found: Split, rest: Tensor, further: Split) -> Split:
     more = named & rest
     scores = found.scores.clone()
     scores[more] = further.scores[further.smaller]
+    opposed = None
+    if found.opposed is not None and further.opposed is not None:
+        opposed = found.opposed + further.opposed
     return dataclasses.replace(
-        found, smaller=named, decided=found.decided | more, scores=scores
+        found,
+        smaller=named,
+        decided=found.decided | more,
+        scores=scores,
+        opposed=opposed,
     )
 
 

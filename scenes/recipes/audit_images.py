@@ -305,6 +305,9 @@ def ranking(scores: Tensor, changed: Tensor) -> float:
     return float(above + ties / 2)
 
 
+CALLED = "two groups"
+EQUAL = "two groups, nearly equal"
+"""Verdicts; of groups that are nearly equal, neither counts as named."""
 FIELDS = (
     *("set", "kind", "object", "images", "poisoned", "verdict", "named", "right"),
     *("auroc", "strength", "edge", "step", "spread", "gain", "difference", "seconds"),
@@ -314,11 +317,15 @@ FIELDS = (
 def row_of(audit: ImageAudit, changed: Tensor, **about: Any) -> dict[str, Any]:
     """What an audit says of a set of which the truth is known."""
     named = audit.groups[1]
+    verdict: str = audit.verdict
+    if audit.is_nearly_equal:
+        named = torch.zeros_like(named)
+        verdict = EQUAL
     row = {
         **about,
         "images": audit.count,
         "poisoned": int(changed.sum()),
-        "verdict": audit.verdict,
+        "verdict": verdict,
         "named": int(named.sum()),
         "right": int((named & changed).sum()),
     }
@@ -402,7 +409,7 @@ def table(rows: Sequence[dict[str, str]]) -> Iterator[str]:
     yield "|---|---|---|---|---|---|"
     for kind in dict.fromkeys(row["kind"] for row in rows):
         own = [row for row in rows if row["kind"] == kind]
-        called = [row for row in own if row["verdict"] == "two groups"]
+        called = [row for row in own if row["verdict"] in (CALLED, EQUAL)]
         ranks = [float(row["auroc"]) for row in own if row["auroc"]]
         named = sum(int(row["named"]) for row in called)
         right = sum(int(row["right"]) for row in called)
