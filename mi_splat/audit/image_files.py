@@ -56,6 +56,7 @@ def document_of_images(audit: ImageAudit, names: Sequence[str]) -> dict[str, Any
             "difference": split.difference,
             "gain": split.gain,
             "agreement": split.agreement,
+            "opposed": split.opposed,
         }
         scores = dict(zip(names, split.scores.tolist(), strict=True))
     return {

@@ -305,6 +305,8 @@ def ranking(scores: Tensor, changed: Tensor) -> float:
     return float(above + ties / 2)
 
 
+LOOKS = ("remove", "background")
+"""What `mi-splat poison` shows instead of an object; else it is an image file."""
 CALLED = "two groups"
 EQUAL = "two groups, nearly equal"
 """Verdicts; of groups that are nearly equal, neither counts as named."""
@@ -388,7 +390,8 @@ def measure_photographs(
         kind = HONEST
         if folder != honest:
             record = json.loads((folder / "poison.json").read_text())
-            kind = record["look"]
+            look = record["look"]
+            kind = look if look in LOOKS else "image"
             for number, path in enumerate(views.paths):
                 before = clean[own[path.stem]].image
                 apart = (views[number].image - before).abs().amax(-1)

@@ -16,6 +16,7 @@ from mi_splat.audit.images import (
     CALLED,
     FEW,
     FEW_CALLED,
+    MORE,
     ImageAudit,
     called_groups,
     is_called,
@@ -175,3 +176,21 @@ def test_a_group_of_a_few_has_to_be_clearer() -> None:
     assert is_called(many)
     assert not is_called(replace(many, smaller=few))
     assert is_called(replace(split, smaller=few))
+
+
+def test_only_images_that_see_what_is_disputed_make_a_group_larger() -> None:
+    directions, upper = rings()
+    split = split_images(observed(directions, BRIGHTER * upper.float()))
+    assert split is not None
+    assert split.opposed == int((~upper).sum())
+
+    def is_equal(opposed: int | None) -> bool:
+        counted = replace(split, opposed=opposed)
+        audit = ImageAudit(count=len(upper), points=POINTS, split=counted)
+        return audit.is_nearly_equal
+
+    named = int(upper.sum())
+    assert not is_equal(None)
+    assert not is_equal(named + MORE)
+    assert is_equal(named + MORE - 1)
+    assert is_equal(named - 5)
