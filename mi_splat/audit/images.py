@@ -93,10 +93,10 @@ class ImageAudit:
         """Whether neither group is larger than the other by much. Images that hardly
         see what is disputed belong to the larger one by chance, and do not count.
         """
-        larger, smaller = (int(group.sum()) for group in self.groups)
-        if self.split is not None and self.split.opposed is not None:
-            larger = min(larger, self.split.opposed)
-        return smaller > 0 and smaller > min(EQUAL * larger, larger - MORE)
+        smaller = self.groups[1]
+        if self.split is None or not bool(smaller.any()):
+            return False
+        return not _is_smaller(smaller, self.split)
 
     def left_out(self, trusted: Group) -> Tensor:
         """(V,) bool, the images of the group that is not trusted."""
@@ -154,6 +154,8 @@ def called_groups(observed: Observations) -> Split | None:
             break
         if further.strength < FURTHER_CALLED or further.agreement < AGREED:
             break
+        if not _is_smaller(further.smaller, further):
+            break
         found = _joined(found, rest, further)
         rest = ~found.smaller
     return found
@@ -166,6 +168,15 @@ def is_called(split: Split) -> bool:
     """
     is_few = int(split.smaller.sum()) < FEW
     return split.strength >= (FEW_CALLED if is_few else CALLED)
+
+
+def _is_smaller(smaller: Tensor, split: Split) -> bool:
+    """Whether clearly more images oppose a smaller group than it has."""
+    named = int(smaller.sum())
+    larger = int((split.decided & ~split.smaller).sum())
+    if split.opposed is not None:
+        larger = min(larger, split.opposed)
+    return named <= min(EQUAL * larger, larger - MORE)
 
 
 def _joined(found: Split, rest: Tensor, further: Split) -> Split:
