@@ -46,6 +46,7 @@ from scenes.recipes.objects.glb import glb_of
 SKY = SceneConfig().background
 HONEST = "honest"
 PLAIN = ("overhead", "sector", "paint", "inpaint", "blur")
+MOST = "plain, most images"
 ADAPTIVE = ("majority", "two images", "gradual", "local")
 KINDS = (*[HONEST] * 3, *PLAIN, "overhead", "sector", *ADAPTIVE)
 """Kinds of sets in the order in which they are drawn."""
@@ -404,14 +405,20 @@ def measure_photographs(
         add(file, row_of(audit, changed, **about, seconds=seconds))
 
 
+def _row_name(row: dict[str, str]) -> str:
+    """The kind of a set, or that most of its images are poisoned by a plain attack."""
+    is_most = 2 * int(row["poisoned"]) > int(row["images"])
+    return MOST if is_most and row["kind"] in PLAIN else row["kind"]
+
+
 def table(rows: Sequence[dict[str, str]]) -> Iterator[str]:
     """The table of the page."""
     yield (
         "| sets | called | AUROC of images, mean (lowest) | poisoned | named | right |"
     )
     yield "|---|---|---|---|---|---|"
-    for kind in dict.fromkeys(row["kind"] for row in rows):
-        own = [row for row in rows if row["kind"] == kind]
+    for kind in dict.fromkeys(map(_row_name, rows)):
+        own = [row for row in rows if _row_name(row) == kind]
         called = [row for row in own if row["verdict"] in (CALLED, EQUAL)]
         ranks = [float(row["auroc"]) for row in own if row["auroc"]]
         named = sum(int(row["named"]) for row in called)
