@@ -45,6 +45,7 @@ FEW_CALLED = 0.015  # strength from which it does
 AGREED = 0.75
 """Share of a group that similar splits have to agree on, below which none is named."""
 FURTHER_CALLED = 0.015  # strength from which a group is, found without the first one
+SEVERAL = 10  # images, from which a group is compared with all images of the other
 MORE = 2  # images by which the larger group has to be larger
 EQUAL = 0.95  # share of the larger group from which the smaller is as large
 
@@ -90,13 +91,14 @@ class ImageAudit:
 
     @property
     def is_nearly_equal(self) -> bool:
-        """Whether neither group is larger than the other by much. Images that hardly
-        see what is disputed belong to the larger one by chance, and do not count.
+        """Whether neither group is larger than the other by much. Next to a group of a
+        few, images that hardly see what is disputed belong to the larger one by chance,
+        and do not count.
         """
-        smaller = self.groups[1]
-        if self.split is None or not bool(smaller.any()):
-            return False
-        return not _is_smaller(smaller, self.split)
+        larger, smaller = (int(group.sum()) for group in self.groups)
+        if self.split is not None and 0 < smaller < SEVERAL:
+            return not _is_smaller(self.groups[1], self.split)
+        return smaller > EQUAL * larger
 
     def left_out(self, trusted: Group) -> Tensor:
         """(V,) bool, the images of the group that is not trusted."""

@@ -184,13 +184,15 @@ def test_only_images_that_see_what_is_disputed_make_a_group_larger() -> None:
     assert split is not None
     assert split.opposed == int((~upper).sum())
 
-    def is_equal(opposed: int | None) -> bool:
-        counted = replace(split, opposed=opposed)
+    few = torch.arange(len(upper)) < 5
+
+    def is_equal(opposed: int | None, smaller: Tensor = few) -> bool:
+        counted = replace(split, smaller=smaller, opposed=opposed)
         audit = ImageAudit(count=len(upper), points=POINTS, split=counted)
         return audit.is_nearly_equal
 
-    named = int(upper.sum())
     assert not is_equal(None)
-    assert not is_equal(named + MORE)
-    assert is_equal(named + MORE - 1)
-    assert is_equal(named - 5)
+    assert not is_equal(5 + MORE)
+    assert is_equal(5 + MORE - 1)
+    assert is_equal(2)
+    assert not is_equal(2, upper)
