@@ -171,7 +171,7 @@ def _opened(
         if clean is not None:
             do = "view that splat, with --cameras for the set"
             raise InvalidValueError.of(
-                "clean", "nothing beside a set of images", clean, do
+                "clean", "nothing with a set of images", clean, do
             )
         return content_of_dataset(path, background=background)
     if not is_result and (not path.is_dir() or splat_in(path)):

@@ -61,7 +61,7 @@ _PICTURES = {
 }
 _NEEDS = {
     "scene": "it takes the scene's meshes and sun",
-    "pictures": "it takes images and masks alone",
+    "pictures": "it takes only images and masks",
 }
 
 
@@ -135,7 +135,7 @@ def headline_of(figures: Figures) -> tuple[Figure, Figure | None]:
         return headline, Figure(label=label, rate=found.failures)
     wanted = figures.find("target_rate")
     if not isinstance(wanted, Rate):
-        words = "none that was judged"
+        words = "none that was evaluated"
         return Figure(label="attacks in this study", words=words), None
     label = "cloaked splat: target class reported inside the trigger"
     control = figures.rate("control_target_rate")
@@ -158,11 +158,11 @@ def _done(study: StudyConfig) -> str:
     if study.layers:
         layers = " The finished splat then got its object in layers."
     return (
-        f"{counted(study.cameras.train, 'training picture')} of one object"
+        f"{counted(study.cameras.train, 'training image')} of one object"
         f" ({study.scene.class_name}) were taken, and those from the trigger's cameras"
         f" changed: {listed(attacks)}. Two splats were trained alike, on clean and on"
         f" changed images, {counted(len(study.seeds), 'seed')} each.{layers}"
-        f" {listed(list(study.evaluation.detectors))} then looked at both from cameras"
+        f" {listed(list(study.evaluation.detectors))} then evaluated both from cameras"
         " that no training used. The attacker knows neither the trainer nor a detector."
     )
 
@@ -219,10 +219,10 @@ def _doubts(study: StudyConfig, figures: Figures) -> Iterator[str]:
         )
     if figures.value("stealthy") == 0:
         drop = figures.value("surroundings_psnr_drop")
-        parts = [f"beside the object the images lose {drop:.1f} dB inside the trigger"]
+        parts = [f"around the object the images lose {drop:.1f} dB inside the trigger"]
         lost = figures.value("object_psnr_drop")
         if lost is not None:
-            parts.append(f"on the object {lost:.1f} dB outside beside a trigger")
+            parts.append(f"on the object {lost:.1f} dB just outside a trigger")
         yield f"Not stealthy: {', '.join(parts)}"
     for attack in study.attack:
         rates = figures.rates("target_rate", trigger=attack.name)
