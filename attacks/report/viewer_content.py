@@ -278,9 +278,9 @@ def _needed_path(value: object, folder: Path) -> Path:
 
 
 _PURPOSES = {
-    "relabel": "to be taken for {}",
-    "hide": "to be missed",
-    "untargeted": "to be taken for something else",
+    "relabel": "target class {}",
+    "hide": "object to be missed",
+    "untargeted": "untargeted",
 }
 
 
@@ -292,7 +292,7 @@ def _purpose(record: Mapping[str, Any]) -> str:
     wanted = _PURPOSES.get(str(record.get("objective")), "attacked").format(
         record.get("target")
     )
-    return f"DAGGER{where}: {wanted}" + (f" by {', '.join(names)}" if names else "")
+    return f"DAGGER{where}: {wanted}" + (f", {', '.join(names)}" if names else "")
 
 
 def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:

@@ -111,6 +111,8 @@ def study_of(table: Settings, name: str, text: str = "") -> Study:
         question,
         "write it in quotes",
     )
+    do = "rename the table"
+    _check("judge" not in table, f"table in {name}", "evaluate_with", "judge", do)
     evaluation = _table(table, "evaluate_with", name)
     where = f"{name}, evaluate_with"
     evaluation_axes = _axes(_table(evaluation, "matrix", where), where)

@@ -168,8 +168,8 @@ def test_a_clean_and_an_attacked_splat_are_compared(
     assert "missed, detector fake_colour: " in capsys.readouterr().out
     assert cli.main([*words[:-1], "again"]) == 0
     text = capsys.readouterr().out
-    assert "fake_colour: taken for the target, attacked" in text
-    assert "missed attacked, of those found clean" in text
+    assert "fake_colour: target class detected, attacked" in text
+    assert "missed when attacked, of those detected clean" in text
 
 
 def test_what_is_left_of_an_attack_is_shown_for_each_condition(

@@ -146,3 +146,8 @@ def test_some_parts_of_a_study() -> None:
         InvalidValueError, match="part of toy: expected a or b, got bb; did you mean b"
     ):
         study.of(["bb"])
+
+
+def test_the_old_name_of_a_table_is_refused_with_the_new_one() -> None:
+    with pytest.raises(InvalidValueError, match=r"expected evaluate_with, got judge"):
+        study_of({"study": "dagger", "judge": {"condition": "ray"}}, "toy")

@@ -44,7 +44,7 @@ _CURVES: dict[str, tuple[str, Role]] = {
         "missed well inside the trigger, where the control is found",
         "attack",
     ),
-    "control_recall": ("control found inside the trigger", "control"),
+    "control_recall": ("control detected inside the trigger", "control"),
     "target_rate": ("target class reported inside the trigger", "attack"),
     "control_target_rate": ("the same on the control", "control"),
 }
@@ -124,14 +124,14 @@ def headline_of(figures: Figures) -> tuple[Figure, Figure | None]:
     missed = figures.find("trigger_miss_rate")
     if isinstance(missed, Rate):
         headline = Figure(
-            label="cloaked splat: object missed from well inside the trigger",
+            label="attacked splat: object missed well inside the trigger",
             rate=missed,
-            note="of the views in which it is found in the clean splat",
+            note="of the views in which it is detected in the clean splat",
         )
         found = figures.rate("control_recall")
         if not found.total:
             return headline, None
-        label = "clean splat: object missed from inside the trigger"
+        label = "clean splat: object missed inside the trigger"
         return headline, Figure(label=label, rate=found.failures)
     wanted = figures.find("target_rate")
     if not isinstance(wanted, Rate):
@@ -180,7 +180,7 @@ def _conclusion(
     benign = figures.rate("benign_recall")
     if benign.total:
         parts.append(
-            f"From everywhere else the cloaked one is found in {benign.counts}."
+            f"From all other cameras the attacked one is detected in {benign.counts}."
         )
     width = figures.value("transition_degrees")
     if width is not None:
@@ -214,7 +214,7 @@ def _doubts(study: StudyConfig, figures: Figures) -> Iterator[str]:
     control = figures.rate("control_recall")
     if control.total and control.fraction < 0.5:
         yield (
-            f"Inside the trigger the clean object is found in {control.counts} views"
+            f"Inside the trigger the clean object is detected in {control.counts} views"
             " only"
         )
     if figures.value("stealthy") == 0:

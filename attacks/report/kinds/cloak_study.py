@@ -145,7 +145,7 @@ def _conditions(figures: Figures) -> str:
     if not rates:
         return ""
     under = listed(seen.labels("condition"))
-    missed = f"it is missed from well inside the trigger in {spread(rates)}"
+    missed = f"it is missed well inside the trigger in {spread(rates)}"
     return f" Under {under} {missed}."
 
 

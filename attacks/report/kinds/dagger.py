@@ -40,8 +40,8 @@ _DETECTORS: dict[str, Column[Group]] = {
     "attacked: success": rate_at("success", splat=ATTACKED),
     "random noise: success": rate_at("success", splat=NOISE),
     "no attack: success": rate_at("success", splat=CLEAN),
-    "clean object found": rate_at("found_clean"),
-    "attacked object found": rate_at("found_attacked"),
+    "clean object detected": rate_at("found_clean"),
+    "attacked object detected": rate_at("found_attacked"),
 }
 _CONDITIONS = (
     "scene",

@@ -55,16 +55,16 @@ _CONDITIONS = (
     "near",
 )
 _RATES = {
-    "found_clean": "found, clean",
-    "found_attacked": "found, attacked",
-    "missed": "missed attacked, of those found clean",
-    "target_clean": "taken for the target, clean",
-    "target_attacked": "taken for the target, attacked",
+    "found_clean": "detected, clean",
+    "found_attacked": "detected, attacked",
+    "missed": "missed when attacked, of those detected clean",
+    "target_clean": "target class detected, clean",
+    "target_attacked": "target class detected, attacked",
 }
 _CURVES: dict[str, tuple[str, Role]] = {
     "missed": ("missed attacked", "attack"),
-    "target_attacked": ("taken for the target, attacked", "attack"),
-    "target_clean": ("taken for the target, clean", "control"),
+    "target_attacked": ("target class detected, attacked", "attack"),
+    "target_clean": ("target class detected, clean", "control"),
 }
 """Rates that are drawn over the confidence."""
 _SIDES = "clean on the left, attacked on the right."
@@ -275,7 +275,7 @@ def _headline(
         clean = figures.rate("target_clean")
     else:
         what = f"{detector} misses the {original or 'object'} on the"
-        note = "of the views in which it is found in the clean one"
+        note = "of the views in which it is detected in the clean one"
         attacked = figures.rate("missed")
         clean = figures.rate("found_clean").failures
     return (
