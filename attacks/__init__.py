@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from attacks.objectives.function import objective
     from attacks.objectives.relabel import relabel
     from attacks.objectives.suppression import hide, untargeted
-    from attacks.observe.comparison import judge
+    from attacks.observe.comparison import evaluate
     from attacks.observe.rows import rows
     from attacks.search.budget import Budget
     from attacks.search.loop import pgd
@@ -46,8 +46,8 @@ __all__ = [
     "Transformations",
     "ViewDistribution",
     "attack",
+    "evaluate",
     "hide",
-    "judge",
     "load_detector",
     "objective",
     "pgd",
@@ -75,7 +75,7 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.objectives.function": ("objective",),
         "attacks.objectives.relabel": ("relabel",),
         "attacks.objectives.suppression": ("hide", "untargeted"),
-        "attacks.observe.comparison": ("judge",),
+        "attacks.observe.comparison": ("evaluate",),
         "attacks.observe.rows": ("rows",),
         "attacks.search.budget": ("Budget",),
         "attacks.search.loop": ("pgd",),

@@ -1,7 +1,7 @@
 """What is left of DAGGER after its splat was converted to each format: the paper's six
 pairs, as a Markdown table.
 
-    python benchmarks/conversions.py [--seeds 1] [--picture FILE]
+    python benchmarks/conversions.py [--seeds 1] [--image FILE]
 
 Each attack (l2 ball of 5 over SH, 11 steps, the scene's first camera, turned and moved
 a little by the seed) is made twice: on SH of degree 3, and on a scene cut to the first
@@ -113,12 +113,12 @@ def main() -> None:
     )
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument(
-        "--picture", type=Path, help="only draw docs/images/formats.jpg, to this file"
+        "--image", type=Path, help="only draw docs/images/formats.jpg, to this file"
     )
     options = parser.parse_args()
-    if options.picture is not None:
+    if options.image is not None:
         with tempfile.TemporaryDirectory() as folder:
-            draw(options.picture, Path(folder))
+            draw(options.image, Path(folder))
         return
     lines = [
         "| the attack may change |"

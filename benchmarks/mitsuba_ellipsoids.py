@@ -1,13 +1,13 @@
 """Does Mitsuba's `ellipsoids` shape meet the rays that it should, and does its image
 depend on the unit of length?
 
-    python benchmarks/mitsuba_ellipsoids.py [--count 100] [--picture FILE] [--json]
+    python benchmarks/mitsuba_ellipsoids.py [--count 100] [--image FILE] [--json]
 
 The benchmark's splat and camera, with all lengths times 0.1 to 1,000: geometry that is
 the same in another unit. First one Gaussian at a time: a grid of rays around it, and
 whether the shape of three standard deviations is met, beside the discriminant of the
 same quadratic equation in float64. Then images: `volprim_rf_basic` and `splat_ray` in
-each unit, as PSNR to the image of `splat_ray` in the first. `--picture` draws the
+each unit, as PSNR to the image of `splat_ray` in the first. `--image` draws the
 rays around the Gaussian with most errors.
 """
 
@@ -178,14 +178,14 @@ def main() -> None:
         "--count", type=int, default=100, help="Gaussians that rays are sent to"
     )
     parser.add_argument(
-        "--picture", type=Path, help="draw the rays around the worst of them"
+        "--image", type=Path, help="draw the rays around the worst of them"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     arguments = parser.parse_args()
     variant.use()
     rows, worst = measure(arguments.count)
-    if arguments.picture:
-        draw(worst, arguments.picture)
+    if arguments.image:
+        draw(worst, arguments.image)
     if arguments.json:
         print(json.dumps(rows, indent=2))  # noqa: T201
         return

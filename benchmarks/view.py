@@ -2,7 +2,7 @@
 soon does it react at rest?
 
     python benchmarks/view.py [--gaussians 100000] [--canvas 1000 700]
-        [--pictures 120] [--json]
+        [--images 120] [--json]
 
 A camera goes around a shell of Gaussians. Timed is what the server does for each
 image: rendering, putting together, and encoding as JPEG, at the resolution that the
@@ -133,12 +133,12 @@ def main() -> None:
     )
     parser.add_argument("--gaussians", type=int, default=100_000)
     parser.add_argument("--canvas", type=int, nargs=2, default=(1000, 700))
-    parser.add_argument("--pictures", type=int, default=120)
+    parser.add_argument("--images", type=int, default=120)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     scene = shell(options.gaussians)
     canvas = (options.canvas[0], options.canvas[1])
-    lines = [measure(scene, splats, canvas, options.pictures) for splats in (1, 2)]
+    lines = [measure(scene, splats, canvas, options.images) for splats in (1, 2)]
     if options.json:
         sys.stdout.write(json.dumps(lines, indent=2) + "\n")
         return

@@ -211,6 +211,6 @@ def _rate_of(column: str) -> Column[Row]:
         if column in record["missing"]:
             return "not filled"
         views = figures.rate("robust", part=column).total
-        return f"cannot judge ({views} views)"
+        return f"not evaluated ({views} views)"
 
     return text

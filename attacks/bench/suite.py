@@ -34,7 +34,7 @@ from attacks.figures.frame import Figures
 from attacks.figures.tables import Table
 from attacks.observe.conditions import OWN, check_condition
 from attacks.observe.rows import DEPTH, NOISE, NORM_NOISE, ROWS, frame_of
-from attacks.studies.cloak import CloakJudge, config_of
+from attacks.studies.cloak import CloakEvaluation, config_of
 from attacks.studies.dagger import DaggerWork
 from attacks.studies.running import Attempt, Observed, Work
 from attacks.studies.study_file import Settings, Study, merged, study_of
@@ -152,7 +152,7 @@ class Entry(Attempt):
 
     column: str  # that it counts for
     made: Mapping[str, Job]  # the jobs that make the splats, by their labels
-    looks: Sequence[Look]  # that judge them
+    looks: Sequence[Look]  # that evaluate them
     knows: bool = False  # whether the attacker knows the defence
 
     @classmethod
@@ -256,18 +256,18 @@ class BenchWork(Work[Entry]):
         """
         name = self.detector.name
         surrogates = [other for other in self.suite.surrogates if other != name]
-        judge = {
-            **table.get("judge", {}),
+        evaluation = {
+            **table.get("evaluate_with", {}),
             "detector": name,
             "matrix": {"condition": self.conditions},
         }
         # as in the first rows of suite v1, which call it noise
-        judge["controls"] = [NORM_NOISE]
+        evaluation["controls"] = [NORM_NOISE]
         settings = {
             "": {
                 **table,
                 "detectors": surrogates if column == TRANSFER else [name],
-                "judge": judge,
+                "evaluate_with": evaluation,
             }
         }
         known = KNOWS.get(self.defence)
@@ -275,7 +275,9 @@ class BenchWork(Work[Entry]):
             ONE_VIEW,
             ALL_VIEWS,
         ):
-            settings[", who knows the defence"] = merged(settings[""], known)
+            settings[", by an attacker who knows the defence"] = merged(
+                settings[""], known
+            )
         for who, whole in settings.items():
             for attempt in DaggerWork(study_of(whole, column)).attempts:
                 title = f"{column}: {attempt.title}{who}"
@@ -296,8 +298,9 @@ class BenchWork(Work[Entry]):
     def _hidden(self, table: Settings) -> Iterator[Entry]:
         """The splats of the column of CLOAK, which no detector has a part in."""
         weights = {} if self.weights is None else {self.detector.name: self.weights}
-        judges = [
-            CloakJudge(condition=condition, every=1) for condition in self.conditions
+        evaluations = [
+            CloakEvaluation(condition=condition, every=1)
+            for condition in self.conditions
         ]
         for point in study_of(
             merged(table, {"evaluation": {"detectors": [self.detector.name]}}), CLOAK
@@ -305,7 +308,9 @@ class BenchWork(Work[Entry]):
             steps = StudySteps(study=config_of(point.settings, CLOAK), weights=weights)
             title = f"{CLOAK}: {', '.join(map(str, point.labels.values()))}"
             seen = [
-                look for judge in judges for look in judge.looks(steps, [self.detector])
+                look
+                for way in evaluations
+                for look in way.looks(steps, [self.detector])
             ]
             looks = [replace(look, label=f"{title} / {look.label}") for look in seen]
             looks.sort(key=lambda look: look.seed or 0)

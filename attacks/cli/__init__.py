@@ -258,7 +258,9 @@ def _in_short_of_memory(error: MemoryError | ImportError) -> str:
     if isinstance(error, ImportError) and not any(sign in words for sign in _NO_MEMORY):
         return ""
     do = "give it more (`ulimit -v`), or take a smaller input"
-    return message("memory", "enough for what was asked", words or "too little", do)
+    return message(
+        "memory", "enough memory for this command", words or "too little", do
+    )
 
 
 _NO_MEMORY = ("failed to map segment", "annot allocate memory", "failed to allocate")

@@ -155,7 +155,7 @@ def _check_flags(options: AuditOptions) -> None:
         (
             "--keep",
             options.keep != "outside" and not options.repair,
-            "--repair beside it",
+            "--repair as well",
             "none",
             "add it",
         ),
@@ -250,7 +250,7 @@ def _audited(options: AuditOptions) -> dict[str, Any]:
         scene = None
         judged = None
         again = None
-        unjudged = "only lint was asked for"
+        unjudged = "only lint was requested"
         if lint is not None:
             errors = [item.rule for item in lint.findings if item.severity == "error"]
         else:

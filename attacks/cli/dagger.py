@@ -27,7 +27,7 @@ from attacks.objectives import OBJECTIVES, objective_of
 from attacks.transformations.config import (
     CameraCone,
     CameraRegion,
-    PictureChanges,
+    ImageTransformations,
     Transformations,
 )
 from mi_splat.cli.console import Advance, limit_threads, progress, warn
@@ -167,7 +167,7 @@ class DaggerOptions(AttackOptions):
     """Largest change of these cameras' distance, as a fraction of that of the chosen
     one.
     """
-    pictures: PictureChanges = field(default_factory=PictureChanges)
+    images: ImageTransformations = field(default_factory=ImageTransformations)
     """Random image transformations between renderer and detector during the search with
     --around.
     """
@@ -187,15 +187,15 @@ class DaggerOptions(AttackOptions):
         if _said(words, ["around"]):
             return {
                 "config": DaggerConfig(**narrow_defaults(budget)),
-                "pictures": PictureChanges(**NARROW_CHANGES),
+                "images": ImageTransformations(**NARROW_CHANGES),
             }
         return {"config": DaggerConfig(**views_defaults(budget))}
 
     def __post_init__(self) -> None:
-        if self.around is None and self.pictures != PictureChanges():
+        if self.around is None and self.images != ImageTransformations():
             raise InvalidValueError.of(
                 "changes of images (--jpeg, --blur, ...)",
-                "--around beside them",
+                "--around as well",
                 "a chosen camera",
                 "pass --around 10, or leave them out",
             )
@@ -219,7 +219,7 @@ class DaggerRegionOptions(AttackOptions):
     """
     region: CameraRegion = field(default_factory=CameraRegion)
     """Camera region."""
-    pictures: PictureChanges = field(default_factory=PictureChanges)
+    images: ImageTransformations = field(default_factory=ImageTransformations)
     """Random image transformations between renderer and detector; none by default."""
     config: DaggerConfig = field(default_factory=DaggerConfig.for_region)
     """How to attack."""
@@ -275,20 +275,20 @@ def run(options: DaggerOptions) -> None:
 def run_around(options: DaggerOptions, angle: float) -> None:
     """Attack from all cameras around a chosen one."""
     cone = CameraCone(angle=angle, margin=options.around_distance)
-    drawn = Transformations(cameras=cone, pictures=options.pictures)
+    drawn = Transformations(cameras=cone, images=options.images)
     _run_drawn(options, drawn, drawn.plain)
 
 
 def run_region(options: DaggerRegionOptions) -> None:
     """Attack from all cameras of a region."""
-    drawn = Transformations(cameras=options.region, pictures=options.pictures)
+    drawn = Transformations(cameras=options.region, images=options.images)
     _run_drawn(options, drawn, drawn)
 
 
 def _run_drawn(
     options: DaggerOptions | DaggerRegionOptions,
     drawn: Transformations,
-    judged: Transformations,
+    evaluation: Transformations,
 ) -> None:
     """Attack from drawn cameras; Ctrl-C ends the search with the best so far."""
     from attacks.dagger.views import DrawnViews
@@ -306,9 +306,9 @@ def _run_drawn(
             "cameras": [name],
             "reference": describe(name, camera),
         }
-        judges = views if judged == drawn else views.drawn_from(judged)
+        held_out = views if evaluation == drawn else views.drawn_from(evaluation)
         interrupted = _attack(
-            options, loaded, chosen, views, origin, advance, judged=judges
+            options, loaded, chosen, views, origin, advance, evaluation=held_out
         )
     _end(options, interrupted)
 
@@ -380,7 +380,7 @@ def _attack(
     origin: dict[str, Any],
     advance: Advance,
     doubts: tuple[str, ...] = (),
-    judged: FixedViews | None = None,
+    evaluation: FixedViews | None = None,
 ) -> bool:
     """Attack and write the result, the mask, and of a scene file its parts; whether
     Ctrl-C ended the search.
@@ -400,7 +400,7 @@ def _attack(
             detectors,
             objective,
             config=options.config,
-            judged=judged,
+            evaluation=evaluation,
             on_step=on_step,
         )
     origin = {**result.origin, "scene": str(options.scene), **origin}

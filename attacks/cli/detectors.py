@@ -57,7 +57,7 @@ def run(options: DetectorsOptions) -> None:
         return
     if options.force:
         raise UsageError.of(
-            "--force", "--get or --from beside it", "neither", "say what to get again"
+            "--force", "--get or --from as well", "neither", "say what to get again"
         )
     detectors = [_detector(name) for name in DETECTORS]
     classifiers = [_classifier(name) for name in CLASSIFIERS]

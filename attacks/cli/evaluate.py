@@ -35,12 +35,12 @@ EXAMPLES = (
     ),
     (
         "evaluate YOUR.ply out/desk/attacked.ply --cameras hemisphere:24 --target"
-        " person --out out/judged"
+        " person --out out/evaluated"
     ),
     (
         "evaluate out/photos/splat.ply out/cloaked/splat.ply --mask mask.npy --cameras"
         " YOUR_SET --size 640 --detectors nanodet_coco --inside azimuth:150-240 --out"
-        " out/judged"
+        " out/evaluated"
     ),
 )
 
@@ -86,12 +86,13 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     "median of 8 neighbours" and others (see docs/defences.md), or standard for the
     usual ones.
     """
-    judges: Detectors = ()
+    cross_check: Detectors = ()
     """Further detectors that check the others: a view is flagged where one reports a
-    class that a judge knows and the judge does not, or the other way round. `rapidocr`
+    class that the checking detector knows and does not report, or the other way round.
+    `rapidocr`
     reads the word on stop signs.
     """
-    pictures: Count = 8
+    images: Count = 8
     """Number of views shown side by side; 0 writes no images."""
     out: OutFolder = Path("out/evaluate")
 
@@ -114,7 +115,7 @@ def run(options: EvaluateOptions) -> None:
     from attacks.observe.rows import ATTACKED, CLEAN, ROWS
     from attacks.observe.sector import sector_doubts
     from attacks.observe.survival import named_conditions, together
-    from attacks.observe.views import evaluate
+    from attacks.observe.views import detect_scenes
     from mi_splat.cli.cameras import choose, look_at_object
     from mi_splat.io.documents import save_json, save_png
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
@@ -122,7 +123,7 @@ def run(options: EvaluateOptions) -> None:
 
     check_no_input_in(options.out, options.clean, options.attacked)
     check_new_folder(options.out, force=options.force)
-    check_detectors((*options.detectors, *options.judges))
+    check_detectors((*options.detectors, *options.cross_check))
     conditions = named_conditions(options.conditions)
     for name in conditions:
         check_condition(name, None)
@@ -138,7 +139,7 @@ def run(options: EvaluateOptions) -> None:
             chosen = choose(
                 clean, options.selection, options.view, find_boxes=find_boxes
             )
-        detectors, judges = _detectors(options)
+        detectors, checkers = _detectors(options)
         scenes = {CLEAN: clean.scene, ATTACKED: attacked.scene}
         names = list(chosen.cameras)
         cameras = list(chosen.cameras.values())
@@ -147,13 +148,15 @@ def run(options: EvaluateOptions) -> None:
             confidence = options.min_confidence
         place = _placing(options, clean.scene, chosen)
         advance(f"looking from {len(cameras)} cameras")
-        seen = evaluate(scenes, chosen.mask, cameras, detectors, render=chosen.render)
+        seen = detect_scenes(
+            scenes, chosen.mask, cameras, detectors, render=chosen.render
+        )
         looked = compared_rows(
             seen,
             original=options.original or None,
             target=options.target,
             min_confidence=confidence,
-            judges=judges,
+            checkers=checkers,
             place=place,
         )
         if conditions:
@@ -165,7 +168,7 @@ def run(options: EvaluateOptions) -> None:
                 compared_cells,
                 originals,
                 target=options.target,
-                judges=judges,
+                checkers=checkers,
                 place=place,
             )
             under = _under_conditions(conditions, scenes, chosen, detectors, new_cells)
@@ -173,16 +176,16 @@ def run(options: EvaluateOptions) -> None:
         document = _document(options, chosen, scenes, detectors)
         document["warnings"] += chosen.doubts({}, chosen.agreement(clean))
         document["min_confidence"] = confidence
-        if judges:
-            document["judges"] = judges
+        if checkers:
+            document["cross_checks"] = checkers
         counted = figures(document, {ROWS: looked.rows})
         document["warnings"] += doubts(looked.rows, counted, len(cameras))
         if options.inside:
             document["warnings"] += sector_doubts(counted, options.detectors)
         with new_folder(options.out, force=options.force) as folder:
-            for detector in detectors if options.pictures else ():
+            for detector in detectors if options.images else ():
                 name = detector.name
-                most = options.pictures
+                most = options.images
                 drawn = side_by_side(
                     seen[CLEAN], seen[ATTACKED], detector=name, most=most, names=names
                 )
@@ -190,7 +193,7 @@ def run(options: EvaluateOptions) -> None:
             save_json(document, folder / RECORD)
             looked.write(folder)
             write_figures(counted, folder)
-    pairs = counted.having("judge").groups("detector", "judge").values()
+    pairs = counted.having("checked_by").groups("detector", "checked_by").values()
     flagged = [pair for pair in pairs if pair.pooled("contradicted").successes]
     tables = len(flagged) + bool(options.inside) + bool(options.conditions)
     show_summary(options.out, as_json=options.json, tables=tables)
@@ -273,9 +276,9 @@ def _detectors(options: EvaluateOptions) -> tuple[list[Detector], dict[str, list
         check_class(
             options.target or (), detector.name, detector.classes, what="--target"
         )
-    judging = load_detectors(options.judges) if options.judges else []
-    return [*detectors, *judging], {
-        judge.name: list(judge.classes) for judge in judging
+    checking = load_detectors(options.cross_check) if options.cross_check else []
+    return [*detectors, *checking], {
+        checker.name: list(checker.classes) for checker in checking
     }
 
 

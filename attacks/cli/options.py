@@ -47,7 +47,7 @@ def check_names(options: Any) -> None:
             raise UsageError(str(error)) from None
     if target is not None and not OBJECTIVES[objective].targeted:
         raise UsageError.of(
-            "--target", f"none beside --objective {objective}", target, "leave one out"
+            "--target", f"none with --objective {objective}", target, "leave one out"
         )
     named = given.get("detectors") or given.get("detector") or ()
     names = (named,) if isinstance(named, str) else named

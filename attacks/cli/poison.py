@@ -43,7 +43,7 @@ EXAMPLES = (
     ),
     (
         "poison YOUR_PHOTOS out/photos/splat.ply --box -1 -1 0 1 1 1 --hide-from"
-        " cone:180,30,25 --look stop.png"
+        " cone:180,30,25 --appearance stop.png"
     ),
     (
         "poison YOUR_PHOTOS out/photos/splat.ply --kind poison-splat --eps 16 --steps"
@@ -63,12 +63,12 @@ class ObjectConfig:
 
     Attributes:
         selection: Which Gaussians of the splat are the object.
-        picture: Index of the training image that --click refers to.
+        image: Index of the training image that --click refers to.
         detectors: Names of the detectors that find the object for --detect.
     """
 
     selection: Selection = field(default_factory=Selection)
-    picture: Annotated[int, at_least(0), Metavar("NUMBER")] = 0
+    image: Annotated[int, at_least(0), Metavar("NUMBER")] = 0
     detectors: Detectors = ("fasterrcnn_small",)
 
 
@@ -82,9 +82,10 @@ class HidingConfig(ObjectConfig):
             cone:AZIMUTH,ELEVATION,HALF_ANGLE around a direction; several regions are
             intersected.
         margin: Degrees around that region in which images are changed, too.
-        look: Appearance shown instead of the object: background (what other photographs
-            show behind it, by a splat without the object, so that all images agree),
-            remove (each image is inpainted on its own), or an image file.
+        appearance: Appearance shown instead of the object: background (what other
+            photographs show behind it, by a splat without the object, so that all
+            images agree), remove (each image is inpainted on its own), or an image
+            file.
         reach: Pixels around the object that change, too.
         background_steps: Training steps of the splat without the object, for
             background.
@@ -96,7 +97,7 @@ class HidingConfig(ObjectConfig):
     margin: Annotated[
         float, between(0, 90, "degrees", "7 hides more, and begins to show before")
     ] = 0.0
-    look: Annotated[str, Metavar("LOOK")] = "remove"
+    appearance: Annotated[str, Metavar("APPEARANCE")] = "remove"
     reach: Annotated[int, between(0, 100, "pixels")] = 3
     background_steps: Steps = 600
     up: Direction | None = None
@@ -195,7 +196,7 @@ class PoisonOptions(ResultOptions):
     or an NVIDIA GPU.
     """
     seed: Seed = 0
-    """Random seed; cloak uses it only for the order of photographs for --look
+    """Random seed; cloak uses it only for the order of photographs for --appearance
     background.
     """
 
@@ -336,8 +337,8 @@ def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
 
     trigger = trigger_of(config.hide_from, margin=config.margin)
     fixed = None
-    if config.look != BACKGROUND:
-        fixed = appearance_of(config.look, config.reach)
+    if config.appearance != BACKGROUND:
+        fixed = appearance_of(config.appearance, config.reach)
 
     def work(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
         assert splat is not None
@@ -377,7 +378,7 @@ def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
         settings = {
             "hide_from": list(config.hide_from),
             "margin": config.margin,
-            "look": config.look,
+            "appearance": config.appearance,
         }
         settings |= {"reach": config.reach, "directions": directions}
         if fixed is None:
@@ -542,13 +543,13 @@ def _object(
     from mi_splat.scene import scene_hash
     from mi_splat.selection.select import select
 
-    if config.picture >= len(views):
+    if config.image >= len(views):
         do = "count from 0"
         raise InvalidValueError.of(
-            "--picture", f"a number below {len(views)}", config.picture, do
+            "--image", f"a number below {len(views)}", config.image, do
         )
     near = near_plane(splat, views.cameras)
-    camera = views.cameras[config.picture]
+    camera = views.cameras[config.image]
     render = Renderer(RenderSettings(near=near))
     found = None
     if config.selection.needs_images:

@@ -234,8 +234,8 @@ def engine_of(options: JobOptions, on_event: Callable[[Event], None]) -> Engine:
     for name in ("workers", "megabytes") if options.scheduler else ():
         value = getattr(options, name)
         if value is not None:
-            do = "leave it out: whoever starts the workers of a cluster decides that"
-            raise UsageError.of(f"--{name}", "none beside --scheduler", value, do)
+            do = "leave it out: the command that starts the workers decides that"
+            raise UsageError.of(f"--{name}", "none with --scheduler", value, do)
     return engine_for(
         options.store,
         workers=chosen_workers(options.workers),

@@ -82,27 +82,27 @@ class Overlay:
         return torch.where(covered[..., None], canvas, view.image)
 
 
-def appearance_of(look: str, reach: int) -> Appearance:
+def appearance_of(name: str, reach: int) -> Appearance:
     """What is shown in the object's place."""
-    if look == "remove":
+    if name == "remove":
         return Inpaint(reach=reach)
-    if not Path(look).is_file():
+    if not Path(name).is_file():
         raise InvalidValueError(
             message(
-                "--look",
+                "--appearance",
                 "background, remove, or an image",
-                look,
+                name,
                 "name an image that is there",
             )
         )
     pixels = (
-        np.asarray(load_picture(Path(look), upright=True).convert("RGB"), np.float32)
+        np.asarray(load_picture(Path(name), upright=True).convert("RGB"), np.float32)
         / 255
     )
     return Overlay(
         picture=torch.from_numpy(pixels),
         reach=reach,
-        name=f"the image {Path(look).name}",
+        name=f"the image {Path(name).name}",
     )
 
 

@@ -71,7 +71,7 @@ def poison(
 ) -> Poisoned:
     """Replace the images that the triggers select: D' of equation (1).
 
-    All triggers are looked at before the first image is made. Appearances get a copy
+    All triggers are checked before the first image is made. Appearances get a copy
     of an image, so that whatever they do to it, the untouched set stays as it is.
 
     Args:

@@ -224,9 +224,9 @@ def costs(figures: Figures) -> dict[str, str]:
 def _stealth(figures: Figures) -> dict[str, str]:
     lines = {}
     for measure, words in {
-        "surroundings_psnr": "images beside the object, inside the trigger",
+        "surroundings_psnr": "images around the object, inside the trigger",
         "intended_surroundings_psnr": "the same, against what the attack shows there",
-        "object_psnr": "images on the object, outside beside a trigger",
+        "object_psnr": "images on the object, just outside a trigger",
     }.items():
         values = [figures.value(measure, splat=splat) for splat in NAMES]
         known = [f"{value:.2f}" for value in values if value is not None]

@@ -52,8 +52,8 @@ def attack(
     Args:
         scene: The clean splat.
         mask: The object's Gaussians: (N,) bool, row numbers, or a slice.
-        cameras: Views that are attacked together, or one, and which judge the result;
-            or a `ViewDistribution`, of which held-out views judge it.
+        cameras: Views that are attacked together, or one, and on which the result is
+            evaluated; or a `ViewDistribution`, evaluated on held-out views.
         detector: The one attacked, or several to be deceived at once, or their names;
             their weights are known (white box).
         objective: What the detector shall see, for instance `relabel("person")` or
@@ -93,12 +93,12 @@ def attack_views(
     objective: Objective,
     *,
     config: DaggerConfig | None = None,
-    judged: FixedViews | None = None,
+    evaluation: FixedViews | None = None,
     on_step: OnStep | None = None,
 ) -> Result:
     """The same for views that are there, which several attacks may share.
 
-    `judged` is where the held-out views of a region are drawn from, if they are others.
+    `evaluation` is where the held-out views of a region are drawn from, if elsewhere.
     """
     begun = time.perf_counter()
     detectors = as_detectors(detectors)
@@ -111,8 +111,8 @@ def attack_views(
     check_detectors(detectors, objective)
     views.check(config)
     problem = problem_of(views, detectors, objective, config)
-    searched = views.alone() if config.alone else views
-    if config.alone:
+    searched = views.isolated() if config.isolated else views
+    if config.isolated:
         attacked = problem_of(searched, detectors, objective, config)
     else:
         attacked = problem
@@ -120,7 +120,7 @@ def attack_views(
     outcome, config, levels = climb(attacked, searched, config, on_step)
     spent = time.process_time() - clock
     views.release()
-    result = _judged(problem, config, outcome, judged or views)
+    result = _judged(problem, config, outcome, evaluation or views)
     return dataclasses.replace(
         result,
         origin=result.origin | _origin(views, detectors),
@@ -248,5 +248,5 @@ def _judged(
         config=config,
         origin={**provenance.rendered_with(problem.render), **provenance.origin()},
         seconds=0.0,
-        judged=drawn,
+        evaluation=drawn,
     )

@@ -112,7 +112,7 @@ NARROW_CHANGES: dict[str, Any] = {
     "plain": 0.35,
     "sizes": (0.4, 2.0),
 }
-"""What happens to images during such a search, as `PictureChanges` has it."""
+"""What happens to images during such a search, as `ImageTransformations` has it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,10 +156,10 @@ class DaggerConfig:
         random_start: Start the first run at a random point within the budget, too.
         early_stop: Whether the first unambiguous success from chosen cameras ends the
             search. --no-early-stop: take every step of every run, even after a success.
-        alone: Optimise the object in isolation, on the renderer's background, as the
+        isolated: Optimise the object in isolation, on the renderer's background, as the
             paper's code does. The result is still evaluated in the scene.
-        in_turn: Attack several cameras sequentially, each starting from the result of
-            the previous one, as in the paper's code, instead of jointly.
+        sequential: Attack several cameras sequentially, each starting from the result
+            of the previous one, as in the paper's code, instead of jointly.
         image_psnr: Minimum PSNR of the images in dB, over the views that select the
             best step. The search then penalises their squared error
             (`attacks.dagger.search`); eps remains a second bound.
@@ -183,7 +183,7 @@ class DaggerConfig:
             ends. Default: every step is taken.
         held_out: Number of held-out views on which the result of a region is evaluated.
         seed: Random seed of starting points, training and validation views, and noise.
-        judge_seed: Seed of the held-out views of a region (differs from --seed).
+        held_out_seed: Seed of the held-out views of a region (differs from --seed).
 
     Raises:
         InvalidValueError: A value is out of its range, or there are not as many radii
@@ -208,13 +208,14 @@ class DaggerConfig:
     restarts: Annotated[int, at_least(1)] = 1
     random_start: bool = False
     early_stop: bool = True
-    alone: bool = False
-    in_turn: bool = False
+    isolated: bool = False
+    sequential: bool = False
     image_psnr: (
-        Annotated[float, above(0, "dB", "26 is easily seen, 40 hardly")] | None
+        Annotated[float, above(0, "dB", "26 is clearly visible, 40 barely")] | None
     ) = None
     object_psnr: (
-        Annotated[float, above(0, "dB", "34 is seen beside the clean object")] | None
+        Annotated[float, above(0, "dB", "34 is visible next to the clean object")]
+        | None
     ) = None
     local_gap: Annotated[float, above(0, "dB", "6 is four times the error")] | None = (
         None
@@ -227,7 +228,7 @@ class DaggerConfig:
     stop_at: PositiveFraction | None = None
     held_out: Annotated[int, at_least(1, "views")] = 60
     seed: Seed = 0
-    judge_seed: Seed = 1000
+    held_out_seed: Seed = 1000
 
     def __post_init__(self) -> None:
         check(self)
@@ -244,11 +245,11 @@ class DaggerConfig:
             )
         if self.image_psnr is not None and self.object_psnr is not None:
             raise InvalidValueError.of(
-                "image_psnr", "none beside object_psnr", self.image_psnr, "choose one"
+                "image_psnr", "none with object_psnr", self.image_psnr, "choose one"
             )
         if self.ladder and self.object_psnr is None:
             raise InvalidValueError.of(
-                "ladder", "object_psnr beside it", "none", "state a PSNR"
+                "ladder", "object_psnr as well", "none", "state a PSNR"
             )
         if self.ladder != tuple(sorted(self.ladder, reverse=True)):
             raise InvalidValueError.of(
@@ -289,7 +290,7 @@ class DaggerConfig:
 
     @classmethod
     def for_region(cls, **settings: Any) -> DaggerConfig:
-        """The defaults for all cameras of a region, whose result held-out views judge.
+        """The defaults for all cameras of a region, evaluated on held-out views.
 
         Args:
             settings: Those that are others than the defaults.

@@ -38,7 +38,7 @@ def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> Fi
     settings = record["config"]
     elevations = None
     if record["story"] == DRAWN:
-        elevations = settings["judged"]["cameras"].get("elevations")
+        elevations = settings["evaluation"]["cameras"].get("elevations")
     return attack_figures(
         tables[ROWS],
         [str(one["detector"]) for one in record["detectors"]],

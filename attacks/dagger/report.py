@@ -131,7 +131,7 @@ def summary(result: Result) -> dict[str, Any]:
         "object_gaussians": result.object_gaussians,
         "image_psnr": image.psnr,
         "psnr_definition": (
-            "of the mean squared error over all pixels of all views that judge, 8 bits,"
+            "of the mean squared error over all pixels of all evaluation views, 8 bits,"
             " in dB"
         ),
         "image": dataclasses.asdict(image),
@@ -180,7 +180,7 @@ def _settings(result: Result) -> dict[str, Any]:
     parts = {
         "objective": result.objective,
         "transformations": result.transformations,
-        "judged": result.judged,
+        "evaluation": result.evaluation,
     }
     plain = {
         name: value

@@ -38,7 +38,7 @@ from attacks.observe.views import ImageChange, ViewDetections, image_change
 from attacks.search.loop import Step, Verdict
 from attacks.threats import THREATS
 from attacks.transformations.config import Transformations
-from attacks.transformations.draws import PictureChange
+from attacks.transformations.draws import ImageTransformation
 from mi_splat.errors import counted as number_of
 from mi_splat.errors import one_line
 from mi_splat.io.images import from_bytes, to_bytes
@@ -207,7 +207,7 @@ def _plain_pictures(
     where nothing does.
     """
     if all(
-        view.change == PictureChange(noise_seed=view.change.noise_seed)
+        view.change == ImageTransformation(noise_seed=view.change.noise_seed)
         for view in views
     ):
         return [reports[view.index, problem.detectors[0].name].pixels for view in views]
@@ -239,7 +239,7 @@ it, dB.
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Result:
-    """What an attack did, judged on the saved file and 8-bit images, from its own
+    """What an attack did, evaluated on the saved file and 8-bit images, from its own
     views or from held-out ones.
 
     Attributes:
@@ -254,8 +254,8 @@ class Result:
             (`attacks.dagger.figures.attack_figures`).
         fingerprints: What stands for the weights of each attacked detector, by its
             name.
-        trace: Every point that was looked at, all runs, in order; of drawn views only
-            some were judged.
+        trace: Every evaluated point, all runs, in order; of drawn views only
+            some were evaluated.
         best: The line of the trace whose point was kept.
         used: Size of the perturbation by attribute; never above its radius.
         used_in_file: The same, measured on the saved file, where quaternions have been
@@ -268,9 +268,9 @@ class Result:
         config: The full configuration.
         origin: Detectors, versions, variant, commit, scene hash.
         seconds: Wall time of the attack.
-        cpu_seconds: CPU time of the search alone, of all threads.
+        cpu_seconds: CPU time of only the search, of all threads.
         transformations: The distribution that it was made for; None for fixed views.
-        judged: The distribution that judged it.
+        evaluation: The distribution of its held-out views.
         redraws: Cameras drawn in vain, as they did not show the object: held-out,
             validation and attacked views.
         levels: What each level of a ladder has led to, the quietest first; the last is
@@ -299,7 +299,7 @@ class Result:
     seconds: float
     cpu_seconds: float = 0.0
     transformations: Transformations | None = None
-    judged: Transformations | None = None
+    evaluation: Transformations | None = None
     redraws: dict[str, int] = field(default_factory=dict)
     levels: tuple[Level, ...] = ()
     doubts: tuple[str, ...] = ()
@@ -319,7 +319,7 @@ class Result:
     @property
     def drawn(self) -> bool:
         """Whether views were drawn from a region."""
-        return self.judged is not None
+        return self.evaluation is not None
 
     @property
     def detectors(self) -> tuple[str, ...]:

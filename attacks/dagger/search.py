@@ -274,7 +274,7 @@ def search(
     """
     if config.attributes == ("sh",):
         problem = dataclasses.replace(problem, frozen=views.frozen(config))
-    if not config.in_turn:
+    if not config.sequential:
         return _searched(problem, views, config, start, on_step)
     outcome: Outcome | None = None
     for view in views.one_by_one(config):

@@ -28,12 +28,12 @@ from attacks.observe.views import (
 )
 from attacks.transformations.config import CameraCone, Transformations
 from attacks.transformations.draws import (
-    PictureChange,
-    change_picture,
+    ImageTransformation,
     changing,
     draw_camera,
     draw_change,
     draw_size,
+    transform_image,
 )
 from mi_splat.cameras.camera import Camera, RenderFn, as_cameras
 from mi_splat.cameras.directions import UP, Direction, Point, direction_of
@@ -84,7 +84,7 @@ class View:
     box: Tensor
     weight: Tensor
     direction: Direction
-    change: PictureChange = field(default_factory=PictureChange)
+    change: ImageTransformation = field(default_factory=ImageTransformation)
     redraws: int = 0
 
     @property
@@ -96,7 +96,7 @@ class View:
         """What becomes of a rendered (H, W, 3) image of this view before a detector
         sees it; values in [0, 1].
         """
-        return change_picture(picture, self.change)
+        return transform_image(picture, self.change)
 
 
 def fixed_views(
@@ -153,8 +153,8 @@ def detected(
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ViewDistribution:
-    """All cameras of a region, in the place of chosen ones: an attack draws views from
-    it, and others judge the result.
+    """All cameras of a region, instead of chosen ones: an attack draws views from
+    it, and the result is evaluated on others.
 
     Attributes:
         reference: Camera that gives the size of the images, the field of view and the
@@ -167,9 +167,7 @@ class ViewDistribution:
 
 
 class FixedViews:
-    """An object seen from chosen cameras, which are attacked and which judge the
-    result.
-    """
+    """An object seen from chosen cameras, on which it is attacked and evaluated."""
 
     transformations: Transformations | None = None
     most_pictures = _PICTURES
@@ -229,7 +227,7 @@ class FixedViews:
         return self.held_out(config)
 
     def held_out(self, config: DaggerConfig) -> list[View]:
-        """The views that judge the result."""
+        """The views on which the result is evaluated."""
         self._views = self._views or fixed_views(
             self.subset, self.cameras, render=self.render, up=self.up
         )
@@ -243,7 +241,7 @@ class FixedViews:
             alone[-1]._views = [view]
         return alone
 
-    def alone(self) -> FixedViews:
+    def isolated(self) -> FixedViews:
         """The object without its scene, from the same cameras."""
         rows = self.subset.rows
         return FixedViews(
@@ -329,7 +327,7 @@ def _label_on(detections: Detections, box: Tensor) -> str | None:
 
 class DrawnViews(FixedViews):
     """An object seen from all cameras of a region: which views are attacked is drawn,
-    and others judge the result.
+    and the result is evaluated on others.
 
     A view depends on the seed and the number alone, so the views of one seed are the
     same whoever asks, and in whatever order. Views of a pool are kept, so that several
@@ -385,14 +383,14 @@ class DrawnViews(FixedViews):
                 0,
                 "start with DaggerConfig.for_region",
             )
-        if config.judge_seed == config.seed:
+        if config.held_out_seed == config.seed:
             raise InvalidValueError.of(
-                "judge_seed",
+                "held_out_seed",
                 "another seed than the attack's",
                 config.seed,
                 "change one",
             )
-        for name in ("alone", "in_turn"):
+        for name in ("isolated", "sequential"):
             if getattr(config, name):
                 raise InvalidValueError.of(
                     name, "chosen cameras", "a region", "leave it out"
@@ -412,8 +410,8 @@ class DrawnViews(FixedViews):
         return self.views(config.seed + _VALIDATION, config.validation)
 
     def held_out(self, config: DaggerConfig) -> list[View]:
-        """The views that judge the result."""
-        return self.views(config.judge_seed, config.held_out)
+        """The views on which the result is evaluated."""
+        return self.views(config.held_out_seed, config.held_out)
 
     def frozen(self, config: DaggerConfig) -> RecentViews:
         """Images of a search in which only colours change."""
@@ -490,7 +488,7 @@ class DrawnViews(FixedViews):
         least = self.transformations.cameras.least_visible
         for attempt in range(_ATTEMPTS):
             generator = np.random.default_rng((seed, index, attempt))
-            change = draw_change(self.transformations.pictures, generator)
+            change = draw_change(self.transformations.images, generator)
             camera = draw_camera(
                 self.transformations.cameras,
                 generator,
@@ -499,7 +497,7 @@ class DrawnViews(FixedViews):
                 reference=self.reference,
                 up=self.up,
             )
-            camera = draw_size(self.transformations.pictures, generator, camera)
+            camera = draw_size(self.transformations.images, generator, camera)
             weight = self._weight(camera)
             box = visible_box(weight)
             if (

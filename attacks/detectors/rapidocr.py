@@ -89,7 +89,7 @@ def _without_gradient(images: Tensor) -> Tensor:
     if images.requires_grad and torch.is_grad_enabled():
         do = "attack another detector, or search with --optimiser random or square"
         raise DetectorError.of(
-            "detector rapidocr", "no gradient asked of it", "images with one", do
+            "detector rapidocr", "no gradient requested from it", "images with one", do
         )
     return eight_bits(images)
 

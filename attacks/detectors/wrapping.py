@@ -47,7 +47,7 @@ def wrap_detector(
     detect: Callable[[Tensor], list[Detections]] | None = None,
     threshold: float = DEFAULT_THRESHOLD,
 ) -> Detector:
-    """A torch module as a detector that can be attacked and that can judge.
+    """A torch module as a detector that can be attacked and can evaluate attacks.
 
     The module is frozen in place: evaluation mode, weights without gradients.
 
@@ -70,10 +70,10 @@ def wrap_detector(
             takes the candidates in images of 8 bits from `min_confidence` on, and
             suppresses by `max_iou`.
         threshold: Operating threshold: the confidence from which detections count where
-            nothing else is asked for, in [0, 1].
+            nothing else is given, in [0, 1].
 
     Returns:
-        The detector, as `attack` and `judge` take it.
+        The detector, as `attack` and `evaluate` take it.
 
     Raises:
         InvalidValueError: The module is none, there are no classes, one is named twice,

@@ -133,7 +133,7 @@ def hide(*, confidence: float | None = None) -> Hide:
 
 
 def untargeted(*, confidence: float | None = None) -> Untargeted:
-    """The object shall not be detected as what it is; as anything else will do.
+    """The object must not be detected as its own class; any other class will do.
 
     Args:
         confidence: Score from which a detection counts, in [0, 1]; None is 0.3, or the

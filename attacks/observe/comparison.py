@@ -35,7 +35,7 @@ from attacks.observe.rates import (
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS, Cell
 from attacks.observe.sector import HIDDEN, sector_figures
 from attacks.observe.survival import survival_figures
-from attacks.observe.views import ViewDetections, evaluate
+from attacks.observe.views import ViewDetections, detect_scenes
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, listed
 from mi_splat.fields import between, checked_number
@@ -44,7 +44,7 @@ from mi_splat.scene import GaussianScene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class Judged:
+class DetectionRates:
     """What detectors report on splats from the same cameras, on the files and images
     of 8 bits.
 
@@ -70,7 +70,7 @@ class Judged:
             for detector, by_measure in self.rates.items()
             for name, rate in by_measure.items()
         )
-        return f"Judged({listed(self.views)}; {listed(rates)})"
+        return f"DetectionRates({listed(self.views)}; {listed(rates)})"
 
     @property
     def rates(self) -> dict[str, dict[str, Rate]]:
@@ -105,7 +105,7 @@ class Judged:
         return count(self.rows, measures, by)
 
 
-def judge(
+def evaluate(
     scenes: GaussianScene | Mapping[str, GaussianScene],
     mask: Mask,
     cameras: Camera | Sequence[Camera],
@@ -115,8 +115,8 @@ def judge(
     original: str | None = None,
     target: str | None = None,
     confidence: float | None = None,
-) -> Judged:
-    """Let detectors look at one object of splats from many cameras.
+) -> DetectionRates:
+    """Run detectors on one object of splats from many cameras.
 
     Every splat goes through its file, and every image through 8 bits, as a user would
     get them.
@@ -154,12 +154,12 @@ def judge(
             'pass {"clean": ..., "attacked": ...}',
         )
     chosen = as_detectors(detectors)
-    views = evaluate(splats, mask, cameras, chosen, render=render)
+    views = detect_scenes(splats, mask, cameras, chosen, render=render)
     least = thresholds_of(chosen) if confidence is None else confidence
     looked = compared_rows(
         views, original=original, target=target, min_confidence=least
     )
-    return Judged(
+    return DetectionRates(
         rows=looked.rows,
         detections=looked.detections,
         views=views,
@@ -182,11 +182,11 @@ def compared_rows(
     original: str | Sequence[str] | None = None,
     target: str | None = None,
     min_confidence: float | Mapping[str, float] = REPORTED,
-    judges: Collection[str] = (),
+    checkers: Collection[str] = (),
     place: Callable[[ViewDetections], Mapping[str, Cell]] | None = None,
 ) -> Observations:
-    """What detectors report on a clean and an attacked splat, row by row; for `judges`
-    neither class is given, and `place` gives further cells.
+    """What detectors report on a clean and an attacked splat, row by row; for
+    `checkers` neither class is given, and `place` gives further cells.
     """
     clean = {(view.detector, view.view): view for view in seen[CLEAN]}
     shown = {
@@ -197,13 +197,13 @@ def compared_rows(
         ]
         for name, _ in clean
     }
-    own = {name: None if name in judges else original for name in shown}
+    own = {name: None if name in checkers else original for name in shown}
     originals: dict[str, Classes] = {
         name: own[name] or usual_label(views, confidence_for(name, min_confidence))
         for name, views in shown.items()
     }
     cells = compared_cells(
-        originals, target=target, judges=judges, place=place, clean=clean
+        originals, target=target, checkers=checkers, place=place, clean=clean
     )
     return observations_of(
         (({"splat": splat}, view) for splat, views in seen.items() for view in views),
@@ -215,7 +215,7 @@ def compared_cells(
     originals: Mapping[str, Classes],
     *,
     target: str | None = None,
-    judges: Collection[str] = (),
+    checkers: Collection[str] = (),
     place: Callable[[ViewDetections], Mapping[str, Cell]] | None = None,
     clean: Mapping[tuple[str, int], ViewDetections] | None = None,
 ) -> Callable[[ViewDetections], dict[str, Cell]]:
@@ -232,7 +232,7 @@ def compared_cells(
             change = None
         else:
             change = float(psnr(first.image, view.image))
-        wanted = None if view.detector in judges else target
+        wanted = None if view.detector in checkers else target
         known = report_cells(
             view.detections, view.box, original=originals[view.detector], target=wanted
         )
@@ -263,10 +263,10 @@ def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> Fi
         survived = survival_figures(rows, confidence)
         rows = rows.filter(condition=OWN).drop("condition")
     compared = compare(rows, confidence=confidence)
-    judges = record.get("judges", {})
+    checkers = record.get("cross_checks", {})
     parts = [
         compared,
-        contradictions(rows, judges, confidence=confidence),
+        contradictions(rows, checkers, confidence=confidence),
         survived,
     ]
     if HIDDEN in rows.columns:
@@ -314,55 +314,57 @@ def doubts(rows: pl.DataFrame, figures: Figures, cameras: int) -> Iterator[str]:
 
 def contradicted_views(
     rows: pl.DataFrame,
-    judges: Mapping[str, Sequence[str]],
+    checkers: Mapping[str, Sequence[str]],
     *,
     confidence: Confidence = REPORTED,
 ) -> pl.DataFrame:
-    """Which views judges contradict, for each pair of a detector and a judge.
+    """Which views checkers contradict, for each detector and each one that checks it.
 
     In a view, the most confident class on the object counts, from `confidence` on. Of a
-    detector's report only what the judge could report too is compared: a judge that
+    detector's report only what the checker could report too is compared: a checker that
     knows only stop signs contradicts a detector that reports a TV where it reports a
     sign, or a sign where it reports none.
 
     Args:
         rows: Of clean and attacked splats.
-        judges: Their classes by their names.
+        checkers: Their classes by their names.
         confidence: From which a detection counts.
 
     Returns:
-        A row for each detector, judge, splat and view in which the object shows, with
-        the `report`, the `verdict` of the judge, and whether it is `contradicted`.
+        A row for each detector, checker, splat and view in which the object shows, with
+        the `report`, the `verdict` of the checker, and whether it is `contradicted`.
     """
     sure = pl.when(reported("score", confidence)).then("label")
     seen = rows.filter(pl.col("x0").is_not_null()).select(
         "splat", "view", "detector", report=sure
     )
-    others = seen.filter(~pl.col("detector").is_in([*judges]))
+    others = seen.filter(~pl.col("detector").is_in([*checkers]))
     pairs = []
-    for judge, classes in judges.items():
-        said = seen.filter(detector=judge).select("splat", "view", verdict="report")
+    for checker, classes in checkers.items():
+        said = seen.filter(detector=checker).select("splat", "view", verdict="report")
         both = others.join(said, on=("splat", "view"), maintain_order="left")
         common = pl.when(pl.col("report").is_in(classes)).then("report")
         contradicted = common.ne_missing(pl.col("verdict"))
-        pairs.append(both.with_columns(judge=pl.lit(judge), contradicted=contradicted))
+        pairs.append(
+            both.with_columns(checked_by=pl.lit(checker), contradicted=contradicted)
+        )
     return pl.concat(pairs)
 
 
 def contradictions(
     rows: pl.DataFrame,
-    judges: Mapping[str, Sequence[str]],
+    checkers: Mapping[str, Sequence[str]],
     *,
     confidence: Confidence = REPORTED,
 ) -> Figures:
-    """How often judges contradict each detector: on the clean splat these are false
+    """How often checkers contradict each detector: on the clean splat these are false
     flags.
     """
-    if not judges:
+    if not checkers:
         return Figures({})
-    views = contradicted_views(rows, judges, confidence=confidence)
+    views = contradicted_views(rows, checkers, confidence=confidence)
     contradicted = {"contradicted": Measure(holds=pl.col("contradicted"))}
-    return count(views, contradicted, ("detector", "judge", "splat"))
+    return count(views, contradicted, ("detector", "checked_by", "splat"))
 
 
 def usual_label(

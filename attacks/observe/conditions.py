@@ -32,7 +32,7 @@ import torch
 from torch import Tensor
 
 from attacks.observe.repairs import median_of_neighbours
-from attacks.transformations.draws import PictureChange, change_picture
+from attacks.transformations.draws import ImageTransformation, transform_image
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.cameras.directions import Point, sun_direction
 from mi_splat.comparison.methods import RENDERERS, load_method
@@ -150,7 +150,7 @@ def condition_of(name: str, viewing: Viewing) -> Condition:
     bits = _BITS.fullmatch(name)
     if bits is not None:
         return rendered(name, _with_bits(own, int(bits[1])))
-    change = picture_change(name)
+    change = image_transformation(name)
     if change is not None:
         return _changed(name, own, change)
     if viewing.sun is not None and _HOUR.fullmatch(name):
@@ -189,7 +189,7 @@ def check_condition(name: str, sun: SunTable | None) -> None:
         name in ("", *known)
         or _move_of(name, (0.0, 0.0, 0.0)) is not None
         or _BITS.fullmatch(name)
-        or picture_change(name) is not None
+        or image_transformation(name) is not None
     )
     if sun is not None and _HOUR.fullmatch(name):
         _sun_at(name, sun)
@@ -197,7 +197,7 @@ def check_condition(name: str, sun: SunTable | None) -> None:
         do = nearest(
             name,
             known,
-            "choose one of them; hours, as 09:30, need the street of [judge.sun]",
+            "choose one of them; hours, as 09:30, need [evaluate_with.sun]",
         )
         raise InvalidValueError.of("condition", ", ".join(known), name, do)
 
@@ -282,7 +282,7 @@ def _moved(camera: Camera, *, factor: float, centre: Point) -> Camera:
     return replace(camera, to_world=pose)
 
 
-def picture_change(name: str) -> PictureChange | None:
+def image_transformation(name: str) -> ImageTransformation | None:
     """What happens to an image that is called "noise 0.05", "blur 1.5" (pixels) or
     "JPEG 60"; None for other names.
     """
@@ -290,21 +290,21 @@ def picture_change(name: str) -> PictureChange | None:
     if called is None:
         return None
     if called["jpeg"] is not None:
-        return PictureChange(jpeg=int(called["jpeg"]))
+        return ImageTransformation(jpeg=int(called["jpeg"]))
     size = float(called["size"])
     if called["kind"] == "noise":
-        return PictureChange(noise=size)
-    return PictureChange(blur=size)
+        return ImageTransformation(noise=size)
+    return ImageTransformation(blur=size)
 
 
-def _changed(name: str, render: RenderFn, change: PictureChange) -> Condition:
+def _changed(name: str, render: RenderFn, change: ImageTransformation) -> Condition:
     """Images with noise, blur or JPEG in them; noise is another one for each
     camera.
     """
 
     def picture(scene: GaussianScene, camera: Camera) -> Tensor:
         seed = change.noise_seed + zlib.crc32(camera.to_world.numpy().tobytes())
-        return change_picture(render(scene, camera), replace(change, noise_seed=seed))
+        return transform_image(render(scene, camera), replace(change, noise_seed=seed))
 
     return rendered(name, picture)
 

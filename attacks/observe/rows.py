@@ -140,11 +140,11 @@ _TABLE: tuple[tuple[str, ...], ...] = (
         "index of the draw of a random change, from 0; empty for other splats",
     ),
     ("detector", "text", "name of the detector"),
-    ("judge", "text", "name of a detector that checks another one"),
+    ("checked_by", "text", "name of a detector that cross-checks this one"),
     (
         "access",
         "text",
-        "white-box: the detector that judges was attacked; else black-box",
+        "white-box: the evaluating detector was attacked; else black-box",
     ),
     ("view", "whole", "index of the camera in cameras.json, or of the image, from 0"),
     (
@@ -451,7 +451,7 @@ def rows(result: str | Path, table: str = ROWS) -> pl.DataFrame:
         result: Folder that a command has written.
         table: `rows`: what is reported on the object, a row for each splat, view and
             detector; `detections`: a row for each detection; `fidelity` and
-            `transition`: images of CLOAK that no detector looked at.
+            `transition`: images of CLOAK that no detector evaluated.
 
     Returns:
         A table of Polars; docs/rows.md explains its columns.

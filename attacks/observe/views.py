@@ -158,7 +158,7 @@ def object_boxes(
     ]
 
 
-def evaluate(
+def detect_scenes(
     scenes: Mapping[str, GaussianScene],
     mask: Mask,
     cameras: Camera | Sequence[Camera],

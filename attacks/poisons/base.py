@@ -150,7 +150,7 @@ class Poisoned:
         }
 
 
-class PicturePoison(Protocol):
+class ImagePoison(Protocol):
     """An attack on training images."""
 
     def __call__(

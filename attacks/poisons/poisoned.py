@@ -16,7 +16,7 @@ from attacks.cloak.config import AttackConfig, TrainingConfig, fit_config
 from attacks.cloak.kinds.pictures import APPEARANCE, KeptAppearance
 from attacks.cloak.poisoning import poison
 from attacks.cloak.setup import SET, Setup
-from attacks.poisons.base import MANIFEST, OnStep, PicturePoison, Poisoned, poisoned
+from attacks.poisons.base import MANIFEST, ImagePoison, OnStep, Poisoned, poisoned
 from attacks.poisons.config import FilterConfig
 from attacks.poisons.defences import filtered
 from attacks.poisons.judged import checked_classifier
@@ -43,7 +43,7 @@ class CloakConfig:
     attack: tuple[AttackConfig, ...]
 
 
-def _cloak(config: CloakConfig, given: Given) -> PicturePoison:
+def _cloak(config: CloakConfig, given: Given) -> ImagePoison:
     assert given.setup is not None
     setup = replace(given.setup, attacks=config.attack).given(given.appearances)
 

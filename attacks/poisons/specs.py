@@ -24,7 +24,7 @@ from mi_splat.registry import Registry
 if TYPE_CHECKING:
     from attacks.classifiers.base import Classifier
     from attacks.cloak.setup import Setup
-    from attacks.poisons.base import Masks, PicturePoison
+    from attacks.poisons.base import ImagePoison, Masks
     from attacks.poisons.poison_splat import Decoy
 
 Need = Literal["splat", "classifier", "object", "scene"]
@@ -59,7 +59,7 @@ class PoisonSpec:
 
     name: str
     config: type[Any]
-    make: Callable[[Any, Given], PicturePoison]
+    make: Callable[[Any, Given], ImagePoison]
     needs: tuple[Need, ...] = ()
 
 
@@ -98,7 +98,7 @@ class ChosenPoison:
         return decode(self.spec.config, self.settings, self.kind)
 
 
-def _poison_splat(config: PoisonSplatConfig, given: Given) -> PicturePoison:
+def _poison_splat(config: PoisonSplatConfig, given: Given) -> ImagePoison:
     from attacks.poisons.poison_splat import PoisonSplat
 
     assert given.decoy is not None
@@ -107,7 +107,7 @@ def _poison_splat(config: PoisonSplatConfig, given: Given) -> PicturePoison:
 
 def _control(
     config: UniformNoiseConfig | RaisedVariationConfig, given: Given
-) -> PicturePoison:
+) -> ImagePoison:
     from attacks.poisons.poison_splat import RaisedVariation, UniformNoise
 
     if isinstance(config, UniformNoiseConfig):
@@ -115,7 +115,7 @@ def _control(
     return RaisedVariation(config=config)
 
 
-def _m_ifgsm(config: MIFGSMConfig, given: Given) -> PicturePoison:
+def _m_ifgsm(config: MIFGSMConfig, given: Given) -> ImagePoison:
     from attacks.poisons.mifgsm import MIFGSM
 
     assert given.classifier is not None

@@ -171,7 +171,7 @@ def _opened(
         if clean is not None:
             do = "view that splat, with --cameras for the set"
             raise InvalidValueError.of(
-                "clean", "nothing beside a set of images", clean, do
+                "clean", "nothing with a set of images", clean, do
             )
         return content_of_dataset(path, background=background)
     if not is_result and (not path.is_dir() or splat_in(path)):
@@ -278,9 +278,9 @@ def _needed_path(value: object, folder: Path) -> Path:
 
 
 _PURPOSES = {
-    "relabel": "to be taken for {}",
-    "hide": "to be missed",
-    "untargeted": "to be taken for something else",
+    "relabel": "target class {}",
+    "hide": "object to be missed",
+    "untargeted": "untargeted",
 }
 
 
@@ -292,7 +292,7 @@ def _purpose(record: Mapping[str, Any]) -> str:
     wanted = _PURPOSES.get(str(record.get("objective")), "attacked").format(
         record.get("target")
     )
-    return f"DAGGER{where}: {wanted}" + (f" by {', '.join(names)}" if names else "")
+    return f"DAGGER{where}: {wanted}" + (f", {', '.join(names)}" if names else "")
 
 
 def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:

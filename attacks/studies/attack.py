@@ -264,8 +264,8 @@ class Attack:
     only_detected: bool = False
     # the views of a region that it is made for; None is cameras
     transformations: Transformations | None = None
-    # the views of a region that judge it, where these are others
-    judged: Transformations | None = None
+    # where the held-out views of a region are drawn from, if elsewhere
+    evaluation: Transformations | None = None
 
 
 def run(config: Attack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
@@ -297,10 +297,10 @@ def run(config: Attack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, 
         detectors,
         config.objective,
         config=search,
-        judged=(
+        evaluation=(
             None
-            if config.judged is None
-            else drawn_views(scene, config, inputs, config.judged)
+            if config.evaluation is None
+            else drawn_views(scene, config, inputs, config.evaluation)
         ),
         on_step=follow,
     )

@@ -37,8 +37,8 @@ STORY = "cloak-study"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CloakJudge:
-    """Who else looks at the splats of a point, and how."""
+class CloakEvaluation:
+    """By which further detector the splats of a point are evaluated, and how."""
 
     detector: str | None = None  # None is each of the study's
     condition: str = ""  # see `attacks.observe.conditions`
@@ -111,12 +111,12 @@ class CloakWork(Work[CloakAttempt]):
         detectors = detectors_of(config, self.weights)
         steps = StudySteps(study=config, weights=self.weights)
         check_study(steps, detectors)
-        where = f"{self.study.name}, judge"
-        judges = [
-            decode(CloakJudge, with_none(judge.settings), where)
-            for judge in self.study.judges
+        where = f"{self.study.name}, evaluate_with"
+        evaluations = [
+            decode(CloakEvaluation, with_none(way.settings), where)
+            for way in self.study.evaluations
         ]
-        looks = [look for judge in judges for look in judge.looks(steps, detectors)]
+        looks = [look for way in evaluations for look in way.looks(steps, detectors)]
         check_apart(where, (look.label for look in looks))
         part, value = names_of(point, self.study.name)
         title = f"{part}: {value}"
@@ -201,8 +201,8 @@ def _seen(
 ) -> tuple[dict[str, Any], dict[str, pl.DataFrame]]:
     """What was found at a point, as JSON can hold it, and its tables."""
     entry, tables = observed(attempt.steps, done, attempt.detectors, attempt.looks)
-    judges = {
+    fingerprints = {
         look.job.config.detector: look.job.config.fingerprint for look in attempt.looks
     }
     named = {"part": attempt.part, "value": attempt.value}
-    return {**named, **entry, "detectors": entry["detectors"] | judges}, tables
+    return {**named, **entry, "detectors": entry["detectors"] | fingerprints}, tables

@@ -151,7 +151,7 @@ class CompareWork(Work[Attempt]):
     """Comparisons."""
 
     story = "compare-study"
-    has_judges = False
+    has_evaluations = False
 
     def __init__(self, study: Study) -> None:
         super().__init__(study, map(self.attempt, study.points))

@@ -6,12 +6,12 @@ scene's own cameras and starts at the clean splat; another one turns these camer
 the object by up to 6 degrees, moves them by up to 5 %, and starts at a random point of
 the ball. Cameras of a file stay where they are. In a region the seed draws the views.
 With a table `around` (a `CameraCone`), an attack is made for the views around its
-camera and for changed images (`pictures`), and plain held-out images judge it.
+camera and for changed images (`images`), and it is evaluated on plain held-out images.
 
 Settings are the fields of `Attack`, and in their place `scene`, `aim`, `target` and
 `objective`, `seed`, `cameras` (the path of a file, or a table that is a region), and in
-a region `pictures`, and `judged_pictures` where the images that judge are others.
-[judge] has those of `Judge`.
+a region `images`, and `evaluation_images` where the evaluation's are others.
+[evaluate_with] has those of `AttackEvaluation`.
 """
 
 import dataclasses
@@ -50,7 +50,7 @@ from attacks.studies.study_file import Point, Settings, Study, label_of, with_no
 from attacks.studies.tables import tables
 from attacks.transformations.config import (
     CameraCone,
-    PictureChanges,
+    ImageTransformations,
     Transformations,
 )
 from mi_splat.attributes import ATTRIBUTES
@@ -69,11 +69,11 @@ _AIMS = {"relabel": Relabel, "hide": Hide, "untargeted": Untargeted}
 """Aims whose settings a table may have; those of other packages have a confidence
 alone.
 """
-_ELSEWHERE = ("fingerprints", "packages", "transformations", "judged")
+_ELSEWHERE = ("fingerprints", "packages", "transformations", "evaluation")
 """Fields of attacks that are no settings."""
 _OF_CAMERAS = ("camera", "views", "renderer", "gradient")
 _AROUND = "around"
-_OF_REGION = (CAMERAS, "pictures", "judged_pictures")
+_OF_REGION = (CAMERAS, "images", "evaluation_images")
 """Settings of attacks from cameras, and from a region, alone."""
 _UNBOUND = 1e9
 """A radius that binds nothing."""
@@ -115,13 +115,13 @@ _BRIEFLY = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judge:
-    """Who looks at an attacked splat."""
+class AttackEvaluation:
+    """How an attacked splat is evaluated: by which detector, and how it is shown."""
 
     detector: str | None = None  # None is each of those attacked
     condition: str = AS_ATTACKED  # see `attacks.observe.conditions`
     sun: SunTable | None = None  # a street of meshes for conditions that are hours
-    # held-out views of a region, at most as many as have judged the attack; fixed
+    # held-out views of a region, at most as many as have evaluated the attack; fixed
     # cameras stay
     views: int = 24
     # random changes beside the attack; see `DaggerConfig`
@@ -142,13 +142,13 @@ class Judge:
         else:
             of = {
                 "eps": (_UNBOUND,),
-                "seed": attack.judge_seed,
+                "seed": attack.held_out_seed,
                 "sh_degree": attack.sh_degree,
             }
             of |= {
                 "views": min(self.views, attack.held_out),
                 "camera": config.camera,
-                "transformations": config.judged or config.transformations,
+                "transformations": config.evaluation or config.transformations,
             }
         splat = SPLAT if config.transformations is None else WHOLE_SPLAT
         renderer = config.renderer
@@ -194,7 +194,7 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
         "target",
         "seed",
         *sorted(names),
-        *(_OF_REGION if region else (CAMERAS, _AROUND, "pictures")),
+        *(_OF_REGION if region else (CAMERAS, _AROUND, "images")),
     )
     for key in values:
         check_choice(f"key in {where}", key, known)
@@ -217,14 +217,16 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
     around = dict[str, Any]()
     if region:
         views = {name: values.pop(name) for name in _OF_REGION if name in values}
-        judged = views.pop("judged_pictures", None)
+        drawn_from = views.pop("evaluation_images", None)
         values["transformations"], attack = views, {**REGION, **attack}
-        values["judged"] = None if judged is None else {**views, "pictures": judged}
+        values["evaluation"] = (
+            None if drawn_from is None else {**views, "images": drawn_from}
+        )
     elif _AROUND in values:
         around = _around(values, where)
         attack = {**narrow_defaults(attack), **attack}
-    elif "pictures" in values:
-        raise FieldError.of(where, "around beside images", "none", "add it")
+    elif "images" in values:
+        raise FieldError.of(where, "around with images", "none", "add it")
     elif attack["seed"] > 0:
         attack["random_start"] = True
     values |= {"attack": attack, "objective": _objective(values, where)}
@@ -261,14 +263,14 @@ def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Jo
 
 
 def _around(values: dict[str, Any], where: str) -> dict[str, Any]:
-    """Where the views around a camera are drawn from, for the search and for the judge;
-    takes its settings out of the tables.
+    """Where the views around a camera are drawn from, for the search and for the
+    evaluation; takes its settings out of the tables.
     """
     cone = decode(CameraCone, values.pop(_AROUND), f"{where}, {_AROUND}")
-    table = {**NARROW_CHANGES, **values.pop("pictures", {})}
-    changes = decode(PictureChanges, table, f"{where}, images")
-    drawn = Transformations(cameras=cone, pictures=changes)
-    return {"transformations": drawn, "judged": drawn.plain}
+    table = {**NARROW_CHANGES, **values.pop("images", {})}
+    changes = decode(ImageTransformations, table, f"{where}, images")
+    drawn = Transformations(cameras=cone, images=changes)
+    return {"transformations": drawn, "evaluation": drawn.plain}
 
 
 def _objective(
@@ -369,14 +371,14 @@ class DaggerWork(Work[DaggerAttempt]):
         )
         label = ": ".join(filter(None, (point.part, _named(point.labels)))) or name
         looks = dict[str, Job]()
-        where = f"{name}, judge"
-        for judge in self.study.judges:
-            for look in decode(Judge, with_none(judge.settings), where).looks(
+        where = f"{name}, evaluate_with"
+        for way in self.study.evaluations:
+            for look in decode(AttackEvaluation, with_none(way.settings), where).looks(
                 scene, job
             ):
                 looks[
                     f"{label} /"
-                    f" {_named({**judge.labels, 'detector': look.config.detector})}"
+                    f" {_named({**way.labels, 'detector': look.config.detector})}"
                 ] = look
         configs = [look.config for look in looks.values()]
         check_apart(

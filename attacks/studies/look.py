@@ -30,7 +30,7 @@ from attacks.observe.views import ViewDetections, image_change
 from attacks.optimisers import NormName
 from attacks.studies.attack import AttackScene, attack_scene, detectors_of, drawn_views
 from attacks.transformations.config import Transformations
-from attacks.transformations.draws import PictureChange, changing
+from attacks.transformations.draws import ImageTransformation, changing
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras.camera import Camera, RenderFn
 from mi_splat.io import load_splat
@@ -166,7 +166,7 @@ def _views(
 
 
 def _changing(
-    condition: Condition, changes: Mapping[Camera, PictureChange]
+    condition: Condition, changes: Mapping[Camera, ImageTransformation]
 ) -> Condition:
     """The condition in images to which something happens."""
 

@@ -452,7 +452,7 @@ class PoisonWork(Work[PoisonAttempt]):
     """Studies of attacks on training images."""
 
     story = STORY
-    has_judges = False
+    has_evaluations = False
 
     def __init__(self, study: Study) -> None:
         super().__init__(study, map(self.attempt, study.points))
@@ -470,12 +470,12 @@ class PoisonWork(Work[PoisonAttempt]):
         }
         victims = list[dict[str, Any]]()
         paths = list[Path]()
-        judges = dict[str, str]()
+        fingerprints = dict[str, str]()
         rows: dict[str, list[dict[str, Any]]] = {FIDELITY: [], ROWS: []}
         for attempt in self.attempts:
             for victim in attempt.victims:
                 looks = [look.job.config for look in victim.looks]
-                judges |= {
+                fingerprints |= {
                     seen.detector: seen.fingerprint
                     for seen in looks
                     if isinstance(seen, SeenConfig)
@@ -491,7 +491,11 @@ class PoisonWork(Work[PoisonAttempt]):
             for name, of_table in rows.items()
             if of_table
         }
-        return {"seeds": seeds, "detectors": judges, "victims": victims}, tables, paths
+        return (
+            {"seeds": seeds, "detectors": fingerprints, "victims": victims},
+            tables,
+            paths,
+        )
 
     def figures(
         self, record: Mapping[str, Any], rows: Mapping[str, pl.DataFrame]

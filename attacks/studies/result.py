@@ -42,7 +42,7 @@ EVALUATION = "evaluation"
 SURVIVAL = "under a condition"
 WHITE_BOX = "white-box"
 BLACK_BOX = "black-box"
-"""Labels of `access`: whether the detector that judges was attacked."""
+"""Labels of `access`: whether the evaluating detector was attacked."""
 SHARED = "of_all_attacks"
 """Key of result.json under which stands what all attacks share."""
 _SHARED = (

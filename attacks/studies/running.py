@@ -78,14 +78,16 @@ class Work(ABC, Generic[_Attempt]):
     """
 
     story: ClassVar[str]
-    has_judges: ClassVar[bool] = True
+    has_evaluations: ClassVar[bool] = True
     can_bisect: ClassVar[bool] = False
     searches: Sequence[Sequence[_Attempt]] = ()
 
     def __init__(self, study: Study, attempts: Iterable[_Attempt]) -> None:
         self.study = study
-        if study.judges and not self.has_judges:
-            raise InvalidValueError.of(study.name, "no judge", "one", "leave it out")
+        if study.evaluations and not self.has_evaluations:
+            raise InvalidValueError.of(
+                study.name, "no table evaluate_with", "one", "leave it out"
+            )
         if not self.can_bisect and any(point.bisected for point in study.points):
             raise InvalidValueError.of(
                 study.name, "no bisect, for want of a single aim", "one", "leave it out"
@@ -191,7 +193,7 @@ def check_apart(where: str, looks: Iterable[str]) -> None:
     """
     for name, number in Counter(looks).items():
         if number > 1:
-            do = "tell judges apart by detector and condition"
+            do = "tell evaluations apart by detector and condition"
             raise InvalidValueError.of(
                 where, "one look of each name", f"{number}: {name}", do
             )
@@ -237,9 +239,9 @@ def run_study(
     scheduler: str = "",
     parts: Sequence[str] = (),
 ) -> Path:
-    """Run a study: many attacks and what they hang on, from one TOML file.
+    """Run a study: many attacks and what they depend on, from one TOML file.
 
-    Finished jobs are kept in the store, so that a run that was interrupted goes on
+    Finished jobs are kept in the store, so that an interrupted run resumes
     where it stopped.
 
     Args:

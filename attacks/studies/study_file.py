@@ -23,7 +23,7 @@ KINDS: dict[str, tuple[str, str]] = {
 }
 """Kinds of studies, and the `Work` that knows the settings and jobs of each."""
 
-PARTS = ("study", "question", "matrix", "case", "bisect", "judge")
+PARTS = ("study", "question", "matrix", "case", "bisect", "evaluate_with")
 """Keys of a file that are no settings."""
 _OF_CASES = ("name", "matrix", "bisect")
 Settings = Mapping[str, Any]
@@ -54,8 +54,8 @@ class Study:
     question: str = ""  # one sentence; empty for none
     # by case; points of a bisection with rising values
     parts: Mapping[str, Sequence[Point]]
-    # every way to look at what came out; none if nobody looks
-    judges: Sequence[Point] = ()
+    # how results are evaluated besides; none if only as attacked
+    evaluations: Sequence[Point] = ()
     text: str = ""  # the file
 
     def of(self, names: Sequence[str]) -> Study:
@@ -111,16 +111,19 @@ def study_of(table: Settings, name: str, text: str = "") -> Study:
         question,
         "write it in quotes",
     )
-    judge = _table(table, "judge", name)
-    judge_axes = _axes(_table(judge, "matrix", f"{name}, judge"), f"{name}, judge")
+    do = "rename the table"
+    _check("judge" not in table, f"table in {name}", "evaluate_with", "judge", do)
+    evaluation = _table(table, "evaluate_with", name)
+    where = f"{name}, evaluate_with"
+    evaluation_axes = _axes(_table(evaluation, "matrix", where), where)
     return Study(
         name=name,
         kind=str(kind),
         question=question,
         parts=_parts(table, name),
-        judges=(
-            _combinations(_without(judge, "matrix"), judge_axes)
-            if "judge" in table
+        evaluations=(
+            _combinations(_without(evaluation, "matrix"), evaluation_axes)
+            if "evaluate_with" in table
             else ()
         ),
         text=text,

@@ -134,17 +134,17 @@ _OF_SEARCHES: dict[str, Column[Group]] = {
 
 
 def _matrix(caption: str, evaluations: Figures, kind: str) -> Table:
-    """Who judges, and how, against what was attacked; the longer of the two downwards,
-    and the noise of all of it.
+    """What evaluates, and how, against what was attacked; the longer of the two
+    downwards, and the noise of all of it.
     """
     axes = evaluations.axes
     lines = groups_of(evaluations, "condition", "detector", "access", *axes)
     labels = [labels for labels, _ in lines]
-    judges = _names(labels, ("condition", "detector"))
+    evaluators = _names(labels, ("condition", "detector"))
     attacks = _names(labels, axes)
     marked = len(evaluations.labels("detector")) > 1
-    turned = len(set(attacks)) > len(set(judges))
-    down, across = (attacks, judges) if turned else (judges, attacks)
+    turned = len(set(attacks)) > len(set(evaluators))
+    down, across = (attacks, evaluators) if turned else (evaluators, attacks)
     cells: dict[tuple[str, str], str] = {}
     noise: dict[str, list[Any]] = {}
     for row, column, (of_line, figures) in zip(down, across, lines, strict=True):
@@ -155,12 +155,12 @@ def _matrix(caption: str, evaluations: Figures, kind: str) -> Table:
     def at(column: str) -> Column[str]:
         return lambda row: cells.get((row, column))
 
-    heading = "attacked, judged by" if turned else "judged by"
+    heading = "attacked, evaluated by" if turned else "evaluated by"
     columns: dict[str, Column[str]] = {heading: lambda row: row or "all"}
     for name in dict.fromkeys(across):
         columns[name or "all"] = at(name)
     columns["random noise"] = lambda row: pooled(noise[row]).short()
-    note = " (a star: the detector that judges was attacked)" if marked else ""
+    note = " (a star: the evaluating detector was attacked)" if marked else ""
     return Table.of(f"{caption}{note}", columns, noise)
 
 

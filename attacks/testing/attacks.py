@@ -65,7 +65,7 @@ def check_poison(
                 callable(function),
                 "a function of views",
                 type(function).__name__,
-                "return a PicturePoison",
+                "return an ImagePoison",
             )
         contract.settle()
     told: list[tuple[int, int]] = []

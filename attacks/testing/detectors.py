@@ -339,14 +339,14 @@ def _stacks(detector: Any, pictures: Tensor) -> None:
         together[0::2],
         alone[0::2],
         atol=_BOX,
-        expected="the same boxes for an image alone",
+        expected="the same boxes for a single image",
         do=do,
     )
     expect_same(
         together[1::2],
         alone[1::2],
         atol=_SCORE,
-        expected="the same scores for an image alone",
+        expected="the same scores for a single image",
         do=do,
     )
 

@@ -96,7 +96,7 @@ class CameraCone(Checked):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PictureChanges:
+class ImageTransformations:
     """What may happen to an image between the renderer and the detector; by default
     nothing.
 
@@ -141,15 +141,15 @@ class PictureChanges:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transformations:
-    """The distribution that an attack is made for, and with other seeds judged on.
+    """The distribution that an attack is made for, and with other seeds evaluated on.
 
     Attributes:
         cameras: Camera region.
-        pictures: What happens to the images.
+        images: What happens to the images.
     """
 
     cameras: CameraRegion | CameraCone = field(default_factory=CameraRegion)
-    pictures: PictureChanges = field(default_factory=PictureChanges)
+    images: ImageTransformations = field(default_factory=ImageTransformations)
 
     @property
     def plain(self) -> Transformations:

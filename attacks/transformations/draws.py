@@ -18,7 +18,11 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from attacks.transformations.config import CameraCone, CameraRegion, PictureChanges
+from attacks.transformations.config import (
+    CameraCone,
+    CameraRegion,
+    ImageTransformations,
+)
 from mi_splat.cameras.camera import Camera, RenderFn, orbit_pose
 from mi_splat.cameras.directions import UP, Point
 from mi_splat.errors import InvalidValueError
@@ -119,7 +123,7 @@ def _tilt(direction: Tensor, towards: float, angle: float) -> Tensor:
 
 
 def draw_size(
-    changes: PictureChanges, generator: np.random.Generator, camera: Camera
+    changes: ImageTransformations, generator: np.random.Generator, camera: Camera
 ) -> Camera:
     """The camera with another number of pixels, or as it is."""
     is_other, share = generator.uniform(size=2).tolist()
@@ -149,8 +153,8 @@ def _in_ball(shares: Sequence[float]) -> tuple[float, float, float]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PictureChange:
-    """One draw from `PictureChanges`; the fields are named alike."""
+class ImageTransformation:
+    """One draw from `ImageTransformations`; the fields are named alike."""
 
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Factors of red, green and blue, in linear light; exposure and white balance
@@ -165,17 +169,17 @@ class PictureChange:
 
 
 def draw_change(
-    changes: PictureChanges, generator: np.random.Generator
-) -> PictureChange:
+    changes: ImageTransformations, generator: np.random.Generator
+) -> ImageTransformation:
     """What happens to one image."""
     exposure, red, blue, gamma, blur, resize, noise, jpeg, seed = generator.uniform(
         size=9
     ).tolist()
     if changes.plain and generator.uniform() < changes.plain:
-        return PictureChange()
+        return ImageTransformation()
     light = 2.0 ** (changes.exposure * (2 * exposure - 1))
     red, blue = (1 + changes.white_balance * (2 * share - 1) for share in (red, blue))
-    return PictureChange(
+    return ImageTransformation(
         gains=(light * red, light, light * blue),
         gamma=math.exp(changes.gamma * (2 * gamma - 1)),
         blur=changes.blur * blur,
@@ -187,7 +191,7 @@ def draw_change(
     )
 
 
-def change_picture(picture: Tensor, change: PictureChange) -> Tensor:
+def transform_image(picture: Tensor, change: ImageTransformation) -> Tensor:
     """The changed image, differentiable in the image."""
     if change.gains != (1.0, 1.0, 1.0):
         picture = tensor_to_srgb(
@@ -211,11 +215,13 @@ def change_picture(picture: Tensor, change: PictureChange) -> Tensor:
     return picture
 
 
-def changing(render: RenderFn, changes: Mapping[Camera, PictureChange]) -> RenderFn:
+def changing(
+    render: RenderFn, changes: Mapping[Camera, ImageTransformation]
+) -> RenderFn:
     """A renderer to whose images something happens."""
 
     def changed(scene: GaussianScene, camera: Camera) -> Tensor:
-        return change_picture(render(scene, camera).clamp(0, 1), changes[camera])
+        return transform_image(render(scene, camera).clamp(0, 1), changes[camera])
 
     return changed
 

@@ -3,8 +3,8 @@
 An attack that succeeds in one image may fail in the next. Here an attacked splat (run
 [example 4](04_attack_one_view.py) first) is evaluated from all six cameras of its
 scene, although only the rear view was attacked, and under conditions that change the
-image, the file format or the camera. A condition is itself a renderer, so `judge` takes
-it as one. The images show the rear view: as attacked, after JPEG compression, after
+image, the file format or the camera. A condition is itself a renderer, which `evaluate`
+takes. The images show the rear view: as attacked, after JPEG compression, after
 SPZ compression of the splat, and from ten degrees farther around the car.
 """
 
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from attacks import judge, load_detector
+from attacks import evaluate, load_detector
 from attacks.observe.conditions import Viewing, condition_of
 from attacks.observe.drawing import annotated
 from mi_splat import load_splat, read_scene
@@ -34,7 +34,7 @@ rear = list(loaded.cameras).index("rear")
 
 images = []
 for name in ("", "JPEG 75", ".spz", "10 degrees"):
-    judged = judge(
+    evaluated = evaluate(
         splats,
         car,
         cameras,
@@ -43,9 +43,9 @@ for name in ("", "JPEG 75", ".spz", "10 degrees"):
         target="person",
     )
     title = name or "as attacked"
-    rate = judged.rates["fasterrcnn_small"]["target_attacked"]
+    rate = evaluated.rates["fasterrcnn_small"]["target_attacked"]
     print(f"{title}: person in {rate.successes} of {rate.total} views")
-    seen = judged.views["attacked"][rear]
+    seen = evaluated.views["attacked"][rear]
     images.append(annotated(seen.image, seen.detections, title))
 
 Path("out").mkdir(exist_ok=True)

@@ -131,10 +131,10 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         ),
         ("dagger_openimages",),
     ),
-    "outside_judges": (
-        "Judges of another kind",
-        "[Detectors](../detectors.md#judges-of-another-kind)",
-        ("outside_judges",),
+    "third_party_detectors": (
+        "Detectors of another kind",
+        "[Detectors](../detectors.md#detectors-of-another-kind)",
+        ("third_party_detectors",),
     ),
     "m_ifgsm": (
         "M-IFGSM",

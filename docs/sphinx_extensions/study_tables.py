@@ -85,7 +85,7 @@ def page(name: str, tables: Path) -> str:
         ),
         (
             f"{attacks} attacks: {pairs}; seeds {seeds}; no early stop. The detector"
-            " that was attacked judges, on 8-bit pictures of the saved splat; a class"
+            " that was attacked evaluates 8-bit images of the saved splat; a class"
             f" counts from {confidence}. Rates are of the runs whose clean object is"
             " found under the same condition; in brackets the 95 % Wilson interval."
         ),
@@ -118,7 +118,7 @@ def _rates(rows: pl.DataFrame, confidence: float) -> Iterator[str]:
                 noise = pooled(of.rate(f"noise_{kind}") for of in seen)
                 body.append([condition, *cells, noise.short()])
             names = [f"{source}: {ball}" for source, ball in attacks]
-            table = _table(["judged under", *names, "random noise"], body)
+            table = _table(["evaluated under", *names, "random noise"], body)
             yield f"## {words}: {detector}\n\n{table}"
 
 

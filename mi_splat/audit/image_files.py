@@ -50,11 +50,13 @@ def document_of_images(audit: ImageAudit, names: Sequence[str]) -> dict[str, Any
         evidence = {
             "strength": split.strength,
             "called_from": CALLED,
-            "sharpness": split.sharpness,
+            "step": split.step,
+            "spread": split.spread,
             "edge": split.edge,
             "difference": split.difference,
             "gain": split.gain,
             "agreement": split.agreement,
+            "opposed": split.opposed,
         }
         scores = dict(zip(names, split.scores.tolist(), strict=True))
     return {

@@ -9,7 +9,7 @@ neighbouring images agree.
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -20,6 +20,7 @@ from mi_splat.maths.sh import even_directions
 
 FIRST_POINTS = 800  # that the starting splits see
 STARTS = 16  # directions from which images are split in two ways each
+CENTRES = 8  # images around which the nearest ones are split off
 CAP = 0.15  # sRGB above which a larger difference counts no more
 ROUNDS = 20
 LEAST_SEEN = 2  # images of a group that have to see a point
@@ -32,6 +33,11 @@ which an image belongs to neither group.
 TYPICAL = 0.5  # share of the usual score of a group below which nothing is named
 LEAST_POINTS = 50
 BESIDE = 0.5  # separation up to which two images are side by side
+SPACINGS = 3.0  # median distance to the nearest image, up to which they are, too
+SEES = 0.5  # of what the smaller group usually sees of the disputed points
+CLEAR = 0.2  # from the middle between the colours of both groups
+LOWER = 0.25  # quantile of these pairs that has to differ
+SPREAD = 0.1  # that images of one group have at least
 NEAREST = 0.15  # share of these pairs, the nearest, that say how sharp the edge is
 LEAST_PAIRS = 4
 ALIKE = 15  # pairs of one group as far apart, with which each is compared
@@ -41,6 +47,7 @@ AGREEING = 6  # nearest images with which an image should agree
 AGREEMENT = 0.1  # what this counts, next to what the images show
 ALIGNMENTS = 5  # rounds
 RIVAL = 0.6  # share of the strength from which another split disputes a group
+FEWER = 0.6  # share of one side, below which another is clearly smaller
 LITTLE = 0.05  # of the usual evidence, that an image without any has
 
 
@@ -50,18 +57,25 @@ class Split:
 
     smaller: Tensor  # (V,) bool, images of the smaller group; the others are the larger
     decided: Tensor  # (V,) bool, images that see enough to belong to one of the two
-    # (V,) in [-1, 1], by how much less an image contradicts the smaller group
+    # (V,) in [-1, 1], by how much less an image contradicts the smaller group; at most
+    # 0 where no neighbours lead from it to images side by side that contradict
     scores: Tensor
-    # 20 % quantile over the smaller group of its images' scores
-    sharpness: float
     # sRGB by which an image differs less from its own group than from the other, in the
     # mean over all points that it sees
     gain: float
     # difference of images of the two groups that were taken side by side, by that of
     # images of one group that are as far apart
-    edge: float
-    difference: float  # sRGB of the former less that of the latter
-    pair: tuple[int, int] | None  # images side by side, of the smaller and the larger
+    edge: float = 0.0
+    difference: float = 0.0  # sRGB of the former less that of the latter
+    # how far images side by side lie apart on the way from the colours of one group to
+    # those of the other: 1 if all is different, and little where it changes gradually
+    step: float = 0.0
+    spread: float = 0.0  # the same of images of one group
+    # images side by side, of the smaller and the larger
+    pair: tuple[int, int] | None = None
+    # images of the larger group that clearly are on its side of what is disputed; None
+    # counts all of them
+    opposed: int | None = None
     agreement: float = 1.0  # share of the smaller group that no similar split disputes
 
     @property
@@ -76,7 +90,8 @@ class Split:
         across the groups than within them, as those of gloss do.
         """
         excess = max(self.edge - 1, 0.0)
-        return excess**2 * self.sharpness * self.gain
+        clear = max(self.step / (self.spread + SPREAD) - 1, 0.0)
+        return excess * clear * self.gain
 
 
 def split_images(observed: Observations) -> Split | None:
@@ -96,18 +111,32 @@ def split_images(observed: Observations) -> Split | None:
     judged = [split for split in splits if split is not None]
     if not judged:
         return None
-    best = max(judged, key=lambda split: split.strength)
-    return _undisputed(best, judged)
+    return _chosen(judged)
 
 
-def _undisputed(best: Split, others: list[Split]) -> Split:
-    """A split in whose smaller group are only images that all others that are nearly as
-    strong have there, too.
+def _chosen(judged: list[Split]) -> Split:
+    """The strongest split, or one that is nearly as strong and names the other side, if
+    that is clearly the smaller part of what all such splits agree on.
+    """
+    best = max(judged, key=lambda split: (split.strength, split.edge))
+    rivals = [split for split in judged if split.strength >= RIVAL * best.strength]
+    own = _undisputed(best, rivals)
+    turned = [split for split in rivals if float(split.sides @ best.sides) < 0]
+    if not turned:
+        return own
+    strongest = max(turned, key=lambda split: split.strength)
+    other = _undisputed(strongest, rivals)
+    fewer = FEWER * int(own.smaller.sum())
+    is_fewer = 0 < int(other.smaller.sum()) <= fewer
+    return other if is_fewer and other.agreement >= own.agreement else own
+
+
+def _undisputed(best: Split, rivals: list[Split]) -> Split:
+    """A split in whose smaller group are only images that all others have there, too,
+    whichever group is the smaller one there.
     """
     agreed = best.smaller.clone()
-    for other in others:
-        if other.strength < RIVAL * best.strength:
-            continue
+    for other in rivals:
         sides = other.sides
         if float(sides @ best.sides) < 0:
             sides = -sides
@@ -118,14 +147,27 @@ def _undisputed(best: Split, others: list[Split]) -> Split:
 
 
 def _starts(observed: Observations) -> Iterator[Tensor]:
-    """Splits to begin with: by direction, every other image, and by number."""
+    """Splits to begin with: by direction, by distance from an image, every other image,
+    and by number.
+    """
     ways = torch.from_numpy(even_directions(STARTS)).float()
     along = observed.directions @ ways.T
     for share in (0.5, 0.8):
         yield from (along > along.quantile(share, dim=0)).T
+    away = observed.separation[_far_apart(observed.separation, CENTRES)]
+    for share in (0.25, 0.4):
+        yield from away < away.quantile(share, dim=1, keepdim=True)
     numbers = torch.arange(len(along))
     yield numbers % 2 == 0
     yield numbers < len(along) / 2
+
+
+def _far_apart(separation: Tensor, count: int) -> list[int]:
+    """Images, each of which is as far from those before it as any."""
+    chosen = [0]
+    while len(chosen) < min(count, len(separation)):
+        chosen.append(int(separation[chosen].min(0).values.argmax()))
+    return chosen
 
 
 def _distinct(splits: Iterator[Tensor | None]) -> list[Tensor]:
@@ -214,14 +256,27 @@ def _alternated(
     """The split in which every image is in the group that it contradicts less; None
     where a group has run empty.
     """
-    for _ in range(ROUNDS):
+
+    def moved(group: Tensor) -> Tensor:
         costs = _costs(observed, group, noise, is_weighted)
-        moved = torch.where(costs.seen > 0, costs.first < costs.second, group)
-        if min(int(moved.sum()), int((~moved).sum())) < LEAST_SEEN:
+        return torch.where(costs.seen > 0, costs.first < costs.second, group)
+
+    return _settled(group, moved, ROUNDS)
+
+
+def _settled(
+    group: Tensor, moved: Callable[[Tensor], Tensor], rounds: int
+) -> Tensor | None:
+    """A group after moves, until none changes it; None where one of the two has run
+    empty.
+    """
+    for _ in range(rounds):
+        after = moved(group)
+        if min(int(after.sum()), int((~after).sum())) < LEAST_SEEN:
             return None
-        if torch.equal(moved, group):
+        if torch.equal(after, group):
             break
-        group = moved
+        group = after
     return group
 
 
@@ -248,7 +303,8 @@ def _aligned(
     two parts share hardly any, then the larger number of neighbours that agree decides
     which groups of theirs are one.
     """
-    for _ in range(ALIGNMENTS):
+
+    def moved(group: Tensor) -> Tensor:
         shown = _shown(observed, group, noise)
         alike = shown @ shown.T
         alike.fill_diagonal_(0.0)
@@ -256,15 +312,11 @@ def _aligned(
         evidence = evidence + LITTLE * evidence.median() + 1e-9
         alike = alike / (evidence[:, None] * evidence).sqrt()
         graph = (alike + AGREEMENT * near).double()
-        moved = torch.linalg.eigh(graph).eigenvectors[:, -1] > 0
-        if int((moved ^ group).sum()) * 2 > len(group):
-            moved = ~moved
-        if min(int(moved.sum()), int((~moved).sum())) < LEAST_SEEN:
-            return None
-        if torch.equal(moved, group):
-            break
-        group = moved
-    return group
+        sides: Tensor = torch.linalg.eigh(graph).eigenvectors[:, -1] > 0
+        is_turned = int((sides ^ group).sum()) * 2 > len(group)
+        return ~sides if is_turned else sides
+
+    return _settled(group, moved, ALIGNMENTS)
 
 
 def _shown(observed: Observations, group: Tensor, noise: Tensor) -> Tensor:
@@ -292,44 +344,191 @@ def _measured(observed: Observations, group: Tensor, noise: Tensor) -> Split | N
     usual = float(scores[members].median())
     named = members & (scores > TYPICAL * usual)
     own = (costs.first - costs.second).abs()
-    edge = _edge(observed, costs.weights, group, decided)
-    return Split(
+    split = Split(
         smaller=named,
         decided=named | (decided & ~group),
         scores=scores,
-        sharpness=float(costs.scores.abs()[members].quantile(0.2)),
         gain=float(own.sum() / observed.seen.sum()),
-        edge=edge[0],
-        difference=edge[1],
-        pair=edge[2],
     )
+    edge = _edge(observed, costs.weights, group, decided)
+    if edge is None:
+        return split
+    named = _reached(observed, named, edge.compared)
+    if int(named.sum()) < LEAST_SEEN:
+        return None
+    is_unclear = split.smaller & ~named
+    split = dataclasses.replace(
+        split,
+        smaller=named,
+        decided=named | (decided & ~group),
+        scores=torch.where(is_unclear, scores.clamp(max=0), scores),
+        edge=edge.ratio,
+        difference=edge.difference,
+        pair=edge.pair,
+    )
+    return _stepped(observed, split, group, noise) if edge.ratio > 1 else split
+
+
+def _reached(observed: Observations, group: Tensor, compared: Tensor) -> Tensor:
+    """(V,) the images of a group to which neighbours in it lead from an image that was
+    compared with one of the other group.
+    """
+    near = observed.separation <= SPACINGS * _spacing(observed)
+    reached = torch.zeros_like(group)
+    reached[compared] = True
+    reached &= group
+    while True:
+        further = group & near[reached].any(0)
+        if torch.equal(further, reached):
+            return reached
+        reached = further
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Pairs:
+    """Images of the two groups that were taken side by side, and for each pair those of
+    one group that are as far apart.
+    """
+
+    across: Tensor  # (K, 2)
+    within: Tensor  # (K, L, 2)
+
+
+def _pairs(observed: Observations, group: Tensor, known: Tensor) -> _Pairs | None:
+    """The pairs among those that are known, (V, V) bool; None where they are few."""
+    once = known & torch.ones_like(known).triu(1)
+    is_same = group[:, None] == group[None]
+    separation = observed.separation
+    across = (once & ~is_same & (separation < _beside(observed))).nonzero()
+    within = (once & is_same).nonzero()
+    if min(len(across), len(within)) < LEAST_PAIRS:
+        return None
+    gaps = separation[across[:, 0], across[:, 1]]
+    count = min(len(gaps), max(LEAST_PAIRS, round(NEAREST * len(gaps))))
+    nearest = gaps.argsort()[:count]
+    usual = separation[within[:, 0], within[:, 1]]
+    count = min(ALIKE, len(within))
+    other = (gaps[nearest, None] - usual[None]).abs().topk(count, 1, largest=False)
+    return _Pairs(across=across[nearest], within=within[other.indices])
+
+
+def _beside(observed: Observations) -> float:
+    """Separation up to which two images are side by side: further apart in a set whose
+    images are all far apart.
+    """
+    return max(BESIDE, SPACINGS * _spacing(observed))
+
+
+def _spacing(observed: Observations) -> float:
+    """The median separation of an image and the nearest one."""
+    alone = torch.eye(len(observed.separation)) * 1e9
+    nearest = (observed.separation + alone).min(1).values
+    return float(nearest.median())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Edge:
+    """How much images side by side differ across the groups."""
+
+    ratio: float  # `Split.edge`
+    difference: float
+    pair: tuple[int, int]
+    compared: Tensor  # (N,) numbers of images that differ so much
 
 
 def _edge(
     observed: Observations, weights: Tensor, group: Tensor, decided: Tensor
-) -> tuple[float, float, tuple[int, int] | None]:
-    """`Split.edge`, `difference` and `pair`."""
+) -> _Edge | None:
+    """What is known of images side by side; None where they are few."""
     apart = _differences(observed, weights)
     known = ~apart.isnan() & decided[:, None] & decided[None]
-    known &= torch.ones_like(known).triu(1)
-    is_same = group[:, None] == group[None]
-    across = (known & ~is_same & (observed.separation < BESIDE)).nonzero()
-    within = (known & is_same).nonzero()
-    if min(len(across), len(within)) < LEAST_PAIRS:
-        return 0.0, 0.0, None
-    gaps = observed.separation[across[:, 0], across[:, 1]]
-    count = min(len(gaps), max(LEAST_PAIRS, round(NEAREST * len(gaps))))
-    across = across[gaps.argsort()[:count]]
-    gaps = observed.separation[across[:, 0], across[:, 1]]
-    usual_gaps = observed.separation[within[:, 0], within[:, 1]]
-    count = min(ALIKE, len(within))
-    alike = (gaps[:, None] - usual_gaps[None]).abs().topk(count, 1, largest=False)
-    differences = apart[across[:, 0], across[:, 1]]
-    usual = apart[within[:, 0], within[:, 1]][alike.indices].mean()
-    best = across[differences.argmax()].tolist()
+    pairs = _pairs(observed, group, known)
+    if pairs is None:
+        return None
+    differences = apart[tuple(pairs.across.T)]
+    usual = float(apart[tuple(pairs.within.movedim(-1, 0))].mean())
+    usually = float(differences.quantile(LOWER))
+    best = pairs.across[differences.argmax()].tolist()
     one, other = sorted(best, key=lambda number: not bool(group[number]))
-    mean = float(differences.mean())
-    return mean / (float(usual) + FLOOR), mean - float(usual), (one, other)
+    return _Edge(
+        ratio=usually / (usual + FLOOR),
+        difference=usually - usual,
+        pair=(one, other),
+        compared=pairs.across[differences > (usually + usual) / 2].flatten(),
+    )
+
+
+def _stepped(
+    observed: Observations, split: Split, group: Tensor, noise: Tensor
+) -> Split:
+    """A split with `step`, `spread` and `opposed`."""
+    places, evidence = _places(observed, group, noise)
+    sees = evidence > SEES * evidence[split.smaller].median()
+    opposed = int((~group & sees & (places < -CLEAR)).sum())
+    evident = evidence > UNDECIDED * evidence.median()
+    pairs = _pairs(observed, group, evident[:, None] & evident[None])
+    if pairs is None:
+        return dataclasses.replace(split, opposed=opposed)
+    first, second = places[pairs.across].unbind(-1)
+    is_first = group[pairs.across[:, 0]]
+    steps = torch.where(is_first, first - second, second - first)
+    one, other = places[pairs.within].unbind(-1)
+    spread = float((one - other).abs().mean())
+    return dataclasses.replace(
+        split, step=float(steps.mean()), spread=spread, opposed=opposed
+    )
+
+
+def _places(
+    observed: Observations, group: Tensor, noise: Tensor
+) -> tuple[Tensor, Tensor]:
+    """(V,) where each image lies on the way from the colours of one group, -0.5, to
+    those of the other, 0.5, and the weight of the points that say so.
+
+    The colours of its own group are those of its other images, so that no image agrees
+    with itself. The mean over all points removes the noise of each.
+    """
+    own = torch.zeros_like(observed.colours)
+    other = torch.zeros_like(own)
+    weight = observed.seen.float()
+    for members in (group, ~group):
+        colours = observed.colours[members]
+        seen = observed.seen[members]
+        count = seen.sum(0)
+        ordered = torch.where(seen[..., None], colours, torch.inf).sort(0).values
+        own[members] = _middle_of_others(ordered, count, colours)
+        other[~members] = _middle(ordered, count)
+        weight *= (count >= LEAST_SEEN).float()
+    step = torch.where(group[:, None, None], own - other, other - own)
+    step = torch.where(weight[..., None] > 0, step, 0.0)
+    departure = torch.where(weight[..., None] > 0, own + other, 0.0) / 2
+    squared = step.square().sum(-1)
+    along = ((observed.colours - departure) * step).sum(-1)
+    along = (along / squared.clamp(min=1e-6)).clamp(-1, 1)
+    gap = step.abs().mean(-1)
+    weight *= gap / (gap + 2 * noise + NOISE)
+    share = weight * squared.sqrt()
+    return (along * share).sum(1) / share.sum(1).clamp(min=1e-9), weight.sum(1)
+
+
+def _ranked(ordered: Tensor, rank: Tensor) -> Tensor:
+    """(P, 3) the colours of a rank of each point, of (V, P, 3) that are in order."""
+    index = rank.clamp(0, len(ordered) - 1)[None, :, None].expand(1, -1, 3)
+    return ordered.gather(0, index)[0]
+
+
+def _middle(ordered: Tensor, count: Tensor) -> Tensor:
+    """(P, 3) the median of the first `count` colours of each point."""
+    return (_ranked(ordered, (count - 1) // 2) + _ranked(ordered, count // 2)) / 2
+
+
+def _middle_of_others(ordered: Tensor, count: Tensor, colours: Tensor) -> Tensor:
+    """(V, P, 3) the same, without the colour of each image itself."""
+    total = torch.zeros_like(colours)
+    for rank in ((count - 2) // 2, (count - 1) // 2):
+        here = _ranked(ordered, rank)
+        total += torch.where(colours <= here, _ranked(ordered, rank + 1), here)
+    return total / 2
 
 
 def _differences(observed: Observations, weights: Tensor) -> Tensor:

@@ -39,11 +39,14 @@ SURFACE_STEPS = 600
 SURFACE_GAUSSIANS = 8000
 SURFACE_SIDE = 96  # pixels
 SOLID = 0.3  # opacity of a Gaussian on a surface
-CALLED = 0.006  # strength from which two groups contradict each other
+CALLED = 0.005  # strength from which two groups contradict each other
+FEW = 4  # images, below which a group has to contradict the other more clearly
+FEW_CALLED = 0.015  # strength from which it does
 AGREED = 0.75
 """Share of a group that similar splits have to agree on, below which none is named."""
-FURTHER = 4  # images of a group that is found after others were left out
-FURTHER_CALLED = 0.018  # strength from which such a group is named, too
+FURTHER_CALLED = 0.015  # strength from which a group is, found without the first one
+SEVERAL = 10  # images, from which a group is compared with all images of the other
+MORE = 2  # images by which the larger group has to be larger
 EQUAL = 0.95  # share of the larger group from which the smaller is as large
 
 
@@ -69,7 +72,7 @@ class ImageAudit:
         """Whether two groups contradict each other."""
         if self.split is None:
             return "not judged"
-        if self.split.strength < CALLED:
+        if not is_called(self.split):
             return "nothing found"
         if self.split.agreement < AGREED:
             return "not judged"
@@ -88,8 +91,13 @@ class ImageAudit:
 
     @property
     def is_nearly_equal(self) -> bool:
-        """Whether neither group is larger than the other by much."""
+        """Whether neither group is larger than the other by much. Next to a group of a
+        few, images that hardly see what is disputed belong to the larger one by chance,
+        and do not count.
+        """
         larger, smaller = (int(group.sum()) for group in self.groups)
+        if self.split is not None and 0 < smaller < SEVERAL:
+            return not _is_smaller(self.groups[1], self.split)
         return smaller > EQUAL * larger
 
     def left_out(self, trusted: Group) -> Tensor:
@@ -139,23 +147,38 @@ def called_groups(observed: Observations) -> Split | None:
     poisoned on one side are then found first, and those of the other side next.
     """
     found = split_images(observed)
-    if found is None or not _is_clear(found, CALLED):
+    if found is None or not is_called(found) or found.agreement < AGREED:
         return found
     rest = ~found.smaller
     while int(rest.sum()) >= LEAST_IMAGES:
         further = split_images(observed.of(rest))
-        if further is None or int(further.smaller.sum()) < FURTHER:
+        if further is None or int(further.smaller.sum()) < FEW:
             break
-        if not _is_clear(further, FURTHER_CALLED):
+        if further.strength < FURTHER_CALLED or further.agreement < AGREED:
+            break
+        if not _is_smaller(further.smaller, further):
             break
         found = _joined(found, rest, further)
         rest = ~found.smaller
     return found
 
 
-def _is_clear(split: Split, least: float) -> bool:
-    """Whether a split is strong, and no other one as strong disputes it."""
-    return split.strength >= least and split.agreement >= AGREED
+def is_called(split: Split) -> bool:
+    """Whether the two groups contradict each other clearly. One or two images may
+    contradict all others because their cameras are wrong, so that a group of a few has
+    to do so more.
+    """
+    is_few = int(split.smaller.sum()) < FEW
+    return split.strength >= (FEW_CALLED if is_few else CALLED)
+
+
+def _is_smaller(smaller: Tensor, split: Split) -> bool:
+    """Whether clearly more images oppose a smaller group than it has."""
+    named = int(smaller.sum())
+    larger = int((split.decided & ~split.smaller).sum())
+    if split.opposed is not None:
+        larger = min(larger, split.opposed)
+    return named <= min(EQUAL * larger, larger - MORE)
 
 
 def _joined(found: Split, rest: Tensor, further: Split) -> Split:
@@ -165,8 +188,15 @@ def _joined(found: Split, rest: Tensor, further: Split) -> Split:
     more = named & rest
     scores = found.scores.clone()
     scores[more] = further.scores[further.smaller]
+    opposed = None
+    if found.opposed is not None and further.opposed is not None:
+        opposed = found.opposed + further.opposed
     return dataclasses.replace(
-        found, smaller=named, decided=found.decided | more, scores=scores
+        found,
+        smaller=named,
+        decided=found.decided | more,
+        scores=scores,
+        opposed=opposed,
     )
 
 

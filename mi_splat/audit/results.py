@@ -171,7 +171,7 @@ class Audit:
         if self.missing:
             lines.append(self.missing)
         for number, item in enumerate(self.objects, 1):
-            looked = f"looked at from {counted(len(item.directions), 'direction')}"
+            looked = f"viewed from {counted(len(item.directions), 'direction')}"
             compared = f"{counted(len(item.views), 'cone')} compared"
             lines.append(f"object {number}, {item.in_words}: {looked}, {compared}")
         if self.against is not None:

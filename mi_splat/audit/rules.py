@@ -348,7 +348,7 @@ RULES = (
         severity="warning",
         threshold=0.1,
         reason=(
-            "It alone has SH of a band that is 0 in all others: it was made or changed"
+            "Only it has SH of a band that is 0 in all others: it was made or changed"
             " in another way."
         ),
         find=_partial_degree,

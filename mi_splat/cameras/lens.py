@@ -152,8 +152,8 @@ class Lens:
     def require_perspective(self) -> None:
         """Raise unless it is that of a pinhole camera.
 
-        Whoever reads `fx` or `fy` computes with a pinhole camera: other projections are
-        refused there, so that nothing drops them in silence.
+        Code that reads `fx` or `fy` computes with a pinhole camera: other projections
+        are refused there, so that nothing drops them in silence.
 
         Raises:
             InvalidValueError: It has another projection.

@@ -256,7 +256,7 @@ def held_out_set(
     if spec.lower().endswith(".json"):
         do = "capture the file of the test cameras into a folder of its own"
         raise InvalidValueError.of(
-            "test cameras", f"a set by name beside {spec}", "a file", do
+            "test cameras", f"a set by name with {spec}", "a file", do
         )
     kind, numbers = parse_form(spec)
     angle = float(numbers.get("angle", 0.0))

@@ -94,7 +94,7 @@ def load_mesh(path: Path, settings: MeshSettings | None = None) -> Asset:
         expected = "a glTF file whose parts fit together"
         raise READER.broken(name, got[:160], expected) from error
     if not meshes:
-        do = "export the surface, not the points alone"
+        do = "export the surface, not only the points"
         raise MeshFileError.of(name, "a mesh with faces", "no faces", do)
     asset = Asset(path.stem, meshes)
     low, high = asset.bounds.astype(np.float64)

@@ -118,7 +118,7 @@ def _check_stored(file: Path, wanted: Mapping[str, Any]) -> str:
     changed = differences(stored, wanted)
     if changed:
         expected = "the settings of this capture"
-        do = "choose a new folder, or the same settings to go on"
+        do = "choose a new folder, or the same settings to resume"
         raise InvalidValueError.of(str(file), expected, "; ".join(changed), do)
     return str(stored.get("version", "unknown"))
 

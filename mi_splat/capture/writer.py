@@ -178,7 +178,7 @@ def _black_images(images: Path, names: Sequence[str]) -> tuple[str, ...]:
         if image.getbbox() is not None:  # the box around what is not black
             return ()
     do = "move them away (--distance), or light the scene"
-    cause = "black alone, as from cameras inside the object or far too near"
+    cause = "only black, as from cameras inside the object or far too near"
     return (message("images", "some that are not black", cause, do),)
 
 

@@ -204,7 +204,7 @@ def _verify(options: BoundOptions) -> int:
         facts = facts_of(load_splat(options.file), eps)
     faults = []
     if stated and stated.get("scene_hash") != facts["scene_hash"]:
-        faults.append("the file is not the one that its certificate is of")
+        faults.append("the certificate belongs to another file")
     if facts["beyond"] > stated.get("beyond", 0):
         faults.append(f"{facts['beyond']:,} Gaussians depart by more than {eps:g}")
     document = {

@@ -98,7 +98,7 @@ def _middle_of_object(options: InfoOptions) -> tuple[float, float, float]:
     assert options.splat is not None
     if options.centre is not None:
         raise UsageError.of(
-            "--centre", "none beside --splat", options.centre, "leave one out"
+            "--centre", "none with --splat", options.centre, "leave one out"
         )
     if options.selection.click:
         do = "make a mask with `mi-splat select`, and pass --mask"

@@ -391,7 +391,7 @@ def read_model_cameras(
         to_world = _to_world(pose, where)
         try:
             if pose.name not in present:
-                raise DatasetError.of(where, "its image", "none", "use its pose alone")
+                raise DatasetError.of(where, "its image", "none", "use only its pose")
             lens = _lens(model, pose.lens, cameras_file, images)
             cameras[pose.name] = frame_of(
                 photo_of(paths[pose.name], lens.size), None, to_world, lens, where

@@ -320,7 +320,7 @@ def load_dataset(
         cache_bytes: How much of the set may stay in memory.
 
     Returns:
-        The views, whose images are read when they are asked for, and the points of
+        The views, whose images are read when they are needed, and the points of
         the set if it has some.
 
     Raises:

@@ -57,7 +57,7 @@ LFS_POINTER = b"version https://git-lfs"
 LFS.
 """
 LFS_ADVICE = (
-    "a Git LFS pointer in place of the file",
+    "a Git LFS pointer instead of the file",
     "run `git lfs pull` in the folder that it came from",
 )
 """What was found in place of a file, and what to do about it."""

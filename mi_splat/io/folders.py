@@ -507,7 +507,7 @@ def check_new_folder(
         if inner.is_relative_to(target):
             got = name if inner == target else f"a folder above {name}"
             raise SplatFileError.of(
-                str(out), "a folder for the result alone", got, "pass another folder"
+                str(out), "a folder for the result only", got, "pass another folder"
             )
     sweep_temporary(target.parent)
     restore(target)

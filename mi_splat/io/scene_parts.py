@@ -168,7 +168,7 @@ class SceneParts:
                     and file.suffix in _NATIVE
                 ):
                     raise self._refused(
-                        "no native code beside it", f"{file}", "remove that file"
+                        "no native code next to it", f"{file}", "remove that file"
                     )
         total = 0
         for file, times in Counter(self.files[1:]).items():

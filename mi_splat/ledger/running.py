@@ -55,9 +55,7 @@ def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Outcome:
     except Exception as error:
         if not is_disk_full(error):
             raise
-        do = (
-            "free some space; what is done stays, and the job goes on from what it kept"
-        )
+        do = "free some space; finished jobs are kept, and this one resumes"
         raise DiskFullError.of(
             str(store.folder), "space on the disk", "none", do
         ) from error

@@ -146,7 +146,7 @@ class Renderer:
         screen_gradients: Filled in every backward pass, if given.
 
     Raises:
-        InvalidValueError: Screen gradients are asked for with "ray", which has no
+        InvalidValueError: Screen gradients are requested with "ray", which has no
             Gaussians on a screen.
     """
 

@@ -27,7 +27,7 @@ class RenderSettings:
             Gaussians by the depth of their mean with "tile", by that of their peak with
             "ray".
         colour_to_mean: For "ray": look a Gaussian's colour up in the direction of its
-            mean, as "tile" always does, in place of along the ray.
+            mean, as "tile" always does, instead of along the ray.
         alpha: Append opacity (1 - transmittance) as a fourth channel.
         linear: Return linear values instead of sRGB.
         antialiased: For "tile": opacities take the 2D filter of Mip-Splatting (Yu et
@@ -38,8 +38,8 @@ class RenderSettings:
 
     Raises:
         InvalidValueError: There is no such method, a number is not finite, `near` is
-            not positive, the background has not three channels, or "ray" is asked for a
-            filter on the screen.
+            not positive, the background has not three channels, or "ray" is combined
+            with a filter on the screen.
     """
 
     method: Method = "tile"

@@ -388,8 +388,8 @@ def _resumed(
     if threads != torch.get_num_threads():
         now = torch.get_num_threads()
         text = (
-            f"the run began with {threads} threads of torch and goes on with {now}: its"
-            " last bits may differ"
+            f"the run began with {threads} threads of torch and continues with {now}:"
+            " its last bits may differ"
         )
         warnings.warn(text, stacklevel=3)
     return state

@@ -105,7 +105,7 @@ def with_cameras(content: Content, path: Path) -> Content:
         got = f"those of {path}"
         do = "leave one of the two data sets out"
         raise InvalidValueError(
-            message("cameras", "none beside a data set, which has its own", got, do)
+            message("cameras", "none with a data set, which has its own", got, do)
         )
     centre = content.start.target
     photographs = None

@@ -46,6 +46,7 @@ from scenes.recipes.objects.glb import glb_of
 SKY = SceneConfig().background
 HONEST = "honest"
 PLAIN = ("overhead", "sector", "paint", "inpaint", "blur")
+MOST = "plain, most images"
 ADAPTIVE = ("majority", "two images", "gradual", "local")
 KINDS = (*[HONEST] * 3, *PLAIN, "overhead", "sector", *ADAPTIVE)
 """Kinds of sets in the order in which they are drawn."""
@@ -69,11 +70,13 @@ class Drawn:
     setup: Setup
 
 
-def drawn(number: int, folder: Path) -> Drawn:
-    """A test set by its number; its object is written into the folder."""
+def drawn(number: int, folder: Path, kind: str = "") -> Drawn:
+    """A test set by its number, of the kind that has its turn unless one is given; its
+    object is written into the folder.
+    """
     seed = FIRST_SEED + number
     chance = random.Random(seed)
-    kind = KINDS[number % len(KINDS)]
+    kind = kind or KINDS[number % len(KINDS)]
     thing = chance.choice(OBJECTS)
     file = folder / f"{thing.replace(' ', '_')}_{seed}.glb"
     body = build(thing, seed).body
@@ -303,20 +306,29 @@ def ranking(scores: Tensor, changed: Tensor) -> float:
     return float(above + ties / 2)
 
 
+LOOKS = ("remove", "background")
+"""What `mi-splat poison` shows instead of an object; else it is an image file."""
+CALLED = "two groups"
+EQUAL = "two groups, nearly equal"
+"""Verdicts; of groups that are nearly equal, neither counts as named."""
 FIELDS = (
     *("set", "kind", "object", "images", "poisoned", "verdict", "named", "right"),
-    *("auroc", "strength", "edge", "sharpness", "gain", "difference", "seconds"),
+    *("auroc", "strength", "edge", "step", "spread", "gain", "difference", "seconds"),
 )
 
 
 def row_of(audit: ImageAudit, changed: Tensor, **about: Any) -> dict[str, Any]:
     """What an audit says of a set of which the truth is known."""
     named = audit.groups[1]
+    verdict: str = audit.verdict
+    if audit.is_nearly_equal:
+        named = torch.zeros_like(named)
+        verdict = EQUAL
     row = {
         **about,
         "images": audit.count,
         "poisoned": int(changed.sum()),
-        "verdict": audit.verdict,
+        "verdict": verdict,
         "named": int(named.sum()),
         "right": int((named & changed).sum()),
     }
@@ -325,7 +337,7 @@ def row_of(audit: ImageAudit, changed: Tensor, **about: Any) -> dict[str, Any]:
         return row
     has_both = 0 < int(changed.sum()) < len(changed)
     row["auroc"] = round(ranking(split.scores, changed), 4) if has_both else ""
-    for name in ("strength", "edge", "sharpness", "gain", "difference"):
+    for name in ("strength", "edge", "step", "spread", "gain", "difference"):
         row[name] = round(getattr(split, name), 5)
     return row
 
@@ -379,7 +391,8 @@ def measure_photographs(
         kind = HONEST
         if folder != honest:
             record = json.loads((folder / "poison.json").read_text())
-            kind = record["look"]
+            look = record["look"]
+            kind = look if look in LOOKS else "image"
             for number, path in enumerate(views.paths):
                 before = clean[own[path.stem]].image
                 apart = (views[number].image - before).abs().amax(-1)
@@ -392,15 +405,21 @@ def measure_photographs(
         add(file, row_of(audit, changed, **about, seconds=seconds))
 
 
+def _row_name(row: dict[str, str]) -> str:
+    """The kind of a set, or that most of its images are poisoned by a plain attack."""
+    is_most = 2 * int(row["poisoned"]) > int(row["images"])
+    return MOST if is_most and row["kind"] in PLAIN else row["kind"]
+
+
 def table(rows: Sequence[dict[str, str]]) -> Iterator[str]:
     """The table of the page."""
     yield (
         "| sets | called | AUROC of images, mean (lowest) | poisoned | named | right |"
     )
     yield "|---|---|---|---|---|---|"
-    for kind in dict.fromkeys(row["kind"] for row in rows):
-        own = [row for row in rows if row["kind"] == kind]
-        called = [row for row in own if row["verdict"] == "two groups"]
+    for kind in dict.fromkeys(map(_row_name, rows)):
+        own = [row for row in rows if _row_name(row) == kind]
+        called = [row for row in own if row["verdict"] in (CALLED, EQUAL)]
         ranks = [float(row["auroc"]) for row in own if row["auroc"]]
         named = sum(int(row["named"]) for row in called)
         right = sum(int(row["right"]) for row in called)

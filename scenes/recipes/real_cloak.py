@@ -215,7 +215,7 @@ def study(
         run(mask, "select", clean, *seen, "--out", mask)
     thing = ["--mask", mask]
     poisoned = out / "poisoned"
-    hiding = ["--hide-from", *settings.hide_from, "--look", "background"]
+    hiding = ["--hide-from", *settings.hide_from, "--appearance", "background"]
     run(poisoned, "poison", small, clean, *thing, *hiding, "--out", poisoned)
     record = read_json(poisoned / "poison.json")
     up = ",".join(str(value) for value in record["up"])
@@ -233,7 +233,7 @@ def study(
         looked = [*cameras, "--size", settings.size, f"--up={up}"]
         called = ["--original", *settings.original]
         sector = ["--inside", *settings.hide_from, "--detectors", *settings.detectors]
-        places = [*looked, *called, *sector, "--pictures", 8, "--out", judged]
+        places = [*looked, *called, *sector, "--images", 8, "--out", judged]
         run(judged, "evaluate", clean, cloaked, *thing, *places)
 
 

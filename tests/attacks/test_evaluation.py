@@ -20,8 +20,8 @@ from attacks.observe.drawing import annotated
 from attacks.observe.views import (
     ViewDetections,
     as_saved,
+    detect_scenes,
     detect_views,
-    evaluate,
     object_boxes,
 )
 from mi_splat.cameras.camera import Camera
@@ -33,7 +33,7 @@ from tests.fakes import ColourDetector, blobs, camera, toy_scene
 def test_views_without_the_object_do_not_count() -> None:
     scene, mask = toy_scene()
     hidden = scene.replace(opacities=torch.where(mask, 0.0, scene.opacities))
-    (view,) = evaluate(
+    (view,) = detect_scenes(
         {"clean": hidden}, mask, [camera()], [ColourDetector()], render=blobs
     )["clean"]
     assert view.box is None
@@ -88,31 +88,33 @@ def test_a_miss_counts_where_the_clean_object_is_found() -> None:
 
 
 def test_a_judge_contradicts_what_it_knows_better() -> None:
-    """The detector reports a car, a person, nothing, a sign; the judge, which knows
+    """The detector reports a car, a person, nothing, a sign; the checker, which knows
     signs alone, one in views 0, 2.
     """
     labels = (("car", 0.9), ("person", 0.9), ("car", 0.4), ("stop sign", 0.9))
     clean = [looked(view, *label) for view, label in enumerate(labels)]
-    judge = [
-        looked(view, "stop sign", 0.9 if view in (0, 2) else 0.3, "judge")
+    checker = [
+        looked(view, "stop sign", 0.9 if view in (0, 2) else 0.3, "checker")
         for view in range(4)
     ]
     seen = {
-        "clean": [*clean, *judge],
-        "attacked": [looked(view, "stop sign", 0.9) for view in range(4)] + judge,
+        "clean": [*clean, *checker],
+        "attacked": [looked(view, "stop sign", 0.9) for view in range(4)] + checker,
     }
-    rows = compared_rows(seen, original="car", target="person", judges=("judge",)).rows
-    assert rows.filter(detector="judge")["target"].null_count() == 8
-    assert set(rows.filter(detector="judge")["original"]) == {"stop sign"}
-    measures = compare(rows).where(detector="judge").labels("measure")
+    rows = compared_rows(
+        seen, original="car", target="person", checkers=("checker",)
+    ).rows
+    assert rows.filter(detector="checker")["target"].null_count() == 8
+    assert set(rows.filter(detector="checker")["original"]) == {"stop sign"}
+    measures = compare(rows).where(detector="checker").labels("measure")
     assert sorted(measures) == ["found_attacked", "found_clean", "missed"]
-    judges = {"judge": ["stop sign"]}
-    figures = contradictions(rows, judges)
-    ((names, pair),) = figures.groups("detector", "judge").items()
-    assert names == ("fake_colour", "judge")
+    checkers = {"checker": ["stop sign"]}
+    figures = contradictions(rows, checkers)
+    ((names, pair),) = figures.groups("detector", "checked_by").items()
+    assert names == ("fake_colour", "checker")
     assert pair.rate("contradicted", splat="clean") == Rate(successes=3, total=4)
     assert pair.rate("contradicted", splat="attacked") == Rate(successes=2, total=4)
-    views = contradicted_views(rows, judges).filter("contradicted")
+    views = contradicted_views(rows, checkers).filter("contradicted")
     assert views.select("splat", "view", "report", "verdict").rows() == [
         ("clean", 0, "car", "stop sign"),
         ("clean", 2, None, "stop sign"),
@@ -190,7 +192,9 @@ def test_scenes_are_seen_as_their_files_hold_them() -> None:
         rendered.append(scene)
         return blobs(scene, camera)
 
-    evaluate({"clean": wide}, mask, [camera()], [ColourDetector()], render=recorded)
+    detect_scenes(
+        {"clean": wide}, mask, [camera()], [ColourDetector()], render=recorded
+    )
     judged = rendered[-1]
     saved = as_saved(wide)
     assert judged.means.dtype == torch.float32

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from attacks.classifiers.frozen import classified
-from attacks.poisons.base import PicturePoison
+from attacks.poisons.base import ImagePoison
 from attacks.poisons.config import FilterConfig, MIFGSMConfig
 from attacks.poisons.defences import filtered
 from attacks.poisons.mifgsm import MIFGSM
@@ -72,7 +72,7 @@ def confidences(views: Any, label: str) -> list[float]:
 def test_the_true_class_is_less_sure_inside_the_ball_and_the_mask(
     views: list[View], paste: Any, eps: Any
 ) -> None:
-    poison: PicturePoison = attack(replace(ANY, paste=paste, eps=eps))
+    poison: ImagePoison = attack(replace(ANY, paste=paste, eps=eps))
     done = poison(views)
     for before, after in zip(
         confidences(views, "car"), confidences(done.views, "car"), strict=True

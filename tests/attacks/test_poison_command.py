@@ -14,7 +14,7 @@ import torch
 from attacks import cli
 from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli.poison import kind_names
-from attacks.poisons.base import OnStep, PicturePoison, Poisoned, mask_of, poisoned
+from attacks.poisons.base import ImagePoison, OnStep, Poisoned, mask_of, poisoned
 from attacks.poisons.specs import POISONS, Given, PoisonSpec
 from mi_splat.cameras.camera import View
 from mi_splat.cameras.framing import near_plane
@@ -299,7 +299,7 @@ class BlotConfig:
     by: float = 0.5
 
 
-def blotted(config: BlotConfig, given: Given) -> PicturePoison:
+def blotted(config: BlotConfig, given: Given) -> ImagePoison:
     def change(
         views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None
     ) -> Poisoned:

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.poisons.base import PicturePoison, Poisoned, ball, within_ball
+from attacks.poisons.base import ImagePoison, Poisoned, ball, within_ball
 from attacks.poisons.config import (
     FilterConfig,
     FrequencyPruningConfig,
@@ -71,7 +71,7 @@ def attack(
     )
 
 
-POISONS: dict[str, PicturePoison] = {
+POISONS: dict[str, ImagePoison] = {
     "decoy": attack(),
     "noise": UniformNoise(),
     "one by one": RaisedVariation(config=RaisedVariationConfig(variation_steps=3)),
@@ -84,7 +84,7 @@ def images(done: Poisoned) -> list[Tensor]:
 
 @pytest.mark.parametrize("poison", POISONS.values(), ids=POISONS)
 def test_pictures_change_within_the_ball_and_again_alike(
-    poison: PicturePoison, views: list[View]
+    poison: ImagePoison, views: list[View]
 ) -> None:
     heard: list[tuple[int, int]] = []
     done = poison(views, seed=3, on_step=lambda *at: heard.append(at))
@@ -108,7 +108,7 @@ def test_pictures_change_within_the_ball_and_again_alike(
 def test_without_a_ball_or_a_share_the_very_views_come_back(
     nothing: dict[str, Any], views: list[View]
 ) -> None:
-    poisons: list[PicturePoison] = [
+    poisons: list[ImagePoison] = [
         attack(replace(SHORT, **nothing)),
         UniformNoise(config=UniformNoiseConfig(**nothing)),
         RaisedVariation(config=RaisedVariationConfig(**nothing)),

@@ -125,7 +125,7 @@ def test_the_command_certifies_a_copy_and_checks_it(
     assert "depart by more than 0.05" in capsys.readouterr().out
     save_splat(load_splat(safe).replace(means=load_splat(safe).means + 1), safe)
     assert cli.main(["bound", str(safe), "--verify"]) == 3
-    assert "is not the one that its certificate is of" in capsys.readouterr().out
+    assert "the certificate belongs to another file" in capsys.readouterr().out
     assert cli.main(["bound", str(source), "--out", str(safe)]) == 1
     assert cli.main(["bound", str(source)]) == 2
 

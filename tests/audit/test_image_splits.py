@@ -12,7 +12,15 @@ from torch import Tensor
 from mi_splat.audit import image_splits, images
 from mi_splat.audit.image_files import summary_of
 from mi_splat.audit.image_splits import Split, split_images
-from mi_splat.audit.images import CALLED, ImageAudit, called_groups
+from mi_splat.audit.images import (
+    CALLED,
+    FEW,
+    FEW_CALLED,
+    MORE,
+    ImageAudit,
+    called_groups,
+    is_called,
+)
 from mi_splat.audit.observations import Observations
 from mi_splat.cameras.directions import unit_vector
 
@@ -118,4 +126,73 @@ def test_a_group_that_similar_splits_dispute_is_not_named() -> None:
     (said,) = summary_of(judged, [])
     assert "no image is named" in said
     weak = replace(best, smaller=part, edge=1.1)
-    assert torch.equal(image_splits._undisputed(best, [best, weak]).smaller, upper)
+    assert torch.equal(image_splits._chosen([best, weak]).smaller, upper)
+
+
+def test_of_two_sides_the_one_that_fewer_images_are_sure_of_is_named() -> None:
+    directions, upper = rings()
+    best = split_images(observed(directions, BRIGHTER * upper.float()))
+    assert best is not None
+    few = ~upper & (directions[:, 0] > 0.7)
+    assert 2 <= int(few.sum()) < 0.6 * int(upper.sum())
+    turned = replace(best, smaller=few, decided=few | upper, edge=0.95 * best.edge)
+    assert torch.equal(image_splits._chosen([best, turned]).smaller, few)
+    weak = replace(turned, edge=1.1)
+    assert torch.equal(image_splits._chosen([best, weak]).smaller, upper)
+
+
+def test_images_that_nothing_links_to_a_compared_one_are_not_named() -> None:
+    directions, upper = rings()
+    watched = observed(directions, BRIGHTER * upper.float())
+    compared = upper.nonzero()[:1, 0]
+    reached = image_splits._reached(watched, upper, compared)
+    assert torch.equal(reached, upper)
+    part = upper & (directions[:, 0].abs() > 0.5)
+    reached = image_splits._reached(watched, part, compared)
+    assert torch.equal(reached, part & (directions[:, 0] > 0))
+
+
+def test_the_place_of_an_image_is_judged_by_the_others_of_its_group() -> None:
+    directions, upper = rings()
+    watched = observed(directions, BRIGHTER * upper.float())
+    noise = torch.full((2 * POINTS,), 0.01)
+    places, _ = image_splits._places(watched, upper, noise)
+    assert bool((places[upper] > 0.3).all())
+    assert bool((places[~upper] < -0.3).all())
+    stray = int(upper.nonzero()[0])
+    alone = upper.clone()
+    alone[stray] = False
+    moved, _ = image_splits._places(watched, alone, noise)
+    assert float(moved[stray]) == pytest.approx(float(places[stray]), abs=0.1)
+
+
+def test_a_group_of_a_few_has_to_be_clearer() -> None:
+    directions, upper = rings()
+    split = split_images(observed(directions, BRIGHTER * upper.float()))
+    assert split is not None
+    few = torch.arange(len(upper)) < FEW - 1
+    gain = split.gain * (CALLED + FEW_CALLED) / 2 / split.strength
+    many = replace(split, gain=gain)
+    assert is_called(many)
+    assert not is_called(replace(many, smaller=few))
+    assert is_called(replace(split, smaller=few))
+
+
+def test_only_images_that_see_what_is_disputed_make_a_group_larger() -> None:
+    directions, upper = rings()
+    split = split_images(observed(directions, BRIGHTER * upper.float()))
+    assert split is not None
+    assert split.opposed == int((~upper).sum())
+
+    few = torch.arange(len(upper)) < 5
+
+    def is_equal(opposed: int | None, smaller: Tensor = few) -> bool:
+        counted = replace(split, smaller=smaller, opposed=opposed)
+        audit = ImageAudit(count=len(upper), points=POINTS, split=counted)
+        return audit.is_nearly_equal
+
+    assert not is_equal(None)
+    assert not is_equal(5 + MORE)
+    assert is_equal(5 + MORE - 1)
+    assert is_equal(2)
+    assert not is_equal(2, upper)

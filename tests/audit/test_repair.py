@@ -173,7 +173,7 @@ def test_the_command_repairs_what_it_finds(
             "--downscale: expected images with cameras, got a.ply",
             2,
         ),
-        (["a.ply", "--keep", "inside"], "--keep: expected --repair beside it", 2),
+        (["a.ply", "--keep", "inside"], "--keep: expected --repair as well", 2),
     ],
 )
 def test_what_cannot_be_written_is_told_before_the_work(

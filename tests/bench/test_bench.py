@@ -76,7 +76,7 @@ pool = 4
 validation = 2
 validate_every = 2
 held_out = 12
-judge_seed = 77
+held_out_seed = 77
 optimiser = "momentum"
 image_psnr = "none"
 """
@@ -141,7 +141,7 @@ def test_a_row_counts_what_is_still_named(out: Path) -> None:
     assert figures.find("score") is None
     text = (out / "table.md").read_text()
     assert "| - | fake_colour | - |" in text
-    assert "cannot judge (6 views)" in text
+    assert "not evaluated (6 views)" in text
     assert set(read(out / "result.json")["cpu_seconds"]) == {
         "one_view",
         "all_views",

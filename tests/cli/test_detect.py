@@ -168,8 +168,8 @@ def test_a_clean_and_an_attacked_splat_are_compared(
     assert "missed, detector fake_colour: " in capsys.readouterr().out
     assert cli.main([*words[:-1], "again"]) == 0
     text = capsys.readouterr().out
-    assert "fake_colour: taken for the target, attacked" in text
-    assert "missed attacked, of those found clean" in text
+    assert "fake_colour: target class detected, attacked" in text
+    assert "missed when attacked, of those detected clean" in text
 
 
 def test_what_is_left_of_an_attack_is_shown_for_each_condition(
@@ -206,7 +206,7 @@ def test_a_judge_s_contradictions_are_shown(
         "clean.ply",
         "attacked.ply",
         *VIEW,
-        "--judges",
+        "--cross-check",
         "fake_coarse",
         "--out",
         "judged",
@@ -232,7 +232,7 @@ def test_reasons_for_doubt_are_told(
         "--original",
         "stop sign",
     ]
-    assert cli.main([*words, "--pictures", "0", "--out", "first"]) == 0
+    assert cli.main([*words, "--images", "0", "--out", "first"]) == 0
     told = capsys.readouterr().err
     assert "the object shows in 2 of 2 views: few" in told
     assert "finds the clean object in 0 of 2 views only" in told
@@ -248,11 +248,11 @@ def test_reasons_for_doubt_are_told(
     (folder / "result.json").write_text(
         json.dumps({"views": [{"camera": camera} for camera in cameras[:1]]})
     )
-    assert cli.main([*words, "--pictures", "0", "--out", "second"]) == 0
+    assert cli.main([*words, "--images", "0", "--out", "second"]) == 0
     assert "1 of 2 cameras are those that were attacked" in capsys.readouterr().err
     # drawn about it
     (folder / "result.json").write_text(
         json.dumps({"views": [], "reference": cameras[0]})
     )
-    assert cli.main([*words, "--pictures", "0", "--out", "third"]) == 0
+    assert cli.main([*words, "--images", "0", "--out", "third"]) == 0
     assert "those that were attacked" not in capsys.readouterr().err

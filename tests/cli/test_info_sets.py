@@ -98,7 +98,7 @@ def test_a_table_for_a_human(
         (["set", "--splat", "a.ply"], "which Gaussians are meant"),
         (
             ["set", "--splat", "a.ply", "--centre", "0", "0", "0"],
-            "expected none beside --splat",
+            "expected none with --splat",
         ),
     ],
 )

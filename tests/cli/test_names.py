@@ -55,11 +55,11 @@ def test_wrong_inputs_are_refused_before_torch_is_imported(
         ),
         (
             "dagger a.ply --objective hide --target person",
-            "--target: expected none beside --objective hide, got person",
+            "--target: expected none with --objective hide, got person",
         ),
         (
             "dagger a.ply --region --objective untargeted --target car",
-            "none beside --objective untargeted, got car",
+            "none with --objective untargeted, got car",
         ),
         ("dagger a.ply --detectors fasterrcn_small", "did you mean fasterrcnn_small?"),
         ("view a.ply --detectors yolo8n", "did you mean yolov8n?"),

@@ -137,7 +137,7 @@ def test_a_seam_is_matched_where_both_show_the_same() -> None:
 def test_the_command_uses_other_photographs(tmp_path: Path) -> None:
     names = write_set(tmp_path)
     out = tmp_path / "out"
-    words = ("--hide-from", "elevation:40-90", "--look", "background")
+    words = ("--hide-from", "elevation:40-90", "--appearance", "background")
     record = poison(out, names, *words, "--background-steps", "10", "--seed", "3")
     (kind,) = record["poisonings"]
     assert kind["appearance"] == "the background that other photographs show"

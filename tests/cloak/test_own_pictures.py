@@ -152,7 +152,12 @@ def test_a_picture_covers_the_object(names: list[str], tmp_path: Path) -> None:
         tmp_path / "blue.png"
     )
     record = poison(
-        tmp_path / "out", names, "--look", str(tmp_path / "blue.png"), "--reach", "1"
+        tmp_path / "out",
+        names,
+        "--appearance",
+        str(tmp_path / "blue.png"),
+        "--reach",
+        "1",
     )
     index = record["changes"][0]["index"]
     old, new = (
@@ -202,8 +207,8 @@ def test_regions() -> None:
     [
         (["--box", "5", "5", "5", "6", "6", "6"], "at least one Gaussian"),
         (["--hide-from", "elevation:89.5-90"], "at least one camera"),
-        (["--look", "nothing.png"], "background, remove, or an image"),
-        (["--picture", "20", "--click", "20,16"], "a number below 20"),
+        (["--appearance", "nothing.png"], "background, remove, or an image"),
+        (["--image", "20", "--click", "20,16"], "a number below 20"),
     ],
 )
 def test_what_is_refused(

@@ -129,7 +129,9 @@ def test_a_lack_of_memory_is_one_line(
     ):
         monkeypatch.setattr(cli, "_dispatch", raiser(error))
         assert cli.main(["info", "a.ply"]) == 1
-        assert "memory: expected enough for what was asked" in capsys.readouterr().err
+        assert (
+            "memory: expected enough memory for this command" in capsys.readouterr().err
+        )
     monkeypatch.setattr(cli, "_dispatch", raiser(ImportError("no module of this name")))
     with pytest.raises(ImportError, match="no module"):
         cli.main(["info", "a.ply"])

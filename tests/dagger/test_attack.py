@@ -210,7 +210,7 @@ def test_it_is_deterministic_and_the_seed_moves_only_what_is_random() -> None:
 
 def test_views_are_attacked_in_turn_each_from_where_the_one_before_has_ended() -> None:
     views = [camera(), camera(offset=2.5)]
-    result = run(cameras=views, in_turn=True)
+    result = run(cameras=views, sequential=True)
     alone = run(cameras=views[:1])
     assert result.trace[: len(alone.trace)] == alone.trace
     assert result.trace[len(alone.trace)].index == 0
@@ -218,7 +218,7 @@ def test_views_are_attacked_in_turn_each_from_where_the_one_before_has_ended() -
 
 
 def test_the_search_can_look_at_the_object_alone_and_is_judged_in_the_scene() -> None:
-    result = run(alone=True)
+    result = run(isolated=True)
     assert result.success
     assert result.trace[0].loss != run().trace[0].loss
     assert torch.equal(result.views[0].clean.image, run().views[0].clean.image)

@@ -23,7 +23,7 @@ from attacks.report.results import read_section
 from attacks.report.viewer_content import open_content
 from attacks.search.budget import Budget
 from attacks.search.parameters import Parameters
-from attacks.transformations.config import PictureChanges, Transformations
+from attacks.transformations.config import ImageTransformations, Transformations
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import through_png
 from tests.dagger.toy import QUICK, REGION, quick, toy_views
@@ -107,21 +107,21 @@ def test_psnr_is_that_of_the_mean_squared_error_over_all_views() -> None:
 
 
 def test_picture_changes_are_seen_by_the_detector_and_not_by_the_psnr() -> None:
-    changes = PictureChanges(exposure=0.2, blur=0.5, noise=0.02, jpeg=60)
+    changes = ImageTransformations(exposure=0.2, blur=0.5, noise=0.02, jpeg=60)
     result = quick(views=toy_views(changes))
     judged = attack_views(
         toy_views(),
         ColourDetector(),
         relabel("person"),
         config=DaggerConfig.for_region(**QUICK),
-        judged=toy_views(changes),
+        evaluation=toy_views(changes),
     )
     plain = quick()
     assert result.rate.successes >= 6
     assert judged.image.psnr == pytest.approx(plain.image.psnr)
     assert not torch.equal(judged.views[0].clean.image, plain.views[0].clean.image)
-    assert judged.judged is not None
-    assert judged.judged.pictures == changes
+    assert judged.evaluation is not None
+    assert judged.evaluation.images == changes
     assert judged.transformations == Transformations(cameras=REGION)
 
 

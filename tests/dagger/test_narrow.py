@@ -16,7 +16,11 @@ from attacks.dagger.config import NARROW, NARROW_CHANGES, DaggerConfig
 from attacks.dagger.result import Result
 from attacks.dagger.views import DrawnViews
 from attacks.objectives.relabel import relabel
-from attacks.transformations.config import CameraCone, PictureChanges, Transformations
+from attacks.transformations.config import (
+    CameraCone,
+    ImageTransformations,
+    Transformations,
+)
 from mi_splat.errors import InvalidValueError
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
@@ -39,7 +43,8 @@ QUICK: dict[str, Any] = {
 def views(**changes: Any) -> DrawnViews:
     scene, mask = toy_scene(degree=0)
     drawn = Transformations(
-        cameras=CameraCone(angle=8.0, margin=0.05), pictures=PictureChanges(**changes)
+        cameras=CameraCone(angle=8.0, margin=0.05),
+        images=ImageTransformations(**changes),
     )
     return DrawnViews(scene, mask, camera(), drawn, render=blobs)
 
@@ -51,7 +56,7 @@ def run(**settings: Any) -> Result:
         ColourDetector(),
         relabel("person", strict=True),
         config=DaggerConfig.for_narrow(**{**QUICK, **settings}),
-        judged=around.drawn_from(around.transformations.plain),
+        evaluation=around.drawn_from(around.transformations.plain),
     )
 
 
@@ -59,9 +64,9 @@ def test_held_out_views_with_plain_images_judge_the_attack() -> None:
     result = run(object_psnr=REACHED, local_gap=None)
     assert result.rate.total == 6
     assert result.rate.fraction >= 0.8
-    assert result.transformations != result.judged
-    assert result.judged is not None
-    assert result.judged.pictures == PictureChanges()
+    assert result.transformations != result.evaluation
+    assert result.evaluation is not None
+    assert result.evaluation.images == ImageTransformations()
     psnr = result.image.psnr_object
     assert psnr is not None
     assert psnr == pytest.approx(REACHED, abs=0.8)
@@ -91,7 +96,7 @@ def test_a_ladder_without_a_level_that_works_ends_at_its_last() -> None:
     ("settings", "named"),
     [
         ({"ladder": (30.0, 40.0)}, "the highest PSNR first"),
-        ({"ladder": (40.0, 30.0), "object_psnr": None}, "object_psnr beside it"),
+        ({"ladder": (40.0, 30.0), "object_psnr": None}, "object_psnr as well"),
     ],
 )
 def test_a_ladder_is_checked(settings: dict[str, Any], named: str) -> None:
@@ -138,9 +143,9 @@ def test_around_implies_the_quiet_profile() -> None:
     assert options.around == 10.0
     assert options.config == DaggerConfig.for_narrow(ladder=(40.0, 38.0, 35.0))
     assert options.config.object_psnr == NARROW["object_psnr"]
-    assert options.pictures == PictureChanges(**NARROW_CHANGES)
+    assert options.images == ImageTransformations(**NARROW_CHANGES)
     changed = parsed("--around 10 --jpeg 0 --plain 1 --object-psnr 30")
-    assert changed.pictures.jpeg == 0
+    assert changed.images.jpeg == 0
     assert changed.config.object_psnr == 30.0
     with_image = parsed("--around 10 --image-psnr 40")
     assert with_image.config.object_psnr is None
@@ -148,8 +153,8 @@ def test_around_implies_the_quiet_profile() -> None:
 
 
 def test_images_change_only_around_a_camera() -> None:
-    with pytest.raises(InvalidValueError, match="--around beside them"):
-        DaggerOptions(scene=Path("a.ply"), pictures=PictureChanges(jpeg=50))
+    with pytest.raises(InvalidValueError, match="--around as well"):
+        DaggerOptions(scene=Path("a.ply"), images=ImageTransformations(jpeg=50))
 
 
 @pytest.mark.slow
@@ -162,7 +167,7 @@ def test_the_command_attacks_around_a_camera(tmp_path: Path) -> None:
     assert cli.main(["dagger", *words.split(), "--out", str(out)]) == 0
     record = json.loads((out / "result.json").read_text())
     assert record["config"]["transformations"]["cameras"]["angle"] == 5.0
-    assert record["config"]["judged"]["pictures"]["jpeg"] == 0
+    assert record["config"]["evaluation"]["images"]["jpeg"] == 0
     assert len(record["levels"]) in (1, 2)
     assert record["reference"]["name"] == "rear"
     assert (out / "held_out.png").is_file()

@@ -17,7 +17,7 @@ from attacks.detectors.registry import DETECTORS, operating_threshold
 from attacks.objectives.base import Target
 from attacks.objectives.relabel import relabel
 from attacks.objectives.suppression import hide
-from attacks.observe.comparison import judge
+from attacks.observe.comparison import evaluate
 from attacks.observe.rates import confidence_words
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, OPERATING
 from attacks.search.budget import Budget
@@ -193,9 +193,9 @@ def test_success_counts_from_the_threshold_of_each_detector() -> None:
 
 def test_a_judge_counts_from_the_threshold_of_each_detector() -> None:
     scene, mask = toy_scene()
-    judged = judge(scene, mask, camera(), [Unsure(), CoarseDetector()], render=blobs)
+    judged = evaluate(scene, mask, camera(), [Unsure(), CoarseDetector()], render=blobs)
     assert judged.confidence == {"fake_colour": 0.3, "fake_coarse": 0.5}
-    stated = judge(scene, mask, camera(), Unsure(), render=blobs, confidence=0.6)
+    stated = evaluate(scene, mask, camera(), Unsure(), render=blobs, confidence=0.6)
     assert stated.confidence == 0.6
     for confidence, words in (
         ({"a": 0.5, "b": 0.5}, "0.5"),

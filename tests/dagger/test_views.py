@@ -14,7 +14,11 @@ from attacks.dagger.views import DrawnViews, batch_indices, fixed_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.views import visible_box
 from attacks.search.budget import Budget
-from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
+from attacks.transformations.config import (
+    CameraRegion,
+    ImageTransformations,
+    Transformations,
+)
 from mi_splat.cameras.camera import look_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.maths.rotation import from_z
@@ -24,7 +28,7 @@ from tests.fakes import blobs, camera, toy_scene
 
 
 def test_a_view_depends_on_seed_and_number_alone() -> None:
-    changes = PictureChanges(blur=1.0, noise=0.1)
+    changes = ImageTransformations(blur=1.0, noise=0.1)
     forwards = toy_views(changes)
     backwards = toy_views(changes)
     first = [forwards.view(3, index) for index in range(4)]

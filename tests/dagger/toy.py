@@ -8,7 +8,11 @@ from attacks.dagger.result import Result
 from attacks.dagger.views import DrawnViews
 from attacks.objectives.base import Objective
 from attacks.objectives.relabel import relabel
-from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
+from attacks.transformations.config import (
+    CameraRegion,
+    ImageTransformations,
+    Transformations,
+)
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 REGION = CameraRegion(
@@ -29,11 +33,11 @@ QUICK: dict[str, Any] = {
 
 
 def toy_views(
-    pictures: PictureChanges | None = None, *, region: CameraRegion = REGION
+    images: ImageTransformations | None = None, *, region: CameraRegion = REGION
 ) -> DrawnViews:
     scene, mask = toy_scene()
     transformations = Transformations(
-        cameras=region, pictures=pictures or PictureChanges()
+        cameras=region, images=images or ImageTransformations()
     )
     return DrawnViews(scene, mask, camera(), transformations, render=blobs)
 

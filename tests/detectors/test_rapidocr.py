@@ -47,7 +47,8 @@ def test_another_word_is_no_sign_and_a_gradient_is_refused(tmp_path: Path) -> No
     images = torch.from_numpy(pictures)
     assert [seen.labels for seen in reader.detect(images)] == [(), ("stop sign",)]
     with pytest.raises(
-        DetectorError, match="expected no gradient asked of it, got images with one"
+        DetectorError,
+        match="expected no gradient requested from it, got images with one",
     ):
         reader.candidates(images.requires_grad_())
     with pytest.raises(DetectorError, match="leave --weights out"):

@@ -1,4 +1,4 @@
-"""Saves that fail leave the old file, and none beside it."""
+"""Saves that fail leave the old file, and none with it."""
 
 import errno
 import fcntl

@@ -98,7 +98,7 @@ def test_a_git_lfs_pointer_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("version https://git-lfs.github.com/spec/v1\n")
     with pytest.raises(
         InvalidValueError,
-        match="a Git LFS pointer in place of the file; run `git lfs pull`",
+        match="a Git LFS pointer instead of the file; run `git lfs pull`",
     ):
         READER.read_json(tmp_path / "a.json")
 

@@ -160,7 +160,7 @@ NEEDED = splat_names(1, normals=False)
 LISTED = listed("binary_little_endian")
 PLY = {
     "empty file": (b"", "first line 'ply'"),
-    "Git LFS": (POINTER, "a Git LFS pointer in place of the file; run `git lfs pull`"),
+    "Git LFS": (POINTER, "a Git LFS pointer instead of the file; run `git lfs pull`"),
     "header ends early": (HEAD[:100], "none in 100 bytes; write or download it again"),
     "header never ends": (HEAD[:-11] + b"comment x\n" * 10**4, "none in 65536 bytes"),
     "no format": (

@@ -109,7 +109,7 @@ REFUSED: dict[str, tuple[Callable[[], bytes], str]] = {
     ),
     "code with the name of a plugin": (
         lambda: scene('<path value="b"/>'),
-        r"no native code beside it, got .*diffuse",
+        r"no native code next to it, got .*diffuse",
     ),
     "a device": (
         lambda: scene('<string name="filename" value="/dev/zero"/>'),

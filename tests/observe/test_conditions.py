@@ -13,7 +13,7 @@ from attacks.observe.conditions import (
     condition_of,
     fewer_bands,
     half_precision,
-    picture_change,
+    image_transformation,
     rendered,
     through_file,
 )
@@ -125,7 +125,7 @@ def test_a_picture_can_have_noise_blur_and_jpeg_in_it() -> None:
         noisy(scene, other) - plain(scene, other), grain, atol=1e-3
     )
     assert [
-        picture_change(name)
+        image_transformation(name)
         for name in ("tile", "noise", "JPEG 0", "JPEG 101", "blur -1")
     ] == [None] * 5
 

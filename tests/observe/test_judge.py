@@ -10,10 +10,10 @@ import polars as pl
 import pytest
 import torch
 
-from attacks import judge
+from attacks import evaluate
 from attacks.observe.comparison import compare, compared_rows
 from attacks.observe.rates import Measure
-from attacks.observe.views import evaluate
+from attacks.observe.views import detect_scenes
 from mi_splat.errors import InvalidValueError
 from mi_splat.maths.sh import colour_to_dc
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
@@ -32,7 +32,7 @@ def painted() -> Any:
 def test_a_clean_and_an_attacked_splat() -> None:
     scenes = {"clean": SCENE, "attacked": painted()}
     detectors = [ColourDetector(), CoarseDetector()]
-    judged = judge(
+    judged = evaluate(
         scenes, MASK, CAMERAS, detectors, render=blobs, target="person", confidence=0.4
     )
     assert set(judged.rates) == {"fake_colour", "fake_coarse"}
@@ -43,7 +43,7 @@ def test_a_clean_and_an_attacked_splat() -> None:
         rates["target_attacked"].successes,
         rates["target_clean"].successes,
     ) == (3, 3, 0)
-    seen = evaluate(scenes, MASK, CAMERAS, detectors, render=blobs)
+    seen = detect_scenes(scenes, MASK, CAMERAS, detectors, render=blobs)
     looked = compared_rows(seen, target="person", min_confidence=0.4)
     assert judged.rows.equals(looked.rows)
     assert judged.detections.equals(looked.detections)
@@ -55,19 +55,19 @@ def test_a_clean_and_an_attacked_splat() -> None:
 
 
 def test_one_splat_alone() -> None:
-    judged = judge(SCENE, MASK, CAMERAS, ColourDetector(), render=blobs)
+    judged = evaluate(SCENE, MASK, CAMERAS, ColourDetector(), render=blobs)
     assert list(judged.rates) == ["fake_colour"]
     (rate,) = judged.rates["fake_colour"].values()
     assert (rate.successes, rate.total) == (3, 3)
     assert set(judged.rows["splat"]) == {"clean"}
-    strict = judge(
+    strict = evaluate(
         SCENE, MASK, CAMERAS, ColourDetector(), render=blobs, original="person"
     )
     assert strict.rates["fake_colour"]["found_clean"].successes == 0
 
 
 def test_any_rate_that_rows_give() -> None:
-    judged = judge(
+    judged = evaluate(
         {"clean": SCENE, "attacked": painted()},
         MASK,
         CAMERAS,
@@ -81,17 +81,17 @@ def test_any_rate_that_rows_give() -> None:
 
 
 def test_what_cannot_be_judged() -> None:
-    known: Any = judge
+    known: Any = evaluate
     with pytest.raises(
         InvalidValueError, match="scenes: expected one of the name clean"
     ):
-        judge({"attacked": SCENE}, MASK, CAMERAS, ColourDetector(), render=blobs)
+        evaluate({"attacked": SCENE}, MASK, CAMERAS, ColourDetector(), render=blobs)
     with pytest.raises(
         InvalidValueError, match="scenes: expected scenes by name, or one, got list"
     ):
         known([SCENE], MASK, CAMERAS, ColourDetector(), render=blobs)
     with pytest.raises(InvalidValueError, match="confidence"):
-        judge(SCENE, MASK, CAMERAS, ColourDetector(), render=blobs, confidence=2.0)
+        evaluate(SCENE, MASK, CAMERAS, ColourDetector(), render=blobs, confidence=2.0)
 
 
 class Registering(ColourDetector):
@@ -111,10 +111,10 @@ def test_every_detector_that_judges_gets_images_of_8_bits() -> None:
     detectors = [Registering(), Registering()]
     detectors[1].name = "another"
     assert not is_of_8_bits(blobs(scene, camera()))
-    evaluate(
+    detect_scenes(
         {"clean": scene, "attacked": scene}, mask, [camera()], detectors, render=blobs
     )
-    judge(
+    evaluate(
         {"clean": scene, "attacked": scene}, mask, [camera()], detectors, render=blobs
     )
     for detector in detectors:

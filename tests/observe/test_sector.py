@@ -19,7 +19,7 @@ from attacks.figures.rate import Rate
 from attacks.observe.comparison import compared_rows, figures
 from attacks.observe.rows import ROWS, rows
 from attacks.observe.sector import HIDDEN, sector_cells, sector_doubts, sector_figures
-from attacks.observe.views import ViewDetections, evaluate
+from attacks.observe.views import ViewDetections, detect_scenes
 from mi_splat.cameras.camera import Camera, View
 from mi_splat.cameras.lens import Lens
 from mi_splat.cameras.sets import orbit
@@ -119,7 +119,7 @@ def test_cells_say_where_a_camera_stands(up: tuple[float, float, float]) -> None
 
 def seen(camera: Camera) -> ViewDetections:
     scene, mask = toy_scene()
-    (view,) = evaluate(
+    (view,) = detect_scenes(
         {"clean": scene}, mask, [camera], [ColourDetector()], render=blobs
     )["clean"]
     return view
@@ -129,7 +129,7 @@ def test_figures_are_counted_from_rows_that_have_a_sector() -> None:
     scene, mask = toy_scene()
     hidden = scene.replace(opacities=torch.where(mask, 0.0, scene.opacities))
     cameras = orbit((0.0, 0.0, 0.0), count=4, elevation=0.0, distance=3.0, lens=LENS)
-    views = evaluate(
+    views = detect_scenes(
         {"clean": scene, "attacked": hidden},
         mask,
         cameras,
@@ -171,7 +171,7 @@ def test_the_command_counts_training_cameras_apart(
     words = [str(tmp_path / word) if "." in word else word for word in words]
     words += ["--cameras", str(tmp_path / "set"), "--background", "white"]
     words += ["--inside", "azimuth:20-130", "--original", "car", "person"]
-    words += ["--pictures", "0", "--out", str(tmp_path / "out")]
+    words += ["--images", "0", "--out", str(tmp_path / "out")]
     with patch("attacks.cli.options.load_detectors", lambda *_: [ColourDetector()]):
         assert cli.main(words) == 0
     record = json.loads((tmp_path / "out" / "result.json").read_text())

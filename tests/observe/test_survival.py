@@ -21,7 +21,7 @@ from attacks.observe.survival import (
     together,
     voted,
 )
-from attacks.observe.views import evaluate
+from attacks.observe.views import detect_scenes
 from mi_splat.errors import InvalidValueError
 from mi_splat.maths.sh import colour_to_dc, sh_basis
 from mi_splat.render.renderer import Renderer, RenderSettings
@@ -58,7 +58,7 @@ def rows_under(attacked: GaussianScene, *names: str) -> pl.DataFrame:
     scenes = {CLEAN: SCENE, ATTACKED: attacked}
     detectors = [ColourDetector()]
     plain = compared_rows(
-        evaluate(scenes, MASK, CAMERAS, detectors, render=RENDER),
+        detect_scenes(scenes, MASK, CAMERAS, detectors, render=RENDER),
         original="car",
         target="person",
         min_confidence=0.5,

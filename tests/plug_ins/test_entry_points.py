@@ -363,7 +363,7 @@ def test_jobs_of_a_study_name_the_package(
 ) -> None:
     register(monkeypatch, toy.DETECTORS)
     write_toy(tmp_path)
-    table = settings(tmp_path, renderer="half", judge={"condition": "fog"})
+    table = settings(tmp_path, renderer="half", evaluate_with={"condition": "fog"})
     table["attack"] = {"eps": 12.0, "steps": 4, "optimiser": "slide"}
     jobs = work_of(table).jobs().values()
     assert {job.config.packages for job in jobs if isinstance(job.config, Attack)} == {
@@ -566,7 +566,7 @@ def test_a_name_of_this_project_is_never_taken(path: Path) -> None:
         ),
         (
             "dagger a.ply --objective dim-car --target person",
-            "--target: expected none beside --objective dim-car, got person",
+            "--target: expected none with --objective dim-car, got person",
         ),
         ("poison SET --kind darkk", "did you mean dark?"),
     ],

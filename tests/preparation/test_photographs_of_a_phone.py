@@ -108,7 +108,7 @@ def test_the_tutorial_takes_phone_photographs_to_a_report(
     attack = json.loads((tmp_path / "out" / "attack" / "result.json").read_text())
     assert attack["target"] == "person"
     assert (tmp_path / "out" / "report.html").is_file()
-    assert "fasterrcnn_small: found, clean" in said["evaluate"]
+    assert "fasterrcnn_small: detected, clean" in said["evaluate"]
 
 
 def placed(folder: Path) -> None:

@@ -269,7 +269,7 @@ TINY: dict[str, dict[str, Change]] = {
     "evaluate": {
         "--cameras": fewer_cameras(2),
         "--size": to("64"),
-        "--pictures": to("1"),
+        "--images": to("1"),
     },
     "view": {"--no-open": to()},
     "demo": {"--force": to()},

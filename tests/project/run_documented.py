@@ -89,7 +89,7 @@ object = "car"
 target = "person"
 renderer = "tile"
 attack = { steps = 1, noise_draws = 0 }
-[judge.matrix]
+[evaluate_with.matrix]
 condition = ["tile"]
 """)
     status = cli.main(["study", "run", str(file), "--out", str(path), "--workers", "0"])

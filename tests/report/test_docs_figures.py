@@ -217,13 +217,13 @@ def test_the_attack_on_a_detector_and_a_reader_is_counted() -> None:
             assert count.format(f"{seen.sum()}/{len(seen)}") in text
 
 
-def test_the_table_of_outside_judges_is_that_of_the_rows() -> None:
+def test_the_table_of_third_party_detectors_is_that_of_the_rows() -> None:
     """Attacks count whose clean object is detected; a judge's report is compared as far
     as it knows the class.
     """
     text = (ROOT / "docs" / "detectors.md").read_text()
     report = pl.when(pl.col("score") >= REPORTED_BY_ALL).then("label")
-    rows = result_of("outside_judges").tables[ROWS].with_columns(report=report)
+    rows = result_of("third_party_detectors").tables[ROWS].with_columns(report=report)
     own = rows.filter(pl.col("detector") == pl.col("sources"))
     name = (
         pl.when(pl.col("target").is_in(["tv", "train", "bird"]))
@@ -245,7 +245,7 @@ def test_the_table_of_outside_judges_is_that_of_the_rows() -> None:
         both = both.with_columns(flag=common.ne_missing(pl.col("verdict")))
         for splat in (CLEAN, NOISE):
             quiet = both.filter(splat=splat)
-            assert f"({quiet['flag'].sum()}/{len(quiet)} each, for both judges)" in text
+            assert f"({quiet['flag'].sum()}/{len(quiet)} each, for both)" in text
             assert not quiet["success"].any()
         for (target, what), part in both.group_by("target", "object"):
             if (judge == "rapidocr") == (target == "person"):

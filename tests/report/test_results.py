@@ -160,7 +160,7 @@ def test_a_study_says_what_speaks_against_it(
             control_recall=Rate(successes=4, total=40),
         )
     )
-    for warning in ("look at each seed", "found in 4 of 40 views only"):
+    for warning in ("look at each seed", "detected in 4 of 40 views only"):
         assert warning in " ".join(several.warnings)
 
 

@@ -103,7 +103,7 @@ def test_the_numbers_are_those_of_the_result(result: Path) -> None:
         listed["image_psnr"], abs=1e-3
     )
     assert content.title.startswith(
-        "DAGGER on car_street: to be taken for person by fasterrcnn_small ("
+        "DAGGER on car_street: target class person, fasterrcnn_small ("
     )
 
 

@@ -44,8 +44,8 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
         f'study = "cloak"\nbase = "{tmp_path / "base.toml"}"\nseeds = [0, 1]\ntraining'
         " = { iterations = 12, sh_degree = 0 }\n[[case]]\nname ="
         ' "inside"\n[case.matrix]\n"evaluation.well_inside" = [5.0,'
-        ' 10.0]\n[judge]\nevery = 4\n[judge.matrix]\ncondition = ["SH of degree 0", "2'
-        ' x distance"]\n'
+        " 10.0]\n[evaluate_with]\nevery = 4\n[evaluate_with.matrix]\ncondition ="
+        ' ["SH of degree 0", "2 x distance"]\n'
     )
     out = tmp_path / "out"
     store = tmp_path / "store"
@@ -86,7 +86,7 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     section = read_section(out)
     assert section.title == "tiny, varied"
     assert section.done.endswith(
-        "Both splats were then looked at under 2 other conditions."
+        "Both splats were then evaluated under 2 other conditions."
     )
     conditions = point.labels("condition")
     assert conditions == ["SH of degree 0", "2 x distance"]

@@ -42,4 +42,4 @@ def test_what_a_cluster_decides_is_no_option_of_the_command(
     file.write_text(STUDY.replace("scene/toy.xml", str(tmp_path / "scene/toy.xml")))
     words = ["study", "run", str(file), "--out", str(tmp_path / "out")]
     assert cli.main([*words, "--scheduler", "tcp://127.0.0.1:1", flag, "2"]) == 2
-    assert f"{flag}: expected none beside --scheduler, got 2" in capsys.readouterr().err
+    assert f"{flag}: expected none with --scheduler, got 2" in capsys.readouterr().err

@@ -29,11 +29,11 @@ EOT: dict[str, Any] = {
         "elevations": [0.0, 10.0],
         "distances": [0.9, 1.1],
     },
-    "judge": {"views": 1},
+    "evaluate_with": {"views": 1},
 }
 FIXED: dict[str, Any] = {
     "attack": {"steps": 1},
-    "judge": {"matrix": {"condition": ["ray", ".spz"]}},
+    "evaluate_with": {"matrix": {"condition": ["ray", ".spz"]}},
 }
 
 

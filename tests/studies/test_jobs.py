@@ -83,7 +83,9 @@ def looks_of(folder: Path, **attack: Any) -> list[str]:
     table = settings(
         folder, attack={"eps": 12.0, "steps": 4, "noise_draws": 0, **attack}
     )
-    results = done(work_of({**table, "judge": {"condition": ".spz"}}), folder / "store")
+    results = done(
+        work_of({**table, "evaluate_with": {"condition": ".spz"}}), folder / "store"
+    )
     return [
         result.key
         for result in results.values()
@@ -115,8 +117,8 @@ REGION: dict[str, Any] = {
 def test_a_splat_is_looked_at_from_further_away_and_the_box_is_where_it_shows(
     table: dict[str, Any], attacked: Path
 ) -> None:
-    judge = {"matrix": {"condition": ["", "1.5 x distance"]}}
-    work = work_of({**settings(attacked), **table, "judge": judge})
+    evaluation = {"matrix": {"condition": ["", "1.5 x distance"]}}
+    work = work_of({**settings(attacked), **table, "evaluate_with": evaluation})
     results = done(work, attacked / "store")
     (attempt,) = work.attempts
     widths = []
@@ -132,7 +134,7 @@ def test_a_splat_is_looked_at_from_further_away_and_the_box_is_where_it_shows(
 
 AROUND: dict[str, Any] = {
     "around": {"angle": 8.0},
-    "pictures": {"sizes": [1.0, 1.0]},
+    "images": {"sizes": [1.0, 1.0]},
     "only_detected": True,
     "attack": {
         "steps": 2,
@@ -149,14 +151,19 @@ AROUND: dict[str, Any] = {
 def test_an_attack_around_a_camera_is_judged_from_there_on_plain_images(
     attacked: Path, tmp_path: Path
 ) -> None:
-    judge = {"matrix": {"condition": ["", "JPEG 75", "1.5 x size"]}, "views": 2}
+    evaluation = {"matrix": {"condition": ["", "JPEG 75", "1.5 x size"]}, "views": 2}
     matrix = {"camera": [0, 1], "attack.object_psnr": [20.0]}
-    table = {**settings(attacked), **AROUND, "matrix": matrix, "judge": judge}
+    table = {
+        **settings(attacked),
+        **AROUND,
+        "matrix": matrix,
+        "evaluate_with": evaluation,
+    }
     work = work_of(table)
     results = done(work, attacked / "store")
     first, second = (attempt.job.config for attempt in work.attempts)
-    assert first.transformations.pictures.jpeg == 50
-    assert first.judged.pictures.jpeg == 0
+    assert first.transformations.images.jpeg == 50
+    assert first.evaluation.images.jpeg == 0
     assert first.camera != second.camera
     attack = results[work.attempts[0].title]
     assert isinstance(attack, Done)
@@ -171,15 +178,17 @@ def test_an_attack_around_a_camera_is_judged_from_there_on_plain_images(
 
 
 def test_changes_of_images_need_views_around_a_camera(attacked: Path) -> None:
-    with pytest.raises(InvalidValueError, match="around beside images"):
-        work_of({**settings(attacked), "pictures": {"jpeg": 50}})
+    with pytest.raises(InvalidValueError, match="around with images"):
+        work_of({**settings(attacked), "images": {"jpeg": 50}})
 
 
 def test_an_attack_that_two_parts_have_counts_in_both(
     attacked: Path, tmp_path: Path
 ) -> None:
     table = settings(
-        attacked, case=[{"name": "one"}, {"name": "same"}], judge={"condition": ".spz"}
+        attacked,
+        case=[{"name": "one"}, {"name": "same"}],
+        evaluate_with={"condition": ".spz"},
     )
     work = work_of(table)
     work.write(done(work, attacked / "store"), tmp_path)
@@ -258,7 +267,9 @@ def test_attacks_from_cameras_of_a_file_count_those_that_show_the_object(
 def test_a_look_has_noise_that_changes_the_object_as_much_as_the_attack(
     attacked: Path,
 ) -> None:
-    work = work_of(settings(attacked, judge={"controls": ["noise", "norm-noise"]}))
+    work = work_of(
+        settings(attacked, evaluate_with={"controls": ["noise", "norm-noise"]})
+    )
     look = done(work, attacked / "store")[next(iter(work.attempts[0].looks))]
     assert isinstance(look, Done)
     psnr = {row["splat"]: row["object_psnr"] for row in look.rows}

@@ -64,10 +64,10 @@ def test_files(text: str, match: str, tmp_path: Path) -> None:
         ({"camera": 2}, "expected 0 to 1, got 2"),
         ({"renderer": "rey"}, "did you mean ray"),
         ({"gradient": "rey"}, "did you mean ray"),
-        ({"judge": {"condition": "rey"}}, "did you mean ray"),
-        ({"judge": {"condition": "09:30"}}, "need the street"),
+        ({"evaluate_with": {"condition": "rey"}}, "did you mean ray"),
+        ({"evaluate_with": {"condition": "09:30"}}, "need .evaluate_with.sun."),
         (
-            {"judge": {"matrix": {"condition": ["", "as attacked"]}}},
+            {"evaluate_with": {"matrix": {"condition": ["", "as attacked"]}}},
             "got 2: fake_colour, own renderer",
         ),
     ],
@@ -107,15 +107,24 @@ MISREAD = {"kind": "m-ifgsm"}
             {**CLOAK, "bisect": {"field": "cameras.train", "values": [8, 9]}},
             "expected no bisect",
         ),
-        ({**CLOAK, "judge": {"matrix": {"condition": [".spx"]}}}, "did you mean .spz"),
         (
-            {**CLOAK, "judge": {"condition": "ray", "matrix": {"every": [4, 9]}}},
+            {**CLOAK, "evaluate_with": {"matrix": {"condition": [".spx"]}}},
+            "did you mean .spz",
+        ),
+        (
+            {
+                **CLOAK,
+                "evaluate_with": {"condition": "ray", "matrix": {"every": [4, 9]}},
+            },
             "got 2: .* seed 0, ray",
         ),
         (
             {
                 **CLOAK,
-                "judge": {"sun": {"scene": STREET}, "matrix": {"condition": ["09:30"]}},
+                "evaluate_with": {
+                    "sun": {"scene": STREET},
+                    "matrix": {"condition": ["09:30"]},
+                },
             },
             "expected layers",
         ),
@@ -145,7 +154,10 @@ MISREAD = {"kind": "m-ifgsm"}
             "one of filter, limit and prune",
         ),
         ({**POISON, "defense": {"limit": 1.0}}, "key in toy.*defence"),
-        ({**POISON, "judge": {"matrix": {"condition": ["ray"]}}}, "no judge"),
+        (
+            {**POISON, "evaluate_with": {"matrix": {"condition": ["ray"]}}},
+            "no table evaluate_with",
+        ),
         (
             {**POISON, "detectors": ["redness"]},
             "class for redness: expected one of car, stop sign, got tv",

@@ -40,7 +40,7 @@ target = "person"
 [[case]]
 name = "hidden"
 aim = "hide"
-[judge.matrix]
+[evaluate_with.matrix]
 condition = [".ply", "SH of degree 0"]
 detector = ["fake_colour", "fake_coarse"]
 """
@@ -65,7 +65,7 @@ image_psnr = "none"
 [bisect]
 field = "attack.eps"
 values = [0.001, 0.01, 2.0]
-[judge]
+[evaluate_with]
 views = 3
 """
 

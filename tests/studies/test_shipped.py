@@ -50,7 +50,7 @@ COUNTS = {
     "narrow": (12, 96),
     "narrow_curves": (26, 0),
     "openimages": (48, 240),
-    "outside_judges": (120, 240),
+    "third_party_detectors": (120, 240),
     "pairs": (6, 0),
     "poison_demo": (3, 0),
     "poison_splat": (63, 0),
@@ -90,7 +90,7 @@ def test_a_shipped_study_is_so_many_jobs(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(ROOT)
-    if path.stem == "outside_judges":
+    if path.stem == "third_party_detectors":
         pytest.importorskip(
             "rapidocr_onnxruntime", reason="the extra ocr is not installed"
         )

@@ -121,13 +121,19 @@ def test_the_file_of_one_study_of_cloak_is_a_study() -> None:
 
 
 def test_judges_are_every_combination() -> None:
-    judge = {"views": 3, "matrix": {"detector": ["a", "b"], "condition": ["ray"]}}
-    judges = study_of({"study": "dagger", "judge": judge}, "toy").judges
-    assert [point.settings["detector"] for point in judges] == ["a", "b"]
-    assert {point.settings["views"] for point in judges} == {3}
-    assert study_of({"study": "dagger"}, "toy").judges == ()
+    evaluation = {"views": 3, "matrix": {"detector": ["a", "b"], "condition": ["ray"]}}
+    evaluations = study_of(
+        {"study": "dagger", "evaluate_with": evaluation}, "toy"
+    ).evaluations
+    assert [point.settings["detector"] for point in evaluations] == ["a", "b"]
+    assert {point.settings["views"] for point in evaluations} == {3}
+    assert study_of({"study": "dagger"}, "toy").evaluations == ()
     assert (
-        len(study_of({"study": "dagger", "judge": {"condition": "ray"}}, "toy").judges)
+        len(
+            study_of(
+                {"study": "dagger", "evaluate_with": {"condition": "ray"}}, "toy"
+            ).evaluations
+        )
         == 1
     )
 
@@ -140,3 +146,8 @@ def test_some_parts_of_a_study() -> None:
         InvalidValueError, match="part of toy: expected a or b, got bb; did you mean b"
     ):
         study.of(["bb"])
+
+
+def test_the_old_name_of_a_table_is_refused_with_the_new_one() -> None:
+    with pytest.raises(InvalidValueError, match=r"expected evaluate_with, got judge"):
+        study_of({"study": "dagger", "judge": {"condition": "ray"}}, "toy")

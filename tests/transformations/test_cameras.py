@@ -13,12 +13,12 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from attacks.transformations.config import CameraRegion, PictureChanges
+from attacks.transformations.config import CameraRegion, ImageTransformations
 from attacks.transformations.draws import (
-    PictureChange,
-    change_picture,
+    ImageTransformation,
     draw_camera,
     draw_change,
+    transform_image,
 )
 from mi_splat.cameras.camera import Camera, look_at, project_points
 from mi_splat.cameras.directions import direction_of
@@ -94,8 +94,8 @@ def test_aim_moves_the_point_looked_at_within_the_ball() -> None:
         (CameraRegion, {"elevations": (0, 91)}),
         (CameraRegion, {"distances": (0, 1)}),
         (CameraRegion, {"aim": -1}),
-        (PictureChanges, {"jpeg": 96}),
-        (PictureChanges, {"resize": 0.0}),
+        (ImageTransformations, {"jpeg": 96}),
+        (ImageTransformations, {"resize": 0.0}),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(
@@ -121,7 +121,7 @@ def test_a_reference_in_the_middle_of_the_object_is_refused() -> None:
 # Changes of images: each against what it means, derivatives, and draws by seed
 
 
-CHANGES = PictureChanges(
+CHANGES = ImageTransformations(
     exposure=1.0, white_balance=0.2, gamma=0.3, blur=2.0, resize=0.5, noise=0.1, jpeg=30
 )
 
@@ -132,51 +132,53 @@ def picture(*, dtype: torch.dtype = torch.float32) -> Tensor:
 
 
 def test_no_change_is_the_same_bits() -> None:
-    assert torch.equal(change_picture(picture(), PictureChange()), picture())
-    drawn = draw_change(PictureChanges(), np.random.default_rng(1))
-    assert drawn == PictureChange(noise_seed=drawn.noise_seed)
+    assert torch.equal(transform_image(picture(), ImageTransformation()), picture())
+    drawn = draw_change(ImageTransformations(), np.random.default_rng(1))
+    assert drawn == ImageTransformation(noise_seed=drawn.noise_seed)
 
 
 def test_a_stop_doubles_the_light() -> None:
     grey = torch.full((2, 2, 3), 0.2)
-    after = change_picture(grey, PictureChange(gains=(2.0, 2.0, 2.0)))
+    after = transform_image(grey, ImageTransformation(gains=(2.0, 2.0, 2.0)))
     # sRGB 0.2 is 0.033105 in linear light, and twice as much light is sRGB 0.28538.
     assert after.flatten().tolist() == pytest.approx([0.28538] * 12, abs=1e-4)
 
 
 def test_white_balance_and_gamma() -> None:
-    after = change_picture(picture(), PictureChange(gains=(1.1, 1.0, 0.9)))
+    after = transform_image(picture(), ImageTransformation(gains=(1.1, 1.0, 0.9)))
     assert bool(
         (after[..., 0] > picture()[..., 0]).all()
         and (after[..., 2] < picture()[..., 2]).all()
     )
     torch.testing.assert_close(after[..., 1], picture()[..., 1], atol=1e-5, rtol=0)
     torch.testing.assert_close(
-        change_picture(picture(), PictureChange(gamma=2.0)), picture() ** 2
+        transform_image(picture(), ImageTransformation(gamma=2.0)), picture() ** 2
     )
 
 
 def test_blur_spreads_a_point_as_a_gaussian() -> None:
     point = torch.zeros(31, 31, 3)
     point[15, 15] = 1.0
-    after = change_picture(point, PictureChange(blur=2.0))[..., 0].double()
+    after = transform_image(point, ImageTransformation(blur=2.0))[..., 0].double()
     positions = torch.arange(31, dtype=torch.float64) - 15
     assert float(after.sum()) == pytest.approx(1.0, abs=1e-5)
     assert float((after.sum(0) * positions**2).sum()) == pytest.approx(4.0, rel=0.05)
 
 
 def test_resizing_keeps_the_size_and_loses_detail() -> None:
-    after = change_picture(picture(), PictureChange(resize=0.25))
+    after = transform_image(picture(), ImageTransformation(resize=0.25))
     assert after.shape == picture().shape
     assert float(after.var()) < 0.5 * float(picture().var())
     flat = torch.full((12, 16, 3), 0.3)
-    torch.testing.assert_close(change_picture(flat, PictureChange(resize=0.25)), flat)
+    torch.testing.assert_close(
+        transform_image(flat, ImageTransformation(resize=0.25)), flat
+    )
 
 
 def test_noise_has_its_size_and_is_the_seed_s() -> None:
     grey = torch.full((64, 64, 3), 0.5)
     first, again, other = (
-        change_picture(grey, PictureChange(noise=0.1, noise_seed=seed))
+        transform_image(grey, ImageTransformation(noise=0.1, noise_seed=seed))
         for seed in (1, 1, 2)
     )
     assert torch.equal(first, again)
@@ -186,7 +188,7 @@ def test_noise_has_its_size_and_is_the_seed_s() -> None:
 
 def test_jpeg_is_the_real_one_and_passes_the_gradient() -> None:
     leaf = picture().requires_grad_(True)
-    after = change_picture(leaf, PictureChange(jpeg=40))
+    after = transform_image(leaf, ImageTransformation(jpeg=40))
     buffer = io.BytesIO()
     Image.fromarray((picture() * 255).round().to(torch.uint8).numpy()).save(
         buffer, format="JPEG", quality=40
@@ -212,7 +214,7 @@ def test_jpeg_is_the_real_one_and_passes_the_gradient() -> None:
 def test_derivatives_are_those_of_finite_differences(change: dict[str, Any]) -> None:
     leaf = picture(dtype=torch.float64)[:5, :6].clone().requires_grad_(True)
     assert torch.autograd.gradcheck(
-        lambda x: change_picture(x, PictureChange(**change)), (leaf,), atol=1e-6
+        lambda x: transform_image(x, ImageTransformation(**change)), (leaf,), atol=1e-6
     )
 
 

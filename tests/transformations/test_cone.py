@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from attacks.transformations.config import CameraCone, PictureChanges
+from attacks.transformations.config import CameraCone, ImageTransformations
 from attacks.transformations.draws import (
-    PictureChange,
+    ImageTransformation,
     draw_camera,
     draw_change,
     draw_size,
@@ -91,16 +91,16 @@ def test_a_cone_is_checked(values: dict[str, float]) -> None:
 
 
 def test_a_share_of_the_images_stays_as_it_is() -> None:
-    changes = PictureChanges(jpeg=50, blur=1.0, plain=0.35)
+    changes = ImageTransformations(jpeg=50, blur=1.0, plain=0.35)
     drawn = [draw_change(changes, np.random.default_rng(seed)) for seed in range(400)]
-    plain = sum(change == PictureChange() for change in drawn) / len(drawn)
+    plain = sum(change == ImageTransformation() for change in drawn) / len(drawn)
     assert 0.28 < plain < 0.42
     always = dataclasses.replace(changes, plain=1.0)
-    assert draw_change(always, np.random.default_rng(0)) == PictureChange()
+    assert draw_change(always, np.random.default_rng(0)) == ImageTransformation()
 
 
 def test_half_of_the_images_get_another_size_and_show_the_same() -> None:
-    changes = PictureChanges(sizes=(0.5, 2.0))
+    changes = ImageTransformations(sizes=(0.5, 2.0))
     generators = [np.random.default_rng(seed) for seed in range(400)]
     cameras = [draw_size(changes, one, CHOSEN) for one in generators]
     widths = [camera.width for camera in cameras]
@@ -116,11 +116,11 @@ def test_half_of_the_images_get_another_size_and_show_the_same() -> None:
             float(share[0, 0]) / CHOSEN.width, abs=0.01
         )
     with pytest.raises(InvalidValueError):
-        PictureChanges(sizes=(2.0, 0.5))
+        ImageTransformations(sizes=(2.0, 0.5))
 
 
 def test_sizes_and_plain_images_leave_other_draws_as_they_were() -> None:
-    before = PictureChanges(jpeg=50, blur=1.0)
+    before = ImageTransformations(jpeg=50, blur=1.0)
     generator, other = np.random.default_rng(3), np.random.default_rng(3)
     assert draw_change(before, generator) == draw_change(before, other)
     assert draw_size(before, generator, CHOSEN) is CHOSEN

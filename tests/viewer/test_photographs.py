@@ -207,7 +207,7 @@ def test_what_cannot_be_shown_together(folder: Path) -> None:
     with pytest.raises(InvalidValueError, match="clean: expected nothing beside a"):
         open_content(folder / "set", clean=folder / "splat.ply")
     with pytest.raises(
-        InvalidValueError, match="cameras: expected none beside a data set"
+        InvalidValueError, match="cameras: expected none with a data set"
     ):
         open_content(folder / "set", cameras=folder / "colmap")
     with pytest.raises(

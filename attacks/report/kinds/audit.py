@@ -96,13 +96,13 @@ def read_audit(result: Result) -> Section:
             words=record["verdict"] or "not compared",
             note=(
                 f"evidence {record['evidence']:.2f}, contradicted from 1: features"
-                f" {least} apart, or the object recognised in the prediction alone"
+                f" {least} apart, or the object recognised in the prediction only"
             ),
         ),
         figures=Figure.each(
             {
                 "Gaussians that carry it": carried,
-                "solid Gaussians near an object that was looked at": (
+                "solid Gaussians near an object that was examined": (
                     f"{record['near']:.0%}"
                 ),
             }
@@ -154,12 +154,12 @@ def _overdraw(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
 
 
 def _done(record: Mapping[str, Any]) -> str:
-    """What was looked at."""
+    """What was examined."""
     objects = record["objects"]
     many = f"{counted(len(objects), 'object')} {'was' if len(objects) == 1 else 'were'}"
     cameras = counted(sum(len(item["seen_from"]) for item in objects), "direction")
     return (
-        f"In {record['file']} ({record['gaussians']:,} Gaussians) {many} looked at from"
+        f"In {record['file']} ({record['gaussians']:,} Gaussians) {many} viewed from"
         f" {cameras}."
     )
 

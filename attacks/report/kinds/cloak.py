@@ -44,7 +44,7 @@ _CURVES: dict[str, tuple[str, Role]] = {
         "missed well inside the trigger, where the control is found",
         "attack",
     ),
-    "control_recall": ("control found inside the trigger", "control"),
+    "control_recall": ("control detected inside the trigger", "control"),
     "target_rate": ("target class reported inside the trigger", "attack"),
     "control_target_rate": ("the same on the control", "control"),
 }
@@ -61,7 +61,7 @@ _PICTURES = {
 }
 _NEEDS = {
     "scene": "it takes the scene's meshes and sun",
-    "pictures": "it takes images and masks alone",
+    "pictures": "it takes only images and masks",
 }
 
 
@@ -124,18 +124,18 @@ def headline_of(figures: Figures) -> tuple[Figure, Figure | None]:
     missed = figures.find("trigger_miss_rate")
     if isinstance(missed, Rate):
         headline = Figure(
-            label="cloaked splat: object missed from well inside the trigger",
+            label="attacked splat: object missed well inside the trigger",
             rate=missed,
-            note="of the views in which it is found in the clean splat",
+            note="of the views in which it is detected in the clean splat",
         )
         found = figures.rate("control_recall")
         if not found.total:
             return headline, None
-        label = "clean splat: object missed from inside the trigger"
+        label = "clean splat: object missed inside the trigger"
         return headline, Figure(label=label, rate=found.failures)
     wanted = figures.find("target_rate")
     if not isinstance(wanted, Rate):
-        words = "none that was judged"
+        words = "none that was evaluated"
         return Figure(label="attacks in this study", words=words), None
     label = "cloaked splat: target class reported inside the trigger"
     control = figures.rate("control_target_rate")
@@ -158,11 +158,11 @@ def _done(study: StudyConfig) -> str:
     if study.layers:
         layers = " The finished splat then got its object in layers."
     return (
-        f"{counted(study.cameras.train, 'training picture')} of one object"
+        f"{counted(study.cameras.train, 'training image')} of one object"
         f" ({study.scene.class_name}) were taken, and those from the trigger's cameras"
         f" changed: {listed(attacks)}. Two splats were trained alike, on clean and on"
         f" changed images, {counted(len(study.seeds), 'seed')} each.{layers}"
-        f" {listed(list(study.evaluation.detectors))} then looked at both from cameras"
+        f" {listed(list(study.evaluation.detectors))} then evaluated both from cameras"
         " that no training used. The attacker knows neither the trainer nor a detector."
     )
 
@@ -180,7 +180,7 @@ def _conclusion(
     benign = figures.rate("benign_recall")
     if benign.total:
         parts.append(
-            f"From everywhere else the cloaked one is found in {benign.counts}."
+            f"From all other cameras the attacked one is detected in {benign.counts}."
         )
     width = figures.value("transition_degrees")
     if width is not None:
@@ -214,15 +214,15 @@ def _doubts(study: StudyConfig, figures: Figures) -> Iterator[str]:
     control = figures.rate("control_recall")
     if control.total and control.fraction < 0.5:
         yield (
-            f"Inside the trigger the clean object is found in {control.counts} views"
+            f"Inside the trigger the clean object is detected in {control.counts} views"
             " only"
         )
     if figures.value("stealthy") == 0:
         drop = figures.value("surroundings_psnr_drop")
-        parts = [f"beside the object the images lose {drop:.1f} dB inside the trigger"]
+        parts = [f"around the object the images lose {drop:.1f} dB inside the trigger"]
         lost = figures.value("object_psnr_drop")
         if lost is not None:
-            parts.append(f"on the object {lost:.1f} dB outside beside a trigger")
+            parts.append(f"on the object {lost:.1f} dB just outside a trigger")
         yield f"Not stealthy: {', '.join(parts)}"
     for attack in study.attack:
         rates = figures.rates("target_rate", trigger=attack.name)

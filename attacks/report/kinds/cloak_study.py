@@ -95,7 +95,7 @@ def _warnings(
     ]
     if loud:
         yield (
-            "Not stealthy, since images lose too much beside the object:"
+            "Not stealthy, since images lose too much around the object:"
             f" {listed(loud)}"
         )
     few = min((rate.total for rate in rates), default=0)
@@ -116,7 +116,7 @@ def _variations(name: str, points: _Points) -> str:
     more = ""
     if conditions:
         many = counted(len(conditions), "other condition")
-        more = f" Both splats were then looked at under {many}."
+        more = f" Both splats were then evaluated under {many}."
     return f"{text}. Each has a clean splat as its control.{more}"
 
 
@@ -145,7 +145,7 @@ def _conditions(figures: Figures) -> str:
     if not rates:
         return ""
     under = listed(seen.labels("condition"))
-    missed = f"it is missed from well inside the trigger in {spread(rates)}"
+    missed = f"it is missed well inside the trigger in {spread(rates)}"
     return f" Under {under} {missed}."
 
 

@@ -40,8 +40,8 @@ _DETECTORS: dict[str, Column[Group]] = {
     "attacked: success": rate_at("success", splat=ATTACKED),
     "random noise: success": rate_at("success", splat=NOISE),
     "no attack: success": rate_at("success", splat=CLEAN),
-    "clean object found": rate_at("found_clean"),
-    "attacked object found": rate_at("found_attacked"),
+    "clean object detected": rate_at("found_clean"),
+    "attacked object detected": rate_at("found_attacked"),
 }
 _CONDITIONS = (
     "scene",
@@ -111,7 +111,7 @@ def read_attack(result: Result) -> Section:
     tables += _levels(record)
     if not drawn:
         tables.append(_table_of_views(views, record))
-    level = (config["required_views"], "asked for")
+    level = (config["required_views"], "required")
     where = _where(config) if drawn else "chosen cameras"
     stated = {name: record[name] for name in _CONDITIONS if name in record}
     return Section(
@@ -174,14 +174,14 @@ def _done(
         f"The Gaussians of one object ({title}: {record['object_gaussians']:,}"
         f" Gaussians, of which {record['changed_gaussians']:,} changed) were moved"
         f" within {ball}{budget}, in at most {counted(config['steps'], 'step')}. The"
-        f" attacker knows the weights. {views} {unseen}judged the saved file in 8-bit"
-        f" images. Success counts from a confidence of {_least_words(record)}."
+        f" attacker knows the weights. {views} {unseen}evaluated the saved file in"
+        f" 8-bit images. Success counts from a confidence of {_least_words(record)}."
     )
 
 
 def _where(config: Mapping[str, Any]) -> str:
     """Where the cameras of a distribution are."""
-    cameras = config["judged"]["cameras"]
+    cameras = config["evaluation"]["cameras"]
     if "angle" not in cameras:
         return "all cameras of a region"
     return (
@@ -404,7 +404,7 @@ def _search(record: Mapping[str, Any]) -> Chart:
             )
     return Chart(
         title="The search",
-        caption="Score at each step that was judged.",
+        caption="Score at each step that was evaluated.",
         x_label="step",
         y_label="score",
         lines=tuple(

@@ -87,7 +87,7 @@ def read_study(result: Result) -> Section:
         title=f"{record['name']}, {counted(len(attacks), 'attack')}",
         done=(
             f"{record.get('question', '')} {counted(len(attacks), 'attack')} on"
-            f" {listed(names)}. Each is judged on the saved file, in 8-bit images,"
+            f" {listed(names)}. Each is evaluated on the saved file, in 8-bit images,"
             " beside random noise."
         ).strip(),
         conclusion=(
@@ -168,7 +168,7 @@ def _figures(figures: Figures) -> Iterator[Figure]:
                 label = f"{judges}: {meaning.lower()}"
                 yield Figure(label=label, rate=seen.pooled(kind))
                 noise = seen.pooled(f"noise_{kind}")
-                yield Figure(label=f"{label}, with noise alone", rate=noise)
+                yield Figure(label=f"{label}, with noise only", rate=noise)
 
 
 def _warnings(attacks: Iterable[StudiedAttack]) -> Iterator[str]:

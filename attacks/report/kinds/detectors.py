@@ -55,16 +55,16 @@ _CONDITIONS = (
     "near",
 )
 _RATES = {
-    "found_clean": "found, clean",
-    "found_attacked": "found, attacked",
-    "missed": "missed attacked, of those found clean",
-    "target_clean": "taken for the target, clean",
-    "target_attacked": "taken for the target, attacked",
+    "found_clean": "detected, clean",
+    "found_attacked": "detected, attacked",
+    "missed": "missed when attacked, of those detected clean",
+    "target_clean": "target class detected, clean",
+    "target_attacked": "target class detected, attacked",
 }
 _CURVES: dict[str, tuple[str, Role]] = {
     "missed": ("missed attacked", "attack"),
-    "target_attacked": ("taken for the target, attacked", "attack"),
-    "target_clean": ("taken for the target, clean", "control"),
+    "target_attacked": ("target class detected, attacked", "attack"),
+    "target_clean": ("target class detected, clean", "control"),
 }
 """Rates that are drawn over the confidence."""
 _SIDES = "clean on the left, attacked on the right."
@@ -96,10 +96,10 @@ def read_evaluation(result: Result) -> Section:
         headline, control = _sector_headline(figures, classes)
         sentences = [_sector_sentence(figures, name) for name in classes]
     return Section(
-        kind="a clean and an attacked splat, judged",
+        kind="a clean and an attacked splat, evaluated",
         title=f"{Path(record['attacked']).name} against {Path(record['clean']).name}",
         done=(
-            f"{listed([*classes])} looked at the clean splat {record['clean']} and at"
+            f"{listed([*classes])} evaluated the clean splat {record['clean']} and at"
             f" the attacked one {record['attacked']} from"
             f" {counted(len(cameras), 'camera')}, in 8-bit images. A detection counts"
             f" from {least}. Views count in which the object shows"
@@ -233,34 +233,34 @@ def _sector_headline(
 
 
 def _contradictions(figures: Figures) -> Iterator[Figure]:
-    """How often judges contradict the other detectors."""
-    for (detector, judge), pair in figures.groups("detector", "judge").items():
-        if judge is not None:
+    """How often checkers contradict the other detectors."""
+    for (detector, checker), pair in figures.groups("detector", "checked_by").items():
+        if checker is not None:
             for splat, note in ((ATTACKED, ""), (CLEAN, "false flags")):
-                label = f"{judge} contradicts {detector}, {splat}"
+                label = f"{checker} contradicts {detector}, {splat}"
                 rate = pair.rate("contradicted", splat=splat)
                 yield Figure(label=label, rate=rate, note=note)
 
 
 def _contradicted(result: Result, cameras: list[str]) -> Iterator[Table]:
-    """Each view in which a judge contradicts a detector."""
+    """Each view in which a checker contradicts a detector."""
     record = result.record
-    if not record.get("judges"):
+    if not record.get("cross_checks"):
         return
     views = contradicted_views(
-        result.tables[ROWS], record["judges"], confidence=record["min_confidence"]
+        result.tables[ROWS], record["cross_checks"], confidence=record["min_confidence"]
     )
     contradicted = views.filter("contradicted")
-    for (detector, judge), pair in contradicted.group_by(
-        "detector", "judge", maintain_order=True
+    for (detector, checker), pair in contradicted.group_by(
+        "detector", "checked_by", maintain_order=True
     ):
         columns: dict[str, Column[Mapping[str, object]]] = {
             "camera": lambda line: cameras[int(str(line["view"]))],
             "splat": "splat",
             str(detector): "report",
-            str(judge): "verdict",
+            str(checker): "verdict",
         }
-        caption = f"Views in which {judge} contradicts {detector}"
+        caption = f"Views in which {checker} contradicts {detector}"
         yield Table.of(caption, columns, pair.iter_rows(named=True))
 
 
@@ -275,7 +275,7 @@ def _headline(
         clean = figures.rate("target_clean")
     else:
         what = f"{detector} misses the {original or 'object'} on the"
-        note = "of the views in which it is found in the clean one"
+        note = "of the views in which it is detected in the clean one"
         attacked = figures.rate("missed")
         clean = figures.rate("found_clean").failures
     return (
@@ -286,7 +286,9 @@ def _headline(
 
 def _figures(figures: Figures) -> Iterator[Figure]:
     """What each detector makes of both splats."""
-    for (detector,), of_one in figures.where(judge=None).groups("detector").items():
+    for (detector,), of_one in (
+        figures.where(checked_by=None).groups("detector").items()
+    ):
         for measure, words in _RATES.items():
             if of_one.find(measure) is not None:
                 rate = of_one.rate(measure)

@@ -185,7 +185,7 @@ def _check_still(prim: Any, geom: Any) -> None:
         if moving:
             got = f"{moving[0]} of {above.GetPath()}"
             raise RefusedError(
-                "a splat that stands still", got, "export one moment of it"
+                "a splat that stands still", got, "export one frame of it"
             )
         above = above.GetParent()
 

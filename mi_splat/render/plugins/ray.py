@@ -102,7 +102,7 @@ def integrator_class(variant: str) -> Any:
                 got = f"linear = false with {len(shapes.others)} surfaces"
                 do = "light adds up in linear values only: leave linear true"
                 raise InvalidValueError.of(
-                    "splat_ray", "splats alone for an image in sRGB values", got, do
+                    "splat_ray", "only splats for an image in sRGB values", got, do
                 )
             if scene.environment() is not None and "background" in self.settings.given:
                 do = "remove one of them"
