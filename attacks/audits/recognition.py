@@ -22,7 +22,7 @@ _LEAST = 0.25  # sides of the longer side of its box
 _BATCH = 8
 # factor for cosine distances of backbone features, chosen on the development splats on
 # which the thresholds for MobileNetV2 were chosen
-_OF_BACKBONE = 2.2
+_OF_BACKBONE = 1.5
 
 
 @runtime_checkable

@@ -643,8 +643,11 @@ def test_the_page_on_the_audit_says_what_held_out_directions_give() -> None:
     for table, name in sets:
         hidden, honest = contradicted(table)
         assert f"| {name} | {hidden} | {honest} |" in text
-    hidden, honest = contradicted("audit_held_out_shipped")
+    hidden, honest = contradicted("audit_third_shipped")
     assert f"with what ships alone, {hidden} are contradicted, and {honest}" in text
+    _, honest = contradicted("audit_meshes")
+    assert honest.partition("/")[0] == "0"
+    assert f"{honest.partition('/')[2]} meshes of two packages" in text
 
 
 def test_the_page_on_the_audit_says_how_strong_and_wide_a_change_has_to_be() -> None:
