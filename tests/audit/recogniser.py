@@ -8,7 +8,7 @@ from torch import Tensor
 from mi_splat.audit import HeldOutConfig, audit
 from tests.audit.scenes import Made, standing
 
-CONFIG = HeldOutConfig(cameras=30, size=64, weighed=48, shown=3)
+CONFIG = HeldOutConfig(cameras=30, size=64, weighed=48)
 PAINT = (0.85, 0.45, 0.1)
 
 

@@ -204,7 +204,7 @@ def test_a_splat_of_3dgs_opens_at_the_cameras_of_its_training(
 
 
 def test_what_cannot_be_shown_together(folder: Path) -> None:
-    with pytest.raises(InvalidValueError, match="clean: expected nothing beside a"):
+    with pytest.raises(InvalidValueError, match="clean: expected nothing with a"):
         open_content(folder / "set", clean=folder / "splat.ply")
     with pytest.raises(
         InvalidValueError, match="cameras: expected none with a data set"
