@@ -27,7 +27,7 @@ from mi_splat.audit.held_out import Consensus, cones_around
 from mi_splat.audit.objects import frame_of
 from scenes.recipes.audit_repair import Case, cases, images_of, rows_of
 
-WEIGHTS = (0.0, 0.3, 3.0)
+WEIGHTS = (0.0, 0.3)
 STEPS = 120
 RATE = 0.02
 DISTANCE = 0.15  # below which features count as alike
