@@ -3,10 +3,10 @@ beside what the file shows there.
 
 Each Gaussian gets the median of the colours that it shows towards the other directions,
 and in a second prediction what shows almost only inside the cone is peeled off. The
-file *contradicts* itself where the prediction looks more like the other views than the
-file does, and far from the file, or where a detector recognises the object in a
-prediction only. Where the two merely look unlike each other, the file *differs*, as
-honest captures do, too.
+file *contradicts* itself where features of file and prediction are far apart, less far
+where the prediction looks more like the other views than the file does, or where a
+detector recognises the object in a prediction only. Where the two merely look unlike
+each other, the file *differs*, as honest captures do, too.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from mi_splat.selection.visibility import contributions
 
 _CHUNK = 8192
 _LESS = 0.99
-_RISE = 2.0
+_RISE = 2.0  # weight of the rise beside the distance
 _AROUND = 2.2  # radii from the middle within which a lid may lie
 _BRIM = 0.1  # share of an object's points that may lie beyond each edge
 
@@ -90,7 +90,7 @@ class HeldOutConfig:
     departs: float = 0.33
     # and from which it does if twice as much is added as the prediction is more like
     # the other views than the file is,
-    departs_alone: float = 0.28
+    departs_with_rise: float = 0.28
     differs: float = 0.16  # and from which it differs
 
     def evidence(
@@ -101,11 +101,11 @@ class HeldOutConfig:
         A gain alone is not enough unless half of the views agree on the class.
         """
         departure = distance / self.departs
-        alone = (distance + _RISE * rise) / self.departs_alone
+        with_rise = (distance + _RISE * rise) / self.departs_with_rise
         recognised = gain / self.gain
         if not is_agreed:
             recognised = min(recognised, _LESS)
-        return max(departure, alone, recognised)
+        return max(departure, with_rise, recognised)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -80,7 +80,7 @@ def read_audit(result: Result) -> Section:
         return _of_numbers(shared, folder, record)
     carried = f"{record['carrying']:,} of {record['gaussians']:,}"
     limits = record["thresholds"]
-    least = f"{limits['departs_alone']:g} or {limits['departs']:g}"
+    least = f"{limits['departs_with_rise']:g} or {limits['departs']:g}"
     cones = [
         {"number": number, **cone}
         for number, item in enumerate(objects, 1)
