@@ -52,7 +52,8 @@ class ConeView:
     distance: float  # mean cosine distance of their features
     # by how much the prediction is more like the nearest other view than the file is
     rise: float
-    file_score: float  # mean confidence in the class of the object
+    # mean confidence in the class of the object; 0 where it was not asked for
+    file_score: float
     gain: float  # by how much more confident it is of the prediction, if it was asked
     known_as: str | None  # that class; None where the detector does not know the object
     evidence: float  # by which 1 is contradicted
