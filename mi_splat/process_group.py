@@ -30,6 +30,7 @@ from mi_splat.processes import python_command
 
 _Message = TypeVar("_Message")
 
+_MEMBER = "mi_splat.group_member"  # what its first process runs
 _LOOK = 0.1  # seconds between two looks at the memory of a group
 # seconds in which a process that has closed its pipe may end by itself
 _LAST_BREATH = 2.0
@@ -76,7 +77,7 @@ class ProcessGroup:
         self.pipe, end = Pipe()
         with end:
             self._process = subprocess.Popen(
-                python_command(module, *words, str(end.fileno())),
+                python_command(_MEMBER, module, *words, str(end.fileno())),
                 env={
                     **os.environ,
                     **(environment or {}),

@@ -142,9 +142,7 @@ def test_limits_hold_for_a_group_together(group: ProcessGroup) -> None:
 
 
 def test_a_group_ends_whole(group: ProcessGroup) -> None:
-    (leader,) = (
-        int(path.name) for path in _children_of(os.getpid()) if path.name.isdecimal()
-    )
+    leader = _leader("has_a_child")
     assert len(members(leader)) == 2
     assert not group.is_alone()
     assert [*group.folder.iterdir()]
@@ -154,33 +152,43 @@ def test_a_group_ends_whole(group: ProcessGroup) -> None:
 
 
 def test_a_group_ends_with_whoever_watches_it(group: ProcessGroup) -> None:
-    (leader,) = (
-        int(path.name) for path in _children_of(os.getpid()) if path.name.isdecimal()
-    )
+    leader = _leader("has_a_child")
     group.pipe.close()
     until_gone(leader)
     assert not group.folder.exists()
 
 
-def _children_of(process: int) -> list[Path]:
-    """Folders in /proc of the groups that a process has started."""
+def test_a_group_ends_with_whoever_watches_it_while_it_imports(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "imports_for_long.py").write_text("import time; time.sleep(60)")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    group = ProcessGroup("imports_for_long")
+    leader = _leader("imports_for_long")
+    group.pipe.close()
+    until_gone(leader)
+    assert not group.folder.exists()
+    group.close()
+
+
+def _leader(module: str) -> int:
+    """Number of the first process of a group that this process has started for a
+    module.
+    """
     if not Path("/proc/self/stat").exists():
         pytest.skip("no /proc")
     found = []
     for path in Path("/proc").iterdir():
-        if path.name.isdecimal():
-            try:
-                text = (path / "stat").read_text()
-            except OSError:
-                continue
+        if not path.name.isdecimal():
+            continue
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            text = (path / "stat").read_text()
             _, parent, its_group = text[text.rindex(")") + 2 :].split()[:3]
-            if (
-                int(parent) == process
-                and its_group == path.name
-                and "has_a_child" in _command(path)
-            ):
-                found.append(path)
-    return found
+            is_own = int(parent) == os.getpid() and its_group == path.name
+            if is_own and module in _command(path):
+                found.append(int(path.name))
+    (leader,) = found
+    return leader
 
 
 def _command(path: Path) -> str:

@@ -30,6 +30,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "mi_splat.scene",
         "mi_splat.processes",
         "mi_splat.process_group",
+        "mi_splat.group_member",
         "mi_splat.maths",
     ),
     "cameras": (
