@@ -85,6 +85,15 @@ class Split:
         return self.smaller.float() - larger.float()
 
     @property
+    def hesitating(self) -> Tensor:
+        """(V,) bool, images that prefer the larger group by less than half of what is
+        usual there.
+        """
+        larger = self.decided & ~self.smaller
+        usual = self.scores[larger].median()
+        return ~self.smaller & (self.scores > TYPICAL * usual)
+
+    @property
     def strength(self) -> float:
         """What splits are compared by; 0 where images side by side differ no more
         across the groups than within them, as those of gloss do.

@@ -45,6 +45,7 @@ FEW_CALLED = 0.015  # strength from which it does
 AGREED = 0.75
 """Share of a group that similar splits have to agree on, below which none is named."""
 FURTHER_CALLED = 0.015  # strength from which a group is, found without the first one
+SAME = 0.5  # share of such a group that has to be found again
 SEVERAL = 10  # images, from which a group is compared with all images of the other
 MORE = 2  # images by which the larger group has to be larger
 EQUAL = 0.95  # share of the larger group from which the smaller is as large
@@ -152,15 +153,39 @@ def called_groups(observed: Observations) -> Split | None:
     rest = ~found.smaller
     while int(rest.sum()) >= LEAST_IMAGES:
         further = split_images(observed.of(rest))
-        if further is None or int(further.smaller.sum()) < FEW:
+        if further is None or not _is_further(further):
             break
-        if further.strength < FURTHER_CALLED or further.agreement < AGREED:
-            break
-        if not _is_smaller(further.smaller, further):
+        if not _is_found_again(observed, rest, further):
             break
         found = _joined(found, rest, further)
         rest = ~found.smaller
     return found
+
+
+def _is_further(split: Split) -> bool:
+    """Whether the smaller group of a split of what is left joins group B."""
+    return (
+        int(split.smaller.sum()) >= FEW
+        and split.strength >= FURTHER_CALLED
+        and split.agreement >= AGREED
+        and _is_smaller(split.smaller, split)
+    )
+
+
+def _is_found_again(observed: Observations, rest: Tensor, further: Split) -> bool:
+    """Whether most of a further group is found without the images that hesitate.
+
+    Where a few poisoned images remain among honest ones, those beside them would be
+    named in their place.
+    """
+    hesitating = further.hesitating
+    kept = rest.clone()
+    kept[rest] = ~hesitating
+    again = split_images(observed.of(kept))
+    if again is None or not _is_further(again):
+        return False
+    both = again.smaller & further.smaller[~hesitating]
+    return int(both.sum()) > SAME * int(further.smaller.sum())
 
 
 def is_called(split: Split) -> bool:

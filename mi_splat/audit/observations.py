@@ -22,6 +22,7 @@ _NEIGHBOURS = 12  # points that make a normal
 _LEAST_IMAGES = 4  # that see a point that is compared
 _DARK = 0.02  # sRGB below which a ratio of colours means nothing
 _GAIN_ROUNDS = 3
+_RINGS = 12  # parts of the images, from the middle outwards
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,6 +70,7 @@ def observe(views: Sequence[View], cloud: Tensor, *, most: int) -> Observations:
     cameras = cameras_of(views)
     colours = []
     seen = []
+    away = []
     for index, camera in enumerate(cameras):
         visible, pixels = _visible(cloud, gaps, rows, camera)
         towards = functional.normalize(camera.position.float() - cloud[rows], dim=1)
@@ -76,6 +78,7 @@ def observe(views: Sequence[View], cloud: Tensor, *, most: int) -> Observations:
         sides = [visible & (facing > _GRAZING), visible & (facing < -_GRAZING)]
         colours.append(_looked_up(views[index].image, pixels).repeat(2, 1))
         seen.append(torch.cat(sides))
+        away.append(_squared_away(camera, pixels).repeat(2))
     all_seen = torch.stack(seen)
     kept = all_seen.sum(0) >= _LEAST_IMAGES
     all_seen = all_seen[:, kept]
@@ -84,7 +87,9 @@ def observe(views: Sequence[View], cloud: Tensor, *, most: int) -> Observations:
     distances = offsets.norm(dim=1).clamp(min=1e-9)
     scale = (distances[:, None] * distances[None]).sqrt()
     return Observations(
-        colours=_without_gain(torch.stack(colours)[:, kept], all_seen),
+        colours=_without_gain(
+            torch.stack(colours)[:, kept], all_seen, torch.stack(away)[:, kept]
+        ),
         seen=all_seen,
         directions=(offsets / distances[:, None]).float(),
         separation=(torch.cdist(offsets, offsets) / scale).float(),
@@ -149,13 +154,43 @@ def median_of(colours: Tensor, seen: Tensor) -> Tensor:
     return torch.nanmedian(known, 0).values
 
 
-def _without_gain(colours: Tensor, seen: Tensor) -> Tensor:
-    """The colours, divided by one factor for each image: its exposure."""
+def _without_gain(colours: Tensor, seen: Tensor, away: Tensor) -> Tensor:
+    """The colours at one exposure, without what the lens takes towards the corners.
+
+    Each image has one factor, its exposure; one falloff is common to all of them.
+    (V, P) `away` is where the pixels lie, as of `_squared_away`.
+    """
     if not seen.shape[1]:
         return colours
     for _ in range(_GAIN_ROUNDS):
         usual = median_of(colours, seen).clamp(min=_DARK)
         ratio = (colours.clamp(min=_DARK) / usual).log().mean(-1)
         gain = torch.nanmedian(torch.where(seen, ratio, torch.nan), 1).values
-        colours = colours * (-gain.nan_to_num()).exp()[:, None, None]
+        rest = ratio - gain.nan_to_num()[:, None]
+        change = gain.nan_to_num()[:, None] + _falloff(rest[seen], away[seen], away)
+        colours = colours * (-change).exp()[..., None]
     return colours
+
+
+def _squared_away(camera: Camera, pixels: Tensor) -> Tensor:
+    """(P,) squared distances of pixels from the middle of an image, 1 in its
+    corners.
+    """
+    size = pixels.new_tensor([camera.width, camera.height])
+    return (pixels / size * 2 - 1).square().mean(1).clamp(max=1)
+
+
+def _falloff(ratios: Tensor, away: Tensor, wanted: Tensor) -> Tensor:
+    """The polynomial of the squared distance that passes through the medians of (N,)
+    logarithms of ratios at (N,) distances, at those that are wanted; 0 in the middle.
+    """
+    order = away.argsort()
+    groups = torch.tensor_split(order, _RINGS)
+    if len(order) < _RINGS * _LEAST_IMAGES:
+        return torch.zeros_like(wanted)
+    found = torch.stack([ratios[group].median() for group in groups])
+    places = torch.stack([away[group].median() for group in groups])
+    powers = torch.stack([torch.ones_like(places), places, places.square()], 1)
+    solution = torch.linalg.lstsq(powers.double(), found.double()[:, None]).solution
+    first, second = solution[1:, 0].tolist()
+    return first * wanted + second * wanted.square()

@@ -101,6 +101,35 @@ def test_a_poison_of_two_parts_is_found_in_two_rounds(
     assert bool((joined.scores[upper] > 0).all())
 
 
+def test_images_beside_poisoned_ones_that_remain_are_not_named_in_their_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    directions, upper = rings()
+    part = upper & (directions[:, 0] > 0)
+    watched = observed(directions, BRIGHTER * upper.float())
+    remaining = upper[~part]
+    beside = ~remaining & (torch.arange(len(remaining)) % 3 == 0)
+    asked = []
+
+    def found(given: Observations) -> Split | None:
+        split = split_images(given)
+        asked.append(len(given.seen))
+        if split is None or len(given.seen) < len(remaining):
+            return split
+        decided = torch.ones(len(given.seen), dtype=torch.bool)
+        if given is watched:
+            return replace(split, smaller=part, decided=decided)
+        # those that remain hesitate between the images beside them and all others
+        scores = beside.float() - (~beside & ~remaining).float()
+        return replace(split, smaller=beside, decided=decided, scores=scores)
+
+    monkeypatch.setattr(images, "split_images", found)
+    judged = called_groups(watched)
+    assert judged is not None
+    assert torch.equal(judged.smaller, part)
+    assert asked == [len(upper), len(remaining), int((~remaining).sum())]
+
+
 def test_a_weak_further_group_joins_nothing() -> None:
     directions, upper = rings()
     watched = observed(directions, BRIGHTER * upper.float())

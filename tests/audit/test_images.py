@@ -15,9 +15,10 @@ from attacks.cloak.config import AttackConfig, CameraConfig, SceneConfig
 from attacks.cloak.poisoning import poison
 from attacks.cloak.setup import Setup
 from attacks.report.results import read_section
-from mi_splat.audit import audit_images
+from mi_splat.audit import audit_images, observations
 from mi_splat.audit.image_splits import UNDECIDED
 from mi_splat.audit.images import ImageAudit, surface_points
+from mi_splat.audit.observations import median_of, observe
 from mi_splat.cameras.camera import View
 from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.capture.surface_points import surface_samples
@@ -127,6 +128,30 @@ def test_the_exposure_of_each_image_is_no_contradiction(
         for view, gain in zip(captured.honest, gains, strict=True)
     ]
     assert audit_images(captured.written(tmp_path, views)).verdict == "nothing found"
+
+
+def test_the_falloff_of_a_lens_is_no_contradiction(
+    captured: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    height, width = captured.honest[0].image.shape[:2]
+    down = torch.linspace(-1, 1, height)[:, None]
+    across = torch.linspace(-1, 1, width)
+    light = 1 - 0.4 * (down.square() + across.square()) / 2
+    darkened = [
+        replace(view, image=view.image * light[..., None]) for view in captured.honest
+    ]
+
+    def departure(views: list[View]) -> float:
+        found = observe(views, captured.points.points, most=1000)
+        usual = median_of(found.colours, found.seen)
+        return float((found.colours - usual)[found.seen].abs().mean())
+
+    honest = departure(captured.honest)
+    corrected = departure(darkened)
+    monkeypatch.setattr(
+        observations, "_falloff", lambda *given: torch.zeros_like(given[2])
+    )
+    assert corrected - honest < (departure(darkened) - honest) / 3
 
 
 def test_groups_of_one_size_are_said_to_be_nearly_equal(
