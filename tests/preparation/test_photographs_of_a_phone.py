@@ -66,7 +66,7 @@ def test_the_page_takes_phone_photographs_to_an_audit(
         (tmp_path / "out" / "photos-attack" / "result.json").read_text()
     )
     assert attack["target"] == "person"
-    assert "nothing found" in said["audit"]
+    assert "consistent" in said["audit"]
 
 
 STAND_INS = {
