@@ -40,10 +40,11 @@ SURFACE_GAUSSIANS = 8000
 SURFACE_SIDE = 96  # pixels
 SOLID = 0.3  # opacity of a Gaussian on a surface
 CALLED = 0.005  # strength from which two groups contradict each other
-FEW = 4  # images, below which a group has to contradict the other more clearly
+FEW = 8  # images, below which a group has to contradict the other more clearly
 FEW_CALLED = 0.015  # strength from which it does
 AGREED = 0.75
 """Share of a group that similar splits have to agree on, below which none is named."""
+LEAST_FURTHER = 4  # images of a group that is found without the first one
 FURTHER_CALLED = 0.015  # strength from which a group is, found without the first one
 SAME = 0.5  # share of such a group that has to be found again
 SEVERAL = 10  # images, from which a group is compared with all images of the other
@@ -165,7 +166,7 @@ def called_groups(observed: Observations) -> Split | None:
 def _is_further(split: Split) -> bool:
     """Whether the smaller group of a split of what is left joins group B."""
     return (
-        int(split.smaller.sum()) >= FEW
+        int(split.smaller.sum()) >= LEAST_FURTHER
         and split.strength >= FURTHER_CALLED
         and split.agreement >= AGREED
         and _is_smaller(split.smaller, split)
@@ -189,9 +190,9 @@ def _is_found_again(observed: Observations, rest: Tensor, further: Split) -> boo
 
 
 def is_called(split: Split) -> bool:
-    """Whether the two groups contradict each other clearly. One or two images may
-    contradict all others because their cameras are wrong, so that a group of a few has
-    to do so more.
+    """Whether the two groups contradict each other clearly. A few images may contradict
+    all others because their cameras are wrong, or because a screen mirrors what is in
+    front of it, so that a group of a few has to do so more.
     """
     is_few = int(split.smaller.sum()) < FEW
     return split.strength >= (FEW_CALLED if is_few else CALLED)
