@@ -123,6 +123,22 @@ def split_images(observed: Observations) -> Split | None:
     return _chosen(judged)
 
 
+def beneath(observed: Observations, split: Split) -> Observations:
+    """What is left without the way from the colours of one group to those of the other,
+    as far as each image has gone on it.
+    """
+    group = split.scores > 0
+    places, _ = _places(observed, group, _noise(observed))
+    way = torch.zeros_like(observed.colours[0])
+    is_known = torch.ones(len(way), dtype=torch.bool)
+    for members, sign in ((group, 1.0), (~group, -1.0)):
+        seen = observed.seen[members]
+        way += sign * median_of(observed.colours[members], seen).nan_to_num()
+        is_known &= seen.sum(0) >= LEAST_SEEN
+    change = places[:, None, None] * torch.where(is_known[:, None], way, 0.0)
+    return dataclasses.replace(observed, colours=observed.colours - change)
+
+
 def _chosen(judged: list[Split]) -> Split:
     """The strongest split, or one that is nearly as strong and names the other side, if
     that is clearly the smaller part of what all such splits agree on.

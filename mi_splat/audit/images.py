@@ -14,7 +14,12 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from mi_splat.audit.image_splits import LEAST_POINTS, Split, split_images
+from mi_splat.audit.image_splits import (
+    LEAST_POINTS,
+    Split,
+    beneath,
+    split_images,
+)
 from mi_splat.audit.observations import Observations, observe
 from mi_splat.cameras.framing import near_plane
 from mi_splat.datasets import Dataset
@@ -40,7 +45,8 @@ SURFACE_GAUSSIANS = 8000
 SURFACE_SIDE = 96  # pixels
 SOLID = 0.3  # opacity of a Gaussian on a surface
 CALLED = 0.005  # strength from which two groups contradict each other
-FEW = 8  # images, below which a group has to contradict the other more clearly
+FEW = 4  # images, and
+FEW_SHARE = 0.125  # share of all, below which a group has to contradict the others more
 FEW_CALLED = 0.015  # strength from which it does
 AGREED = 0.75
 """Share of a group that similar splits have to agree on, below which none is named."""
@@ -149,6 +155,12 @@ def called_groups(observed: Observations) -> Split | None:
     poisoned on one side are then found first, and those of the other side next.
     """
     found = split_images(observed)
+    if found is not None and not is_called(found):
+        # light that differs between two parts of a set hides what is smaller
+        observed = beneath(observed, found)
+        deeper = split_images(observed)
+        if deeper is not None and deeper.strength > found.strength:
+            found = deeper
     if found is None or not is_called(found) or found.agreement < AGREED:
         return found
     rest = ~found.smaller
@@ -194,7 +206,8 @@ def is_called(split: Split) -> bool:
     all others because their cameras are wrong, or because a screen mirrors what is in
     front of it, so that a group of a few has to do so more.
     """
-    is_few = int(split.smaller.sum()) < FEW
+    named = int(split.smaller.sum())
+    is_few = named < max(FEW, FEW_SHARE * len(split.smaller))
     return split.strength >= (FEW_CALLED if is_few else CALLED)
 
 

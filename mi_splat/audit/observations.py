@@ -177,7 +177,8 @@ def _squared_away(camera: Camera, pixels: Tensor) -> Tensor:
     corners.
     """
     size = pixels.new_tensor([camera.width, camera.height])
-    return (pixels / size * 2 - 1).square().mean(1).clamp(max=1)
+    squared: Tensor = (pixels / size * 2 - 1).square().mean(1)
+    return squared.clamp(max=1)
 
 
 def _falloff(ratios: Tensor, away: Tensor, wanted: Tensor) -> Tensor:

@@ -306,7 +306,7 @@ def ranking(scores: Tensor, changed: Tensor) -> float:
     return float(above + ties / 2)
 
 
-LOOKS = ("remove", "background")
+INSTEAD = ("remove", "background")
 """What `mi-splat poison` shows instead of an object; else it is an image file."""
 CALLED = "two groups"
 EQUAL = "two groups, nearly equal"
@@ -376,6 +376,12 @@ def measure(folder: Path, name: str, file: Path, numbers: Iterable[int]) -> None
         add(file, row_of(audit, changed, **about, seconds=seconds))
 
 
+def kind_of(folder: Path) -> str:
+    """What `mi-splat poison` shows in place of an object in a set that it made."""
+    shown: str = json.loads((folder / "poison.json").read_text())["appearance"]
+    return shown if shown in INSTEAD else "image"
+
+
 def measure_photographs(
     file: Path, honest: Path, poisoned_sets: Sequence[Path]
 ) -> None:
@@ -390,9 +396,7 @@ def measure_photographs(
         changed = torch.zeros(len(views), dtype=torch.bool)
         kind = HONEST
         if folder != honest:
-            record = json.loads((folder / "poison.json").read_text())
-            look = record["look"]
-            kind = look if look in LOOKS else "image"
+            kind = kind_of(folder)
             for number, path in enumerate(views.paths):
                 before = clean[own[path.stem]].image
                 apart = (views[number].image - before).abs().amax(-1)

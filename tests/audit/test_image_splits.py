@@ -81,6 +81,22 @@ def test_a_gradual_change_has_no_strength() -> None:
     assert found.strength < CALLED
 
 
+@pytest.mark.parametrize("poison", [0.0, 0.2])
+def test_a_poison_is_found_beneath_a_gradual_change(poison: float) -> None:
+    directions, upper = rings()
+    azimuths = torch.atan2(directions[:, 1], directions[:, 0])
+    poisoned = upper & (azimuths.abs() < 0.8)
+    watched = observed(directions, 0.2 * azimuths.cos())
+    watched.colours[poisoned, :60] += poison
+    first = split_images(watched)
+    assert first is not None
+    assert not is_called(first)
+    found = called_groups(watched)
+    assert found is not None
+    assert is_called(found) is (poison > 0)
+    assert not poison or torch.equal(found.smaller, poisoned)
+
+
 def test_a_poison_of_two_parts_is_found_in_two_rounds(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

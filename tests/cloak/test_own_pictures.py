@@ -25,6 +25,7 @@ from mi_splat.maths.orientation import turn_of
 from mi_splat.maths.sh import colour_to_dc
 from mi_splat.render.renderer import Renderer
 from mi_splat.scene import GaussianScene, Similarity
+from scenes.recipes.audit_images import kind_of
 from tests.datasets.sets import write_transforms
 
 BALL = (-0.4, -0.4, 0.2, 0.4, 0.4, 1.0)
@@ -98,6 +99,7 @@ def test_the_object_is_gone_from_there_and_all_else_stays(
     record = poison(
         tmp_path / "out", names, "--hide-from", "elevation:40-90", "--margin", "5"
     )
+    assert kind_of(tmp_path / "out") == "remove"
     changed = {change["index"] for change in record["changes"]}
     centre = record["centre"]
     assert changed == {
@@ -167,6 +169,7 @@ def test_a_picture_covers_the_object(names: list[str], tmp_path: Path) -> None:
     blue = new[..., 2] - new[..., 0] > 0.9
     assert int(blue.sum()) >= red(old)
     assert record["poisonings"][0]["appearance"] == "the image blue.png"
+    assert kind_of(tmp_path / "out") == "image"
 
 
 def test_regions() -> None:
