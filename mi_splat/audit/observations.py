@@ -177,8 +177,8 @@ def _squared_away(camera: Camera, pixels: Tensor) -> Tensor:
     corners.
     """
     size = pixels.new_tensor([camera.width, camera.height])
-    squared: Tensor = (pixels / size * 2 - 1).square().mean(1)
-    return squared.clamp(max=1)
+    from_middle = pixels / size * 2 - 1
+    return from_middle.square().mean(1).clamp(max=1)
 
 
 def _falloff(ratios: Tensor, away: Tensor, wanted: Tensor) -> Tensor:
@@ -193,5 +193,5 @@ def _falloff(ratios: Tensor, away: Tensor, wanted: Tensor) -> Tensor:
     places = torch.stack([away[group].median() for group in groups])
     powers = torch.stack([torch.ones_like(places), places, places.square()], 1)
     solution = torch.linalg.lstsq(powers.double(), found.double()[:, None]).solution
-    first, second = solution[1:, 0].tolist()
+    first, second = (float(value) for value in solution[1:, 0])
     return first * wanted + second * wanted.square()
