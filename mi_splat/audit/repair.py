@@ -2,10 +2,13 @@
 
 Towards believed directions a Gaussian keeps its colours, and towards the others it gets
 their median, by least squares over its spherical harmonics; what shows almost only from
-the others and hides the object is removed. No file can tell which appearance is the
-true one.
+the others and hides the object is removed. What is left behind it may be see-through,
+because a training never needed more; then a second candidate is made solid, and the
+audit's detector decides between the two. No file can tell which appearance is the true
+one.
 """
 
+import math
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
@@ -13,7 +16,8 @@ import torch
 from torch import Tensor
 
 from mi_splat.audit.held_out import Prediction
-from mi_splat.audit.results import Audit, ObjectAudit
+from mi_splat.audit.results import Audit, ConeView, ObjectAudit
+from mi_splat.maths.sh import colour_to_dc
 from mi_splat.scene import GaussianScene
 
 Keep = Literal["outside", "inside"]
@@ -26,6 +30,11 @@ _LEAST = 1e-2  # pixels times sRGB by which a Gaussian departs that is coloured 
 _UNSEEN = 0.1  # weight of a direction in which a Gaussian hardly shows
 _STRICT = 3.0  # weight of predicted colours by that of the kept ones
 _RIDGE = 1e-2  # weight of coefficients above degree 0 against all colours
+_THICKER = 10.0  # times the optical depth of what is made solid
+_STEPS = 150  # in which it gets its colours,
+_RATE = 0.02  # and their learning rate
+# degrees beside a cone that are not believed then, as SH of degree 3 set in gradually
+_SETS_IN = 20.0
 
 
 class Repair(NamedTuple):
@@ -62,14 +71,21 @@ def repaired(
     for _ in range(_ROUNDS):
         if judged.answer != "contradicted":
             break
-        sh, stays = _repaired_once(current, judged, keep)
-        changed = (sh != current.sh).flatten(1).any(1)
-        if not bool(changed.any()) and bool(stays.all()):
+        made = _candidate(current, judged, keep)
+        changed = (made.scene.sh != current.sh).flatten(1).any(1)
+        if not bool(changed.any()) and bool(made.stays.all()):
             break
-        coloured[present[changed & stays]] = True
-        present = present[stays]
-        current = current.replace(sh=sh).select(stays.nonzero()[:, 0])
-        judged = again(current)
+        after = again(made.left)
+        if not bool(made.stays.all()):
+            solid = _candidate(current, judged, keep, is_solid=True)
+            known = again(solid.left)
+            if _surer(judged, known) > _surer(judged, after):
+                made, after = solid, known
+                changed = (made.scene.sh != current.sh).flatten(1).any(1)
+        coloured[present[changed & made.stays]] = True
+        present = present[made.stays]
+        current = made.left
+        judged = after
     left_out = len(scene) - len(present)
     is_same = len(present) == len(scene) and not bool(coloured.any())
     return Repair(
@@ -77,13 +93,35 @@ def repaired(
     )
 
 
-def _repaired_once(
-    scene: GaussianScene, judged: Audit, keep: Keep
-) -> tuple[Tensor, Tensor]:
-    """(N, C, 3) coefficients, and (N,) bool which Gaussians stay, after the clearest
-    cone of each object was repaired.
+class _Candidate(NamedTuple):
+    """A splat after a round, and (N,) bool which of its Gaussians stay."""
+
+    scene: GaussianScene
+    stays: Tensor
+
+    @property
+    def left(self) -> GaussianScene:
+        """Those that stay."""
+        return self.scene.select(self.stays.nonzero()[:, 0])
+
+
+def _surer(before: Audit, after: Audit) -> tuple[bool, float]:
+    """How well a candidate shows what was known before: not contradicted, and by the
+    mean confidence in its class over all cones.
     """
+    names = {item.known_as for item in before.objects if item.known_as is not None}
+    scores = [
+        view.file_score if view.known_as in names else 0.0 for view in after.views
+    ]
+    return after.answer != "contradicted", sum(scores) / max(len(scores), 1)
+
+
+def _candidate(
+    scene: GaussianScene, judged: Audit, keep: Keep, *, is_solid: bool = False
+) -> _Candidate:
+    """The splat after the clearest cone of each object was repaired."""
     sh = scene.sh.clone()
+    opacities = scene.opacities.clone()
     stays = torch.ones(len(scene), dtype=torch.bool)
     for item in judged.objects:
         worst = item.clearest
@@ -100,7 +138,56 @@ def _repaired_once(
             departs |= item.consensus.own
             stays[item.consensus.rows[predicted.lid]] = False
         _colour_anew(sh, item, predicted, replaced, departs)
-    return sh, stays
+        if worst.peeled and is_solid and keep == "outside":
+            _make_solid(sh, opacities, item, worst, predicted)
+    return _Candidate(scene.replace(sh=sh, opacities=opacities), stays)
+
+
+def _make_solid(
+    sh: Tensor,
+    opacities: Tensor,
+    item: ObjectAudit,
+    cone: ConeView,
+    predicted: Prediction,
+) -> None:
+    """Make what a lid leaves of an object opaque, in colours that are the same from
+    everywhere and keep what the believed directions see.
+    """
+    consensus = item.consensus
+    left = consensus.scene.select((~predicted.lid).nonzero()[:, 0])
+    own = consensus.own[~predicted.lid]
+    through = (1 - left.opacities[own]).clamp(min=1e-6)
+    solid = left.opacities.clone()
+    solid[own] = 1 - through**_THICKER
+    dc = colour_to_dc(predicted.colours[~predicted.lid][own]).requires_grad_()
+    optimiser = torch.optim.Adam([dc], lr=_RATE)
+    numbers = _believed(item, cone).nonzero()[:, 0].tolist()
+    wanted = consensus.images(consensus.scene, numbers)
+    for step in range(_STEPS):
+        at = step % len(numbers)
+        constant = torch.zeros_like(left.sh)
+        constant[own, 0] = dc
+        sh_left = torch.where(own[:, None, None], constant, left.sh)
+        scene = GaussianScene.unchecked(*left.tensors()[:3], solid, sh_left)
+        shown = consensus.rendered(scene, numbers[at : at + 1])[0]
+        optimiser.zero_grad()
+        (shown - wanted[at]).abs().mean().backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+    rows = consensus.rows[~predicted.lid][own]
+    opacities[rows] = solid[own]
+    sh[rows] = 0
+    sh[rows, 0] = dc.detach()
+
+
+def _believed(item: ObjectAudit, cone: ConeView) -> Tensor:
+    """(K,) bool, the directions outside of a cone in which nothing of it sets in; all
+    of those outside where these are too few.
+    """
+    axis = item.directions.new_tensor(cone.region.axis)
+    edge = math.radians(min(cone.region.half_width + _SETS_IN, 180.0))
+    far = ~cone.inside & (item.directions @ axis < math.cos(edge))
+    is_enough = int(far.sum()) >= item.consensus.config.least_outside
+    return far if is_enough else ~cone.inside
 
 
 def _colour_anew(

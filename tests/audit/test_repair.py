@@ -94,23 +94,68 @@ def test_an_honest_splat_is_returned_as_it_is(honest: Made) -> None:
     assert repaired(honest.scene, nothing, judged).scene is honest.scene
 
 
-def test_a_lid_that_hides_an_object_is_left_out() -> None:
-    honest = painted("suitcase", count=1200)
-    covered = leaves(honest, lowest=50.0, near=1.2)
-    # some of it shows between the leaves
-    again = partial(audit, recogniser=Painted(), config=replace(CONFIG, gain=0.5))
-    found = again(covered.scene)
-    assert found.answer == "contradicted"
-    assert found.contradicted[0].peeled
-    done = repaired(covered.scene, found, again)
+# some of it shows between the leaves
+with_lid = partial(audit, recogniser=Painted(), config=replace(CONFIG, gain=0.5))
+
+
+@pytest.fixture(scope="module")
+def suitcase() -> Made:
+    return painted("suitcase", count=1200)
+
+
+@pytest.fixture(scope="module")
+def covered(suitcase: Made) -> GaussianScene:
+    return leaves(suitcase, lowest=50.0, near=1.2).scene
+
+
+@pytest.fixture(scope="module")
+def under_lid(covered: GaussianScene) -> Audit:
+    return with_lid(covered)
+
+
+def test_a_lid_that_hides_an_object_is_left_out(
+    suitcase: Made, covered: GaussianScene, under_lid: Audit
+) -> None:
+    assert under_lid.answer == "contradicted"
+    assert under_lid.contradicted[0].peeled
+    done = repaired(covered, under_lid, with_lid)
     assert done.left_out > 100
     wanted, before, after = (
-        image(scene, found, 85.0, 0.0)
-        for scene in (honest.scene, covered.scene, done.scene)
+        image(scene, under_lid, 85.0, 0.0)
+        for scene in (suitcase.scene, covered, done.scene)
     )
     # what also shows from the side stays, so the object comes back in part
     assert psnr(after, wanted) > psnr(before, wanted)
     assert done.audit.answer != "contradicted"
+
+
+@pytest.mark.parametrize("is_surer", [True, False])
+def test_what_a_lid_leaves_is_made_solid_where_that_is_recognised_better(
+    covered: GaussianScene, under_lid: Audit, is_surer: bool
+) -> None:
+    """The second candidate that is audited is the solid one."""
+    tried = list[GaussianScene]()
+
+    def again(scene: GaussianScene) -> Audit:
+        tried.append(scene)
+        is_better = is_surer == (len(tried) == 2)
+        view = replace(
+            cone("differs"), known_as="orange", file_score=0.9 if is_better else 0.2
+        )
+        return account(view, count=len(scene))
+
+    assert "orange" in {item.known_as for item in under_lid.objects}
+    done = repaired(covered, under_lid, again)
+    plain, solid = tried
+    chosen = solid if is_surer else plain
+    assert torch.equal(done.scene.opacities, chosen.opacities)
+    assert torch.equal(done.scene.sh, chosen.sh)
+    denser = solid.opacities - plain.opacities
+    assert float(denser.min()) >= 0
+    assert int((denser > 0.01).sum()) > 100
+    # from where nothing is hidden, it looks as before
+    before, after = (image(scene, under_lid, 10.0, 0.0) for scene in (covered, solid))
+    assert psnr(after, before) > 25
 
 
 def test_the_command_repairs_what_it_finds(

@@ -696,6 +696,30 @@ def test_the_page_on_the_audit_says_what_a_repair_brings_back() -> None:
             assert f"| {label}: {splat} | {' | '.join(cells)} |" in text
 
 
+def test_the_page_on_the_audit_says_what_a_repair_brings_back_of_studies() -> None:
+    text = (ROOT / "docs" / "audit.md").read_text()
+    with (ROOT / "docs" / "tables" / "audit_repair_studies.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    names = {"cloak_demo": "poison", "cloak_demo_layers": "layers"}
+    for name, label in names.items():
+        for splat in ("clean", "attacked", "repaired"):
+            of_splat = [
+                row for row in rows if row["study"] == name and row["splat"] == splat
+            ]
+            wheres = sorted({row["where"] for row in of_splat} - {"elsewhere"})
+            assert wheres, (name, splat)
+            for where in wheres:
+                cells = [
+                    f"{row['found']}/{row['cameras']}"
+                    for row in of_splat
+                    if row["where"] in (where, "elsewhere")
+                ]
+                # by detector, and of each inside before elsewhere
+                order = [cells[1], cells[0], cells[3], cells[2]]
+                line = f"| {label}, {where}: {splat} | {' | '.join(order)} |"
+                assert line in text
+
+
 def readme_rows() -> list[tuple[str, str, str]]:
     """Of each attack, and of the audit: its name, its rate and its control."""
     on_photographs = front_row().partition("missed from ")[2].partition(" ")[0]
