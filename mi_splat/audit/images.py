@@ -54,6 +54,7 @@ LEAST_FURTHER = 4  # images of a group that is found without the first one
 FURTHER_CALLED = 0.015  # strength from which a group is, found without the first one
 SAME = 0.5  # share of such a group that has to be found again
 SEVERAL = 10  # images, from which a group is compared with all images of the other
+HALF = 0.5  # share of the images that oppose such a group, up to which it is smaller
 MORE = 2  # images by which the larger group has to be larger
 EQUAL = 0.95  # share of the larger group from which the smaller is as large
 
@@ -217,7 +218,10 @@ def _is_smaller(smaller: Tensor, split: Split) -> bool:
     larger = int((split.decided & ~split.smaller).sum())
     if split.opposed is not None:
         larger = min(larger, split.opposed)
-    return named <= min(EQUAL * larger, larger - MORE)
+    most = min(EQUAL * larger, larger - MORE)
+    if named < SEVERAL:
+        most = HALF * larger
+    return named <= most
 
 
 def _joined(found: Split, rest: Tensor, further: Split) -> Split:

@@ -32,8 +32,6 @@ from mi_splat.audit.images import audit_images
 from mi_splat.cameras.camera import View
 from mi_splat.capture.mesh import Asset, rotation, scaling, translation
 from mi_splat.capture.path_tracer import tracing_variant
-from mi_splat.capture.settings import CaptureSettings
-from mi_splat.capture.writer import write_capture
 from mi_splat.datasets import Dataset, load_dataset
 from scenes.recipes.audit_images import (
     HONEST,
@@ -42,6 +40,7 @@ from scenes.recipes.audit_images import (
     VISIBLE,
     Drawn,
     add,
+    captured,
     drawn,
     read,
     row_of,
@@ -142,17 +141,10 @@ def made(one: Drawn, how: str, folder: Path) -> tuple[Dataset, Tensor]:
     """A set, and (V,) which of its images show a poison; it is made if it is not
     there.
     """
-    clean = folder / f"{one.name}-clean"
     target = folder / one.name
     truth = folder / f"{one.name}.json"
-    setup = one.setup
-    if not (clean / "transforms_train.json").exists():
-        settings = CaptureSettings(
-            samples=setup.cameras.samples, rgba=True, points=setup.cameras.points
-        )
-        write_capture(setup.source, setup.training_cameras, clean, settings=settings)
     if not truth.exists():
-        views = load_dataset(clean, background=SKY)
+        views = captured(one, folder)
         with tracing_variant():
             images, changed = _images(one, how, views)
         write_poisoned(target, views, poisoned(views, dict(enumerate(images)), {}))

@@ -210,10 +210,8 @@ def _attacks(kind: str, chance: random.Random) -> Iterator[AttackConfig]:
         yield AttackConfig(appearance="remove", mask="difference", reach=1, **place)
 
 
-def made(one: Drawn, folder: Path) -> tuple[Dataset, Tensor]:
-    """A set, and (V,) which of its images show a poison; it is made if it is not
-    there.
-    """
+def captured(one: Drawn, folder: Path) -> Dataset:
+    """The honest images of a set; they are made if they are not there."""
     clean = folder / f"{one.name}-clean"
     setup = one.setup
     if not (clean / "transforms_train.json").exists():
@@ -221,7 +219,14 @@ def made(one: Drawn, folder: Path) -> tuple[Dataset, Tensor]:
             samples=setup.cameras.samples, rgba=True, points=setup.cameras.points
         )
         write_capture(setup.source, setup.training_cameras, clean, settings=settings)
-    views = load_dataset(clean, background=SKY)
+    return load_dataset(clean, background=SKY)
+
+
+def made(one: Drawn, folder: Path) -> tuple[Dataset, Tensor]:
+    """A set, and (V,) which of its images show a poison; it is made if it is not
+    there.
+    """
+    views = captured(one, folder)
     if one.kind == HONEST:
         return views, torch.zeros(len(views), dtype=torch.bool)
     target = folder / one.name
