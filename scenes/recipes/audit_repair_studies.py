@@ -41,6 +41,7 @@ class Row:
     """From how many cameras of a kind a detector reports the object."""
 
     study: str
+    seed: int
     splat: str
     detector: str
     answer: str  # of the audit
@@ -120,6 +121,7 @@ def rows_of(
             mean = float(np.mean([likeness[number] for number in numbers]))
             yield Row(
                 study=judged.study.name,
+                seed=judged.study.seeds[0],
                 splat=splat,
                 detector=kind,
                 answer=answer,

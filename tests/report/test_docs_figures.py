@@ -700,11 +700,18 @@ def test_the_page_on_the_audit_says_what_a_repair_brings_back_of_studies() -> No
     text = (ROOT / "docs" / "audit.md").read_text()
     with (ROOT / "docs" / "tables" / "audit_repair_studies.csv").open() as file:
         rows = list(csv.DictReader(file))
-    names = {"cloak_demo": "poison", "cloak_demo_layers": "layers"}
+    names = {
+        ("cloak_demo", "0"): "poison",
+        ("cloak_demo", "1"): "poison, seed 1",
+        ("cloak_demo_layers", "0"): "layers",
+    }
+    assert names.keys() == {(row["study"], row["seed"]) for row in rows}
     for name, label in names.items():
         for splat in ("clean", "attacked", "repaired"):
             of_splat = [
-                row for row in rows if row["study"] == name and row["splat"] == splat
+                row
+                for row in rows
+                if (row["study"], row["seed"]) == name and row["splat"] == splat
             ]
             wheres = sorted({row["where"] for row in of_splat} - {"elsewhere"})
             assert wheres, (name, splat)
