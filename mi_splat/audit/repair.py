@@ -30,9 +30,13 @@ _LEAST = 1e-2  # pixels times sRGB by which a Gaussian departs that is coloured 
 _UNSEEN = 0.1  # weight of a direction in which a Gaussian hardly shows
 _STRICT = 3.0  # weight of predicted colours by that of the kept ones
 _RIDGE = 1e-2  # weight of coefficients above degree 0 against all colours
-_THICKER = 10.0  # times the optical depth of what is made solid
-_STEPS = 150  # in which it gets its colours,
-_RATE = 0.02  # and their learning rate
+_THICKER = 10.0  # times the optical depth of what is made solid, at first
+_STEPS = 150  # in which it gets its colours and opacities,
+_RATE = 0.02  # the learning rate of these colours,
+_RATE_OF_LOGITS = 0.05  # and of logits of opacities
+# weight of the mean opacity against the error of the images
+_OPAQUE = 0.03
+_EVEN = 1e-4  # opacity by which a logit stays finite
 # degrees beside a cone that are not believed then, as SH of degree 3 set in gradually
 _SETS_IN = 20.0
 
@@ -157,26 +161,39 @@ def _make_solid(
     left = consensus.scene.select((~predicted.lid).nonzero()[:, 0])
     own = consensus.own[~predicted.lid]
     through = (1 - left.opacities[own]).clamp(min=1e-6)
-    solid = left.opacities.clone()
-    solid[own] = 1 - through**_THICKER
+    solid = (1 - through**_THICKER).clamp(_EVEN, 1 - _EVEN)
+    logits = solid.logit().requires_grad_()
     dc = colour_to_dc(predicted.colours[~predicted.lid][own]).requires_grad_()
-    optimiser = torch.optim.Adam([dc], lr=_RATE)
+    optimiser = torch.optim.Adam(
+        [{"params": [dc], "lr": _RATE}, {"params": [logits], "lr": _RATE_OF_LOGITS}]
+    )
     numbers = _believed(item, cone).nonzero()[:, 0].tolist()
     wanted = consensus.images(consensus.scene, numbers)
     for step in range(_STEPS):
         at = step % len(numbers)
-        constant = torch.zeros_like(left.sh)
-        constant[own, 0] = dc
-        sh_left = torch.where(own[:, None, None], constant, left.sh)
-        scene = GaussianScene.unchecked(*left.tensors()[:3], solid, sh_left)
+        scene = _with_own(left, own, dc, logits.sigmoid())
         shown = consensus.rendered(scene, numbers[at : at + 1])[0]
+        error = (shown - wanted[at]).abs().mean()
+        loss = error - _OPAQUE * logits.sigmoid().mean()
         optimiser.zero_grad()
-        (shown - wanted[at]).abs().mean().backward()  # type: ignore[no-untyped-call]
+        loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
     rows = consensus.rows[~predicted.lid][own]
-    opacities[rows] = solid[own]
+    opacities[rows] = logits.detach().sigmoid()
     sh[rows] = 0
     sh[rows, 0] = dc.detach()
+
+
+def _with_own(
+    scene: GaussianScene, own: Tensor, dc: Tensor, opacities: Tensor
+) -> GaussianScene:
+    """A splat some of whose Gaussians have other opacities, and one colour each."""
+    constant = torch.zeros_like(scene.sh)
+    constant[own, 0] = dc
+    sh = torch.where(own[:, None, None], constant, scene.sh)
+    changed = scene.opacities.clone()
+    changed[own] = opacities
+    return GaussianScene.unchecked(*scene.tensors()[:3], changed, sh)
 
 
 def _believed(item: ObjectAudit, cone: ConeView) -> Tensor:
