@@ -3,6 +3,7 @@ honest set.
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,7 +27,9 @@ from mi_splat.datasets import Dataset, PointCloud, load_dataset
 from mi_splat.errors import InvalidValueError
 from scenes.recipes.audit_images import (
     CHOSEN_ON,
+    INSTEAD,
     KINDS,
+    PLAIN,
     TRIED,
     drawn,
     ranking,
@@ -294,6 +297,47 @@ def test_the_page_has_the_tables_of_its_rows() -> None:
         number = int(row["set"].removeprefix("test-"))
         assert number >= CHOSEN_ON
         assert row["kind"] == KINDS[number % len(KINDS)]
+
+
+def counted(rows: Sequence[dict[str, str]]) -> str:
+    """Of sets of which fewer than half is poisoned: images that are, that are named,
+    and rightly, and the mean AUROC.
+    """
+    plain = [
+        row
+        for row in rows
+        if row["kind"] in (*PLAIN, *INSTEAD, "image")
+        and 2 * int(row["poisoned"]) <= int(row["images"])
+    ]
+    poisoned, named, right = (
+        sum(int(row[key]) for row in plain) for key in ("poisoned", "named", "right")
+    )
+    mean = sum(float(row["auroc"]) for row in plain) / len(plain)
+    return f"{len(plain)}: {poisoned}, {named}, {right}, {mean:.3f}"
+
+
+def test_the_page_counts_names_as_its_rows_do() -> None:
+    tables = ROOT / "docs" / "tables"
+    page = (ROOT / "docs" / "audit.md").read_text()
+    rows = read(tables / "audit_images_test.csv")
+    newest = [row for row in rows if row["set"] >= "test-085"]
+    assert counted(rows) == "36: 679, 582, 565, 0.965"
+    assert "679 images are, 582 are named, 565 of them rightly" in page
+    assert (len(rows), len(newest)) == (93, 36)
+    assert counted(newest) == "14: 285, 231, 215, 0.941"
+    assert "285 are, 231 are named, 215 rightly" in page
+    photographs = read(tables / "audit_images_photographs.csv")
+    assert counted(photographs) == "12: 135, 86, 85, 0.862"
+    assert "Mean AUROC 0.86, 8 of 12 called, 85 of 86 named rightly" in page
+    earlier = read(tables / "audit_images_photographs_earlier.csv")
+    assert counted(earlier) == "23: 229, 162, 161, 0.842"
+    assert "sets is 0.84, 18 are called, and 161 of 162 named rightly" in page
+    for row in photographs:
+        if row["kind"] != "honest":
+            start = f"| {row['object']} | {row['images']} | {row['kind']} |"
+            counts = f"| {row['named']} | {row['right']} | {float(row['auroc']):.2f} |"
+            (line,) = [line for line in page.split("\n") if line.startswith(start)]
+            assert line.endswith(counts)
 
 
 def test_every_development_set_has_a_name_of_its_own() -> None:
