@@ -27,6 +27,7 @@ from mi_splat.datasets import Dataset, PointCloud, load_dataset
 from mi_splat.errors import InvalidValueError
 from scenes.recipes.audit_images import (
     CHOSEN_ON,
+    HONEST,
     INSTEAD,
     KINDS,
     PLAIN,
@@ -329,11 +330,16 @@ def test_the_page_counts_names_as_its_rows_do() -> None:
     photographs = read(tables / "audit_images_photographs.csv")
     assert counted(photographs) == "12: 135, 86, 85, 0.862"
     assert "Mean AUROC 0.86, 8 of 12 called, 85 of 86 named rightly" in page
+    readme = (ROOT / "README.md").read_text()
+    assert "565/582 and 85/86 of the named images are poisoned" in readme
+    honest = [row["verdict"] for row in rows if row["kind"] == HONEST]
+    assert honest == ["nothing found"] * 27
+    assert "honest synthetic sets called: 0/27" in readme
     earlier = read(tables / "audit_images_photographs_earlier.csv")
     assert counted(earlier) == "23: 229, 162, 161, 0.842"
     assert "sets is 0.84, 18 are called, and 161 of 162 named rightly" in page
     for row in photographs:
-        if row["kind"] != "honest":
+        if row["kind"] != HONEST:
             start = f"| {row['object']} | {row['images']} | {row['kind']} |"
             counts = f"| {row['named']} | {row['right']} | {float(row['auroc']):.2f} |"
             (line,) = [line for line in page.split("\n") if line.startswith(start)]
