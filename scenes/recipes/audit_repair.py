@@ -9,10 +9,11 @@ detector reports the object; FOLDER gets an image of each, clean, attacked and r
 import csv
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -171,6 +172,14 @@ def measured(
     return rows, side_by_side(shown)
 
 
+def write(file: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Write rows with the same fields as CSV."""
+    with file.open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
 def main(folder: str, file: str) -> None:
     """Audit and repair each splat, and compare it with the clean one."""
     again = partial(audit, recogniser=Recognition())
@@ -179,10 +188,7 @@ def main(folder: str, file: str) -> None:
         more, image = measured(case, again)
         rows += more
         save_picture(image, Path(folder) / f"repair-{number}.png")
-        with Path(file).open("w", newline="") as stream:
-            writer = csv.DictWriter(stream, asdict(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(map(asdict, rows))
+        write(Path(file), list(map(asdict, rows)))
 
 
 if __name__ == "__main__":

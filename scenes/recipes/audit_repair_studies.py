@@ -8,7 +8,6 @@ FILE.csv, an image of each STUDY shows clean, attacked and repaired splat from t
 middle of its triggers.
 """
 
-import csv
 import json
 import sys
 from collections.abc import Iterator
@@ -31,6 +30,7 @@ from mi_splat.audit import Audit, audit, repaired
 from mi_splat.cameras.camera import Camera
 from mi_splat.io.images import save_picture, side_by_side
 from mi_splat.maths.metrics import psnr
+from scenes.recipes.audit_repair import write
 
 DETECTORS = ("fasterrcnn_small", "yolov8n_small")
 ELSEWHERE = "elsewhere"
@@ -161,10 +161,7 @@ def main(file: str, *folders: str) -> None:
     rows = list[Row]()
     for folder in map(Path, folders):
         rows += measured(folder, Path(file).with_name(f"{folder.name}.png"))
-        with Path(file).open("w", newline="") as stream:
-            writer = csv.DictWriter(stream, asdict(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(map(asdict, rows))
+        write(Path(file), list(map(asdict, rows)))
 
 
 if __name__ == "__main__":
