@@ -337,6 +337,8 @@ def not_here(words: Sequence[str]) -> list[str]:
 
 def main(when: str, folder: Path, only: Sequence[str] = ()) -> int:
     """Run the lines, and report each that fails and how long each took."""
+    # a shell has what it runs in the background ignore Ctrl-C, which `view` waits for
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     failed = 0
     kept = {"folder": folder / "given"}
     rewrite_once()

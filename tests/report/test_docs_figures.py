@@ -376,8 +376,8 @@ def test_the_row_of_one_view_is_what_the_command_does(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """With its defaults, from one of the drawn cameras: as many steps, and the same
-    verdict.
+    """With the ball of the study and its other defaults, from one of the drawn cameras:
+    the same verdict, and an image that is as far away.
     """
     monkeypatch.chdir(ROOT)
     result = result_of("dagger_cameras")
@@ -404,6 +404,8 @@ def test_the_row_of_one_view_is_what_the_command_does(
         *settings["detectors"],
         "--cameras",
         view,
+        "--eps",
+        str(settings["attack"]["eps"][0]),
         "--seed",
         str(attack.stated["seed"]),
         "--random-start",
