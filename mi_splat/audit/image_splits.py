@@ -557,20 +557,21 @@ def _middle_of_others(ordered: Tensor, count: Tensor, colours: Tensor) -> Tensor
 
 
 def _differences(observed: Observations, weights: Tensor) -> Tensor:
-    """(V, V) weighted difference of what two images show of the points that both see;
-    NaN where these are few.
+    """(V, V) weighted difference of what two images show of the points that both see,
+    above the diagonal; NaN below it, and where these points are few.
     """
     kept = weights > 0.1
     colours = observed.colours[:, kept]
     weight = observed.seen[:, kept] * weights[kept]
     total = weight.sum(1)
     result = torch.full((len(total), len(total)), torch.nan)
-    for index in range(len(total)):
+    for index in range(len(total) - 1):
         rows = weight[index] > 0
-        shared = weight[:, rows] * (weight[index, rows] > 0)
-        change = (colours[:, rows] - colours[index, rows]).abs().mean(-1)
+        later = slice(index + 1, None)
+        shared = weight[later, rows] * (weight[index, rows] > 0)
+        change = (colours[later, rows] - colours[index, rows]).abs().mean(-1)
         both = shared.sum(1)
-        enough = both > SHARED * torch.minimum(total, total[index])
+        enough = both > SHARED * torch.minimum(total[later], total[index])
         mean = (change.clamp(max=2 * CAP) * shared).sum(1) / both.clamp(min=1e-9)
-        result[index] = torch.where(enough & (both > 0), mean, torch.nan)
+        result[index, later] = torch.where(enough & (both > 0), mean, torch.nan)
     return result
