@@ -128,14 +128,11 @@ def beneath(observed: Observations, split: Split) -> Observations:
     as far as each image has gone on it.
     """
     group = split.scores > 0
-    places, _ = _places(observed, group, _noise(observed))
-    way = torch.zeros_like(observed.colours[0])
-    is_known = torch.ones(len(way), dtype=torch.bool)
-    for members, sign in ((group, 1.0), (~group, -1.0)):
-        seen = observed.seen[members]
-        way += sign * median_of(observed.colours[members], seen).nan_to_num()
-        is_known &= seen.sum(0) >= LEAST_SEEN
-    change = places[:, None, None] * torch.where(is_known[:, None], way, 0.0)
+    noise = _noise(observed)
+    places, _ = _places(observed, group, noise)
+    is_known, (first, second) = _medians(observed, group, noise, False)
+    way = (first - second) * is_known[:, None]
+    change = places[:, None, None] * way
     return dataclasses.replace(observed, colours=observed.colours - change)
 
 

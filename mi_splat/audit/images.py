@@ -14,12 +14,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from mi_splat.audit.image_splits import (
-    LEAST_POINTS,
-    Split,
-    beneath,
-    split_images,
-)
+from mi_splat.audit.image_splits import LEAST_POINTS, Split, beneath, split_images
 from mi_splat.audit.observations import Observations, observe
 from mi_splat.cameras.framing import near_plane
 from mi_splat.datasets import Dataset
@@ -52,9 +47,9 @@ AGREED = 0.75
 """Share of a group that similar splits have to agree on, below which none is named."""
 LEAST_FURTHER = 4  # images of a group that is found without the first one
 FURTHER_CALLED = 0.015  # strength from which a group is, found without the first one
-SAME = 0.5  # share of such a group that has to be found again
+FOUND_AGAIN = 0.5  # share of such a group that has to be found a second time
 SEVERAL = 10  # images, from which a group is compared with all images of the other
-HALF = 0.5  # share of the images that oppose such a group, up to which it is smaller
+OPPOSED = 0.5  # of the images that oppose a group with fewer, what it has at most
 MORE = 2  # images by which the larger group has to be larger
 EQUAL = 0.95  # share of the larger group from which the smaller is as large
 
@@ -199,7 +194,7 @@ def _is_found_again(observed: Observations, rest: Tensor, further: Split) -> boo
     if again is None or not _is_further(again):
         return False
     both = again.smaller & further.smaller[~hesitating]
-    return int(both.sum()) > SAME * int(further.smaller.sum())
+    return int(both.sum()) > FOUND_AGAIN * int(further.smaller.sum())
 
 
 def is_called(split: Split) -> bool:
@@ -220,7 +215,7 @@ def _is_smaller(smaller: Tensor, split: Split) -> bool:
         larger = min(larger, split.opposed)
     most = min(EQUAL * larger, larger - MORE)
     if named < SEVERAL:
-        most = HALF * larger
+        most = OPPOSED * larger
     return named <= most
 
 

@@ -185,10 +185,9 @@ def _falloff(ratios: Tensor, away: Tensor, wanted: Tensor) -> Tensor:
     """The polynomial of the squared distance that passes through the medians of (N,)
     logarithms of ratios at (N,) distances, at those that are wanted; 0 in the middle.
     """
-    order = away.argsort()
-    groups = torch.tensor_split(order, _RINGS)
-    if len(order) < _RINGS * _LEAST_IMAGES:
+    if len(away) < _RINGS * _LEAST_IMAGES:
         return torch.zeros_like(wanted)
+    groups = torch.tensor_split(away.argsort(), _RINGS)
     found = torch.stack([ratios[group].median() for group in groups])
     places = torch.stack([away[group].median() for group in groups])
     powers = torch.stack([torch.ones_like(places), places, places.square()], 1)
